@@ -1,1 +1,1 @@
-"""The operator's view in a browser."""
+"""The machine in a browser: drawing, gauges, charts, and control by sticks."""

@@ -1,10 +1,10 @@
-"""Who may talk to the server: an ASGI layer around everything, pages and websockets alike.
+"""Access control of the server: an ASGI middleware that checks each request for a page or a websocket.
 
-Host     a loopback name, an address in figures, or a name that was allowed: a page of a foreign name that
-         was made to point here (DNS rebinding) comes with that foreign name
-Origin   where it is sent, it must be the page's own host: no foreign page opens a websocket here
-token    if one is needed: once in the address, `/?token=...`, then in a cookie that no script reads and no
-         other site sends along (HttpOnly, SameSite=Strict)
+Host     must be a loopback name, a numeric address or an allowed name; a page under a foreign name that
+         resolves to this computer (DNS rebinding) is refused
+Origin   if present, must be the page's own host, so that no foreign page opens a websocket
+token    if required: once in the address, `/?token=...`, then in a cookie that scripts cannot read and other
+         sites do not send (HttpOnly, SameSite=Strict)
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 @dataclass(frozen=True)
 class Rules:
-    """What is asked of a request. `names`: further names of this host; `token`: empty if none is needed."""
+    """Rules for requests. names: further names of this host; token: empty if none is required."""
 
     names: frozenset[str] = field(default_factory=frozenset)
     token: str = ""
@@ -35,18 +35,18 @@ class Rules:
 
 
 def rules(host: str, names: tuple[str, ...] = (), port: int = 0) -> Rules:
-    """Rules for a server that listens on `host`: with a fresh token, unless it is a loopback address.
+    """Rules for a server that listens on `host`, with a random token unless `host` is a loopback address.
 
-    Cookies are shared by all ports of a host, so the port is part of the cookie's name.
+    All ports of a host share their cookies, so the name of the cookie contains the port.
     """
     token = "" if is_loopback(host) else secrets.token_urlsafe(32)
-    here = {socket.gethostname()} if token else set()
-    own = {name.lower() for name in (host, *names, *here) if name}
-    return Rules(frozenset(own), token, f"harvester_view_{port}")
+    hostname = [socket.gethostname()] if token else []
+    allowed = {name.lower() for name in (host, *names, *hostname) if name}
+    return Rules(frozenset(allowed), token, f"harvester_view_{port}")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer can reach a server that listens there."""
+    """Can only this computer reach a server that listens on `host`?"""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -54,66 +54,65 @@ def is_loopback(host: str) -> bool:
 
 
 class Guard:
-    """`app.add_middleware(Guard, rules=rules(host))`."""
+    """The middleware: `app.add_middleware(Guard, rules=rules(host))`."""
 
     def __init__(self, app: App, rules: Rules) -> None:
         self._app, self._rules = app, rules
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let the request through, or answer it with one line."""
+        """Pass the request on, or refuse it with one line."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        heads = _heads(scope)
-        wrong = _foreign(heads, self._rules)
-        if wrong:
-            await refuse(scope, receive, send, 400, wrong)
-        elif not self._rules.token or self._known(heads):
+        headers = _headers(scope)
+        if error := _host_error(headers, self._rules):
+            await refuse(scope, receive, send, 400, error)
+        elif not self._rules.token or self._has_cookie(headers):
             await self._app(scope, receive, send)
-        elif scope["type"] == "http" and self._brings_token(scope):
-            await door(scope, send, self._rules.cookie, self._rules.token)
+        elif scope["type"] == "http" and self._has_token(scope):
+            await set_cookie(scope, send, self._rules.cookie, self._rules.token)
         else:
-            told = "open the address with its token, as `harvester view` printed it"
-            await refuse(scope, receive, send, 401, told)
+            message = "open the address with its token, as printed by `harvester view`"
+            await refuse(scope, receive, send, 401, message)
 
-    def _known(self, heads: dict[str, list[str]]) -> bool:
-        found = SimpleCookie()
+    def _has_cookie(self, headers: dict[str, list[str]]) -> bool:
+        cookies = SimpleCookie()
         try:
-            found.load("; ".join(heads.get("cookie", ())))
+            cookies.load("; ".join(headers.get("cookie", ())))
         except CookieError:
             return False
-        return self._rules.cookie in found and self._equal(found[self._rules.cookie].value)
+        return self._rules.cookie in cookies and self._equal(cookies[self._rules.cookie].value)
 
-    def _brings_token(self, scope: Scope) -> bool:
+    def _has_token(self, scope: Scope) -> bool:
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        return any(self._equal(given) for given in query.get("token", ()))
+        return any(self._equal(token) for token in query.get("token", ()))
 
-    def _equal(self, given: str) -> bool:
-        return secrets.compare_digest(given.encode(), self._rules.token.encode())
+    def _equal(self, token: str) -> bool:
+        return secrets.compare_digest(token.encode(), self._rules.token.encode())
 
 
-def _heads(scope: Scope) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+def _headers(scope: Scope) -> dict[str, list[str]]:
+    headers: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
-        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    return found
+        headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    return headers
 
 
-def _foreign(heads: dict[str, list[str]], rules: Rules) -> str:
-    """What is wrong with Host and Origin, or nothing."""
-    hosts = heads.get("host", [])
-    if len(hosts) != 1 or not _is_ours(_name(hosts[0]), rules):
-        return f"Host: expected a name or address of this server, found {_shown(hosts)}"
-    origins = heads.get("origin", [])
+def _host_error(headers: dict[str, list[str]], rules: Rules) -> str:
+    """Message on a wrong Host or Origin, or empty."""
+    hosts = headers.get("host", [])
+    if len(hosts) != 1 or not _is_allowed(_name(hosts[0]), rules):
+        return f"Host: expected a name or address of this server, found {_quoted(hosts)}"
+    origins = headers.get("origin", [])
     if any(_origin(origin) != hosts[0].lower() for origin in origins):
-        return f"Origin: expected the page's own host {hosts[0]}, found {_shown(origins)}"
+        return f"Origin: expected the page's own host {hosts[0]}, found {_quoted(origins)}"
     return ""
 
 
-def _is_ours(name: str, rules: Rules) -> bool:
+def _is_allowed(name: str, rules: Rules) -> bool:
     if is_loopback(name) or name in rules.names:
         return True
-    try:  # an address in figures cannot be pointed elsewhere; without a token only the loopback is served
+    try:  # a numeric address is safe from DNS rebinding; without a token only the loopback is served
         ipaddress.ip_address(name)
     except ValueError:
         return False
@@ -128,7 +127,7 @@ def _name(host: str) -> str:
 
 
 def _origin(origin: str) -> str:
-    """`host:port` of an origin; `null` and what is no origin has none."""
+    """`host:port` of an origin; empty for `null` and for malformed text."""
     try:
         parts = urlsplit(origin)
     except ValueError:
@@ -136,56 +135,58 @@ def _origin(origin: str) -> str:
     return parts.netloc.lower() if parts.scheme in ("http", "https") else ""
 
 
-def _shown(found: list[str]) -> str:
-    return ascii(", ".join(found))[:80] if found else "none"
+def _quoted(values: list[str]) -> str:
+    return ascii(", ".join(values))[:80] if values else "none"
 
 
-# the address with the token stays out of caches and out of what other sites are told
-QUIET = [(b"cache-control", b"no-store"), (b"referrer-policy", b"no-referrer")]
+# keep the address with the token out of caches and of the Referer header
+PRIVATE = [(b"cache-control", b"no-store"), (b"referrer-policy", b"no-referrer")]
 
 
-async def refuse(scope: Scope, receive: Receive, send: Send, status: int, text: str) -> None:
-    """Tell why in one line; a websocket is closed before it is open (the browser sees 403)."""
+async def refuse(scope: Scope, receive: Receive, send: Send, status: int, message: str) -> None:
+    """Refuse with one line. A websocket is closed before it is accepted (the browser sees 403)."""
     if scope["type"] == "websocket":
         await receive()
-        await send({"type": "websocket.close", "code": 1008, "reason": text[:100]})
+        await send({"type": "websocket.close", "code": 1008, "reason": message[:100]})
     else:
-        await _answer(send, status, f"{text}\n", [(b"content-type", b"text/plain; charset=utf-8"), *QUIET])
+        await _answer(
+            send, status, f"{message}\n", [(b"content-type", b"text/plain; charset=utf-8"), *PRIVATE]
+        )
 
 
-async def door(scope: Scope, send: Send, cookie: str, token: str) -> None:
-    """Set the cookie and go on to the same address without the token.
+async def set_cookie(scope: Scope, send: Send, cookie: str, token: str) -> None:
+    """Set the cookie and go to the same address without the token.
 
-    A page that moves on by itself, not a redirect: after a click on a link elsewhere, a redirect would still
-    belong to that other site, and a SameSite=Strict cookie would not be sent with it.
+    This uses a page with a refresh, not a redirect. If the link was on another site, a redirect would still
+    count as a request of that site, and the browser would not send a SameSite=Strict cookie with it.
     """
-    rest = [(k, v) for k, v in parse_qsl(scope.get("query_string", b"").decode("latin-1")) if k != "token"]
+    query = [(k, v) for k, v in parse_qsl(scope.get("query_string", b"").decode("latin-1")) if k != "token"]
     # a relative address stays on this host, whatever the path was
-    there = f"?{urlencode(rest)}" if rest else "."
-    page = f'<!doctype html><meta http-equiv="refresh" content="0; url={there}"><title>harvester</title>\n'
-    keep = f"{cookie}={token}; Path=/; HttpOnly; SameSite=Strict".encode()
-    heads = [(b"content-type", b"text/html; charset=utf-8"), (b"set-cookie", keep), *QUIET]
-    await _answer(send, 200, page, heads)
+    address = f"?{urlencode(query)}" if query else "."
+    page = f'<!doctype html><meta http-equiv="refresh" content="0; url={address}"><title>harvester</title>\n'
+    header = f"{cookie}={token}; Path=/; HttpOnly; SameSite=Strict".encode()
+    headers = [(b"content-type", b"text/html; charset=utf-8"), (b"set-cookie", header), *PRIVATE]
+    await _answer(send, 200, page, headers)
 
 
-async def _answer(send: Send, status: int, text: str, heads: list[tuple[bytes, bytes]]) -> None:
+async def _answer(send: Send, status: int, text: str, headers: list[tuple[bytes, bytes]]) -> None:
     body = text.encode()
     length = (b"content-length", str(len(body)).encode())
-    await send({"type": "http.response.start", "status": status, "headers": [*heads, length]})
+    await send({"type": "http.response.start", "status": status, "headers": [*headers, length]})
     await send({"type": "http.response.body", "body": body})
 
 
 LIBRARIES = ("asyncio", "engineio.server", "socketio.server", "uvicorn.error")
 
 
-def shorten() -> None:
-    """From now on in one line each; may be repeated. What is ours has loggers of its own, with everything."""
+def shorten_library_logs() -> None:
+    """Log errors of the libraries in one line each. Loggers of this project keep the traceback."""
     for name in LIBRARIES:
         logging.getLogger(name).addFilter(_one_line)
 
 
 def _one_line(record: logging.LogRecord) -> bool:
-    """Keeps the first line and the name of the error; the terminal cannot be filled by a page."""
+    """Keep the first line and the name of the error, so that a page cannot fill the terminal."""
     error = record.exc_info[1] if record.exc_info else None
     record.msg = record.getMessage().partition("\n")[0]
     if error is not None:

@@ -1,4 +1,4 @@
-"""What the user may choose before a start: the system, the pose, the fidelity of each part."""
+"""The choices before a start: the system, the pose, and the variant of each component."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from orchestrator.ssp.swap import with_swaps
 from orchestrator.view.scene.pose import Geometry, Start, geometry, start
 from orchestrator.view.view_description import ViewDescription, view_description
 
-USUAL = "usual"  # the FMU that the system brings
-VARIANTS = "variants"  # folder beside the system's file
+USUAL = "usual"  # label of the FMU in the system
+VARIANTS = "variants"  # folder next to the file of the system
 
 
 @dataclass(frozen=True)
 class MachineChoice:
-    """What a user wants.
+    """The choices of a user.
 
     swap   component -> name of a variant or path
-    pose   name of a parameter set, empty: the system's
-    set    start values by name, as of `run`
+    pose   name of a parameter set; empty: the pose of the system
+    set    start values by name, as for `run`
     """
 
     system: Path
@@ -35,9 +35,9 @@ class MachineChoice:
 
 @dataclass(frozen=True)
 class ViewPlan:
-    """A choice, worked out: what runs, how it is shown, how large it is, where it begins.
+    """The setup that follows from a choice, its view description, geometry and start pose.
 
-    geometry   None where the system does not describe a drawing
+    geometry   None if the system does not describe a drawing
     """
 
     choice: MachineChoice
@@ -48,12 +48,12 @@ class ViewPlan:
 
 
 def plan(choice: MachineChoice) -> ViewPlan:
-    """What a choice means; Problem for one that does not work."""
+    """Load the chosen system. Raises `Problem` for a choice that does not work."""
     loaded = load(choice.system)
     if choice.pose and choice.pose not in poses(choice.system):
-        known = poses(choice.system)
-        near = suggest(choice.pose, known) or f"; there are {', '.join(known) or 'none'}"
-        raise Problem(f"{choice.system}: no pose {choice.pose!r}{near}")
+        names = poses(choice.system)
+        hint = suggest(choice.pose, names) or f"; there are {', '.join(names) or 'none'}"
+        raise Problem(f"{choice.system}: no pose {choice.pose!r}{hint}")
     system = with_swaps(loaded, choice.swap)
     posed = parameter_sets.with_sets(system, [choice.pose] if choice.pose else []).with_start(choice.set)
     description = view_description(loaded)
@@ -66,12 +66,12 @@ def plan(choice: MachineChoice) -> ViewPlan:
         parameters=(choice.pose,) if choice.pose else (),
         set=dict(choice.set),
     )
-    sizes = geometry(posed) if scene else None
-    return ViewPlan(choice, setup, description, sizes, start(posed, scene.initial if scene else ()))
+    drawn = geometry(posed) if scene else None
+    return ViewPlan(choice, setup, description, drawn, start(posed, scene.initial if scene else ()))
 
 
 def poses(system: Path) -> tuple[str, ...]:
-    """The parameter sets of a system that tell where its joints begin."""
+    """Names of the parameter sets that set the initial angles of the joints."""
     loaded = load(system)
     scene = view_description(loaded).scene
     angles = [name.encode() for name in scene.initial] if scene else []
@@ -80,20 +80,20 @@ def poses(system: Path) -> tuple[str, ...]:
 
 
 def variants(system: Path) -> Mapping[str, Mapping[str, str]]:
-    """Component -> name -> text of the variants beside the system's file; only where there is a choice.
+    """Component -> name -> label of the variants next to the system's file, for components that have any.
 
-    The system's own FMU comes first; where it is one of the variants, it has the name of that one.
+    The FMU in the system comes first. If it equals one of the variants, its label has that name.
     """
     folder = system.parent / VARIANTS
     names = sorted(path.stem for path in folder.glob("*.fmu")) if folder.is_dir() else []
-    found = dict[str, Mapping[str, str]]()
+    labels = dict[str, Mapping[str, str]]()
     loaded = load(system)
-    for component, brought in loaded.components.items():
-        own = [n.removeprefix(f"{component}_") for n in names if n.startswith(f"{component}_")]
-        if own:
-            machines = {n: with_swaps(loaded, {component: n}) for n in own}
+    for component, original in loaded.components.items():
+        available = [n.removeprefix(f"{component}_") for n in names if n.startswith(f"{component}_")]
+        if available:
+            machines = {n: with_swaps(loaded, {component: n}) for n in available}
             guids = {n: machine.components[component].interface.guid for n, machine in machines.items()}
-            same = next((n for n in own if guids[n] == brought.interface.guid), "")
-            others = {n: n for n in own if n != same}
-            found[component] = {USUAL: f"{same} ({USUAL})" if same else USUAL, **others}
-    return found
+            same = next((n for n in available if guids[n] == original.interface.guid), "")
+            others = {n: n for n in available if n != same}
+            labels[component] = {USUAL: f"{same} ({USUAL})" if same else USUAL, **others}
+    return labels

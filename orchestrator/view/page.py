@@ -1,7 +1,7 @@
 """The page, and the stream of frames to all open pages.
 
-A browser tells which pictures it has drawn. Where more than `AHEAD` are on the way it gets no more until it
-has caught up, so a slow one sees fewer pictures, never old ones, and costs the server nothing.
+A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures are not acknowledged it gets no
+further ones. So a slow browser shows fewer pictures, but no outdated ones, and does not load the server.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from orchestrator.view.driving.authority import ControlAuthority, OperatorStatio
 from orchestrator.view.driving.endpoint import mount
 from orchestrator.view.panels.bar import Bar
 from orchestrator.view.panels.charts import Charts, History
-from orchestrator.view.panels.gauges import Gauges, RealTimeFactor, StatusLine, limit
+from orchestrator.view.panels.gauges import Gauges, RealTimeFactor, StatusLine, tip_limit
 from orchestrator.view.scene.canvas import Canvas, colour, rings
 from orchestrator.view.scene.pose import Angles, pose
 from orchestrator.view.session import Session
@@ -32,10 +32,10 @@ from orchestrator.view.view_description import SignalIndex
 
 
 class SharedFigures:
-    """Renewed at each look; begins anew with another machine.
+    """Figures that all pages show: history of the charts and real-time factor. Reset for another machine.
 
-    index   the one that the history belongs to
-    looks     how many there were
+    index   index of the signals that the history belongs to
+    looks   number of updates
     """
 
     def __init__(self, session: Session) -> None:
@@ -44,7 +44,7 @@ class SharedFigures:
         self._begin()
 
     def look(self, frame: Frame) -> None:
-        """Before the pages are told."""
+        """Update from a frame, before the pages show it."""
         if self.index is not self._session.index:
             self._begin()
         self.looks += 1
@@ -57,16 +57,16 @@ class SharedFigures:
         self.clock = RealTimeFactor()
 
 
-RATE, FIGURES = 25.0, 4.0  # 1/s
-AHEAD = 8  # pictures on the way to a browser
-LOST = 2.0  # s; after that a picture is taken for lost
+RATE, FIGURES = 25.0, 4.0  # 1/s; rates of pictures and of figures
+AHEAD = 8  # pictures sent to a browser and not yet drawn, at most
+LOST = 2.0  # s; after this time without an acknowledgement, pictures count as lost
 log = logging.getLogger(__name__)
 
 
 class Viewer(Protocol):
-    """A page. `picture` sends the machine, if it has moved; `figures` everything else, less often.
+    """Interface of a page. `picture` sends a pose that has changed; `figures` sends all else, less often.
 
-    ready   the browser has built its scene
+    ready   True when the browser has built its scene
     """
 
     @property
@@ -76,7 +76,7 @@ class Viewer(Protocol):
 
 
 class Credit:
-    """How many pictures are on the way to one browser."""
+    """Flow control for one browser: number of pictures sent and drawn."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -84,7 +84,7 @@ class Credit:
         self._heard = clock()
 
     def next(self) -> int:
-        """The number of the next picture, or 0 if there are enough on the way."""
+        """Number of the next picture, or 0 if the browser must catch up first."""
         if self.sent - self.drawn >= AHEAD:
             if self._clock() - self._heard < LOST:
                 return 0
@@ -94,16 +94,16 @@ class Credit:
         return self.sent + 1
 
     def shown(self, number: int) -> None:
-        """The browser has drawn this one."""
+        """The browser has drawn this picture."""
         if self.drawn < number <= self.sent:
             self.drawn, self._heard = number, self._clock()
 
 
 class Stream:
-    """Looks at the machine and hands its frames to all viewers."""
+    """Reads frames of the machine and sends them to all viewers."""
 
     def __init__(self, session: Session, shared: SharedFigures, figures: float = FIGURES) -> None:
-        """figures: how often numbers and charts are renewed [1/s]."""
+        """figures: rate at which gauges and charts are updated [1/s]."""
         self._session, self.shared = session, shared
         self._every = max(1, round(RATE / figures))
         self._viewers: dict[Viewer, Credit] = {}
@@ -111,20 +111,20 @@ class Stream:
         self._ticks = 0
 
     def join(self, viewer: Viewer) -> Credit:
-        """A page that opens."""
+        """Add a page."""
         self._viewers[viewer] = Credit()
         return self._viewers[viewer]
 
     def refresh(self) -> None:
-        """Everybody gets a picture at the next look, also if nothing moves."""
+        """Send a picture to all pages at the next tick, even if nothing has changed."""
         self._seen = (-1, -1, "")
 
     def leave(self, viewer: Viewer) -> None:
-        """A page that is gone."""
+        """Remove a page."""
         self._viewers.pop(viewer, None)
 
     def tick(self) -> None:
-        """One look."""
+        """Read the machine once and update the pages."""
         self._ticks += 1
         slow = self._ticks % self._every == 0
         if not self._viewers or not (slow or self._fresh()):
@@ -138,25 +138,23 @@ class Stream:
                     credit.sent = number
                 if slow:
                     viewer.figures(frame, self.shared)
-            except Exception:  # one broken page must not take the picture from the others
-                log.exception("a page takes no frame")
+            except Exception:  # an error of one page must not affect the others
+                log.exception("a frame could not be sent to a page")
                 self.leave(viewer)
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Tick until cancelled."""
         due = time.monotonic()
         while True:
             try:
                 self.tick()
-            except (
-                Exception
-            ):  # the next look may go well; without this no page would ever get a picture again
-                log.exception("a frame is not shown")
+            except Exception:  # otherwise one error would stop the pictures of all pages for good
+                log.exception("a frame could not be shown")
             due = max(due + 1 / RATE, time.monotonic() + 0.2 / RATE)
             await asyncio.sleep(due - time.monotonic())
 
     def _fresh(self) -> bool:
-        """Has anything changed since the last look?"""
+        """Has the frame or the machine changed since the last tick?"""
         frame = self._session.machine.latest()
         now = (self._session.machine.exchanges, frame.number, frame.state)
         changed, self._seen = now != self._seen, now
@@ -171,14 +169,14 @@ HINT = (
     ("W A S D", "left stick"),
     ("arrows", "right stick"),
     ("P", "pause"),
-    ("Home", "begin again"),
+    ("Home", "start again"),
 )
 LEVER = "Arrow up (SAE: W) pushes the boom's lever away: boom or tip goes down"
-STANDING = {  # what to do about a machine that stands still
+STANDING = {  # banner for each state in which the machine does not move
     "starting": "starting",
-    "paused": "paused: P goes on",
-    "ended": "the end: P plays it again",
-    "failed": "Home begins again",
+    "paused": "paused: press P to continue",
+    "ended": "end of the replay: press P to repeat it",
+    "failed": "press Home to start again",
 }
 
 
@@ -194,7 +192,7 @@ class Page:
         self._fitted: SignalIndex | None = None
         ui.add_css(STYLE)
         ui.colors(primary=GREEN)
-        ui.dark_mode(None)  # as the browser says
+        ui.dark_mode(None)  # as set in the browser
         credit = stream.join(self)
         with ui.element("main").classes("view"):
             with ui.element("div").classes("stage"):
@@ -206,7 +204,7 @@ class Page:
                     self._opened = task(training, table, lambda: self._task.visible)
                 self._banner = ui.label().classes("banner").props("role=alert")
             with ui.element("div").classes("hands"):
-                station = mount(session.machine, authority, self._save_work)
+                station = mount(session.machine, authority, self._reduce_load)
                 _hint()
             with ui.element("aside"):
                 self._gauges, self._charts = Gauges(), Charts(session.plan.description.charts)
@@ -220,14 +218,15 @@ class Page:
 
     @property
     def ready(self) -> bool:
-        """The browser has built its scene and listens."""
+        """Has the browser built its scene, and is it connected?"""
         drawn = self._canvas is None or self._canvas.ready
         return drawn and bool(self._client.has_socket_connection)
 
     def picture(self, number: int, frame: Frame) -> bool:
-        """The machine; False if it looks as before or has no drawing, so that nothing was sent.
+        """Send the pose. Returns False if it has not changed or there is no drawing, so that nothing was
+        sent.
 
-        A joint whose angle is not known stays as at the start.
+        A joint without a known angle keeps its initial angle.
         """
         session, again = self._session, self._exchange != self._session.machine.exchanges
         self._exchange = session.machine.exchanges
@@ -235,13 +234,15 @@ class Page:
         scene, full = plan.description.scene, plan.description.full_pressure
         if self._canvas is None or scene is None or plan.geometry is None:
             return False
-        usual = (plan.start.swing, plan.start.boom, plan.start.stick, 0.0, 0.0)
-        angles = [v if math.isfinite(v) else u for v, u in zip(map(value, scene.joints), usual, strict=True)]
+        initial = (plan.start.swing, plan.start.boom, plan.start.stick, 0.0, 0.0)
+        angles = [
+            v if math.isfinite(v) else u for v, u in zip(map(value, scene.joints), initial, strict=True)
+        ]
         colours = {part: colour(value(name), full) for part, name in scene.pressures.items()}
         return self._canvas.show(number, pose(Angles(*angles), plan.geometry), colours, again)
 
     def figures(self, frame: Frame, shared: SharedFigures) -> None:
-        """Everything else; a machine of other sizes is built anew."""
+        """Update all but the drawing. For another geometry the page is loaded again."""
         plan = self._session.plan
         if self._built != (plan.description, plan.geometry):
             self._built = plan.description, plan.geometry
@@ -251,31 +252,31 @@ class Page:
             self._gauges.fit(shared.index, plan.description)
         self._gauges.show(frame, shared.index)
         self._bar.show(frame)
-        self._tell(frame)
+        self._show_banner(frame)
         if self._canvas is not None:
             self._canvas.marks(self._rings() if self._task.visible else [])
         if shared.looks % 2 == 0:
-            held = limit(shared.index, frame)
-            self._line.show(frame, shared.clock.factor, self._session.machine.drives, held)
+            limited = tip_limit(shared.index, frame)
+            self._line.show(frame, shared.clock.factor, self._session.machine.drives, limited)
             self._charts.show(shared.history, one=self._slow)
 
-    def _save_work(self) -> None:
-        """The browser is slow: a driver needs the sticks more than the charts."""
+    def _reduce_load(self) -> None:
+        """Update one chart at a time, for a slow browser: a driver needs the sticks more than charts."""
         self._slow = True
 
-    def _tell(self, frame: Frame) -> None:
-        """Over the picture: that it stands still, and why."""
+    def _show_banner(self, frame: Frame) -> None:
+        """Show over the drawing why the machine does not move."""
         text = "; ".join(filter(None, (frame.message, STANDING.get(frame.state, ""))))
         self._banner.set_text(text)
         self._banner.set_visibility(bool(text))
         self._banner.classes(**{"add" if frame.state == "failed" else "remove": "bad"})
 
     def _rings(self) -> list[dict[str, Any]]:
-        """The targets that are left."""
-        found, left = self._training.exercise, self._training.status()["target"]
-        names = [target.name for target in found.targets]
-        done = names.index(left["name"]) if left else len(names)
-        return rings([target.at for target in found.targets], found.radius, done)
+        """Rings of the remaining targets."""
+        exercise, target = self._training.exercise, self._training.status()["target"]
+        names = [t.name for t in exercise.targets]
+        done = names.index(target["name"]) if target else len(names)
+        return rings([t.at for t in exercise.targets], exercise.radius, done)
 
     def _toggle(self) -> None:
         self._task.set_visibility(not self._task.visible)
@@ -283,7 +284,7 @@ class Page:
 
 
 def _hint() -> None:
-    """The keys that a driver needs first."""
+    """Show the keys that a driver needs first."""
     with ui.element("div").classes("keyhint"):
         for key, meaning in HINT:
             with ui.element("div"):
@@ -293,6 +294,6 @@ def _hint() -> None:
 
 
 def _refusal(authority: ControlAuthority, station: OperatorStation) -> str:
-    """Why the page of this station may not decide for all; empty if it may."""
+    """Reason why this page may not change what all pages show; empty if it may."""
     watching = authority.status(station).role == "watching"
-    return "another page drives and decides" if watching else ""
+    return "another page drives the machine and decides" if watching else ""

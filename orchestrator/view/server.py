@@ -1,4 +1,4 @@
-"""The server: one machine, any number of pages, and who may talk to it."""
+"""The web server of the view: one session and any number of pages, behind access control."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from orchestrator.view.task.training import Training
 
 TITLE = "Harvester"
 LOOPBACK = "127.0.0.1"
-SHORTEST = 16  # characters of a token that somebody chooses
-LARGEST = 2**16  # bytes of one message of a browser; what a page says takes far less
+SHORTEST = 16  # characters of a chosen token, at least
+LARGEST = 2**16  # bytes of one message of a browser; ordinary messages are far smaller
 GRACE = 2  # s for open connections at the end
-TIMEOUT = 20.0  # s for a page that is slow to begin, or whose network is lost for a while
+TIMEOUT = 20.0  # s for a page that is slow to load or has lost its connection
 
 
 class Server:
-    """Serves a session. There can be one in a process: the pages of the library are one application.
+    """Serves a session. One per process, because NiceGUI has one application per process.
 
-    url     where its page is, with the token if one is needed
-    authority   who drives
+    url         address of the page, with the token if one is required
+    authority   decides which page drives the machine
     """
 
     def __init__(self, session: Session, host: str = LOOPBACK, port: int = 0, token: str = "") -> None:
-        """port 0: a free one. A host other than the loopback needs a token; none given: a fresh one."""
+        """port: 0 selects a free one; token: by default random, if `host` is not a loopback address."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
         self.session, self.authority = (
@@ -55,10 +55,10 @@ class Server:
         )
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
-        found = rules(host, names=(_shown(host),), port=self.port)
-        allowed = replace(found, token=token or found.token)
+        default = rules(host, names=(_displayed(host),), port=self.port)
+        allowed = replace(default, token=token or default.token)
         query = f"?token={allowed.token}" if allowed.token else ""
-        self.url = f"http://{_shown(host)}:{self.port}/{query}"
+        self.url = f"http://{_displayed(host)}:{self.port}/{query}"
         app = FastAPI(lifespan=self._life, docs_url=None, redoc_url=None, openapi_url=None)
         serve_controls(app, self.authority)
         self._stream, self._training = Stream(session, SharedFigures(session)), Training(session.machine)
@@ -76,19 +76,19 @@ class Server:
             log_level="warning",
             ws="websockets-sansio",
             ws_max_size=LARGEST,
-            ws_per_message_deflate=False,  # small messages, often: packing them costs more than it saves
+            ws_per_message_deflate=False,  # compressing many small messages costs more than it saves
             timeout_graceful_shutdown=GRACE,
         )
         self._server = uvicorn.Server(config)
         self._thread: threading.Thread | None = None
 
     def run(self, began: Callable[[], object] = lambda: None) -> None:
-        """Until it is interrupted; `began` is called when an interrupt would end it in order."""
+        """Serve until interrupted. began: called when the server accepts connections."""
         self._began = began
         self._server.run(sockets=[self._socket])
 
     def start(self) -> None:
-        """In a thread of its own; returns when pages can be opened."""
+        """Serve in a thread. Returns when the server accepts connections."""
         self._thread = threading.Thread(target=self.run, daemon=True)
         self._thread.start()
         while not self._server.started:
@@ -107,7 +107,7 @@ class Server:
 
     @contextlib.asynccontextmanager
     async def _life(self, _: FastAPI) -> AsyncIterator[None]:
-        """While the server runs, the watchdog looks and the pages get their frames."""
+        """Run the watchdog and the stream of frames while the server runs."""
         async with watching(self.authority):
             showing = asyncio.create_task(self._stream.run())
             try:
@@ -118,7 +118,7 @@ class Server:
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """A socket that listens there; a mistake is told in one line."""
+    """A listening socket. Raises `Problem` if the address cannot be used."""
     listening = None
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
@@ -130,22 +130,22 @@ def bound(host: str, port: int) -> socket.socket:
         if listening is not None:
             listening.close()
         why = getattr(error, "strerror", None) or error
-        told = f"--host {host} --port {port}: cannot listen there: {why}; --port 0 takes a free port"
-        raise Problem(told) from None
+        message = f"--host {host} --port {port}: cannot listen: {why}; --port 0 selects a free port"
+        raise Problem(message) from None
     return listening
 
 
-def _shown(host: str) -> str:
-    """The host as an address of a page shows it; for all addresses of this computer, its name."""
+def _displayed(host: str) -> str:
+    """The host in the form used in a URL; for a wildcard address, the name of this computer."""
     if host in ("0.0.0.0", "::"):
         return socket.gethostname()
     return f"[{host}]" if ":" in host else host
 
 
 def quiet() -> None:
-    """A page that is closed while something is on its way is no news."""
+    """Do not log errors of pages that were closed while a message was on its way."""
     logging.getLogger("nicegui").setLevel(logging.ERROR)
-    access.shorten()
+    access.shorten_library_logs()
 
 
 def serve(
@@ -161,7 +161,7 @@ def serve(
     open_: bool,
     results: Path,
 ) -> None:
-    """Serve until interrupted. A mistake is told before anything is served."""
+    """Serve until interrupted. Raises `Problem` for a mistake before anything is served."""
     first = MachineChoice(require_system(system), pose, swap, set_)
     make_folder(results)
     quiet()
@@ -172,11 +172,11 @@ def serve(
         server = Server(session, host, port, token)
 
         def began() -> None:
-            print(f"{session.title}\n{server.url}\nCtrl-C ends it", flush=True)
-            if open_:  # aside: some systems wait here for the browser to end
+            print(f"{session.title}\n{server.url}\npress Ctrl-C to end", flush=True)
+            if open_:  # in a thread, because on some systems the call waits for the browser
                 threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
 
         server.run(began)
-        raise KeyboardInterrupt  # the server ends without one where its signal is ignored, as behind a script
+        raise KeyboardInterrupt  # uvicorn returns without it if SIGINT is ignored, as in a background job
     finally:
         session.close()

@@ -1,4 +1,4 @@
-"""What all pages show, a running machine or a replayed file: started, exchanged and saved."""
+"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from orchestrator.view.view_description import SignalIndex, by_bare_name
 
 
 class ExchangeableMachine:
-    """A `Machine` that forwards everything to another one, which may be exchanged.
+    """A `Machine` that forwards all calls to another machine, which can be exchanged.
 
-    factor      the speed that was asked for last, of whichever machine
-    exchanges   counts the exchanges: frames of before have nothing to do with those of after
+    factor      the speed that was set last
+    exchanges   number of exchanges; frames before and after an exchange are not related
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -31,7 +31,7 @@ class ExchangeableMachine:
         self.exchanges, self.factor = 0, 1.0
 
     def exchange(self, machine: Machine) -> None:
-        """Show another machine from now on; the one before stands still."""
+        """Show another machine. The previous one is paused."""
         if self.machine.drives:
             self.machine.command({})
         self.machine.pause()
@@ -86,7 +86,7 @@ class ExchangeableMachine:
 
 
 class SeekableMachine(Machine, Protocol):
-    """A machine that can go to any time of its file."""
+    """A machine with a position that can be set: a replay."""
 
     def seek(self, t: float) -> None: ...
 
@@ -98,17 +98,17 @@ Replayed = Callable[[Trace], SeekableMachine]
 class Session:
     """The machine that all pages show.
 
-    plan      what was chosen last
-    machine   live, or a replay
-    index   of its frames
-    title     what is shown, in words
-    span      times of the file that is replayed: first, last [s]; None for a live machine
+    plan      the latest choice
+    machine   the live machine, or a replay
+    index     index of the signals in its frames
+    title     title of the page
+    span      first and last time of the replayed file [s]; None for a live machine
     """
 
     def __init__(
         self, first: MachineChoice, simulate: Simulate, replay: Replayed, folders: Sequence[Path] = ()
     ) -> None:
-        """simulate, replay: make machines; folders: with result files, the first one also to write to."""
+        """simulate, replay: factories of machines; folders: of result files, the first also for saving."""
         self._replay, self.folders = replay, tuple(folders)
         self.plan: ViewPlan = plan(first)
         self._live = simulate(self.plan.setup)
@@ -130,51 +130,51 @@ class Session:
 
     @property
     def replaying(self) -> bool:
-        """Is it a file that is shown?"""
+        """Is a file shown?"""
         return bool(self.file)
 
     def start(self, choice: MachineChoice) -> None:
-        """The live machine from the beginning, with this choice."""
-        wanted = plan(choice)
-        self._live.restart(wanted.setup)
-        self.plan = wanted
+        """Start the live machine with this choice."""
+        new = plan(choice)
+        self._live.restart(new.setup)
+        self.plan = new
         self._show(self._live, "")
         self._live.play()
 
     def again(self) -> None:
-        """From the beginning, what is shown now."""
+        """Restart the current machine or replay."""
         self.machine.restart()
         self.machine.play()
 
     @property
-    def _telling(self) -> set[str]:
-        """Signals of which a result file has to have one: joint angles, or any without a drawing."""
+    def _required(self) -> set[str]:
+        """A result file must have one of these: the joint angles; without a drawing any shown signal."""
         description = self.plan.description
         return set(description.scene.joints if description.scene else description.shown)
 
     @property
     def _example(self) -> str:
-        """The full name of one of them."""
+        """Full name of one of the required signals."""
         full = by_bare_name(self.plan.setup.signals)
-        return next((full[name] for name in full if name in self._telling), "component.output")
+        return next((full[name] for name in full if name in self._required), "component.output")
 
     def files(self) -> list[str]:
-        """The result files of the allowed folders that can be replayed."""
-        found = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
-        return [name for name, path in found if self._telling & set(by_bare_name(columns_of(path)))]
+        """Names of the result files in the open folders that can be replayed."""
+        results = ((name, find_result(name, self.folders)) for name in list_results(self.folders))
+        return [name for name, path in results if self._required & set(by_bare_name(columns_of(path)))]
 
     def replay(self, name: str) -> None:
-        """A result file of the allowed folders in place of the machine, which stands still meanwhile."""
+        """Show a result file of the open folders. The live machine is paused meanwhile."""
         self.replay_file(find_result(name, self.folders), name)
 
     def replay_file(self, path: Path, name: str = "") -> None:
-        """A result file wherever it lies: only for names that do not come from a page."""
+        """Show any result file. Not for names that come from a page."""
         trace = read(path)
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
         recording = self._replay(trace)
-        found = SignalIndex(recording)
-        if not any(found.knows(name) for name in self._telling):
+        index = SignalIndex(recording)
+        if not any(index.contains(name) for name in self._required):
             raise Problem(
                 f"{path}: expected signals such as {self._example}, found"
                 f" {', '.join(list(trace.signals)[:4]) or 'none'}"
@@ -184,33 +184,33 @@ class Session:
         self.machine.play()
 
     def seek(self, t: float) -> None:
-        """Another time of the file that is replayed [s]."""
+        """Go to a time of the replayed file [s]."""
         if self._recording is not None and math.isfinite(t):
             self._recording.seek(t)
-            self.machine.exchanges += 1  # what was drawn has nothing to do with what follows
+            self.machine.exchanges += 1  # frames before and after are not related
 
     def back(self) -> None:
-        """From a replay to the live machine, which stands where it stood."""
+        """Show the live machine again, as it was paused."""
         if self.file:
             self.machine.machine.close()
             self._show(self._live, "")
 
     def save(self) -> Path:
-        """The session so far, as a result file in the first folder."""
+        """Save the session as a result file in the first folder."""
         if not self.folders:
             raise Problem("save: no folder for results is open")
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        return write(self.whole(), self.folders[0] / f"session-{stamp}.parquet")
+        return write(self.trace(), self.folders[0] / f"session-{stamp}.parquet")
 
-    def whole(self) -> Trace:
-        """The trace of the session, from zero."""
+    def trace(self) -> Trace:
+        """Trace of the session. Raises `Problem` if it is empty."""
         trace = self.machine.trace()
         if not len(trace.time):
             raise Problem("save: nothing has been recorded yet")
         return trace
 
     def close(self) -> None:
-        """End everything."""
+        """Close all machines."""
         self.machine.close()
         self._live.close()
 

@@ -1,9 +1,9 @@
-"""What a machine says of itself to the view: `resources/view.toml` in its SSP or in one of its FMUs.
+"""The view description of a machine: the file `resources/view.toml` in its SSP or in one of its FMUs.
 
-The file tells which inputs an operator drives and what the functions of the sticks mean for them, which
-signals are gauges and charts, and which are the joints and pressures of the drawing. Names are bare, without
-their component. What a system does not have is left out. A system without the file can be watched: its
-outputs become gauges and charts. `SignalIndex` finds the bare names in the frames of any machine.
+It declares the inputs that an operator drives and how the functions of the sticks act on them, the signals of
+gauges and charts, and the joints and pressures of the drawing. Names are bare, without their component. Names
+that a system does not have are ignored. A system without the file can be watched: its outputs become gauges
+and charts. `SignalIndex` finds the values of bare names in the frames of any machine.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from orchestrator.realtime.setup import Axis, Frame, Machine
 from orchestrator.ssp.system import System
 
 FILE = "view.toml"
-MOST_GAUGES, MOST_CHARTS, MOST_CURVES = 24, 3, 7  # of a system without the file
-RANGE = 200.0  # of its gauges, in the unit that is shown
+MOST_GAUGES, MOST_CHARTS, MOST_CURVES = 24, 3, 7  # for a system without the file
+RANGE = 200.0  # range of its gauges, in the displayed unit
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008
 
 
 @dataclass(frozen=True)
 class DrivenInput:
-    """An `Axis`; of several names the first that the system has as an input."""
+    """An `Axis`. Its name is the first of `name` that is an input of the system."""
 
     name: Annotated[tuple[str, ...], SOME]
     limit: float
@@ -42,7 +42,7 @@ class DrivenInput:
 
 @dataclass(frozen=True)
 class FullDeflection:
-    """For each function: input -> its value at full deflection."""
+    """For each crane function: input -> its value at full deflection."""
 
     swing: Mapping[str, float] = field(default_factory=dict)
     boom: Mapping[str, float] = field(default_factory=dict)
@@ -51,8 +51,8 @@ class FullDeflection:
 
 
 @dataclass(frozen=True)
-class FunctionWords:
-    """The positive and the negative end of a function."""
+class FunctionLabels:
+    """Labels of the positive and the negative end of a crane function."""
 
     boom: Annotated[tuple[str, ...], PAIR] = ("boom up", "boom down")
     stick: Annotated[tuple[str, ...], PAIR] = ("stick in", "stick out")
@@ -60,15 +60,15 @@ class FunctionWords:
 
 @dataclass(frozen=True)
 class DriveMode:
-    """What the functions of the sticks (swing, boom, stick) drive.
+    """Inputs that the functions of the sticks (swing, boom, stick) drive.
 
-    constant   input -> its value while somebody drives; the mode needs all of them
-    words      what the page writes at the ends of the sticks
+    constant   input -> its value while the machine is driven; the mode requires all of these inputs
+    words      labels at the ends of the sticks
     """
 
     full: FullDeflection
     constant: Mapping[str, float] = field(default_factory=dict)
-    words: FunctionWords = FunctionWords()
+    words: FunctionLabels = FunctionLabels()
 
     def drives(self, inputs: Collection[str]) -> bool:
         """Can a machine with these inputs be driven in this mode?"""
@@ -78,7 +78,7 @@ class DriveMode:
 
 @dataclass(frozen=True)
 class Gauge:
-    """One line: a signal in SI units, its text, the unit that it is shown in, and the ends of its bar."""
+    """One gauge: a signal in SI units, its label, the displayed unit, and the range of its bar."""
 
     name: str
     text: str
@@ -94,18 +94,18 @@ class Gauge:
 
     @property
     def factor(self) -> float:
-        """From the SI to the unit."""
+        """Factor from SI to the displayed unit."""
         return 1.0 / parse(self.unit).factor
 
     @property
     def is_pressure(self) -> bool:
-        """The bar of a pressure has its colour."""
+        """Is it a pressure? Then the bar has the colour of the pressure."""
         return parse(self.unit).base() == parse("Pa").base()
 
 
 @dataclass(frozen=True)
 class GaugeGroup:
-    """Gauges under a title."""
+    """A titled group of gauges."""
 
     title: str
     lines: tuple[Gauge, ...]
@@ -113,7 +113,7 @@ class GaugeGroup:
 
 @dataclass(frozen=True)
 class ChartCurve:
-    """A signal in SI units; `dashed` is the second of a pair."""
+    """One curve: a signal in SI units. dashed: the second of a pair."""
 
     name: str
     text: str
@@ -123,9 +123,10 @@ class ChartCurve:
 
 @dataclass(frozen=True)
 class Chart:
-    """Curves over time, and where the axis may end: at the first that is enough.
+    """Curves over time.
 
-    both   the axis goes as far below zero; else it begins there
+    ends   possible upper ends of the axis; the first that includes all values is used
+    both   True: the axis is symmetric; False: it begins at zero
     """
 
     title: str
@@ -139,16 +140,16 @@ class Chart:
 
     @property
     def factor(self) -> float:
-        """From the SI to the unit."""
+        """Factor from SI to the displayed unit."""
         return 1.0 / parse(self.unit).factor
 
 
 @dataclass(frozen=True)
 class SceneSignals:
-    """What moves and colours the drawing.
+    """Signals that move and colour the drawing.
 
-    joints      angles of swing, boom, stick and head, the last in the plane of the arm and out of it
-    initial     the parameters with the first of them at the start
+    joints      angles of swing, boom, stick, and head in the plane of the arm and out of it
+    initial     parameters with the initial angles of swing, boom and stick
     pressures   part of the drawing -> its pressure
     """
 
@@ -159,7 +160,7 @@ class SceneSignals:
 
 @dataclass(frozen=True)
 class ViewDescription:
-    """The file. `full_pressure` ends the scale of colours [Pa]; `signals` are watched, too."""
+    """Content of the file. full_pressure: end of the colour scale [Pa]; signals: also recorded."""
 
     gauges: tuple[GaugeGroup, ...]
     charts: tuple[Chart, ...]
@@ -176,41 +177,41 @@ class ViewDescription:
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """All signals that the page reads, in the order in which they are recorded."""
+        """All signals that the page uses, in the order in which they are recorded."""
         scene = self.scene
         drawn = (*scene.joints, *scene.pressures.values()) if scene else ()
         gauges = (line.name for group in self.gauges for line in group.lines)
         return tuple(dict.fromkeys((*drawn, *gauges, *self.curves, *self.signals)))
 
     def driven(self, system: System) -> tuple[Axis, ...]:
-        """The inputs of a system that an operator drives; Problem if it has none of those in the file."""
+        """Inputs that an operator drives. Raises `Problem` if the system has none of those in the file."""
         inputs = {port.variable for port in system.ports("input")}
         named = [(next((n for n in a.name if n in inputs), None), a) for a in self.axes]
-        found = tuple(Axis(n, a.limit, a.rate, a.rest, a.rest_delay) for n, a in named if n)
-        if self.axes and not found:
+        axes = tuple(Axis(n, a.limit, a.rate, a.rest, a.rest_delay) for n, a in named if n)
+        if self.axes and not axes:
             raise Problem(
                 f"{system.source or system.name}: expected an input to drive, such as"
                 f" {self.axes[0].name[-1]}, found {', '.join(sorted(inputs)[:6]) or 'none'}"
             )
-        return found
+        return axes
 
     def watched(self, system: System) -> tuple[str, ...]:
-        """`component.variable` of the outputs that are shown, as far as the system has them.
+        """`component.variable` of the shown outputs that the system has.
 
-        What would drive a driven input otherwise, such as a program of levers, is not shown.
+        Outputs with the name of a driven input, such as those of a lever program, are left out.
         """
         driven = {axis.name for axis in self.driven(system)}
-        found = by_bare_name(str(port) for port in system.ports("output"))
-        return tuple(dict.fromkeys(found[n] for n in self.shown if n in found and n not in driven))
+        outputs = by_bare_name(str(port) for port in system.ports("output"))
+        return tuple(dict.fromkeys(outputs[n] for n in self.shown if n in outputs and n not in driven))
 
 
 def view_description(system: System) -> ViewDescription:
-    """The file of a system, or of the first FMU in it that has one; else its outputs as gauges and charts."""
-    name, home = f"resources/{FILE}", system.source
-    files = [home.resolve(name)] if home and str(home).endswith(".ssd") else []
+    """The file of a system or of its first FMU that has one; else gauges and charts of its outputs."""
+    name, source = f"resources/{FILE}", system.source
+    files = [source.resolve(name)] if source and str(source).endswith(".ssd") else []
     files += [component.source.member(name) for component in system.components.values() if component.source]
     for file in files:
-        with suppress(Problem):  # there is no such file
+        with suppress(Problem):  # the file does not exist
             data = file.read()
             break
     else:
@@ -219,7 +220,7 @@ def view_description(system: System) -> ViewDescription:
 
 
 def of_outputs(system: System) -> ViewDescription:
-    """Gauges of the outputs that are real numbers, a group for each unit, and charts of the first ones."""
+    """Gauges for the real outputs, grouped by unit, and charts of the first outputs."""
     names = by_bare_name(str(port) for port in system.ports("output"))
     outputs = {bare: system.variable(system.port(name)) for bare, name in names.items()}
     by_unit = dict[str, list[str]]()
@@ -238,7 +239,7 @@ def of_outputs(system: System) -> ViewDescription:
 
 
 def _shown_unit(unit: str) -> str:
-    """The unit that a reader is shown; none in the place of one that is not known."""
+    """The displayed unit; "1" for an unknown unit."""
     try:
         parse(unit)
     except Problem:
@@ -252,34 +253,37 @@ def _curves(names: Iterable[str]) -> Iterator[ChartCurve]:
 
 
 def by_bare_name(names: Iterable[str]) -> Mapping[str, str]:
-    """Bare name -> full name. Where several have it, the component that the name begins with is meant:
-    `supply_flow` is that of `supply`, not what one drive takes."""
-    found = dict[str, str]()
+    """Bare name -> full name.
+
+    If several components have the name, the one whose name is its prefix is used: `supply_flow` is the
+    variable of `supply`, not of a drive.
+    """
+    full = dict[str, str]()
     for name in names:
         component, _, bare = name.rpartition(".")
-        if bare not in found or (component and bare.startswith(component.rpartition(".")[2])):
-            found[bare] = name
-    return found
+        if bare not in full or (component and bare.startswith(component.rpartition(".")[2])):
+            full[bare] = name
+    return full
 
 
 def columns(names: Sequence[str]) -> Mapping[str, int]:
-    """Bare name -> place among the names."""
-    place = {name: k for k, name in enumerate(names)}
-    return {bare: place[full] for bare, full in by_bare_name(names).items()}
+    """Bare name -> index among the names."""
+    index = {name: k for k, name in enumerate(names)}
+    return {bare: index[full] for bare, full in by_bare_name(names).items()}
 
 
 class SignalIndex:
-    """Where each value stands in the frames of one machine; what is not there is not a number."""
+    """Finds values in the frames of one machine by bare name."""
 
     def __init__(self, machine: Machine) -> None:
         self._signals, self._axes = columns(machine.signals), columns(machine.axes)
 
-    def knows(self, name: str) -> bool:
-        """Is there such a signal or axis?"""
+    def contains(self, name: str) -> bool:
+        """Is there a signal or axis of this name?"""
         return name in self._signals or name in self._axes
 
     def value(self, frame: Frame, name: str) -> float:
-        """A signal by its bare name; what drives the machine comes first."""
+        """Value of the axis or signal of this name; NaN if there is none."""
         if name in self._axes:
             return float(frame.axes[self._axes[name]])
         if name in self._signals:
@@ -287,7 +291,7 @@ class SignalIndex:
         return math.nan
 
     def column(self, name: str) -> tuple[str, int] | None:
-        """Where a bare name stands: among the "axes" or among the "values"."""
+        """Array ("axes" or "values") and index of a name; None if there is none."""
         if name in self._axes:
             return "axes", self._axes[name]
         return ("values", self._signals[name]) if name in self._signals else None

@@ -29,7 +29,7 @@ from view.driving import (
 )
 from view.standin import LONG, comes, wait
 
-from orchestrator.view.driving.authority import AFRESH, HOLD
+from orchestrator.view.driving.authority import AGAIN, HOLD
 
 PAD = """() => {
   window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],
@@ -143,7 +143,7 @@ def test_slow_page(page: Any, address: str) -> None:
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     hang(page, 600)
     wait(lambda: command(address) == {})
-    page.get_by_text(AFRESH).wait_for()
+    page.get_by_text(AGAIN).wait_for()
     assert page.evaluate("window.slow") is True
     stays_at_rest(address)  # the dead-man is held
     page.keyboard.up("Space")
@@ -242,7 +242,7 @@ def test_second_page(page: Any, chromium: Any, address: str) -> None:
     """A second page sees who drives and asks; closing the first is rest, and the second can take over."""
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     second = open_page(chromium, address)  # in a window of its own: the first one keeps its focus
-    second.get_by_role("button", name="Ask for controls").click()
+    second.get_by_role("button", name="Request controls").click()
     wait(lambda: state(address)["asked"] != "")
     page.close()
     wait(lambda: command(address) == {})

@@ -20,7 +20,7 @@ from orchestrator.view.driving.sticks import (
     legend,
     modes,
     pattern,
-    shaped,
+    response,
 )
 
 share = st.floats(0, 0.9)
@@ -32,8 +32,8 @@ SMALL = ResponseCurve(0.1, 0.5)
 @given(CURVES, DEFLECTIONS)
 def test_curve_is_odd_and_bounded(curve: ResponseCurve, x: float) -> None:
     """Both directions are the same, and no deflection gives more than full speed."""
-    assert shaped(-x, curve) == -shaped(x, curve)
-    assert abs(shaped(x, curve)) <= 1
+    assert response(-x, curve) == -response(x, curve)
+    assert abs(response(x, curve)) <= 1
 
 
 @given(CURVES, DEFLECTIONS, DEFLECTIONS)
@@ -41,23 +41,23 @@ def test_curve_never_falls(curve: ResponseCurve, a: float, b: float) -> None:
     """A larger deflection never means less."""
     low, high = sorted((a, b))
     # the cubic of numbers a rounding error apart may be a rounding error out of order
-    assert shaped(low, curve) <= shaped(high, curve) + 1e-15
+    assert response(low, curve) <= response(high, curve) + 1e-15
 
 
 @given(CURVES)
 def test_curve_ends(curve: ResponseCurve) -> None:
     """Nothing in the dead zone, everything at the stop and beyond it."""
-    assert shaped(curve.dead_zone, curve) == 0
+    assert response(curve.dead_zone, curve) == 0
     # exact identity up to rounding: (1 - d) / (1 - d), and c + (1 - c)
-    assert shaped(1.0, curve) == pytest.approx(1, rel=1e-14)
-    assert shaped(1e9, curve) == shaped(1.0, curve)
-    assert shaped(float("nan"), curve) == 0
+    assert response(1.0, curve) == pytest.approx(1, rel=1e-14)
+    assert response(1e9, curve) == response(1.0, curve)
+    assert response(float("nan"), curve) == 0
 
 
 def test_curve_by_hand() -> None:
     """Half-way beyond the dead zone of 0.1 at half progression is 0.5 * 0.5 + 0.5 * 0.125."""
     # exact identity, rounding only
-    assert shaped(0.55, SMALL) == pytest.approx(0.3125, rel=1e-14)
+    assert response(0.55, SMALL) == pytest.approx(0.3125, rel=1e-14)
 
 
 @pytest.mark.parametrize("wrong", [(-0.1, 0.5), (1.0, 0.5), (0.1, 1.1), (float("nan"), 0.5)])

@@ -143,7 +143,7 @@ def test_pause_and_restart(page: Any, server: Server) -> None:
     page.wait_for_function("() => document.querySelector('.foot').innerText.includes('paused')")
     page.get_by_role("button", name="Play or pause").click()
     wait(lambda: server.session.machine.latest().t > 1.0)
-    page.get_by_role("button", name="From the beginning").click()
+    page.get_by_role("button", name="Start again").click()
     wait(lambda: begin(server) > before + APART / 2)
     wait(lambda: server.session.machine.latest().state == "running")
     assert server.session.machine.trace().time[0] == 0.0
@@ -210,10 +210,10 @@ def test_asking_hides_nothing(page: Any, server: Server) -> None:
     second = page.context.new_page()
     second.set_default_timeout(1e3 * LONG)
     second.goto(server.url)
-    ask = second.get_by_role("button", name="Ask for controls")
+    ask = second.get_by_role("button", name="Request controls")
     assert ask.bounding_box()["width"] == pytest.approx(wide, abs=0.5)  # px: rounding of the layout
     ask.click()
-    told = second.locator(".q-notification").get_by_text("asked; who drives has to let go")
+    told = second.locator(".q-notification").get_by_text("requested; the driver has to release the controls")
     told.wait_for()
     box = told.bounding_box()
     assert box["y"] + box["height"] < second.locator(".hands").bounding_box()["y"]
@@ -240,7 +240,7 @@ def test_keys_of_the_page(page: Any, server: Server) -> None:
     """P pauses and goes on, and the page says what to press; in a window over the page it does nothing."""
     page.keyboard.press("p")
     wait(lambda: server.session.machine.latest().state == "paused")
-    page.get_by_text("paused: P goes on").wait_for()
+    page.get_by_text("paused: press P to continue").wait_for()
     page.keyboard.press("p")
     wait(lambda: server.session.machine.latest().state == "running")
     page.get_by_role("button", name="Replay a result file").click()
@@ -281,7 +281,7 @@ def test_replay(page: Any, server: Server) -> None:
     wait(lambda: angle(server, "boom") < 0.3)
     server.session.machine.play()
     wait(lambda: server.session.machine.latest().state == "ended")
-    page.get_by_text("the end: P plays it again").wait_for()
+    page.get_by_text("end of the replay: press P to repeat it").wait_for()
     assert not server.session.machine.drives
     page.get_by_role("button", name="Back to the live machine").click()
     wait(lambda: server.session.machine.drives)
@@ -300,4 +300,4 @@ def test_save(page: Any, tmp_path: Path) -> None:
 def test_help(page: Any) -> None:
     """The map of the keys opens over the page."""
     page.get_by_role("button", name="Keys, sticks and mouse").click()
-    page.locator(".window").get_by_text("without it the machine rests").wait_for()
+    page.locator(".window").get_by_text("the machine rests without it").wait_for()

@@ -98,5 +98,5 @@ def test_a_swap_that_the_controller_cannot_use_is_offered_without_it(
     assert main(["view", "--no-open", "--swap", "boom_stick=own.fmu"]) == 2
     told = capsys.readouterr().err
     assert "expected output boom_head_pressure [Pa], got none" in told
-    offer = "build/harvester.ssp has no controller and takes it: harvester view build/harvester.ssp --swap"
+    offer = "build/harvester.ssp has no controller and accepts it: harvester view build/harvester.ssp --swap"
     assert told.endswith(f"{offer} boom_stick=own.fmu\n")

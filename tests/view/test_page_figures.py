@@ -10,7 +10,7 @@ from view.modes import DESCRIPTION
 
 from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.view.panels.charts import options
-from orchestrator.view.panels.gauges import RealTimeFactor, cells, limit
+from orchestrator.view.panels.gauges import RealTimeFactor, cells, tip_limit
 from orchestrator.view.view_description import Chart, SignalIndex
 
 PULSE = Timing()
@@ -59,15 +59,15 @@ def test_what_holds_the_tip(values: tuple[float, ...], told: str) -> None:
     """The limit that is used most has a cell of its own while the controller is on, else the wait has."""
     machine = SimpleNamespace(signals=NAMES, axes=())
     now = Frame(1, 1.0, np.zeros(0), np.array(values), "running", "", PULSE)
-    held = limit(SignalIndex(machine), now)
+    held = tip_limit(SignalIndex(machine), now)
     assert held == told
-    shown = {name: text for name, text, _ in cells(now, 1.0, drives=True, held=held)}
+    shown = {name: text for name, text, _ in cells(now, 1.0, drives=True, limited=held)}
     assert shown.get("tip", "") == told
 
 
 def test_a_machine_without_a_controller_is_held_by_nothing() -> None:
     """Where there is no share there is no word."""
-    assert limit(SignalIndex(SimpleNamespace(signals=(), axes=())), frame()) == ""
+    assert tip_limit(SignalIndex(SimpleNamespace(signals=(), axes=())), frame()) == ""
 
 
 @pytest.mark.parametrize("chart", DESCRIPTION.charts, ids=lambda chart: chart.title)

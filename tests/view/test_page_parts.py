@@ -245,7 +245,5 @@ def test_port_in_use() -> None:
     """A port that is taken is told in one line."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(
-            Problem, match=f"--port {port}: cannot listen there: .*; --port 0 takes a free port"
-        ):
+        with pytest.raises(Problem, match=f"--port {port}: cannot listen: .*; --port 0 selects a free port"):
             bound("127.0.0.1", port)

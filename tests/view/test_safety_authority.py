@@ -6,7 +6,7 @@ import pytest
 from view.desk import Desk
 from view.standin import LEVERS, StandIn
 
-from orchestrator.view.driving.authority import AFRESH, HOLD
+from orchestrator.view.driving.authority import AGAIN, HOLD
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_told_what_to_do(desk: Desk) -> None:
     station = desk.driver()
     desk.wait(0.3)
     desk.say(station)
-    assert desk.authority.status(station).why == f"no message from this page for a moment: {AFRESH}"
+    assert desk.authority.status(station).why == f"no message from this page for a moment: {AGAIN}"
     desk.say(station, dead_man=False)
     assert desk.authority.status(station).why == HOLD
 
@@ -131,7 +131,7 @@ def test_goes_on(desk: Desk) -> None:
     desk.say(station)
     assert not desk.machine.moving
     assert desk.authority.status(station).role == "driving"
-    assert desk.authority.status(station).why == AFRESH
+    assert desk.authority.status(station).why == AGAIN
     desk.say(station, dead_man=False)
     desk.say(station)
     assert desk.machine.moving
@@ -151,7 +151,7 @@ def test_machine_that_halts(desk: Desk, halt: str) -> None:
     assert not desk.machine.moving
     assert not desk.authority.status().live
     told = desk.authority.status().why
-    assert told == ("the machine stands still" if halt == "hanging" else f"the machine is {halt}")
+    assert told == ("the machine does not move" if halt == "hanging" else f"the machine is {halt}")
     desk.machine.state = "running"
     vars(desk.machine).pop("latest", None)
     desk.say(station)

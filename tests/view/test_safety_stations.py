@@ -72,7 +72,7 @@ def test_flood(desk: Desk) -> None:
 def test_choice(desk: Desk) -> None:
     """The driver chooses pattern and mode; a change is rest; a watcher cannot; unknown ones are one line."""
     watcher, station = desk.page(), desk.driver()
-    with pytest.raises(Problem, match="drives and chooses"):
+    with pytest.raises(Problem, match="only the driver chooses"):
         desk.authority.choose(watcher, "SAE")
     desk.authority.choose(station, "SAE")
     assert not desk.machine.moving

@@ -22,7 +22,7 @@ from orchestrator.ssp.system import System
 from orchestrator.view.choice import MachineChoice, plan
 from orchestrator.view.scene import bodies
 from orchestrator.view.scene.canvas import SCALE, UNKNOWN, colour, rings
-from orchestrator.view.scene.pose import NODES, Angles, Geometry, Place, ScenePose, geometry, pose
+from orchestrator.view.scene.pose import NODES, Angles, Geometry, NodePose, ScenePose, geometry, pose
 
 PENDULUM = VARIANTS["pendulum"]
 OWN = values(PENDULUM).p
@@ -57,7 +57,7 @@ def told(q: Angles) -> dict[str, float]:
 
 def drawn(found: ScenePose, node: str, point: tuple[float, float, float]) -> np.ndarray:
     """A point of a node in space, by rotation matrices: turned as the browser does it."""
-    place = found.places[node]
+    place = found.nodes[node]
     cos, sin = math.cos(place.roll), math.sin(place.roll)
     roll = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
     cos, sin = math.cos(-place.pitch), math.sin(-place.pitch)
@@ -76,7 +76,7 @@ def test_tip_and_cylinders(q: Angles) -> None:
     assert found.tip == pytest.approx(tip, abs=ROUNDING)
     assert drawn(found, "stick", (SIZES.stick_length, 0, 0)) == pytest.approx(tip, abs=ROUNDING)
     for name, closed in (("boom", SIZES.boom_closed_length), ("stick", SIZES.stick_closed_length)):
-        barrel, rod = found.places[f"{name}_barrel"], found.places[f"{name}_rod"]
+        barrel, rod = found.nodes[f"{name}_barrel"], found.nodes[f"{name}_rod"]
         apart = math.hypot(rod.x - barrel.x, rod.z - barrel.z)
         assert apart == pytest.approx(closed + y[f"{name}_position"], abs=ROUNDING)
         assert barrel.to(apart) == pytest.approx((rod.x, rod.z), abs=ROUNDING), "the barrel points to the rod"
@@ -100,8 +100,8 @@ def test_rod_pins_on_their_links(q: Angles) -> None:
         ("boom", "boom_rod", (SIZES.boom_pin_x, SIZES.boom_pin_z)),
         ("stick", "stick_rod", (SIZES.stick_pin_x, SIZES.stick_pin_z)),
     ):
-        place = found.places[rod]
-        assert found.places[link].to(*pin) == pytest.approx((place.x, place.z), abs=ROUNDING)
+        place = found.nodes[rod]
+        assert found.nodes[link].to(*pin) == pytest.approx((place.x, place.z), abs=ROUNDING)
 
 
 def test_numbers_for_the_browser() -> None:
@@ -111,7 +111,7 @@ def test_numbers_for_the_browser() -> None:
     assert len(flat) == 4 + 4 * len(NODES)
     assert flat[:4] == pytest.approx([0.3, *found.tip], abs=5.1e-5)  # half of the last digit
     head_at = 4 + 4 * NODES.index("head")
-    place = found.places["head"]
+    place = found.nodes["head"]
     assert flat[head_at : head_at + 4] == pytest.approx([place.x, place.z, 0.1, -0.2], abs=5.1e-5)
 
 
@@ -182,6 +182,6 @@ def test_rings() -> None:
 
 def test_place_turns_upwards() -> None:
     """A node at 90 degrees has its x-axis up and its z-axis back."""
-    place = Place(1.0, 2.0, math.pi / 2)
+    place = NodePose(1.0, 2.0, math.pi / 2)
     assert place.to(1.0) == pytest.approx((1.0, 3.0), abs=ROUNDING)
     assert place.to(0.0, 1.0) == pytest.approx((0.0, 2.0), abs=ROUNDING)

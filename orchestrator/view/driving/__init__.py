@@ -1,1 +1,1 @@
-"""Two sticks with two axes each: from the driver to the commands of the machine."""
+"""Control by two sticks: from their deflections in the browser to the commands of the machine."""

@@ -1,16 +1,18 @@
-"""Who has control: one operator station per open page, one driver at most, and the watchdog over the driver.
+"""Control authority: which page drives the machine, and the watchdog of the driver.
 
-The machine follows the sticks only while all of this holds:
+Each open page has an operator station; at most one station is the driver. The machine follows the sticks only
+while all of these conditions hold:
 
-    the station has the controls; its last message is younger than `timeout`; the machine runs; the dead-man
-    is held, and was seen released since the controls were taken and since the last fault (so nothing starts
-    by itself)
+    the station has the controls
+    its last message is younger than `timeout`
+    the machine runs
+    the dead-man is held, and was released at least once since the controls were taken and since the last
+    fault, so that nothing starts by itself
 
-Everything else is rest: all driven inputs go to their rest values. A driver that is silent for
-`silence_limit`, or whose page is closed, loses the controls. The machine's process has a `timeout` of its own
-behind this one.
+Otherwise all driven inputs go to their rest values. A driver that is silent for `silence_limit`, or whose
+page is closed, loses the controls. The machine's process has a further `timeout`.
 
-All calls come from one thread, the server's event loop; times are of a clock that never goes back [s].
+All calls come from one thread, the event loop of the server. Times are of a monotonic clock [s].
 """
 
 from __future__ import annotations
@@ -31,28 +33,28 @@ from orchestrator.view.driving.sticks import (
     StickAxes,
     commands,
     functions,
-    left_over,
     legend,
     modes,
     parse,
     pattern,
+    uncommanded,
 )
-from orchestrator.view.view_description import DriveMode, FunctionWords
+from orchestrator.view.view_description import DriveMode, FunctionLabels
 
 Modes = Callable[[], Mapping[str, DriveMode]]
 
-MOST = 50  # pages at once; beyond that the oldest without a connection goes
-STILL = 0.5  # s without a new frame: a machine that hangs must not go on by itself when it comes back
+MOST = 50  # open pages; beyond that the oldest without a connection is removed
+STILL = 0.5  # s without a new frame, after which the machine counts as hanging
 log = logging.getLogger(__name__)
 HOLD = "hold Space (or Shift) and move with W A S D and the arrows"
-AFRESH = "let go of Space, then hold it again"
+AGAIN = "release Space, then hold it again"
 
 
 @dataclass
 class TokenBucket:
-    """`rate` messages per second in the long run [1/s], `depth` at once.
+    """Rate limit: `rate` messages per second on average [1/s], `depth` in a burst.
 
-    An honest browser sends 33 per second; those that a slow network held up may come in a bunch.
+    A browser sends 33 per second; messages that a slow network delayed arrive in a burst.
     """
 
     rate: float = 100.0
@@ -61,7 +63,7 @@ class TokenBucket:
     when: float = 0.0
 
     def take(self, now: float) -> bool:
-        """Whether one more message is allowed at the time `now` [s] of a clock that never goes back."""
+        """Is one more message allowed at time `now` [s] of a monotonic clock?"""
         self.content = min(self.depth, self.content + self.rate * max(0.0, now - self.when))
         self.when = now
         if self.content < 1:
@@ -72,15 +74,15 @@ class TokenBucket:
 
 @dataclass(eq=False)
 class OperatorStation:
-    """A page in a browser; the key is known to that page only.
+    """The operator station of one page. Only that page has its key.
 
-    number     of the last message that counted in this connection
-    heard      when it came [s]
-    held       that message said that the dead-man is held
-    armed      the dead-man was seen released since the driver took over or since the last fault
-    connection counts its connections; what an older one says no longer counts
-    counts     of messages: "accepted", "refused", "old", "flood"
-    why        what was wrong with the last refused one
+    number     number of the last accepted message of this connection
+    heard      time of that message [s]
+    held       True if the dead-man was held in that message
+    armed      True if the dead-man was released since the driver took over and since the last fault
+    connection counts the connections; messages of older ones are ignored
+    counts     number of messages: "accepted", "refused", "old", "flood"
+    why        error in the last refused message
     """
 
     name: str
@@ -99,16 +101,16 @@ class OperatorStation:
 
 @dataclass(frozen=True)
 class Status:
-    """What a page shows about the controls.
+    """State of the controls for one page.
 
-    role      "driving", "watching" (somebody else drives) or "free" (nobody does)
-    driver    name of who drives, or empty
-    asked     name of who asks for the controls, or empty
-    live      the machine follows the sticks now: the dead-man's lamp
-    why       why it does not, in a few words, and what to do
-    drives    the machine can be driven
-    pattern, mode, modes
-    counts    of messages of this page
+    role      "driving", "watching" (another page drives) or "free" (no page drives)
+    driver    name of the driver, or empty
+    asked     name of the station that requests the controls, or empty
+    live      True while the machine follows the sticks: the lamp of the dead-man
+    why       reason why it does not, and what to do
+    drives    True if the machine can be driven
+    pattern, mode, modes   control pattern, drive mode, available drive modes
+    counts    number of messages of this page, by result
     """
 
     role: str
@@ -124,46 +126,46 @@ class Status:
 
 
 class CommandGate:
-    """The only way from a browser to `Machine.command`.
+    """The only path from a browser to `Machine.command`.
 
-    live   the machine follows the sticks now
-    why    it does not, in a few words
+    live   True while the machine follows the sticks
+    why    reason why it does not
     """
 
     def __init__(
-        self, machine: Machine, known: Modes, curve: ResponseCurve, clock: Callable[[], float]
+        self, machine: Machine, available: Modes, curve: ResponseCurve, clock: Callable[[], float]
     ) -> None:
-        """known: the modes by name, as the machine says them now; clock: [s], never goes back"""
-        self.machine, self._known, self.curve = machine, known, curve
+        """available: returns the current drive modes by name; clock: monotonic [s]"""
+        self.machine, self._available, self.curve = machine, available, curve
         self.live, self.why = False, "nobody drives"
         self._clock, self._frame, self._seen = clock, -1, clock()
         self._pattern, self._mode = pattern("ISO"), ""
 
-    # ---- what the sticks mean
+    # ---- pattern and mode of the sticks
 
     @property
     def pattern(self) -> str:
-        """The name of the pattern."""
+        """Name of the control pattern."""
         return self._pattern.name
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """In which the machine can be driven."""
-        return modes(self._known(), self.machine.axes)
+        """Names of the drive modes that the machine allows."""
+        return modes(self._available(), self.machine.axes)
 
     @property
     def mode(self) -> str:
-        """The chosen mode, or the first that the machine has: a restart may have changed it."""
+        """The chosen drive mode, or the first available one if a restart has removed it."""
         return self._mode if self._mode in self.modes else next(iter(self.modes), "")
 
     @property
     def legend(self) -> dict[str, str]:
-        """What each end of each axis of the sticks does."""
-        mode = self._known().get(self.mode)
-        return legend(self._pattern, mode.words if mode else FunctionWords())
+        """Labels of both ends of each stick axis."""
+        mode = self._available().get(self.mode)
+        return legend(self._pattern, mode.words if mode else FunctionLabels())
 
     def choose(self, name: str | None, mode: str | None) -> None:
-        """Another pattern or mode; Problem for one that there is not."""
+        """Choose pattern or mode. Raises `Problem` for an unknown one."""
         if name is not None:
             self._pattern = pattern(name)
         if mode is not None:
@@ -171,65 +173,65 @@ class CommandGate:
                 raise Problem(f"mode: expected one of {', '.join(self.modes)}, found {mode}")
             self._mode = mode
 
-    # ---- what the machine does
+    # ---- commands to the machine
 
     def steer(self, sticks: StickAxes) -> bool:
-        """The sticks as they are now; False if something is wrong, so that nothing may go on by itself."""
+        """Command these deflections. Returns False after a fault: the driver must be armed again."""
         try:
             frame = self.machine.latest()
-            if halt := self._halt(frame):
-                return self._refused(halt)
-            wanted = functions(sticks, self._pattern, self.curve)
+            if reason := self._halted(frame):
+                return self._fault(reason)
+            commanded = functions(sticks, self._pattern, self.curve)
             if not self.mode:
-                return self._refused("this machine has nothing that sticks can drive")
-            values = commands(wanted, self._known()[self.mode], self.machine.axes)
-            if left_over(values, self.machine.axes, frame.axes):
+                return self._fault("this machine has no input that sticks can drive")
+            values = commands(commanded, self._available()[self.mode], self.machine.axes)
+            if uncommanded(values, self.machine.axes, frame.axes):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
             self.machine.command(values)
         except Problem as error:
-            return self._refused(str(error))
-        except Exception:  # a machine that breaks must not take the server with it
-            log.exception("the machine takes no command")
-            return self._refused("the machine takes no command")
+            return self._fault(str(error))
+        except Exception:  # an error of the machine must not end the server
+            log.exception("the machine does not accept the command")
+            return self._fault("the machine does not accept the command")
         self.live, self.why = True, ""
         return True
 
     def rest(self, why: str) -> None:
-        """All driven inputs to rest."""
+        """Command rest for all driven inputs."""
         self.live, self.why = False, why
         try:
             self.machine.command({})
         except Exception:
-            log.exception("the machine takes no command")
+            log.exception("the machine does not accept the command")
 
-    def _refused(self, why: str) -> bool:
+    def _fault(self, why: str) -> bool:
         self.rest(why)
         return False
 
-    def _halt(self, frame: Frame) -> str:
-        """Why the machine does not go on; empty if it does."""
+    def _halted(self, frame: Frame) -> str:
+        """Reason why the machine does not run; empty if it does."""
         now = self._clock()
         if frame.number != self._frame:
             self._frame, self._seen = frame.number, now
         if frame.state != "running":
             return f"the machine is {frame.state}"
-        return "the machine stands still" if now - self._seen > STILL else ""
+        return "the machine does not move" if now - self._seen > STILL else ""
 
 
 class ControlAuthority:
-    """The operator stations, their driver, and the watchdog; commands go through the `CommandGate`."""
+    """The operator stations, the driver among them, and the watchdog."""
 
     def __init__(
         self,
         machine: Machine,
-        known: Modes,
+        available: Modes,
         timeout: float = 0.25,
         silence_limit: float = 1.0,
         curve: ResponseCurve = ResponseCurve(),  # noqa: B008  frozen
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.machine, self._gate = machine, CommandGate(machine, known, curve, clock)
+        self.machine, self._gate = machine, CommandGate(machine, available, curve, clock)
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self._stations: list[OperatorStation] = []
         self._names = itertools.count(1)
@@ -237,7 +239,7 @@ class ControlAuthority:
         self._asked: OperatorStation | None = None
 
     def join(self) -> OperatorStation:
-        """A station for a page that opens: it watches. Of too many, the unconnected ones have to go."""
+        """Add a station for a new page. If there are too many, unconnected stations are removed."""
         spare = [station for station in self._stations if not station.connected]
         for station in spare[: max(0, len(self._stations) - MOST + 1)]:
             self._stations.remove(station)
@@ -245,7 +247,7 @@ class ControlAuthority:
         return self._stations[-1]
 
     def leave(self, station: OperatorStation) -> None:
-        """The page is gone."""
+        """Remove the station of a closed page."""
         self.release(station, "the driver's page was closed")
         if station in self._stations:
             self._stations.remove(station)
@@ -254,16 +256,16 @@ class ControlAuthority:
 
     @property
     def legend(self) -> dict[str, str]:
-        """What each end of each axis of the sticks does, for the page."""
+        """Labels of both ends of each stick axis."""
         return self._gate.legend
 
     def station(self, key: str) -> OperatorStation | None:
-        """The station of this key, compared in a time that does not tell how much of it was right."""
-        given = key.encode()
-        return next((s for s in self._stations if secrets.compare_digest(s.key.encode(), given)), None)
+        """The station with this key, compared in constant time."""
+        encoded = key.encode()
+        return next((s for s in self._stations if secrets.compare_digest(s.key.encode(), encoded)), None)
 
     def connect(self, station: OperatorStation) -> int:
-        """A new connection of a page; the number of the last one, which alone counts."""
+        """Register a new connection of a page. Returns its number; older connections are ignored."""
         station.connection += 1
         station.connected, station.number = True, -1
         if self._driver is station:
@@ -271,13 +273,13 @@ class ControlAuthority:
         return station.connection
 
     def disconnect(self, station: OperatorStation, connection: int) -> None:
-        """A connection is lost: rest, and the controls are free."""
+        """Release the controls after a lost connection."""
         if connection == station.connection:
             station.connected = False
             self.release(station, "the connection to the driver was lost")
 
     def take(self, station: OperatorStation) -> bool:
-        """The controls, if nobody has them; else a request that the driver sees."""
+        """Take the controls if they are free; else request them from the driver."""
         self.check()
         if self._driver is None and self.machine.drives and station in self._stations:
             self._driver = station
@@ -290,7 +292,7 @@ class ControlAuthority:
         return self._driver is station
 
     def release(self, station: OperatorStation, why: str = "nobody drives") -> None:
-        """The driver lets go; of another station nothing happens."""
+        """Release the controls if this station is the driver."""
         if self._driver is station:
             self._driver = None
             self._rest(why)
@@ -298,16 +300,16 @@ class ControlAuthority:
     def choose(
         self, station: OperatorStation, pattern_name: str | None = None, mode: str | None = None
     ) -> None:
-        """Another pattern or mode: by the driver, or by anybody when nobody drives. It rests first."""
+        """Choose pattern or mode, as the driver or while no page drives. The machine rests first."""
         if self._driver not in (None, station):
-            raise Problem("controls: another page drives and chooses pattern and mode")
+            raise Problem("controls: another page drives; only the driver chooses pattern and mode")
         self._gate.choose(pattern_name, mode)
         self._rest(HOLD)
 
     def hear(self, station: OperatorStation, connection: int, raw: str | bytes) -> bool:
-        """A message from a page; False if it counts for nothing. Never raises.
+        """Process a message from a page. Returns False if it is ignored. Never raises.
 
-        The watchdog looks first: after a halt of this server all that came meanwhile is read at once.
+        The watchdog runs first, because after a delay of this server old messages arrive in a burst.
         """
         self.check()
         now = self._clock()
@@ -320,7 +322,7 @@ class ControlAuthority:
             station.counts["refused"] += 1
             station.why = str(error)
             if self._driver is station:
-                self._rest("a message was not understood")
+                self._rest("a message was not valid")
             return False
         if message.number <= station.number:
             station.counts["old"] += 1
@@ -332,7 +334,7 @@ class ControlAuthority:
         return True
 
     def check(self) -> None:
-        """The watchdog; to be called several times per `timeout`."""
+        """Run the watchdog. Call it several times per `timeout`."""
         if self._driver is None:
             return
         silence = self._clock() - self._driver.heard
@@ -342,22 +344,22 @@ class ControlAuthority:
             self._rest("no message from this page for a moment")
 
     def halt(self) -> None:
-        """Rest before the machine is made to go on: who drives keeps the controls and holds afresh."""
+        """Rest before a change. The driver keeps the controls and must hold the dead-man again."""
         if self._driver is not None:
             self._rest(HOLD)
 
     def stop(self) -> None:
-        """Nobody drives any more: the server ends, or the machine is another one."""
+        """Take the controls from the driver, because the server ends or the machine changes."""
         self._driver = None
         self._rest("nobody drives")
 
     def status(self, station: OperatorStation | None = None) -> Status:
-        """What the page of this station shows."""
+        """State of the controls for the page of this station."""
         role = "free" if self._driver is None else "driving" if self._driver is station else "watching"
         gate = self._gate
         why = gate.why if self.machine.drives else "a replay cannot be driven"
         if station is not None and self._driver is station and station.held and not station.armed:
-            why = AFRESH if why == HOLD else f"{why}: {AFRESH}"
+            why = AGAIN if why == HOLD else f"{why}: {AGAIN}"
         return Status(
             role=role,
             driver=self._driver.name if self._driver else "",
@@ -373,14 +375,14 @@ class ControlAuthority:
 
     def _follow(self, station: OperatorStation, message: Message) -> None:
         if not message.dead_man:
-            if self._gate.live or not station.armed:  # once; it is said 30 times a second
+            if self._gate.live or not station.armed:  # once, not at each of 30 messages per second
                 self._rest(HOLD)
             station.armed = True
         elif station.armed:
             station.armed = self._gate.steer(message.sticks)
 
     def _rest(self, why: str) -> None:
-        """Rest, and nothing moves again before the dead-man was seen released."""
+        """Rest until the dead-man has been released and held again."""
         if self._driver is not None:
             self._driver.armed = False
         self._gate.rest(why)

@@ -1,15 +1,13 @@
-"""The websocket between the sticks in a browser and the authority: `/controls?station=KEY`.
+"""The controls on the page, and the websocket between its sticks and the authority: `/controls?station=KEY`.
 
-A socket of its own beside that of the page, because it must forget: the page's own channel keeps what could
-not be sent and delivers it after a reconnection, which is right for a form and wrong for a lever. Here a
-message is sent now or never, and the end of the socket is at once the end of driving.
+The controls have a websocket of their own. The channel of the page keeps messages that could not be sent and
+delivers them after a reconnection, which is right for a form and wrong for a lever. Here a message is sent at
+once or dropped, and the end of the connection ends driving.
 
-The controls on the page: sticks, lamp, who drives, pattern and mode.
-
-authority = ControlAuthority(machine)                  # one per server
-endpoint.serve(app, authority)              # before the server starts
-app.on_startup / lifespan: endpoint.watching(authority)
-mount(machine, authority)                   # in each page
+    authority = ControlAuthority(machine, modes)   one per server
+    serve(app, authority)                          before the server starts
+    async with watching(authority): ...            while the server runs
+    mount(machine, authority)                      in each page
 """
 
 from __future__ import annotations
@@ -31,10 +29,9 @@ from orchestrator.view.driving.authority import ControlAuthority, OperatorStatio
 from orchestrator.view.driving.sticks import PATTERNS
 
 PATH = "/controls"
-WATCH = 0.05  # s between two looks of the watchdog
-TELL = 0.1  # s between two answers to a page
-# a client that had so many messages refused is cut off: 3 s of the fastest honest one
-PATIENT = 100
+WATCH = 0.05  # s between two checks of the watchdog
+TELL = 0.1  # s between two status messages to a page
+PATIENT = 100  # ignored messages after which a client is disconnected: 3 s at the usual rate
 
 
 def serve(app: FastAPI, authority: ControlAuthority) -> None:
@@ -48,17 +45,17 @@ def serve(app: FastAPI, authority: ControlAuthority) -> None:
             return
         await socket.accept()
         connection = authority.connect(station)
-        telling = asyncio.create_task(_tell(socket, authority, station, connection))
+        sending = asyncio.create_task(_send_status(socket, authority, station, connection))
         try:
             await _listen(socket, authority, station, connection)
         finally:
-            telling.cancel()
+            sending.cancel()
             authority.disconnect(station, connection)
 
 
 @contextlib.asynccontextmanager
 async def watching(authority: ControlAuthority) -> AsyncIterator[None]:
-    """The watchdog runs inside this block; at its end the machine rests."""
+    """Run the watchdog inside this block. At its end the machine rests."""
 
     async def watch() -> None:
         while True:
@@ -76,8 +73,8 @@ async def watching(authority: ControlAuthority) -> AsyncIterator[None]:
 async def _listen(
     socket: WebSocket, authority: ControlAuthority, station: OperatorStation, connection: int
 ) -> None:
-    bad = 0
-    while connection == station.connection and bad < PATIENT:
+    ignored = 0
+    while connection == station.connection and ignored < PATIENT:
         try:
             event = await socket.receive()
         except (WebSocketDisconnect, RuntimeError):
@@ -85,16 +82,16 @@ async def _listen(
         if event["type"] != "websocket.receive":
             return
         raw = event.get("text")
-        good = authority.hear(station, connection, raw if raw is not None else event.get("bytes") or b"")
-        bad = max(0, bad - 1) if good else bad + 1
+        accepted = authority.hear(station, connection, raw if raw is not None else event.get("bytes") or b"")
+        ignored = max(0, ignored - 1) if accepted else ignored + 1
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-        await socket.close(1008, "too many messages that do not count" if bad else "opened again elsewhere")
+        await socket.close(1008, "too many invalid messages" if ignored else "opened again elsewhere")
 
 
-async def _tell(
+async def _send_status(
     socket: WebSocket, authority: ControlAuthority, station: OperatorStation, connection: int
 ) -> None:
-    """What the page shows beside its sticks, ten times a second: also the sign that the server lives."""
+    """Send the status to the page ten times a second; it is also the heartbeat of the server."""
     with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
         while connection == station.connection:
             await socket.send_text(json.dumps({"n": station.number, **asdict(authority.status(station))}))
@@ -103,36 +100,36 @@ async def _tell(
 
 LIBRARY = {"harvester-sticks": "assets/lib"}
 REFRESH = 0.2  # s
-TAKE = {"driving": "Let go", "watching": "Ask for controls", "free": "Take controls"}
+TAKE = {"driving": "Release controls", "watching": "Request controls", "free": "Take controls"}
 KEYS = (
-    ("Space or Shift, held", "dead-man: without it the machine rests"),
+    ("Space or Shift, held", "dead-man: the machine rests without it"),
     ("W A S D", "left stick"),
     ("arrows or I J K L", "right stick"),
-    ("Esc", "back from a button to the sticks"),
-    ("gamepad", "both sticks, a bumper is the dead-man"),
-    ("touch or mouse", "on the sticks; holding one is the dead-man"),
+    ("Esc", "focus back to the sticks"),
+    ("gamepad", "both sticks; a bumper is the dead-man"),
+    ("touch or mouse", "drag the sticks; holding one is the dead-man"),
 )
 STYLE = Path(__file__).with_name("assets") / "sticks.css"
 
 
 class SticksPanel(Element, component="assets/sticks.js", esm=LIBRARY):
-    """The part in the browser; it speaks to the authority through its own websocket."""
+    """The sticks in the browser; they use the websocket of the controls."""
 
     def __init__(self, station: OperatorStation) -> None:
         super().__init__()
         self._props.update({"station": station.key, "path": PATH, "legend": {}})
 
-    def label(self, words: dict[str, str]) -> None:
-        """What each end of each axis does."""
-        if self._props["legend"] != words:
-            self._props["legend"] = words
+    def label(self, labels: dict[str, str]) -> None:
+        """Set the labels of both ends of each axis."""
+        if self._props["legend"] != labels:
+            self._props["legend"] = labels
             self.update()
 
 
 def mount(
     machine: Machine, authority: ControlAuthority, slow: Callable[[], object] = lambda: None
 ) -> OperatorStation:
-    """The controls of one page, at this place of the page; they leave with the page.
+    """Add the controls to the current page. They are removed with the page.
 
     slow   called when the page was too busy to report its sticks
     """
@@ -153,8 +150,8 @@ def mount(
         status = authority.status(station)
         take.text = TAKE[status.role]
         take.set_enabled(machine.drives and bool(status.modes))
-        others = status.asked and status.role == "driving"
-        asked.text = "another page asks for the controls" if others else ""
+        requested = status.asked and status.role == "driving"
+        asked.text = "another page requests the controls" if requested else ""
         if modes.options != list(status.modes):
             modes.set_options(list(status.modes))
         for toggle, value in ((patterns, status.pattern), (modes, status.mode)):
@@ -185,7 +182,7 @@ def _take(authority: ControlAuthority, station: OperatorStation, sticks: SticksP
     elif authority.take(station):
         sticks.run_method("focus")
     else:
-        ui.notify("asked; who drives has to let go")
+        ui.notify("requested; the driver has to release the controls")
 
 
 def _choose(

@@ -1,31 +1,31 @@
-"""Sticks: what a message of a browser says about them, what they mean, and which inputs they drive.
+"""Sticks: the message of a browser, control patterns, response curve, and the inputs that they drive.
 
-A message, and nothing else:
+A message has exactly this form:
 
     {"n": 17, "sticks": [lx, ly, rx, ry], "dead_man": true}
 
-n counts up within one connection; deflections are -1 to 1, x to the right, y away from the operator.
-Functions count as the machine does: swing positive to the left, boom positive up, stick positive folds in,
-curl closes.
+n counts up within one connection. Deflections are -1 to 1: x to the right, y away from the operator.
+Positive functions: swing to the left, boom up, stick in, curl closed.
 
     pattern   left stick: sideways, fore and aft   right stick: sideways, fore and aft
     ISO       swing, stick away and in             curl, boom down and up
     SAE       swing, boom down and up              curl, stick away and in
 
-ISO is the pattern of ISO 10968 and SAE J1177, the excavator's. SAE is that of SAE J1814, the backhoe's: the
+ISO is the excavator pattern of ISO 10968 and SAE J1177. SAE is the backhoe pattern of SAE J1814, in which the
 hands for boom and stick are exchanged. In both, left swings to the left, and pulling back raises the boom or
-draws the stick in. Neither standard is about harvesters. Their makers have patterns of their own, mostly
-like ISO, with a rotator instead of the curl and thumb switches for feeding and cutting; this is not one of
-them. The model has no rotator and no curl, so that axis does nothing here, and it is shown as such.
+draws the stick in. Neither standard covers harvesters. Their makers use patterns of their own, mostly like
+ISO, with a rotator instead of the curl and thumb switches for feeding and cutting. The model has no rotator
+and no curl, so that axis has no function here, and the page shows so.
 
-A deflection x means the share s of full speed, odd, never falling, continuous, and 1 at full deflection:
+The response curve s(x) is the fraction of full speed at deflection x. It is odd, monotone, continuous, and 1
+at full deflection:
 
     s(x) = sign(x) ((1 - c) u + c u^3),   u = max(0, (|x| - d) / (1 - d))
 
-with the dead zone d, because a worn stick does not come back to zero exactly, and the progression c: 0 is a
-straight line, 1 a pure cubic. The form is ours; linear plus cubic is what remote controls call "expo".
+d is the dead zone, because a worn stick does not return to zero exactly. c is the progression: 0 is linear,
+1 purely cubic. Remote controls call a linear plus cubic curve "expo".
 
-Which inputs the functions drive in which mode, and how far, says the machine (`view_description`).
+The machine declares the inputs that the functions drive in each mode (`view_description`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.view.view_description import DriveMode, FunctionWords
+from orchestrator.view.view_description import DriveMode, FunctionLabels
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class StickAxes:
 
 @dataclass(frozen=True)
 class CraneFunctions:
-    """Shares of full speed [1], -1 to 1: swing to the left, boom up, stick in, curl closed."""
+    """Fractions of full speed [1], -1 to 1: swing to the left, boom up, stick in, curl closed."""
 
     swing: float = 0.0
     boom: float = 0.0
@@ -62,7 +62,7 @@ class CraneFunctions:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Which stick raises the boom; the other one moves the stick. The rest is the same in both."""
+    """A control pattern. boom: the hand whose stick moves the boom; the other one moves the stick."""
 
     name: str
     source: str
@@ -76,26 +76,26 @@ PATTERNS: Mapping[str, Pattern] = {
 
 
 def pattern(name: str) -> Pattern:
-    """The pattern of this name; Problem if there is none."""
+    """The pattern of this name. Raises `Problem` if there is none."""
     if name not in PATTERNS:
         raise Problem(f"pattern: expected {' or '.join(PATTERNS)}, found {name}{suggest(name, PATTERNS)}")
     return PATTERNS[name]
 
 
 def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> CraneFunctions:
-    """What the deflections mean. The curve comes first, so that it is the same for each function."""
-    left, right = shaped(sticks.left_y, curve), shaped(sticks.right_y, curve)
+    """Crane functions at these deflections. The response curve is the same for each function."""
+    left, right = response(sticks.left_y, curve), response(sticks.right_y, curve)
     boom, stick = (right, left) if chosen.boom == "right" else (left, right)
-    return CraneFunctions(  # 0 - x is no -0
-        swing=0.0 - shaped(sticks.left_x, curve),
+    return CraneFunctions(  # 0 - x avoids -0
+        swing=0.0 - response(sticks.left_x, curve),
         boom=0.0 - boom,
         stick=0.0 - stick,
-        curl=0.0 - shaped(sticks.right_x, curve),
+        curl=0.0 - response(sticks.right_x, curve),
     )
 
 
-def legend(chosen: Pattern, words: FunctionWords) -> dict[str, str]:
-    """What each end of each axis does, for the page: `left_up`, `left_down`, ... -> words."""
+def legend(chosen: Pattern, words: FunctionLabels) -> dict[str, str]:
+    """Labels of both ends of each stick axis: `left_up`, `left_down`, ... -> label."""
     boom, stick = (dict(zip(("down", "up"), ends, strict=True)) for ends in (words.boom, words.stick))
     hands = {chosen.boom: boom, "left" if chosen.boom == "right" else "right": stick}
     return {
@@ -103,7 +103,7 @@ def legend(chosen: Pattern, words: FunctionWords) -> dict[str, str]:
         "left_right": "swing right",
         "right_left": "(no curl)",
         "right_right": "(no curl)",
-        **{f"{hand}_{end}": words for hand, ends in hands.items() for end, words in ends.items()},
+        **{f"{hand}_{end}": label for hand, ends in hands.items() for end, label in ends.items()},
     }
 
 
@@ -121,15 +121,15 @@ class ResponseCurve:
             raise Problem(f"curve: expected a progression from 0 to 1, found {self.progression}")
 
 
-def shaped(deflection: float, curve: ResponseCurve) -> float:
-    """Share of full speed [1], -1 to 1, that a deflection means; beyond the stop is the stop."""
+def response(deflection: float, curve: ResponseCurve) -> float:
+    """Fraction of full speed [1], -1 to 1, at a deflection, which is clipped to -1 to 1."""
     beyond = (min(abs(deflection), 1.0) - curve.dead_zone) / (1 - curve.dead_zone)
-    if not beyond > 0:  # also where the deflection is not a number
+    if not beyond > 0:  # also if the deflection is NaN
         return 0.0
     return math.copysign((1 - curve.progression) * beyond + curve.progression * beyond**3, deflection)
 
 
-LONGEST = 256  # bytes; an honest message has about 80
+LONGEST = 256  # characters; an ordinary message has about 80
 KEYS = {"n", "sticks", "dead_man"}
 
 
@@ -143,23 +143,23 @@ class Message:
 
 
 def parse(raw: str | bytes) -> Message:
-    """The message; Problem tells in one line what is wrong with it. Never any other exception."""
+    """Parse a message. Raises `Problem`, and no other exception, for an invalid one."""
     if isinstance(raw, bytes):
         raise Problem(f"message: expected text, found {len(raw)} bytes of binary data")
-    # characters are counted before they are encoded: a huge message is not copied
+    # checked before parsing, so that a huge message is not copied
     if len(raw) > LONGEST:
         raise Problem(f"message: expected at most {LONGEST} characters, found {len(raw)}")
     try:
-        found = json.loads(raw, parse_constant=_constant)
+        data = json.loads(raw, parse_constant=_constant)
     except (ValueError, RecursionError) as error:
         raise Problem("message: expected JSON, found something else") from error
-    if not isinstance(found, dict) or set(found) != KEYS:
-        raise Problem(f"message: expected an object with {', '.join(sorted(KEYS))}, found {_short(found)}")
-    return Message(_number(found["n"]), _sticks(found["sticks"]), _switch(found["dead_man"]))
+    if not isinstance(data, dict) or set(data) != KEYS:
+        raise Problem(f"message: expected an object with {', '.join(sorted(KEYS))}, found {_short(data)}")
+    return Message(_number(data["n"]), _sticks(data["sticks"]), _switch(data["dead_man"]))
 
 
 def _constant(word: str) -> float:
-    raise ValueError(f"{word} is no JSON")
+    raise ValueError(f"{word} is not JSON")
 
 
 def _number(found: Any) -> int:
@@ -172,7 +172,7 @@ def _sticks(found: Any) -> StickAxes:
     if not isinstance(found, list) or len(found) != 4:
         raise Problem(f"message: sticks: expected four numbers, found {_short(found)}")
     for value in found:
-        # a bool is an int in Python; the comparison is false for what is not a number
+        # a bool is an int in Python; the comparison is False for NaN
         if type(value) not in (int, float) or not -1 <= value <= 1:
             raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(value)}")
     return StickAxes(*map(float, found))
@@ -189,23 +189,23 @@ def _short(found: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def modes(known: Mapping[str, DriveMode], axes: Sequence[str]) -> tuple[str, ...]:
-    """The modes in which a machine with these axes can be driven."""
+def modes(declared: Mapping[str, DriveMode], axes: Sequence[str]) -> tuple[str, ...]:
+    """Names of the modes in which a machine with these axes can be driven."""
     inputs = {_bare(name) for name in axes}
-    return tuple(name for name, mode in known.items() if mode.drives(inputs))
+    return tuple(name for name, mode in declared.items() if mode.drives(inputs))
 
 
-def commands(wanted: CraneFunctions, mode: DriveMode, axes: Sequence[str]) -> dict[str, float]:
-    """Values of the driven inputs, by axis. An axis that the mode does not need is left out: it rests."""
+def commands(commanded: CraneFunctions, mode: DriveMode, axes: Sequence[str]) -> dict[str, float]:
+    """Values of the driven inputs, by axis. Axes that the mode does not use are left out, so they rest."""
     values = dict(mode.constant)
     for function, driven in vars(mode.full).items():
-        values |= {name: full * getattr(wanted, function) + 0.0 for name, full in driven.items()}  # no -0
+        values |= {name: full * getattr(commanded, function) + 0.0 for name, full in driven.items()}  # no -0
     return {name: values[_bare(name)] for name in axes if _bare(name) in values}
 
 
-def left_over(named: Collection[str], axes: Sequence[str], values: Iterable[float]) -> bool:
-    """Is an axis still away from rest that a mode does not name? Then another mode has the machine."""
-    return any(value != 0 for name, value in zip(axes, values, strict=True) if name not in named)
+def uncommanded(commanded: Collection[str], axes: Sequence[str], values: Iterable[float]) -> bool:
+    """Is an axis without a command still away from zero? Then the previous mode has not come to rest."""
+    return any(value != 0 for name, value in zip(axes, values, strict=True) if name not in commanded)
 
 
 def _bare(name: str) -> str:

@@ -1,1 +1,1 @@
-"""Numbers beside the machine: gauges, strip charts, the line of the state, the bar of buttons."""
+"""Parts of the page around the drawing: toolbar and dialogs, gauges, strip charts, status line, shortcuts."""

@@ -1,4 +1,4 @@
-"""The bar of buttons, and what it opens: choice of machine and file, map of the keys, slider of a replay."""
+"""The toolbar: buttons, dialogs for machine, replay file and keys, slider of a replay, and shortcuts."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from orchestrator.view.session import Session
 
 Do = Callable[..., Awaitable[bool]]
 
-HOW = "Take the controls, hold the dead-man, then move a stick. Let go and the machine rests."
-AS_IS = "as the system is"
+HOW = "Take the controls, hold the dead-man, then move a stick. Release the dead-man and the machine rests."
+AS_IS = "pose of the system"
 PAGE = (
     ("P", "play or pause"),
-    ("Home", "from the beginning"),
+    ("Home", "start again"),
 )
 MOUSE = (
-    ("drag in the picture", "turn the view"),
-    ("wheel", "nearer, farther"),
+    ("drag in the picture", "rotate the view"),
+    ("wheel", "zoom"),
     ("right button, drag", "shift the view"),
 )
 
 
 def machine(session: Session, do: Do) -> None:
-    """Pose and fidelity; the machine starts anew with them."""
+    """Dialog for system, pose and variants. The machine starts again with them."""
     now = session.plan.choice
     with _window("Machine") as window:
-        beside = sorted(path.name for path in now.system.parent.glob("*.ssp"))
-        systems = list(dict.fromkeys([now.system.name, *beside]))
+        others = sorted(path.name for path in now.system.parent.glob("*.ssp"))
+        systems = list(dict.fromkeys([now.system.name, *others]))
         system = ui.select(systems, value=now.system.name, label="System")
         names = poses(now.system)
         pose = None
@@ -45,30 +45,30 @@ def machine(session: Session, do: Do) -> None:
             pose = ui.select([AS_IS, *names], value=now.pose or AS_IS, label="Pose")
             pose.mark("pose")
         parts: dict[str, ui.select] = {}
-        for part, known in variants(now.system).items():
+        for part, labels in variants(now.system).items():
             value = now.swap.get(part, USUAL)
-            if known[USUAL] == f"{value} ({USUAL})":
+            if labels[USUAL] == f"{value} ({USUAL})":
                 value = USUAL
-            options = {value: value, **known}
+            options = {value: value, **labels}
             parts[part] = ui.select(options, value=value, label=part.replace("_", " and "))
 
         async def begin() -> None:
             swap = {part: str(chosen.value) for part, chosen in parts.items() if chosen.value != USUAL}
-            place = str(pose.value) if pose is not None and pose.value != AS_IS else ""
+            chosen_pose = str(pose.value) if pose is not None and pose.value != AS_IS else ""
             file = now.system.with_name(str(system.value))
-            if await do(session.start, MachineChoice(file, place, swap, now.set)):
+            if await do(session.start, MachineChoice(file, chosen_pose, swap, now.set)):
                 window.close()
 
         _buttons(window, "Start", begin)
 
 
 def files(session: Session, do: Do) -> None:
-    """Result files of the open folders."""
+    """Dialog for the result files of the open folders."""
     names = session.files()
     with _window("Replay a result file") as window:
         if not names:
-            there = ", ".join(str(folder) for folder in session.folders) or "none"
-            ui.label(f"No .csv or .parquet file with the angles of a machine in {there}")
+            folders = ", ".join(str(folder) for folder in session.folders) or "none"
+            ui.label(f"No .csv or .parquet file with the angles of a machine in {folders}")
             _buttons(window)
             return
         chosen = ui.select(names, value=names[0], label="File", with_input=True).mark("file")
@@ -81,7 +81,7 @@ def files(session: Session, do: Do) -> None:
 
 
 def keys() -> None:
-    """The map of keys and of the mouse."""
+    """Dialog with the keys and mouse actions."""
     with _window("Keys, sticks and mouse") as window:
         with ui.element("dl").classes("keys"):
             for key, meaning in (*KEYS, *PAGE, *MOUSE):
@@ -94,7 +94,7 @@ def keys() -> None:
 
 
 def _window(title: str) -> Any:
-    """An open dialog that is gone when it is closed; use as context."""
+    """Context of an open dialog, which is deleted when it is closed."""
     window = ui.dialog(value=True)
     window.on("hide", window.delete)
     with window, ui.card().classes("window"):
@@ -103,7 +103,7 @@ def _window(title: str) -> Any:
 
 
 class _Inside:
-    """The card of a dialog as a context that gives the dialog."""
+    """Context that adds elements to the card of a dialog, and returns the dialog."""
 
     def __init__(self, window: ui.dialog) -> None:
         self._window = window
@@ -124,11 +124,11 @@ def _buttons(window: ui.dialog, text: str = "", action: Callable[[], Awaitable[N
             ui.button(text, on_click=action).mark("confirm")
 
 
-STEP = 0.001  # of the file; a knob that stands nearer than this is not moved
+STEP = 0.001  # fraction of the file; the knob is not moved for a smaller difference
 
 
 class Seek:
-    """A slider over the share of the file that is over; hidden while the machine is live."""
+    """Slider with the position in the replayed file; hidden for a live machine."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._held = session, False
@@ -138,14 +138,14 @@ class Seek:
         self._slider.on("change", self._go)
 
     def show(self, t: float) -> None:
-        """Follow the replay, unless somebody holds the knob."""
+        """Follow the replay, unless the knob is held."""
         span = self._session.span
         self._slider.set_visibility(span is not None)
         if span is None or self._held:
             return
-        share = (t - span[0]) / max(span[1] - span[0], 1e-9)
-        if abs(self._slider.value - share) > STEP:
-            self._slider.value = share
+        position = (t - span[0]) / max(span[1] - span[0], 1e-9)
+        if abs(self._slider.value - position) > STEP:
+            self._slider.value = position
 
     def _pan(self, event: Any) -> None:
         self._held = event.args == "start"
@@ -161,7 +161,7 @@ Allowed = Callable[[], str]
 
 
 class Shortcuts(Element, component="shortcuts.js"):
-    """Keys for the page, by their places on the keyboard."""
+    """Keys of the page, by key code, so that they do not depend on the keyboard layout."""
 
     def __init__(self, actions: Mapping[str, Callable[[], Any]]) -> None:
         super().__init__()
@@ -170,21 +170,21 @@ class Shortcuts(Element, component="shortcuts.js"):
 
 
 class Bar:
-    """The bar of one page."""
+    """The toolbar of one page."""
 
     def __init__(
         self, session: Session, canvas: Canvas | None, allowed: Allowed, authority: ControlAuthority
     ) -> None:
-        """allowed: why this page may not decide for all, or nothing; authority: told before any change."""
+        """allowed: returns a reason why this page may not change the machine, or empty."""
         self._session, self._allowed, self._authority = session, allowed, authority
         with ui.row().classes("bar") as self._row:
             self._title = ui.label().classes("title")
             self._seek = Seek(session)
             self._play = button("play_arrow", "Play or pause (P)", self._toggle).mark("play")
-            button("replay", "From the beginning (Home)", self._again).mark("restart")
+            button("replay", "Start again (Home)", self._again).mark("restart")
             self._speed = ui.select(dict(SPEEDS), value=1.0, on_change=lambda e: self._set_speed(e.value))
             self._speed.props('dense borderless options-dense hide-bottom-space aria-label="Speed"')
-            self._speed.classes("speed").tooltip("Simulated over real time")
+            self._speed.classes("speed").tooltip("Simulated time over real time")
             button("tune", "Pose and fidelity", lambda: machine(session, self.do), "Machine").mark("machine")
             button("folder_open", "Replay a result file", lambda: files(session, self.do), "Replay")
             self._live = button("sensors", "Back to the live machine", self._back, "Live").mark("live")
@@ -197,7 +197,7 @@ class Bar:
             Shortcuts({"KeyP": self._toggle, "Home": self._again})
 
     def extra(self, icon: str, text: str, action: Callable[..., Any], name: str) -> None:
-        """One more button, at the end."""
+        """Add a button at the end."""
         with self._row:
             button(icon, text, action, name)
 
@@ -215,7 +215,7 @@ class Bar:
         return await self._done(self._authority.stop, action, *arguments)
 
     async def go_on(self, action: Callable[..., Any], *arguments: Any) -> bool:
-        """The same machine goes on: who drives keeps the controls, and needs the dead-man afresh."""
+        """Change the running machine. The driver keeps the controls and must hold the dead-man again."""
         return await self._done(self._authority.halt, action, *arguments)
 
     async def _done(self, before: Callable[[], None], action: Callable[..., Any], *arguments: Any) -> bool:
@@ -240,7 +240,7 @@ class Bar:
     async def _toggle(self) -> None:
         state = self._session.machine.latest().state
         if state in ("running", "starting"):
-            self._session.machine.pause()  # to stop is allowed to everybody
+            self._session.machine.pause()  # every page may pause
         elif state in ("ended", "failed"):
             await self.do(self._session.again)
         else:
@@ -263,7 +263,7 @@ class Bar:
 
 
 def button(icon: str, text: str, action: Callable[..., Any] | None, name: str = "") -> ui.button:
-    """A small flat button with a tooltip; where there is room, its name beside the icon."""
-    found = ui.button(name, icon=icon, on_click=action)
-    found.props(f'flat dense no-caps size=md aria-label="{text}"')
-    return found.tooltip(text)
+    """A small flat button with a tooltip; its name is shown next to the icon if there is room."""
+    element = ui.button(name, icon=icon, on_click=action)
+    element.props(f'flat dense no-caps size=md aria-label="{text}"')
+    return element.tooltip(text)

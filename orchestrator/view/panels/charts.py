@@ -1,4 +1,4 @@
-"""Strip charts of the last twenty seconds: of each bin of time the lowest and the highest value stay."""
+"""Strip charts of the last twenty seconds, drawn from the smallest and largest value in each time bin."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ WINDOW, BIN = 20.0, 0.2  # s, of simulated time
 
 
 class History:
-    """Lowest and highest values of some signals in the bins of the last `WINDOW`. All pages share it.
+    """Smallest and largest values of signals in the time bins of the last `WINDOW`. All pages share it.
 
-    names    those that there are
-    number   of the last frame that is in it
+    names    names of the signals that the machine has
+    number   number of the last frame that was added
     """
 
     def __init__(self, machine: Machine, index: SignalIndex, names: Sequence[str]) -> None:
-        self.names = tuple(name for name in names if index.knows(name))
+        self.names = tuple(name for name in names if index.contains(name))
         self._machine = machine
         self._columns = [index.column(name) for name in self.names]
         self.number = -1
         self._bins = dict[int, Array]()  # bin -> shape (2, names)
 
     def look(self) -> None:
-        """Take in the frames since the last look."""
+        """Add the frames since the last call."""
         if not self.names:
             return
-        if self.number < 0:  # of a long session the end is enough
+        if self.number < 0:  # the first call needs only the last `WINDOW`
             self.number = self._machine.latest().number - round(WINDOW / 0.01) - 1
         numbers, times, axes, values = self._machine.since(self.number)
         if not len(numbers):
             return
-        if times[0] < self.end - BIN:  # started anew
+        if times[0] < self.end - BIN:  # restarted
             self._bins.clear()
         self.number = int(numbers[-1])
         table = np.stack(
@@ -50,11 +50,11 @@ class History:
 
     @property
     def end(self) -> float:
-        """The last time that is known, to a bin [s]."""
+        """Time of the last bin [s]."""
         return max(self._bins, default=0) * BIN
 
     def table(self) -> tuple[Array, Array]:
-        """Times before the end [s], two for each bin, and values, shape (times, names)."""
+        """Times relative to the end [s], two for each bin, and values, shape (times, names)."""
         bins = sorted(self._bins)
         if not bins:
             return np.zeros(0), np.zeros((0, len(self.names)))
@@ -74,14 +74,14 @@ class History:
 
 
 def extremes(rows: Array) -> Array:
-    """The lowest and the highest value of each column, in the order they came in, shape (2, columns)."""
+    """Smallest and largest value of each column, in order of time, shape (2, columns)."""
     low, high = rows.argmin(axis=0), rows.argmax(axis=0)
     columns = np.arange(rows.shape[1])
     first, second = np.minimum(low, high), np.maximum(low, high)
     return np.stack((rows[first, columns], rows[second, columns]))
 
 
-FAINT, TEXT = "#8a958f55", "#7b868a"  # on light and on dark ground
+FAINT, TEXT = "#8a958f55", "#7b868a"  # legible on light and dark background
 
 
 class Charts:
@@ -94,12 +94,12 @@ class Charts:
             self._charts = [ui.echart(options(chart)).classes("chart") for chart in charts]
 
     def show(self, history: History, one: bool = False) -> None:
-        """New curves; of one chart alone, each in turn, for a browser that takes long to draw them."""
+        """Update the curves. one: only one chart per call, in turn, for a slow browser."""
         times, table = history.table()
         if not len(times) or history.number == self._number:
             return
         self._number = history.number
-        place = {name: k for k, name in enumerate(history.names)}
+        index = {name: k for k, name in enumerate(history.names)}
         shared = [round(t, 2) for t in times.tolist()]
         self._turn += 1
         for k, (chart, element) in enumerate(zip(self._specs, self._charts, strict=True)):
@@ -108,8 +108,8 @@ class Charts:
             source: dict[str, Any] = {"t": shared}
             peak = 0.0
             for n, curve in enumerate(chart.curves):
-                if curve.name in place:
-                    values = chart.factor * table[:, place[curve.name]]
+                if curve.name in index:
+                    values = chart.factor * table[:, index[curve.name]]
                     peak = max(peak, float(abs(values).max(initial=0.0)))
                     source[str(n)] = [round(v, 2) for v in values.tolist()]
             high = next((end for end in chart.ends if end >= peak), chart.ends[-1])
@@ -118,7 +118,7 @@ class Charts:
 
 
 def options(chart: Chart) -> dict[str, Any]:
-    """The chart as ECharts wants it, without data."""
+    """ECharts options of the chart, without data."""
     label = {"color": TEXT, "fontSize": 10}
     axis: dict[str, Any] = {"type": "value", "axisLabel": label, "axisLine": {"show": False}}
     axis |= {"axisTick": {"show": False}, "splitLine": {"lineStyle": {"color": FAINT}}}

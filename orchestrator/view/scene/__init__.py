@@ -1,1 +1,1 @@
-"""The machine in space: sizes, pose, shapes and colours, without a browser; `canvas` brings them to one."""
+"""The drawing of the machine: geometry, pose, bodies and colours; `canvas` sends them to the browser."""

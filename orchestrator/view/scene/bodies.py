@@ -1,10 +1,8 @@
-"""The few kinds of bodies that the machine is drawn with; `rig.js` makes meshes of them.
+"""The bodies of the drawing: crane, processing head, carrier and trees; `rig.js` turns them into meshes.
 
-The bodies of column, boom, stick and cylinders, in the proportions of the pins they hang on.
-
-The bodies of the processing head: link, rotator, frame with knives, feed rollers and saw box.
-
-What the crane stands on and between: the carrier, and trees far enough away.
+The crane follows the geometry of the mechanics: column, boom, stick, cylinders and hoses scale with their
+pins. The head has a link, a rotator, a frame with knives, feed rollers and a saw box. The carrier and the
+trees have fixed dimensions.
 """
 
 from __future__ import annotations
@@ -24,15 +22,14 @@ Point3 = tuple[float, float, float]
 class Part:
     """One body, fixed to a node.
 
-    node     of `pose.NODES`, "column" or "site", which stands still
+    node     a node of `pose.NODES`, "column", or "site" (fixed)
     kind     box, plate, round or tube
-    size     box: lengths along x, y, z; plate: thickness; round: radii at its begin and end, length;
-             tube: radius
-    at       middle of a box, begin of a round, zero of the outline of a plate [m]
-    path     outline of a plate in x and z, points of a tube
-    axis     along which a round lies: x, y or z
+    size     box: lengths along x, y, z; plate: thickness; round: radii at both ends, length; tube: radius [m]
+    at       centre of a box, begin of a round, origin of the outline of a plate [m]
+    path     outline of a plate in x and z, or points of a tube [m]
+    axis     axis of a round: x, y or z
     colour   "#rrggbb"
-    channel  the pressure that colours it instead
+    channel  the pressure that colours the body instead
     """
 
     node: str
@@ -45,28 +42,25 @@ class Part:
     channel: str = ""
 
     def data(self) -> dict[str, Any]:
-        """As the browser gets it."""
-        rounded = {"size": self.size, "at": self.at}
-        numbers = {name: [round(v, 4) for v in values] for name, values in rounded.items()}
-        path = [[round(v, 4) for v in point] for point in self.path]
-        own = {"node": self.node, "kind": self.kind, "axis": self.axis, "channel": self.channel}
-        return {**own, **numbers, "path": path, "colour": self.colour}
+        """The body as data for the browser, rounded to 0.1 mm."""
+        rounded = [[round(v, 4) for v in values] for values in (self.size, self.at, *self.path)]
+        return vars(self) | {"size": rounded[0], "at": rounded[1], "path": rounded[2:]}
 
 
 def box(node: str, low: Point3, high: Point3, colour: str) -> Part:
-    """A block between two corners."""
+    """A box between two corners."""
     size = tuple(b - a for a, b in zip(low, high, strict=True))
     middle = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2
     return Part(node, "box", size, middle, colour=colour)
 
 
 def plate(node: str, path: Sequence[Point], width: float, colour: str, y: float = 0.0) -> Part:
-    """An outline in x and z, as thick as `width`, its middle at y."""
+    """A plate of thickness `width`, centred at y, with an outline in x and z."""
     return Part(node, "plate", (width,), (0.0, y, 0.0), tuple(path), colour=colour)
 
 
 def plates(node: str, path: Sequence[Point], width: float, colour: str, y: float) -> list[Part]:
-    """Two of them, left and right."""
+    """Two plates, left and right."""
     return [plate(node, path, width, colour, side * y) for side in (-1, 1)]
 
 
@@ -76,24 +70,24 @@ def bar(node: str, begin: Point3, radius: float, length: float, colour: str, cha
 
 
 def pin(node: str, x: float, z: float, radius: float, width: float, colour: str) -> Part:
-    """A bolt across the arm."""
+    """A pin across the arm."""
     return Part(node, "round", (radius, radius, width), (x, -width / 2, z), axis="y", colour=colour)
 
 
 def post(node: str, foot: Point3, radii: Point, height: float, colour: str) -> Part:
-    """A round body that stands upright."""
+    """An upright round body."""
     return Part(node, "round", (*radii, height), foot, axis="z", colour=colour)
 
 
 def tube(node: str, path: Sequence[Point3], radius: float, colour: str, channel: str = "") -> Part:
-    """A bent pipe or hose through points."""
+    """A bent pipe or hose through these points."""
     return Part(node, "tube", (radius,), path=tuple(path), colour=colour, channel=channel)
 
 
 BODY, EDGE, DARK, STEEL, CHROME = "#ecebe6", "#4c6e5b", "#343a40", "#6d757c", "#c9d1d8"
 BARREL, ROD, HOSE = 0.078, 0.040, 0.026  # m; radii: bores of 0.12 and 0.115 m with their walls
 
-# outlines as shares of the length of their link: along it, across it
+# outlines relative to the length of the link: along it, across it
 BOOM_TOP = (
     (-0.040, 0.030),
     (0.02, 0.058),
@@ -117,12 +111,12 @@ STICK_BOTTOM = ((0.66, -0.040), (0.10, -0.052), (-0.03, -0.058), (-0.165, -0.040
 
 
 def crane_parts(g: Geometry) -> list[Part]:
-    """All of the crane but its head."""
+    """The crane without its head."""
     return [*_column(g), *_boom(g), *_stick(g), *_cylinders(g), *_hoses(g)]
 
 
 def _column(g: Geometry) -> list[Part]:
-    """Slewing gear, post, and the cheeks that hold the boom and the foot of its cylinder."""
+    """Slewing gear, column, and the cheeks that hold the boom and the base of its cylinder."""
     x, z = g.boom_pivot_x, g.boom_pivot_z
     foot_x, foot_z = x + g.boom_base_x, z + g.boom_base_z
     top = 0.62 * z
@@ -185,7 +179,7 @@ def _boom(g: Geometry) -> list[Part]:
 
 
 def _stick(g: Geometry) -> list[Part]:
-    """A girder with a lever behind its pivot and an extension that runs in it."""
+    """A girder with a lever behind its pivot, and a telescopic extension."""
     length = g.stick_length
     outline = [(u * length, v * length) for u, v in (*STICK_TOP, *STICK_BOTTOM)]
     inner = [(0.6 * length, 0.085), (length - 0.05, 0.075), (length + 0.05, 0.03), (length + 0.05, -0.05)]
@@ -201,16 +195,16 @@ def _stick(g: Geometry) -> list[Part]:
 
 
 def _cylinders(g: Geometry) -> list[Part]:
-    """Barrels that hold the pressure of the head side, a collar at their end with that of the rod side."""
-    found: list[Part] = []
+    """Cylinders: a barrel shows the head pressure in its lower part, the rod pressure in its upper part."""
+    parts: list[Part] = []
     for name, closed, stroke in (
         ("boom", g.boom_closed_length, g.boom_stroke),
         ("stick", g.stick_closed_length, g.stick_stroke),
     ):
         barrel, rod = f"{name}_barrel", f"{name}_rod"
-        length = closed - 0.13  # what is left is the eye of the rod
+        length = closed - 0.13  # the remainder is the eye of the rod
         split = 0.62 * length
-        found += [
+        parts += [
             pin(barrel, 0.0, 0.0, 0.075, 0.15, DARK),
             bar(barrel, (0.05, 0.0, 0.0), BARREL, split - 0.05, STEEL, f"{name}_head"),
             bar(barrel, (split, 0.0, 0.0), BARREL + 0.006, 0.035, DARK),
@@ -219,11 +213,11 @@ def _cylinders(g: Geometry) -> list[Part]:
             bar(rod, (-(stroke + 0.2), 0.0, 0.0), ROD, stroke + 0.2, CHROME),
             pin(rod, 0.0, 0.0, 0.068, 0.15, DARK),
         ]
-    return found
+    return parts
 
 
 def _hoses(g: Geometry) -> list[Part]:
-    """Pipes of the stick cylinder along the boom, of the swing motor at the column."""
+    """Hoses of the stick cylinder along the boom; of boom cylinder and swing motor at the column."""
     length, rise = g.stick_pivot_x, g.stick_pivot_z
     base: Point = (length + g.stick_base_x, rise + g.stick_base_z)
     found: list[Part] = []
@@ -244,7 +238,7 @@ def _hoses(g: Geometry) -> list[Part]:
 
 
 def head_parts(g: Geometry) -> list[Part]:
-    """Hanging along -z from the end of the stick; the middle of the head lies `head_length` below."""
+    """The head, along -z from the end of the stick; its middle is `head_length` below."""
     middle = -g.head_length
     top, low = middle + 0.40, middle - 0.48
     link = [(-0.07, 0.06), (0.07, 0.06), (0.05, top + 0.22), (-0.05, top + 0.22)]
@@ -272,20 +266,20 @@ def head_parts(g: Geometry) -> list[Part]:
 
 
 def _rollers(middle: float) -> list[Part]:
-    """Two wheels beside the stem that pull it through."""
-    found = []
+    """Two feed rollers beside the stem."""
+    parts = []
     for side in (-1, 1):
         y = side * 0.27
-        found += [
+        parts += [
             post("head", (0.14, y, middle - 0.16), (0.13, 0.13), 0.26, DARK),
             post("head", (0.14, y, middle - 0.19), (0.06, 0.06), 0.32, STEEL),
             box("head", (-0.06, y - 0.04, middle + 0.10), (0.18, y + 0.04, middle + 0.17), EDGE),
         ]
-    return found
+    return parts
 
 
 def _knife(side: int, z: float) -> Part:
-    """A blade that is curved round the stem."""
+    """A delimbing knife, curved round the stem."""
     turns = [math.radians(a) for a in (200, 240, 285, 330, 370)]
     path: list[Point3] = [
         (0.20 - 0.24 * math.sin(a) - 0.12, side * (0.24 + 0.24 * math.cos(a)) * 0.86, z) for a in turns
@@ -296,11 +290,11 @@ def _knife(side: int, z: float) -> Part:
 GREEN, LEAF, GLASS, TYRE = "#3c5a4a", "#4c6e5b", "#26333a", "#24282b"
 WHEEL = 0.68  # m; radius
 AXLES = (0.42, -1.08, -3.45)  # m
-GOLDEN = math.pi * (3 - math.sqrt(5))  # rad; spreads points evenly
+GOLDEN = math.pi * (3 - math.sqrt(5))  # rad; the golden angle spreads points evenly
 
 
 def site_parts() -> list[Part]:
-    """A wheeled carrier: the crane in front, then the cab, then the engine."""
+    """The carrier: crane in front, then cab, then engine."""
     axle = GROUND + WHEEL
     hood = [(-4.6, -0.55), (-2.42, -0.55), (-2.42, 0.55), (-4.1, 0.42), (-4.6, 0.1)]
     cab = [(-2.35, -0.5), (-0.98, -0.5), (-0.86, 0.25), (-1.08, 1.34), (-2.2, 1.40), (-2.35, 1.2)]
@@ -339,11 +333,11 @@ def _wheel(x: float, side: int, axle: float) -> list[Part]:
 
 
 def trees(count: int = 46) -> list[list[float]]:
-    """Spruces round the site: x, y, height, radius [m], between 13 and 32 m away."""
-    found = []
+    """Trees around the machine: x, y, height, radius [m], between 13 and 32 m away."""
+    rows = []
     for k in range(count):
         angle, away = k * GOLDEN, 13.0 + 19.0 * math.sqrt((k + 0.5) / count)
         size = 0.75 + 0.5 * ((k * 7) % 11) / 10
         x, y = away * math.cos(angle), away * math.sin(angle)
-        found.append([round(v, 2) for v in (x, y, 7.5 * size, 1.5 * size)])
-    return found
+        rows.append([round(v, 2) for v in (x, y, 7.5 * size, 1.5 * size)])
+    return rows

@@ -1,14 +1,11 @@
-"""The sizes of the machine, read from the FMU that holds its mechanics.
+"""Geometry of the machine, read from the FMU of its mechanics, and the pose of its bodies at given angles.
 
-x away from the swing axis, z upwards, from the foot of the column [m]; what belongs to a link counts along
-and across that link from its pivot.
+The frame of the column has its origin at the foot of the column: x outwards, y to the left, z upwards; the
+column turns about z. Points of a link are along and across that link, from its pivot [m].
 
-Where everything that moves is, from the angles of the joints.
-
-All nodes but `column` stand in the frame of the column: x outwards, y to the left, z upwards; the column
-turns about z. A node lies at (x, 0, z), is pitched about y, its x-axis up for positive angles, and then
-rolled about its own x-axis. Angles count as those of the mechanics: boom from the horizontal, stick from
-the boom, head from the vertical; a head at zero hangs along -z of its own frame.
+Each node except `column` is in the frame of the column at (x, 0, z). It is pitched about y (x-axis up for
+positive angles) and then rolled about its own x-axis. Angles are those of the mechanics: boom from the
+horizontal, stick from the boom, head from the vertical. A head at zero angle hangs along -z of its frame.
 """
 
 from __future__ import annotations
@@ -21,12 +18,12 @@ from orchestrator.base.errors import Problem
 from orchestrator.ssp.system import Component, System
 
 GROUND = -2.0  # m; the foot of the column stands on the carrier
-HANGING = 1.0  # m; from the end of the stick to the middle of a head that does not tell
+HANGING = 1.0  # m; default of head_length, from the end of the stick to the middle of the head
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """Pins and lengths, named like the parameters of the mechanics [m]."""
+    """Positions of pins, and lengths [m], by the names of the parameters of the mechanics."""
 
     boom_pivot_x: float
     boom_pivot_z: float
@@ -50,7 +47,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Start:
-    """Angles of the joints at the start [rad]: shown until the machine tells its own."""
+    """Initial angles of the joints [rad], shown until the first frame."""
 
     swing: float = 0.0
     boom: float = 0.0
@@ -58,7 +55,7 @@ class Start:
 
 
 def mechanics(system: System) -> Component:
-    """The component that holds the mechanics: the one with the parameters of the arm."""
+    """The component with the parameters of the arm. Raises `Problem` if there is none."""
     needed = [f.name for f in fields(Geometry) if f.name != "head_length"]
     for component in system.components.values():
         if all(name in component.interface.variables for name in needed):
@@ -70,24 +67,24 @@ def mechanics(system: System) -> Component:
 
 
 def geometry(system: System) -> Geometry:
-    """The sizes of the machine in a system, with the values that its parameter sets give."""
-    known = _numbers(mechanics(system))
-    return Geometry(**{f.name: known[f.name] for f in fields(Geometry) if f.name in known})
+    """Geometry of the machine in a system, with the values of its parameter sets."""
+    values = _parameter_values(mechanics(system))
+    return Geometry(**{f.name: values[f.name] for f in fields(Geometry) if f.name in values})
 
 
 def start(system: System, parameters: Sequence[str]) -> Start:
-    """The pose in which a system begins, from these parameters of its mechanics; zero without any."""
-    known = _numbers(mechanics(system)) if parameters else {}
-    return Start(*(known.get(name, 0.0) for name in parameters))
+    """Initial angles of a system, from these parameters of its mechanics; zero without any."""
+    values = _parameter_values(mechanics(system)) if parameters else {}
+    return Start(*(values.get(name, 0.0) for name in parameters))
 
 
-def _numbers(component: Component) -> Mapping[str, float]:
-    """Values of the real parameters: set in the system, else those of the FMU."""
-    found = component.numbers()
-    wrong = [name for name, value in found.items() if not math.isfinite(value)]
-    if wrong:
-        raise Problem(f"{component.name}.{wrong[0]}: expected a finite number, got {found[wrong[0]]}")
-    return found
+def _parameter_values(component: Component) -> Mapping[str, float]:
+    """Values of the real parameters, as set in the system, else those of the FMU."""
+    values = component.numbers()
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise Problem(f"{component.name}.{name}: expected a finite number, got {value}")
+    return values
 
 
 Point = tuple[float, float]
@@ -107,7 +104,7 @@ NODES = (
 
 @dataclass(frozen=True)
 class Angles:
-    """Of the joints [rad]; `head` in the plane of the arm, `side` out of it to the left."""
+    """Angles of the joints [rad]; `head` in the plane of the arm, `side` out of it to the left."""
 
     swing: float
     boom: float
@@ -117,8 +114,8 @@ class Angles:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A node's position [m], pitch and roll [rad] in the frame of the column."""
+class NodePose:
+    """Position [m], pitch and roll [rad] of a node in the frame of the column."""
 
     x: float
     z: float
@@ -126,54 +123,59 @@ class Place:
     roll: float = 0.0
 
     def to(self, x: float, z: float = 0.0) -> Point:
-        """A point of the node's own plane y = 0, in the frame of the column."""
+        """Transform a point of the node's plane y = 0 to the frame of the column."""
         cos, sin = math.cos(self.pitch), math.sin(self.pitch)
         return self.x + x * cos - z * sin, self.z + x * sin + z * cos
 
 
 @dataclass(frozen=True)
 class ScenePose:
-    """All nodes at one instant.
+    """Pose of all nodes at one instant.
 
     swing    angle of the column [rad]
-    places   node -> where it is
-    tip      the end of the stick, in space [m]
+    nodes    node -> its pose
+    tip      position of the end of the stick in space [m]
     """
 
     swing: float
-    places: dict[str, Place]
+    nodes: dict[str, NodePose]
     tip: Point3
 
     def flat(self) -> list[float]:
-        """Numbers for the browser: swing, tip, then x, z, pitch, roll of each node; to 0.1 mm, 1e-5 rad."""
+        """For the browser: swing, tip, then x, z, pitch, roll of each node, rounded to 0.1 mm, 1e-5 rad."""
         numbers = [round(self.swing, 5), *(round(v, 4) for v in self.tip)]
         for name in NODES:
-            p = self.places[name]
+            p = self.nodes[name]
             numbers += [round(p.x, 4), round(p.z, 4), round(p.pitch, 5), round(p.roll, 5)]
         return numbers
 
     def space(self, point: Point) -> Point3:
-        """A point of the plane of the arm, in space."""
+        """Transform a point of the plane of the arm to space."""
         return point[0] * math.cos(self.swing), point[0] * math.sin(self.swing), point[1]
 
 
 def pose(q: Angles, g: Geometry) -> ScenePose:
-    """Where everything is at these angles."""
-    boom = Place(g.boom_pivot_x, g.boom_pivot_z, q.boom)
+    """Pose of all nodes at these angles."""
+    boom = NodePose(g.boom_pivot_x, g.boom_pivot_z, q.boom)
     elbow = boom.to(g.stick_pivot_x, g.stick_pivot_z)
-    stick = Place(*elbow, q.boom + q.stick)
+    stick = NodePose(*elbow, q.boom + q.stick)
     tip = stick.to(g.stick_length)
-    column = Place(g.boom_pivot_x, g.boom_pivot_z, 0.0)
-    folding = Place(*elbow, q.boom)
-    places = {"boom": boom, "stick": stick, "yoke": Place(*tip, q.head), "head": Place(*tip, q.head, q.side)}
-    places |= _cylinder("boom", column.to(g.boom_base_x, g.boom_base_z), boom.to(g.boom_pin_x, g.boom_pin_z))
+    column = NodePose(g.boom_pivot_x, g.boom_pivot_z, 0.0)
+    folding = NodePose(*elbow, q.boom)
+    nodes = {
+        "boom": boom,
+        "stick": stick,
+        "yoke": NodePose(*tip, q.head),
+        "head": NodePose(*tip, q.head, q.side),
+    }
+    nodes |= _cylinder("boom", column.to(g.boom_base_x, g.boom_base_z), boom.to(g.boom_pin_x, g.boom_pin_z))
     pin = stick.to(g.stick_pin_x, g.stick_pin_z)
-    places |= _cylinder("stick", folding.to(g.stick_base_x, g.stick_base_z), pin)
+    nodes |= _cylinder("stick", folding.to(g.stick_base_x, g.stick_base_z), pin)
     x, y = tip[0] * math.cos(q.swing), tip[0] * math.sin(q.swing)
-    return ScenePose(q.swing, places, (x, y, tip[1]))
+    return ScenePose(q.swing, nodes, (x, y, tip[1]))
 
 
-def _cylinder(name: str, base: Point, pin: Point) -> dict[str, Place]:
-    """Barrel and rod: at the base pin and at the rod pin, both along the line between them."""
+def _cylinder(name: str, base: Point, pin: Point) -> dict[str, NodePose]:
+    """Poses of barrel and rod: at base pin and rod pin, both along the line between the pins."""
     along = math.atan2(pin[1] - base[1], pin[0] - base[0])
-    return {f"{name}_barrel": Place(*base, along), f"{name}_rod": Place(*pin, along)}
+    return {f"{name}_barrel": NodePose(*base, along), f"{name}_rod": NodePose(*pin, along)}

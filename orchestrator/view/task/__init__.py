@@ -1,1 +1,1 @@
-"""The training task: what has to be done, how far it is, and how well it was done."""
+"""The training task: exercises, progress and score of a run, and the panel that shows them."""

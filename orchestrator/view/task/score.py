@@ -1,34 +1,36 @@
-"""The training task as a function of a run: signals, exercises, progress, score.
+"""Training task: signals, exercises, progress and score of a run.
 
-Read by the names that the parts give their variables, in any component:
+Signals, by the names of the variables in any component:
 
     tip in space         tip_x, tip_y, tip_height [m]                            needed
     speed of functions   swing_speed, boom_speed, stick_speed [rad/s]            needed
     speed of the tip     |(tip_radial_velocity, tip_vertical_velocity, swing_speed r)| [m/s],
                          r^2 = x^2 + y^2                                         needed
     supply               supply_pressure [Pa], supply_flow [m3/s]: of the component `supply` if there is one,
-                         else the flows of all components together
+                         else the sum over all components
     pressures            of the six lines [Pa]
 
-How far it is: ready -> moving -> holding -> moving -> ... -> done. The clock starts when the tip has left its
-first position by `start`. A target is done when the tip has been within `radius` of it and slower than `slow`
-for `hold` without a break. Order and form are ours: a stem has to be reached, gripped while the head stands
-still, and put down elsewhere.
+Progress: ready -> moving -> holding -> moving -> ... -> done. The clock starts when the tip has moved by
+`start` from its first position. A target is done when the tip has been within `radius` of it and slower than
+`slow` for `hold` without interruption. The exercise is our own: a stem has to be reached, gripped while the
+head does not move, and put down at another place.
 
-How well it was done, from the start of the clock to its end or to the last sample:
+Score, from the start of the clock to its end or to the last sample:
 
     cycle time        s   first movement to the last target done
     reach time        s   first movement until the first target is entered
-    path length       m   of the tip, sum of the distances between samples; "crane tip distance" of Polowy and
+    path length       m   path of the tip, sum of the distances between samples; "crane tip distance" of
+    Polowy and
                           Rutkowski, Forests 15:1277, 2024
-    simultaneous      1   share of time with two or more of swing, boom and stick moving (faster than MOVING)
-    functions         1   mean number of them that move while any does; Polowy and Rutkowski 2024 give 1.8 at
+    simultaneous      1   fraction of time with two or more of swing, boom and stick moving (faster than
+    MOVING) functions         1   mean number of moving functions while any moves; Polowy and Rutkowski 2024
+    give 1.8 at
                           the end of a training on a simulator, by their definition and of more functions
-    energy            J   integral of supply pressure times supply flow: what the drives take
-    peak pressure     Pa  of the lines of the three drives
+    energy            J   integral of supply pressure times supply flow
+    peak pressure     Pa  largest pressure of the lines of the three drives
     smoothness        1   spectral arc length of the speed of the tip
 
-Where no source is named the definition is ours. Integrals are by the trapezoidal rule.
+Definitions without a source are our own. Integrals use the trapezoidal rule.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ LINES = (
     *(f"{axis}_{side}_pressure" for axis in ("boom", "stick") for side in ("head", "rod")),
 )
 NEEDED = (*TIP, *SPEEDS, *VELOCITIES)
-WANTED = (*NEEDED, PRESSURE, FLOW, *LINES)
+SIGNALS = (*NEEDED, PRESSURE, FLOW, *LINES)
 UNITS = {
     **dict.fromkeys(TIP, "m"),
     **dict.fromkeys(SPEEDS, "rad/s"),
@@ -67,14 +69,14 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Samples:
-    """A stretch of a run.
+    """Samples of a part of a run.
 
     time       (n,) [s]
     tip        (n, 3) [m]: forward, left, up
-    speed      (n,) of the tip [m/s]
+    speed      (n,) speed of the tip [m/s]
     functions  (n, 3) speeds of swing, boom and stick [rad/s]
-    power      (n,) hydraulic power from the supply [W]; empty if the run does not hold it
-    pressure   (n,) the largest of the lines [Pa]; empty if the run holds none
+    power      (n,) hydraulic power from the supply [W]; empty if not recorded
+    pressure   (n,) largest pressure of the lines [Pa]; empty if none is recorded
     """
 
     time: Array
@@ -88,58 +90,58 @@ class Samples:
         return Samples(*(getattr(self, name)[part] for name in self.__dataclass_fields__))
 
 
-def wanted(signals: Sequence[str]) -> tuple[str, ...]:
-    """Those of the signals that a task reads."""
-    return tuple(name for name in signals if _tail(name) in WANTED)
+def task_signals(signals: Sequence[str]) -> tuple[str, ...]:
+    """The signals that a task uses."""
+    return tuple(name for name in signals if _variable(name) in SIGNALS)
 
 
 def of_trace(trace: Trace) -> Samples:
     """All samples of a run."""
-    names = wanted(list(trace.signals))
+    names = task_signals(list(trace.signals))
     for name in names:
-        unit = trace.units.get(name, UNITS[_tail(name)])
-        if unit != UNITS[_tail(name)]:
-            raise Problem(f"task: {name}: expected {UNITS[_tail(name)]}, found {unit}")
+        unit = trace.units.get(name, UNITS[_variable(name)])
+        if unit != UNITS[_variable(name)]:
+            raise Problem(f"task: {name}: expected {UNITS[_variable(name)]}, found {unit}")
     return of_values(trace.time, {name: trace[name] for name in names})
 
 
 def of_values(time: Array, values: Mapping[str, Array]) -> Samples:
     """Samples from the values of some signals, by name."""
-    first = {_tail(name): name for name in reversed(list(values))}
-    lacking = [tail for tail in NEEDED if tail not in first]
-    if lacking:
+    first = {_variable(name): name for name in reversed(list(values))}
+    missing = [variable for variable in NEEDED if variable not in first]
+    if missing:
         expected = ", ".join(NEEDED)
-        raise Problem(f"task: expected a run with {expected}, found none of {', '.join(lacking)}")
-    found = {tail: np.asarray(values[name], float) for tail, name in first.items()}
-    tip = np.stack([found[name] for name in TIP], axis=1)
-    lines = [found[name] for name in LINES if name in found]
+        raise Problem(f"task: expected a run with {expected}, found none of {', '.join(missing)}")
+    columns = {variable: np.asarray(values[name], float) for variable, name in first.items()}
+    tip = np.stack([columns[name] for name in TIP], axis=1)
+    lines = [columns[name] for name in LINES if name in columns]
     return Samples(
         time=np.asarray(time, float),
         tip=tip,
-        speed=_speed(tip, found),
-        functions=np.stack([found[name] for name in SPEEDS], axis=1),
-        power=_power(values, found),
+        speed=_speed(tip, columns),
+        functions=np.stack([columns[name] for name in SPEEDS], axis=1),
+        power=_power(values, columns),
         pressure=np.max(lines, axis=0) if lines else np.empty(0),
     )
 
 
-def _speed(tip: Array, found: Mapping[str, Array]) -> Array:
-    across = found["swing_speed"] * np.hypot(tip[:, 0], tip[:, 1])
-    speed: Array = np.linalg.norm([*(found[name] for name in VELOCITIES), across], axis=0)
+def _speed(tip: Array, columns: Mapping[str, Array]) -> Array:
+    across = columns["swing_speed"] * np.hypot(tip[:, 0], tip[:, 1])
+    speed: Array = np.linalg.norm([*(columns[name] for name in VELOCITIES), across], axis=0)
     return speed
 
 
-def _power(values: Mapping[str, Array], found: Mapping[str, Array]) -> Array:
-    flows = [name for name in values if _tail(name) == FLOW]
-    # a supply of its own already adds up what the drives take
+def _power(values: Mapping[str, Array], columns: Mapping[str, Array]) -> Array:
+    flows = [name for name in values if _variable(name) == FLOW]
+    # the flow of a supply component is already the sum over the drives
     total = [name for name in flows if name.split(".")[-2:-1] == ["supply"]] or flows
-    if not total or PRESSURE not in found:
+    if not total or PRESSURE not in columns:
         return np.empty(0)
     flow: Array = np.sum([values[name] for name in total], axis=0)
-    return found[PRESSURE] * flow
+    return columns[PRESSURE] * flow
 
 
-def _tail(name: str) -> str:
+def _variable(name: str) -> str:
     return name.rpartition(".")[2]
 
 
@@ -148,7 +150,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Target:
-    """A place in space [m]: forward, left, up from the foot of the column."""
+    """A position in space [m]: forward, left, up from the foot of the column."""
 
     name: str
     at: Point
@@ -156,7 +158,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Exercise:
-    """Targets in their order; lengths [m], speed [m/s], time [s]."""
+    """Targets in order, and the tolerances: radius, start [m], slow [m/s], hold [s]."""
 
     name: str
     targets: tuple[Target, ...]
@@ -168,13 +170,13 @@ class Exercise:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where an attempt stands after some samples.
+    """Progress of an attempt. Times are those of the samples [s].
 
-    origin    the first position of the tip
-    started   when the clock started, None before
-    inside    since when the tip is in the target and slow, None if it is not
-    reached   when each target was entered first
-    done      when each target was done
+    origin    first position of the tip
+    started   time when the clock started, None before
+    inside    time since which the tip is in the target and slow, None if it is not
+    reached   for each target, the time of its first entry
+    done      for each target, the time when it was done
     now       time of the last sample
     """
 
@@ -197,20 +199,20 @@ EXERCISES: Mapping[str, Exercise] = {
 
 
 def distance(exercise: Exercise, progress: Progress, tip: Point) -> float:
-    """How far the tip is from the target that is next [m]; 0 when all are done."""
+    """Distance of the tip from the next target [m]; 0 when all are done."""
     left = exercise.targets[len(progress.done) :]
     return math.dist(tip, left[0].at) if left else 0.0
 
 
 def way(tip: Point, at: Point) -> Point:
-    """From the tip to a place as a driver moves: outwards [m], up [m], to the left [rad]."""
+    """Vector from the tip to a position in crane coordinates: outwards [m], up [m], to the left [rad]."""
     turn = math.atan2(at[1], at[0]) - math.atan2(tip[1], tip[0])
     out = math.hypot(at[0], at[1]) - math.hypot(tip[0], tip[1])
     return out, at[2] - tip[2], math.remainder(turn, 2 * math.pi)
 
 
 def clock(progress: Progress) -> float | None:
-    """Time since the start [s], which stands when all is done; None before."""
+    """Time since the start [s], until all targets are done; None before the start."""
     return None if progress.started is None else progress.now - progress.started
 
 
@@ -224,7 +226,7 @@ def phase(exercise: Exercise, progress: Progress) -> str:
 
 
 def advance(exercise: Exercise, progress: Progress, time: float, tip: Point, speed: float) -> Progress:
-    """The progress after one more sample."""
+    """Progress after one more sample."""
     if phase(exercise, progress) == "done":
         return progress
     found = replace(progress, origin=progress.origin or tip, now=time)
@@ -232,7 +234,7 @@ def advance(exercise: Exercise, progress: Progress, time: float, tip: Point, spe
         if math.dist(tip, found.origin) <= exercise.start:
             return found
         found = replace(found, started=time)
-    # asked this way round, what is not a number is never in a target
+    # with this comparison, NaN is never in a target
     if not distance(exercise, found, tip) <= exercise.radius:
         return replace(found, inside=None)
     if len(found.reached) == len(found.done):
@@ -240,35 +242,35 @@ def advance(exercise: Exercise, progress: Progress, time: float, tip: Point, spe
     if not speed <= exercise.slow:
         return replace(found, inside=None)
     since = time if found.inside is None else found.inside
-    # frames are whole multiples of a step: a hold may end a rounding error before its time
+    # tolerance for rounding: the time of a frame is a multiple of the step
     if time - since >= exercise.hold - 1e-9:
         return replace(found, inside=None, done=(*found.done, time))
     return replace(found, inside=since)
 
 
 def follow(exercise: Exercise, progress: Progress, samples: Samples) -> Progress:
-    """The progress after some more samples."""
+    """Progress after more samples."""
     tips: Sequence[Point] = [(x, y, z) for x, y, z in samples.tip.tolist()]
     for time, tip, speed in zip(samples.time.tolist(), tips, samples.speed.tolist(), strict=True):
         progress = advance(exercise, progress, time, tip, speed)
     return progress
 
 
-HIGHEST = 10.0  # Hz
-SMALLEST = 0.05  # of the spectrum at zero frequency
-RATE = 50.0  # Hz, of the samples that the spectrum is taken from
-PADDING = 4  # powers of two beyond the length, so that the arc has no corners
+HIGHEST = 10.0  # Hz; upper limit of the frequency
+SMALLEST = 0.05  # smallest amplitude relative to that at zero frequency
+RATE = 50.0  # Hz; sampling rate for the spectrum
+PADDING = 4  # zero padding by this power of two, for a smooth arc
 
 
 def spectral_arc_length(time: Array, speed: Array) -> float | None:
-    """Spectral arc length [1] of a speed over time; None where nothing moves or there is too little.
+    """Spectral arc length [1] of a speed over time; None without motion or with too few samples.
 
     S = - int_0^w sqrt((1 / w)^2 + (dV / dw)^2) dw,   V(f) = |FFT v(f)| / |FFT v(0)|
 
-    up to w: at most 10 Hz, and where V stays below 0.05. One bell-shaped movement has about -1.4 to -1.6;
-    each further start and stop makes it more negative. It depends neither on the size of the movement nor,
-    closely, on its duration. Balasubramanian, Melendez-Calderon, Roby-Brami, Burdet, J. NeuroEng. Rehabil.
-    12:112, 2015.
+    w is the largest frequency up to 10 Hz at which V is at least 0.05. A single bell-shaped movement has -1.4
+    to -1.6; each further start and stop makes the value more negative. The value does not depend on the
+    amplitude of the movement, and hardly on its duration. Balasubramanian, Melendez-Calderon, Roby-Brami,
+    Burdet, J. NeuroEng. Rehabil. 12:112, 2015.
     """
     if len(time) < 2 or time[-1] - time[0] < 5 / RATE:
         return None
@@ -284,13 +286,13 @@ def spectral_arc_length(time: Array, speed: Array) -> float | None:
     return float(-np.sum(np.hypot(1 / last, np.diff(heights[: last + 1]))))
 
 
-MOVING = 0.02  # rad/s; ours: a tenth of an ordinary speed, far above what a closed valve lets through
+MOVING = 0.02  # rad/s; a tenth of an ordinary speed, far above the leakage of a closed valve
 DEFAULT = EXERCISES["stem on the left"]
 
 
 @dataclass(frozen=True)
 class Score:
-    """Figures of one attempt; None where the run does not hold what is needed."""
+    """Score of one attempt; None for figures whose signals are not recorded."""
 
     finished: bool
     cycle_time: float
@@ -304,13 +306,13 @@ class Score:
 
 
 def score(trace: Trace, exercise: Exercise = DEFAULT) -> Score | None:
-    """The score of any run with a tip in it; None if the tip never moved."""
+    """Score of a run; None if the tip never moved."""
     samples = of_trace(trace)
     return judge(samples, exercise, follow(exercise, Progress(), samples))
 
 
 def judge(samples: Samples, exercise: Exercise, progress: Progress) -> Score | None:
-    """The score of samples whose progress is known; None if the clock has not started."""
+    """Score of samples with this progress; None if the clock has not started."""
     if progress.started is None:
         return None
     finished = phase(exercise, progress) == "done"
@@ -331,7 +333,7 @@ def judge(samples: Samples, exercise: Exercise, progress: Progress) -> Score | N
 
 
 def _mean(values: NDArray[np.generic], time: Array) -> float:
-    """Mean over time; 0 where there is no time."""
+    """Mean over time; 0 for fewer than two samples."""
     if len(time) < 2:
         return 0.0
     return float(np.trapezoid(values.astype(float), time) / (time[-1] - time[0]))

@@ -1,7 +1,7 @@
-"""The training task on the page: attempts of one machine, followed frame by frame, and their table.
+"""The training task on the page: the current attempt, and a table of the finished ones.
 
-The page asks `update` a few times a second, shows `status` and `table`, both plain data, and calls `again`
-for the next attempt. The same samples give the same score here and by `score.score` afterwards.
+The page calls `update` a few times a second, shows `status` and `table`, which are plain data, and calls
+`again` for the next attempt. The score of an attempt equals that of `score.score` for the same samples.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from orchestrator.view.task.score import (
     judge,
     of_values,
     phase,
-    wanted,
+    task_signals,
     way,
 )
 
-LONGEST = 600.0  # s; an attempt that takes longer is given up, so that memory has an end
+LONGEST = 600.0  # s; a longer attempt is given up, to limit memory
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One that is over: by its end, by `again`, or by a restart of the machine."""
+    """A finished attempt: done, given up by `again`, or ended by a restart of the machine."""
 
     number: int
     exercise: str
@@ -48,7 +48,7 @@ class Attempt:
 
 
 class Training:
-    """The task of one machine, for all pages that show it."""
+    """The task of one machine, shared by all pages."""
 
     def __init__(self, machine: Machine, exercise: Exercise = DEFAULT) -> None:
         self.exercise, self.attempts = exercise, list[Attempt]()
@@ -57,29 +57,29 @@ class Training:
         self._clear()
 
     def open(self) -> None:
-        """A page shows the task: the first one begins an attempt, and what was before does not count."""
+        """A page shows the task. The first page begins an attempt."""
         self._open += 1
         if self._open == 1:
             self._number = self._machine.latest().number
             self._clear()
 
     def close(self) -> None:
-        """A page shows it no more; without any, nothing is counted."""
+        """A page hides the task. While no page shows it, nothing is recorded."""
         self._open = max(0, self._open - 1)
 
     def choose(self, exercise: Exercise) -> None:
-        """Another exercise, from now on."""
+        """Begin another exercise."""
         self.again()
         self.exercise = exercise
 
     def again(self) -> None:
-        """A new attempt from where the machine is now; one that had begun is kept as unfinished."""
+        """Begin a new attempt. A started one is kept as unfinished."""
         self._keep()
         self._clear()
 
     def update(self) -> None:
-        """Take in what the machine did since the last time."""
-        if self._source != _source(self._machine):  # another machine, whose frames count from elsewhere
+        """Add the frames since the last call."""
+        if self._source != _source(self._machine):  # another machine, with other frame numbers
             self.again()
             self._source, self._number = _source(self._machine), -1
         numbers, times, _, values = self._machine.since(self._number)
@@ -92,7 +92,7 @@ class Training:
             self._add(times[part], values[part])
 
     def status(self) -> dict[str, Any]:
-        """Where the attempt stands; without a score, which takes a while and belongs to its end."""
+        """State of the current attempt, without the score, which is computed at its end."""
         tip = self._tip
         left = self.exercise.targets[len(self._progress.done) :]
         inside = self._progress.inside
@@ -109,15 +109,15 @@ class Training:
         }
 
     def table(self) -> list[dict[str, Any]]:
-        """The attempts that are over, one row each."""
+        """The finished attempts, one row each."""
         return [{"attempt": a.number, "exercise": a.exercise, **asdict(a.score)} for a in self.attempts]
 
     def write(self, path: Path) -> Path:
-        """The table as CSV."""
+        """Write the table as CSV."""
         import pandas as pd
 
         if not self.attempts:
-            raise Problem(f"{path}: no attempt is over yet")
+            raise Problem(f"{path}: expected a finished attempt, found none")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             pd.DataFrame(self.table()).to_csv(path, index=False)
@@ -138,11 +138,11 @@ class Training:
             return
         names = list(self._machine.signals)
         try:
-            part = of_values(times, {name: values[:, names.index(name)] for name in wanted(names)})
+            part = of_values(times, {name: values[:, names.index(name)] for name in task_signals(names)})
         except Problem as error:
             self._problem = str(error)
             return
-        if self._progress.started is None:  # what was before the start is not needed: a pause may be long
+        if self._progress.started is None:  # samples before the start are not needed; a pause may be long
             self._time, self._samples = [], []
         self._time.append(times)
         self._samples.append(part)
@@ -154,21 +154,21 @@ class Training:
             self.again()
 
     def _keep(self) -> None:
-        found = self._score()
-        if found and not self._kept:
-            self.attempts.append(Attempt(len(self.attempts) + 1, self.exercise.name, found))
+        result = self._score()
+        if result and not self._kept:
+            self.attempts.append(Attempt(len(self.attempts) + 1, self.exercise.name, result))
         self._kept = True
 
     def _score(self) -> Score | None:
         if self._progress.started is None:
             return None
         names = Samples.__dataclass_fields__
-        whole = Samples(*(np.concatenate([getattr(s, name) for s in self._samples]) for name in names))
-        return judge(whole, self.exercise, self._progress)
+        samples = Samples(*(np.concatenate([getattr(s, name) for s in self._samples]) for name in names))
+        return judge(samples, self.exercise, self._progress)
 
 
 def _source(machine: Machine) -> int:
-    """Counts up when another machine is put in the place of this one."""
+    """Number of exchanges of the machine."""
     return int(getattr(machine, "exchanges", 0))
 
 
@@ -188,10 +188,10 @@ COLUMNS: tuple[tuple[str, str, float, int], ...] = (
 def mount(
     training: Training, path: Path | None = None, shown: Callable[[], bool] = lambda: True
 ) -> Callable[[], None]:
-    """The task, at this place of the page; with a path the table can be written there.
+    """Add the task to the current page. With a path the table can be written there.
 
-    shown     whether it is seen; while no page shows it, nothing is counted
-    returns   what to call when that has changed
+    shown     returns whether the task is visible; while no page shows it, nothing is recorded
+    returns   function to call when that has changed
     """
     seen = False
     with ui.column().classes("gap-1 w-full").mark("task"):
@@ -213,7 +213,7 @@ def mount(
             return
         training.update()
         status = training.status()
-        state.text, held.value = words(status), min(1.0, status["held"])
+        state.text, held.value = summary(status), min(1.0, status["held"])
         chosen.value = status["exercise"]
         rows = [row(entry) for entry in training.table()]
         held.set_visibility(status["phase"] == "holding")
@@ -235,8 +235,8 @@ def mount(
     return lambda: turn(shown())
 
 
-def words(status: dict[str, Any]) -> str:
-    """Where the attempt stands, in one line."""
+def summary(status: dict[str, Any]) -> str:
+    """State of the attempt in one line."""
     if status["problem"]:
         return str(status["problem"])
     if status["phase"] == "done":
@@ -247,14 +247,14 @@ def words(status: dict[str, Any]) -> str:
 
 
 def directions(way: tuple[float, float, float]) -> str:
-    """The way to a target, as the sticks have to be moved."""
+    """Vector to a target as text, in the directions of the sticks."""
     out, up, left = way[0], way[1], math.degrees(way[2])
     ends = (("out", "in", out, 2, " m"), ("up", "down", up, 2, " m"), ("left", "right", left, 0, "°"))
     return ", ".join(f"{a if v >= 0 else b} {abs(v):.{n}f}{unit}" for a, b, v, n, unit in ends)
 
 
 def row(entry: dict[str, Any]) -> dict[str, str]:
-    """An attempt in the units of the table; a dash where there is no figure."""
+    """An attempt in the units of the table; a dash for a missing figure."""
     cells = {
         key: "-" if entry[key] is None else f"{entry[key] * factor:.{digits}f}"
         for key, _, factor, digits in COLUMNS
