@@ -118,7 +118,9 @@ def simulate(
         grid = time[first : last + 1] - time[first]
         slopes = (inputs[last] - inputs[first]) / grid[-1]
         solver = ca.integrator("segment", "cvodes", ode, 0.0, grid[1:], options)
-        with DeferredInterrupts(second_at_once=False):  # CasADi checks for signals while it evaluates equations
+        with DeferredInterrupts(
+            second_at_once=False
+        ):  # CasADi checks for signals while it evaluates equations
             result = solver(x0=x / model.nominal, p=np.concatenate([inputs[first], slopes, p]))
         segment = result["xf"].full().T * model.nominal
         states.extend(segment)

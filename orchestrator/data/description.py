@@ -1,8 +1,8 @@
-"""The TOML file that describes samples: columns, instruments, experiment, limits for a comparison.
+"""Reads the TOML file that describes sampled data: columns, instruments, experiment, limits of a comparison.
 
-One format serves all: what a test rig or a machine recorded, which `harvester identify` reads, and what a
-run is compared with, which `harvester validate` reads. The dataclasses below are the tables of the file;
-docs/recordings.md and docs/reference-traces.md describe the keys.
+`harvester identify` reads recordings of a test rig or a machine in this format, `harvester validate` reads
+reference traces. The dataclasses below are the tables of the file. docs/recordings.md and
+docs/reference-traces.md describe the keys.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from orchestrator.base.toml import NOT_NEGATIVE, POSITIVE, Rule
 from orchestrator.base.units import parse
 from orchestrator.data.table import TextFormat
 
-# Metric -> whether a smaller value is better. `maximum` and `rmse` are in the unit of the signal, `fit` and
-# `vaf` in percent, the others are pure numbers; orchestrator/results/metrics.py has their formulas.
+# Metric -> True if smaller values are better. `maximum` and `rmse` are in the unit of the signal, `fit` and
+# `vaf` in percent, the others are dimensionless. orchestrator/results/metrics.py contains the formulas.
 METRICS = {
     "nrmse": True,
     "rmse": True,
@@ -36,19 +36,19 @@ Metric = Literal["nrmse", "rmse", "maximum", "maximum_relative", "fit", "vaf", "
 
 @dataclass(frozen=True)
 class Tolerance:
-    """A limit on one metric: an upper one for errors, a lower one for fit, VAF and ISO rating."""
+    """A limit on a metric: upper limit for errors, lower limit for fit, VAF and ISO rating."""
 
     metric: Metric
     limit: Annotated[float, POSITIVE]
 
     @property
     def upper(self) -> bool:
-        """Whether the value must not exceed the limit (else: must reach it)."""
+        """True for an upper limit, False for a lower limit."""
         return METRICS[self.metric]
 
     @property
     def in_unit(self) -> bool:
-        """Whether the limit is in the unit of the signal."""
+        """True if the limit is in the unit of the signal."""
         return self.metric in ("rmse", "maximum")
 
     def scaled(self, factor: float) -> Tolerance:
@@ -56,7 +56,7 @@ class Tolerance:
         return replace(self, limit=self.limit * factor) if self.in_unit else self
 
     def fraction_used(self, value: float | None) -> float:
-        """How much of the limit a value of the metric uses: 1 at the limit, above it when it fails."""
+        """The fraction of the limit that a value uses: 1 at the limit, more if the value fails."""
         if value is None:
             return float("inf")
         if self.upper:
@@ -65,7 +65,7 @@ class Tolerance:
         return (best - value) / (best - self.limit) if best > self.limit else float(value < self.limit)
 
     def holds(self, value: float | None) -> bool:
-        """Whether a value of the metric is within the limit; None, an undefined one, is not."""
+        """True if a value of the metric is within the limit; False for None, an undefined value."""
         if value is None:
             return False
         return value <= self.limit if self.upper else value >= self.limit
@@ -73,7 +73,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the samples come from: the table [reference]."""
+    """Origin of the samples: the table [reference]."""
 
     title: str = ""
     kind: Literal["simulation", "measurement", "published"] = "measurement"
@@ -87,7 +87,7 @@ class Origin:
     note: str = ""
 
 
-# A computed trace must be reproducible, so its file must tell all of this.
+# Keys of [reference] that each kind requires. A computed trace must be reproducible.
 REQUIRED_KEYS = {
     "simulation": ("title", "origin", "made_by", "solver", "relative_tolerance", "date", "change"),
     "published": ("title", "origin", "date", "change"),
@@ -97,7 +97,7 @@ REQUIRED_KEYS = {
 
 @dataclass(frozen=True)
 class TimeDescription:
-    """The column of time: the table [time]; start and stop [s] are the window that counts."""
+    """The time column: the table [time]; `start` and `stop` [s] limit the evaluated window."""
 
     column: str = "time"
     unit: str = "s"
@@ -108,11 +108,11 @@ class TimeDescription:
 
 @dataclass(frozen=True)
 class SignalDescription:
-    """One column: a table [signals.NAME]. Its numbers are in `unit`, after the calibration.
+    """One column: a table [signals.NAME].
 
-    factor, offset                    the calibration: factor * value + offset is in `unit`
-    label, group, tolerance, range    how a comparison shows and judges it
-    sensor, noise, resolution, span, dead_zone    the instrument
+    factor, offset                               calibration: factor * value + offset is in `unit`
+    label, group, tolerance, range               presentation and limit in a comparison
+    sensor, noise, resolution, span, dead_zone   properties of the instrument, in `unit`
     """
 
     unit: str
@@ -130,14 +130,14 @@ class SignalDescription:
     dead_zone: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def tolerance_of(self, groups: Mapping[str, Tolerance | Literal["none"]]) -> Tolerance | None:
-        """Its own limit, else that of its group; None if it is only shown."""
-        found = groups.get(self.group) if self.tolerance is None else self.tolerance
-        return found if isinstance(found, Tolerance) else None
+        """The limit of the signal, or else that of its group; None for a signal without a limit."""
+        tolerance = groups.get(self.group) if self.tolerance is None else self.tolerance
+        return tolerance if isinstance(tolerance, Tolerance) else None
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A number that holds during an experiment."""
+    """A constant physical quantity of an experiment."""
 
     value: float
     unit: str
@@ -145,7 +145,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Description:
-    """A description whose keys and types are right; numbers as they stand in the file."""
+    """A description with valid keys and types; values in the units of the file."""
 
     signals: Mapping[str, SignalDescription]
     reference: Origin = Origin()
@@ -166,32 +166,26 @@ def read_description(path: Path) -> Description:
     if not table.data.get("signals"):
         table.allow_only(Description.__dataclass_fields__)
         raise Problem(f"{path}: expected at least one table [signals.NAME], got none")
-    found = toml.read_dataclass(Description, table)
-    told = found.reference
-    if missing := [key for key in REQUIRED_KEYS[told.kind] if getattr(told, key) in ("", None)]:
-        raise Problem(
-            f"{path}: reference: a trace of kind {told.kind!r} must tell {', '.join(missing)}, got none"
-        )
+    description = toml.read_dataclass(Description, table)
+    origin = description.reference
+    if missing := [key for key in REQUIRED_KEYS[origin.kind] if getattr(origin, key) in ("", None)]:
+        expected = f"expected {', '.join(missing)} for a trace of kind {origin.kind!r}"
+        raise Problem(f"{path}: reference: {expected}, got none")
     if "experiment" in table.data:
         experiment = table.table("experiment")
         experiment.require("procedure", "the name of an experiment")
-        if found.experiment.get("use", "train") not in ("train", "test"):
+        if description.experiment.get("use", "train") not in ("train", "test"):
             raise experiment.problem("use", "one of train, test")
-    if parse(found.time.unit, f"{path}: time").exponents != parse("s").exponents:
-        raise Problem(f"{path}: time: unit: expected one of time such as s or ms, got {found.time.unit!r}")
-    for name, value in found.experiment.items():
+    unit = description.time.unit
+    if parse(unit, f"{path}: time").exponents != parse("s").exponents:
+        raise Problem(f"{path}: time: unit: expected a unit of time such as s or ms, got {unit!r}")
+    for name, value in description.experiment.items():
         if isinstance(value, Condition):
             parse(value.unit, f"{path}: experiment: {name}")
-    for name, signal in found.signals.items():
+    groups = description.tolerances
+    for name, signal in description.signals.items():
         where = f"{path}: signals.{toml.quote_key(name)}"
         parse(signal.unit, where)
-        if (
-            found.tolerances
-            and signal.group
-            and signal.tolerance is None
-            and signal.group not in found.tolerances
-        ):
-            raise Problem(
-                f"{where}: group: expected one of {', '.join(found.tolerances)}, got {signal.group!r}"
-            )
-    return found
+        if groups and signal.group and signal.tolerance is None and signal.group not in groups:
+            raise Problem(f"{where}: group: expected one of {', '.join(groups)}, got {signal.group!r}")
+    return description

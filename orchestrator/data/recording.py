@@ -1,8 +1,8 @@
-"""A recording: signals over one clock, the instruments that took them, what holds during the experiment.
+"""Recordings: signals over one time axis in SI units, with instruments and conditions of the experiment.
 
 `read_recording` reads samples (CSV, Parquet, MATLAB) and the TOML file of the same name that describes them,
-and converts all to SI. What is identified from and what a run is compared with are both recordings;
-`write_recording` writes a computed one.
+and converts the values to SI units. Measurements for the identification and references for the validation
+are both recordings. `write_recording` writes a computed recording.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Sensor:
-    """The instrument of one signal, numbers in the signal's SI unit.
+    """The instrument of one signal; values in the SI unit of the signal.
 
-    text         what it is
+    text         description of the instrument
     noise        standard deviation of one sample, 0 if unknown
     resolution   step of the converter, 0 if unknown
-    low, high    range; a value at an end is clipped
-    dead_zone    magnitude below which it reads nothing useful, such as the slowest flow of a turbine
+    low, high    range; a value at a limit is clipped
+    dead_zone    magnitude below which readings are not valid, such as the smallest flow of a turbine meter
     """
 
     text: str = ""
@@ -52,17 +52,17 @@ class Sensor:
 
     @property
     def sd(self) -> float:
-        """Standard deviation of one sample with the converter's: noise, and a step's width over sqrt(12)."""
+        """Standard deviation of one sample: noise, and the quantisation error resolution / sqrt(12)."""
         return math.hypot(self.noise, self.resolution / math.sqrt(12))
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """How a comparison shows and judges a signal.
+    """Presentation and limit of a signal in a comparison.
 
-    group       signals of one kind, such as angle, speed, pressure; they share a tolerance
-    span        what NRMSE divides by instead of the range of the values, in the signal's unit
-    tolerance   what to judge, None: shown but not judged
+    group       quantity such as angle, speed or pressure; signals of a group share a tolerance
+    span        divisor of the NRMSE instead of the range of the values, in the unit of the signal
+    tolerance   limit; None: the signal is shown without a verdict
     """
 
     label: str = ""
@@ -73,21 +73,21 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals over one clock; those of a file are in SI units.
+    """Signals over one time axis; signals that were read from a file are in SI units.
 
     source       the file
     time         shape (n,) [s], increasing
-    signals      each of shape (n,); NaN where a sample is missing
+    signals      each of shape (n,); NaN for a missing sample
     units        unit of each signal
-    procedure    which experiment it is: "valve", "hose_resistance", ..., "machine"; "": none
-    use          "train" or "test": what is fitted, what is held out
-    conditions   what holds during the experiment: numbers in SI units, or words
-    sensors      instrument of each signal, where known
-    kind         where it comes from: "measurement", "simulation" or "published"
-    file_units   unit of each signal as the file has it, for messages
-    criteria     how a comparison shows and judges each signal
-    start, stop  the window that counts [s]
-    about        the table [reference] of its description: title, kind, origin, solver, date, change ...
+    procedure    the experiment: "valve", "hose_resistance", ..., "machine"; "": none
+    use          "train" for the fit, "test" for the validation of the fit
+    conditions   constants of the experiment: values in SI units, or texts
+    sensors      known instruments by signal
+    kind         "measurement", "simulation" or "published"
+    file_units   unit of each signal in the file, for messages
+    criteria     presentation and limit of each signal in a comparison
+    start, stop  limits of the evaluated window [s]
+    metadata     the table [reference] of the description: title, kind, origin, solver, date, change ...
     """
 
     source: Path
@@ -109,45 +109,45 @@ class Recording:
     def __getitem__(self, name: str) -> Array:
         """One signal, shape (n,)."""
         if name not in self.signals:
+            purpose = f" for {self.procedure}" if self.procedure else ""
             raise Problem(
-                f"{self.source}: signal {name} is missing, expected for {self.procedure or 'it'};"
-                f" has {', '.join(self.signals)}"
+                f"{self.source}: expected the signal {name}{purpose}, got {', '.join(self.signals)}"
             )
         return self.signals[name]
 
     @property
     def heading(self) -> str:
-        """The title in its description, else the name of its file."""
+        """The title in the description, or else the name of the file."""
         return str(self.metadata.get("title", self.source.name))
 
     def sensor(self, name: str) -> Sensor:
-        """The instrument of a signal; one of which nothing is known if none is described."""
+        """The instrument of a signal; without properties if the description contains none."""
         return self.sensors.get(name, Sensor())
 
     def criterion(self, name: str) -> Criterion:
-        """How a comparison shows and judges a signal."""
+        """Presentation and limit of a signal in a comparison."""
         return self.criteria.get(name, Criterion())
 
     def unit_label(self, name: str) -> str:
-        """The unit of a signal as its file has it, and what it is in SI."""
+        """The unit of a signal in the file, with the SI unit if it differs."""
         unit = self.units[name]
-        own = self.file_units.get(name, unit)
-        return unit if own == unit else f"{own} ({unit})"
+        file_unit = self.file_units.get(name, unit)
+        return unit if file_unit == unit else f"{file_unit} ({unit})"
 
     def numeric_condition(self, name: str) -> float:
-        """A condition that is a number, in SI units."""
+        """The value of a numeric condition, in SI units."""
         value = self.conditions.get(name)
         if not isinstance(value, float):
-            found = "nothing" if value is None else repr(value)
-            raise Problem(f"{self.source}: experiment: {name}: expected a number with its unit, got {found}")
+            got = "nothing" if value is None else repr(value)
+            raise Problem(f"{self.source}: experiment: {name}: expected a number with its unit, got {got}")
         return value
 
     def text_condition(self, name: str) -> str:
-        """A condition that is a word."""
+        """The text of a condition without a unit."""
         value = self.conditions.get(name)
         if not isinstance(value, str):
-            found = "nothing" if value is None else repr(value)
-            raise Problem(f"{self.source}: experiment: {name}: expected a word, got {found}")
+            got = "nothing" if value is None else repr(value)
+            raise Problem(f"{self.source}: experiment: {name}: expected a text, got {got}")
         return value
 
     def select(self, names: Sequence[str]) -> Recording:
@@ -155,33 +155,33 @@ class Recording:
         return replace(self, signals={name: self[name] for name in names})
 
     def trace(self) -> Trace:
-        """The signals with straight lines over gaps, held before the first and after the last sample."""
+        """The signals, interpolated over gaps and constant before the first and after the last sample."""
         signals = {}
         for name, values in self.signals.items():
-            there = np.isfinite(values)
-            if there.any():
-                signals[name] = (
-                    values if there.all() else np.interp(self.time, self.time[there], values[there])
-                )
+            valid = np.isfinite(values)
+            if valid.all():
+                signals[name] = values
+            elif valid.any():
+                signals[name] = np.interp(self.time, self.time[valid], values[valid])
         return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
 
 
 def read_recording(path: Path | str, data: Path | str | None = None) -> Recording:
-    """A file of samples with its description, whole: `start` and `stop` are noted.
+    """Read all samples of a file with its description; `start` and `stop` are stored, not applied.
 
-    path   the samples, whose description has the same name with .toml, or the description itself
-    data   the samples, when the description is one for many files
+    path   the samples, whose description has the same name with .toml, or the description
+    data   the samples, if one description is used for many files
     """
     path = Path(path)
     if not path.is_file():
-        found = "a folder" if path.is_dir() else "no such file"
-        raise Problem(f"{path}: expected a .csv, .parquet, .mat or .toml file, got {found}")
+        got = "a folder" if path.is_dir() else "no such file"
+        raise Problem(f"{path}: expected a .csv, .parquet, .mat or .toml file, got {got}")
     description_file = path if path.suffix == ".toml" else path.with_suffix(".toml")
     description = read_description(description_file)
     file = Path(data) if data else path if path != description_file else _data_file(path, description)
     column = {name: spec.column or name for name, spec in description.signals.items()}
     columns = read_columns(file, {description.time.column, *column.values()}, description.file)
-    described = description.signals.items()
+    specs = description.signals.items()
     conditions = {name: _condition(value) for name, value in description.experiment.items()}
     origin = description.reference
     about = {f.name: getattr(origin, f.name) for f in fields(origin)} | {
@@ -194,82 +194,82 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
         use=str(conditions.pop("use", "train")),
         conditions=conditions,
         time=_seconds(columns, description),
-        signals={name: _in_si(columns.values[column[name]], spec) for name, spec in described},
-        units={name: si_unit(spec.unit) for name, spec in described},
-        sensors={name: sensor for name, spec in described if (sensor := _sensor(spec))},
+        signals={name: _in_si(columns.values[column[name]], spec) for name, spec in specs},
+        units={name: si_unit(spec.unit) for name, spec in specs},
+        sensors={name: sensor for name, spec in specs if (sensor := _sensor(spec))},
         kind=origin.kind,
-        file_units={name: spec.unit for name, spec in described},
-        criteria={name: _criterion(spec, description) for name, spec in described},
+        file_units={name: spec.unit for name, spec in specs},
+        criteria={name: _criterion(spec, description) for name, spec in specs},
         start=description.time.start,
         stop=description.time.stop,
         metadata={key: value for key, value in about.items() if value not in ("", None)},
     )
 
 
-LONGEST_GAP = 0.1  # s: a hand takes longer from one position of a lever to another
+LONGEST_GAP = 0.1  # [s]; an operator needs longer to move a lever
 
 
 def true_intervals(mask: Mask) -> list[slice]:
-    """The runs of True of a mask."""
+    """The intervals in which a mask is True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def fill_gaps(recording: Recording, name: str, longest: float = LONGEST_GAP) -> Array:
-    """A signal that a simulation needs at every sample: straight lines over gaps of at most `longest` [s].
+    """A signal without gaps, for a simulation: linear interpolation over gaps of at most `longest` [s].
 
-    Before its first sample and after its last one it keeps that value.
+    The signal is constant before its first and after its last sample.
     """
     values, time = recording[name], recording.time
-    there = np.isfinite(values)
-    if not there.any():
-        raise Problem(f"{recording.source}: {name} has no sample, expected one to simulate with")
-    for gap in true_intervals(~there):
+    valid = np.isfinite(values)
+    if not valid.any():
+        raise Problem(f"{recording.source}: {name}: expected a sample to simulate with, got none")
+    for gap in true_intervals(~valid):
         first, last = max(gap.start - 1, 0), min(gap.stop, len(time) - 1)
         if time[last] - time[first] > longest:
             raise Problem(
-                f"{recording.source}: {name} has no sample from {time[gap.start]:.6g} s to"
-                f" {time[gap.stop - 1]:.6g} s, expected gaps of at most {longest:g} s:"
+                f"{recording.source}: {name}: expected gaps of at most {longest:g} s, got one from"
+                f" {time[gap.start]:.6g} s to {time[gap.stop - 1]:.6g} s:"
                 " leave that part out with start or stop of [time]"
             )
-    return np.interp(time, time[there], values[there])
+    return np.interp(time, time[valid], values[valid])
 
 
 def _data_file(path: Path, description: Description) -> Path:
     """The data file that belongs to a description."""
     if description.file.csv:
         return path.with_name(description.file.csv)
-    there = [path.with_suffix(end) for end in SUFFIXES if path.with_suffix(end).is_file()]
-    if len(there) != 1:
-        found = ", ".join(file.name for file in there) or "none"
-        raise Problem(f"{path}: expected one data file {path.stem}.csv, .parquet or .mat, got {found}")
-    return there[0]
+    files = [path.with_suffix(suffix) for suffix in SUFFIXES if path.with_suffix(suffix).is_file()]
+    if len(files) != 1:
+        got = ", ".join(file.name for file in files) or "none"
+        raise Problem(f"{path}: expected one data file {path.stem}.csv, .parquet or .mat, got {got}")
+    return files[0]
 
 
 def _seconds(columns: Columns, description: Description) -> Array:
-    """The clock in seconds; each row has a time, and later than the row before."""
-    described = description.time
-    raw = columns.values[described.column]
+    """The time column in seconds; refuse missing times and times that do not increase."""
+    spec = description.time
+    raw = columns.values[spec.column]
     for k in np.flatnonzero(np.isnan(raw))[:1]:
-        raise Problem(f"{columns.location(k)}: column {described.column!r}: expected a time, got none")
+        raise Problem(f"{columns.location(k)}: column {spec.column!r}: expected a time, got none")
     for k in np.flatnonzero(np.diff(raw) <= 0)[:1]:
         raise Problem(
-            f"{columns.location(k + 1)}: column {described.column!r}:"
+            f"{columns.location(k + 1)}: column {spec.column!r}:"
             f" expected increasing times, got {raw[k + 1]:.10g} after {raw[k]:.10g}"
         )
-    time: Array = parse(described.unit).factor * raw + described.offset
+    time: Array = parse(spec.unit).factor * raw + spec.offset
     return time
 
 
 def _in_si(values: Array, spec: SignalDescription) -> Array:
-    """Values of a column in SI: calibrated first, in the stated unit."""
+    """Values of a column in SI units: calibration, then conversion from the unit of the file."""
     scale = parse(spec.unit)
     result: Array = scale.factor * (spec.factor * values + spec.offset) + scale.offset
     return result
 
 
 def _sensor(spec: SignalDescription) -> Sensor | None:
-    """The instrument in SI, if one is described; a span has the unit's zero, the rest are differences."""
+    """The instrument in SI units, None if none is described; only the span is subject to a unit's offset."""
     scale = parse(spec.unit)
     low, high = spec.span or (-math.inf, math.inf)
     sensor = Sensor(
@@ -284,7 +284,7 @@ def _sensor(spec: SignalDescription) -> Sensor | None:
 
 
 def _criterion(spec: SignalDescription, description: Description) -> Criterion:
-    """What a comparison needs, in SI."""
+    """Presentation and limit in a comparison, in SI units."""
     factor = parse(spec.unit).factor
     tolerance = spec.tolerance_of(description.tolerances)
     return Criterion(
@@ -296,7 +296,7 @@ def _criterion(spec: SignalDescription, description: Description) -> Criterion:
 
 
 def _condition(value: str | Condition) -> str | float:
-    """A word, or a number in SI."""
+    """A text, or a value in SI units."""
     if isinstance(value, str):
         return value
     scale = parse(value.unit)
@@ -312,11 +312,11 @@ def write_recording(
     labels: Mapping[str, str] | None = None,
     digits: int = 9,
 ) -> Path:
-    """Write the signals of a computed trace to a CSV at `path`, and its description, whose path is returned.
+    """Write the signals of a computed trace to the CSV file `path`, and its description; return its path.
 
     tolerances   group -> limit
-    groups       signal -> group; a signal without one is stored, shown and not judged
-    digits       significant digits in the CSV
+    groups       signal -> group; a signal without a group has no limit
+    digits       significant digits in the CSV file
     """
     if not origin.change.strip():
         raise Problem(f"{path}: expected the reason of this change of the reference, got none")
@@ -341,13 +341,13 @@ def write_recording(
 
 
 def _toml_table(head: str, values: Mapping[str, object]) -> str:
-    """A table of a TOML file, without what is empty; the escapes of a JSON string are those of TOML."""
+    """A TOML table without empty values; TOML strings have the same escapes as JSON strings."""
     lines = [f"[{head}]"]
     for key, value in values.items():
         name = key if key.isidentifier() else json.dumps(key, ensure_ascii=False)
         if isinstance(value, Tolerance):
             lines.append(f"{name} = {{ metric = {json.dumps(value.metric)}, limit = {value.limit!r} }}")
         elif value not in ("", None):
-            shown = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
-            lines.append(f"{name} = {shown}")
+            text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+            lines.append(f"{name} = {text}")
     return "\n".join([*lines, ""])

@@ -1,9 +1,9 @@
-r"""Columns of numbers of a file, whichever kind it is: text (CSV), Parquet or MATLAB.
+r"""Reads columns of numbers from text files (CSV), Parquet files and MATLAB files.
 
-A sample that is missing is a gap, NaN. A row that stops early, such as the last one of a logger that lost
-power, is an error and not a gap. Messages name the file and the line (of text) or the row (of other files),
-counted from 1. Columns of a MATLAB file are its vectors, fields of structs ("run.pressure"), columns of a
-matrix ("data(:,2)") and rows of a wide one ("data(2,:)").
+A missing sample is a gap, NaN. An incomplete row, such as the last one of a logger that lost power, is an
+error. Messages name the file and the line (text) or the row (other files), counted from 1. Columns of a
+MATLAB file are vectors, fields of structs ("run.pressure"), columns of a matrix ("data(:,2)") and rows of a
+matrix with many columns ("data(2,:)").
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from orchestrator.base.toml import NOT_NEGATIVE
 
 Array = NDArray[np.float64]
 SUFFIXES = (".csv", ".parquet", ".mat")
-GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # what loggers write where there is no sample
-CHUNK = 5000  # rows of text that are converted at once, or cell by cell where one has a gap
-MAX_LISTED_COLUMNS = 256  # of a matrix that are listed one by one
+GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # texts that loggers write for a missing sample
+CHUNK = 5000  # rows of text converted at once, or cell by cell if one of them has a gap
+MAX_LISTED_COLUMNS = 256  # a matrix with more columns is read by rows
 
 
 @dataclass(frozen=True)
 class TextFormat:
-    r"""How a text file is written: the table [file] of a description.
+    r"""Format of a text file: the table [file] of a description.
 
-    csv          name of the data file, of whichever kind; "": that of the description
+    csv          name of the data file, of any format; "": the name of the description
     delimiter    one character, or r"\s+" for any white space; None: a comma
     decimal      a point or a comma; None: a point
-    skip_lines   lines before the names
+    skip_lines   number of lines before the column names
     """
 
     csv: str = ""
@@ -50,9 +50,9 @@ class TextFormat:
 class Columns:
     """Columns of a file by name, each of shape (n,).
 
-    rows    the line or row of each sample, counted from 1
-    row     which of the two that is
-    units   where the file tells them
+    rows       the line or row of each sample, counted from 1
+    row_word   "line" or "row", for messages
+    units      units that the file contains
     """
 
     file: str
@@ -62,7 +62,7 @@ class Columns:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def location(self, sample: int) -> str:
-        """Where a sample stands, for the beginning of a message."""
+        """File and line or row of a sample, for messages."""
         return f"{self.file}: {self.row_word} {self.rows[sample]}"
 
 
@@ -72,26 +72,26 @@ def read_columns(
     form: TextFormat | None = None,
     named: bool = True,
 ) -> Columns:
-    """Columns of a file by name; its kind is told by its suffix, without .parquet or .mat it is text.
+    """Read columns of a Parquet file (.parquet), a MATLAB file (.mat) or a text file (any other suffix).
 
-    names   None: all of a text or Parquet file, in their order
-    form    of a text file; None: commas and points, nobody described it
-    named   a text file has a row of names; else its columns are "0", "1", ...
+    names   columns to read; None: all columns of a text or Parquet file, in their order
+    form    format of a text file; None: commas and decimal points
+    named   True if a text file has a row of names; else its columns are "0", "1", ...
     """
     file = source if isinstance(source, Location) else Location(source)
     if not file.members and not file.path.is_file():
         raise Problem(f"{file}: no such file")
-    kind = Path(str(file)).suffix.lower()
-    if kind == ".parquet":
+    suffix = Path(str(file)).suffix.lower()
+    if suffix == ".parquet":
         columns = _read_parquet(file, names)
     else:
-        columns = _read_mat(file, names) if kind == ".mat" else _read_text(file, names, form, named)
+        columns = _read_mat(file, names) if suffix == ".mat" else _read_text(file, names, form, named)
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")
     for name, values in columns.values.items():
         for k in np.flatnonzero(np.isinf(values))[:1]:
-            got = f"expected a finite number, got {values[k]:g}"
-            raise Problem(f"{columns.location(k)}: column {name!r}: {got}")
+            message = f"expected a finite number, got {values[k]:g}"
+            raise Problem(f"{columns.location(k)}: column {name!r}: {message}")
     return columns
 
 
@@ -105,7 +105,7 @@ def _read_text(
     header = [name.strip() for name in text.split(lines[0])]
     if not named:
         header = [str(i) for i in range(len(header))]
-    places = _column_indices(header, names, str(file), f"line {first}: ")
+    indices = _column_indices(header, names, str(file), f"line {first}: ")
     blank = " \t" + (text.mark or "")
     rows = {first + i: lines[i] for i in range(int(named), len(lines)) if lines[i].strip(blank)}
     del lines
@@ -113,18 +113,18 @@ def _read_text(
         raise Problem(f"{file}: expected two or more rows of numbers, got none")
     text.check_widths(rows, len(header))
     numbers = list(rows)
-    table = np.empty((len(places), len(rows)))
+    table = np.empty((len(indices), len(rows)))
     for start in range(0, len(rows), CHUNK):
         part = {number: rows[number] for number in numbers[start : start + CHUNK]}
-        table[:, start : start + CHUNK] = text.parse_rows(part, places).T
-    return Columns(str(file), dict(zip(places, table, strict=True)), numbers, "line")
+        table[:, start : start + CHUNK] = text.parse_rows(part, indices).T
+    return Columns(str(file), dict(zip(indices, table, strict=True)), numbers, "line")
 
 
 @dataclass(frozen=True)
 class _Text:
-    """A text file while it is read; rows are kept by the number of their line.
+    """Reader of a text file.
 
-    described   its format can be set in the table [file] of a description
+    has_description   True if a description exists, in which the user can set the format
     """
 
     file: Location
@@ -145,7 +145,7 @@ class _Text:
         return self.form.decimal or "."
 
     def lines(self) -> list[str]:
-        """The lines from the one with the names on."""
+        """The lines from the row of names on."""
         try:
             text = self.file.read().decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -163,7 +163,7 @@ class _Text:
         return next(csv.reader([line], delimiter=self.mark), []) if self.mark else line.split()
 
     def check_marks(self, line: str, number: int) -> None:
-        """Refuse a delimiter and a decimal mark that cannot be, or that the first line does not have."""
+        """Refuse an invalid delimiter or decimal mark, and a delimiter that is not in the row of names."""
         origin = "the default" if self.form.delimiter is None else "as set"
         if self.decimal not in (".", ","):
             raise Problem(f"{self.file}: [file] decimal: expected '.' or ',', got {self.decimal!r}")
@@ -172,44 +172,44 @@ class _Text:
             raise Problem(f"{self.file}: [file] delimiter: {expected}, got {self.delimiter!r}")
         if self.delimiter == self.decimal:
             raise Problem(
-                f"{self.file}: [file] decimal is {self.decimal!r}: expected another delimiter than it,"
+                f"{self.file}: [file] delimiter: expected another character than the decimal mark,"
                 f' got {self.delimiter!r} ({origin}): set delimiter = ";" in [file]'
             )
         other = next((mark for mark in ";\t," if mark in line), "")
         if self.mark and self.mark not in line and other:
-            shown = other.replace("\t", r"\t")
-            hint = f': set delimiter = "{shown}" in [file]' if self.has_description else ""
+            escaped = other.replace("\t", r"\t")
+            hint = f': set delimiter = "{escaped}" in [file]' if self.has_description else ""
             raise Problem(
                 f"{self.file}: line {number}: expected cells separated by {self.delimiter!r} ({origin}),"
                 f" got {other!r}{hint}"
             )
 
     def check_widths(self, rows: Mapping[int, str], width: int) -> None:
-        """Refuse a row with fewer or more cells than the first one."""
+        """Refuse a row with fewer or more cells than the row of names."""
         for number, row in rows.items():
             if self.mark and row.count(self.mark) == width - 1 and '"' not in row:
                 continue
             if (cells := len(self.split(row))) != width:
                 raise Problem(f"{self.file}: line {number}: expected {width} cells, got {cells}")
 
-    def parse_rows(self, rows: Mapping[int, str], places: Mapping[str, int]) -> Array:
-        """The numbers at these places, shape (rows, places): all at once if there is no gap."""
+    def parse_rows(self, rows: Mapping[int, str], indices: Mapping[str, int]) -> Array:
+        """Convert the columns `indices` of rows (line number -> text); shape (rows, columns)."""
         plain = [row.replace(",", ".") if self.decimal == "," else row for row in rows.values()]
-        where = list(places.values())
+        usecols = list(indices.values())
         try:
             return np.loadtxt(
-                plain, delimiter=self.mark, usecols=where, comments=None, quotechar='"', ndmin=2
+                plain, delimiter=self.mark, usecols=usecols, comments=None, quotechar='"', ndmin=2
             )
-        except ValueError:  # there is a gap, or something that is no number
-            table = np.empty((len(rows), len(places)))
+        except ValueError:  # a gap, or a cell that is not a number
+            table = np.empty((len(rows), len(indices)))
         for i, (number, row) in enumerate(rows.items()):
             cells = self.split(row) if '"' in row else row.split(self.mark)
-            for j, (name, place) in enumerate(places.items()):
-                table[i, j] = self.parse_cell(cells[place], number, name)
+            for j, (name, index) in enumerate(indices.items()):
+                table[i, j] = self.parse_cell(cells[index], number, name)
         return table
 
     def parse_cell(self, cell: str, line: int, column: str) -> float:
-        """A cell as a number, NaN for a gap."""
+        """The number in a cell, NaN for a gap."""
         with_point = cell.replace(",", ".")
         value = _number(with_point if self.decimal == "," else cell)
         if value is None:
@@ -222,7 +222,7 @@ class _Text:
 def _column_indices(
     header: Sequence[str], names: Collection[str] | None, file: str, where: str = ""
 ) -> dict[str, int]:
-    """Where the columns stand that are asked for (None: all); each must be there once."""
+    """Index of each requested column (None: all columns), which must occur exactly once."""
     if names is None and "" in header:
         raise Problem(f"{file}: {where}column {list(header).index('') + 1} has no name")
     for name in header if names is None else sorted(names):
@@ -241,7 +241,7 @@ def _name_list(names: Sequence[str]) -> str:
 
 
 def _number(cell: str) -> float | None:
-    """A number, NaN for a gap, None for what is neither."""
+    """The number in a cell, NaN for a gap, None for any other text."""
     try:
         return float(cell)
     except ValueError:
@@ -249,39 +249,39 @@ def _number(cell: str) -> float | None:
 
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
-    """Columns of a Parquet file by name; units from the metadata of the fields. A null is a gap."""
+    """Columns of a Parquet file with units from the metadata of the fields. A null is a gap."""
     import pyarrow
     import pyarrow.parquet
 
     try:
         with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else file.path) as opened:
             schema = opened.schema_arrow
-            chosen = list(_column_indices(schema.names, names, str(file)))
-            table = opened.read(columns=chosen)
+            selected = list(_column_indices(schema.names, names, str(file)))
+            table = opened.read(columns=selected)
     except (pyarrow.ArrowInvalid, OSError) as error:
         raise Problem(f"{file}: expected a Parquet file, got {_first_line(error)}") from None
-    values = {name: _arrow_values(table.column(name), f"{file}: row", name) for name in chosen}
-    fields = {name: schema.field(name).metadata or {} for name in chosen}
-    units = {name: told[b"unit"].decode() for name, told in fields.items() if b"unit" in told}
+    values = {name: _arrow_values(table.column(name), f"{file}: row", name) for name in selected}
+    metadata = {name: schema.field(name).metadata or {} for name in selected}
+    units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
     return Columns(str(file), values, range(1, table.num_rows + 1), units=units)
 
 
 def _arrow_values(column: Any, where: str, name: str) -> Array:
-    """A column of Parquet as numbers; a column of text too if all of it is numbers."""
+    """The values of a Parquet column of numbers, or of texts that are all numbers."""
     import pyarrow
 
-    kind = column.type
-    if pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind) or pyarrow.types.is_decimal(kind):
+    column_type, types = column.type, pyarrow.types
+    if types.is_integer(column_type) or types.is_floating(column_type) or types.is_decimal(column_type):
         values: Array = np.array(column.cast(pyarrow.float64()).to_numpy(), dtype=np.float64)
         return values
-    if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind):
+    if types.is_string(column_type) or types.is_large_string(column_type):
         cells = [text or "" for text in column.to_pylist()]
         numbers = [_number(cell) for cell in cells]
         if None in numbers:
             bad = numbers.index(None)
             raise Problem(f"{where} {bad + 1}: column {name!r}: expected a number, got {cells[bad]!r}")
         return np.array(numbers, dtype=np.float64)
-    raise Problem(f"{where} 1: column {name!r}: expected numbers, got {kind}")
+    raise Problem(f"{where} 1: column {name!r}: expected numbers, got {column_type}")
 
 
 def _first_line(error: Exception) -> str:
@@ -289,24 +289,24 @@ def _first_line(error: Exception) -> str:
 
 
 def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
-    """Columns of a MATLAB file by name, all of one length."""
-    there = dict(_flat_columns("", _variables(file)))
+    """Columns of a MATLAB file, which must have the same length."""
+    candidates = dict(_flat_columns("", _variables(file)))
     values = {}
-    for name in _column_indices(list(there), names, str(file)):
-        found = there[name]
-        if isinstance(found, str) or found.dtype.kind not in "fiub":
-            got = repr(found[:40]) if isinstance(found, str) else f"{found.dtype} such as {found[0]!r}"
+    for name in _column_indices(list(candidates), names, str(file)):
+        column = candidates[name]
+        if isinstance(column, str) or column.dtype.kind not in "fiub":
+            got = repr(column[:40]) if isinstance(column, str) else f"{column.dtype} such as {column[0]!r}"
             raise Problem(f"{file}: row 1: column {name!r}: expected numbers, got {got}")
-        values[name] = found.astype(np.float64)
-    sizes = {name: len(column) for name, column in values.items()}
-    if len(set(sizes.values())) > 1:
-        listed = ", ".join(f"{name} {size}" for name, size in sizes.items())
-        raise Problem(f"{file}: expected columns of one length, got {listed}")
-    return Columns(str(file), values, range(1, 1 + min(sizes.values(), default=0)))
+        values[name] = column.astype(np.float64)
+    lengths = {name: len(column) for name, column in values.items()}
+    if len(set(lengths.values())) > 1:
+        got = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise Problem(f"{file}: expected columns of one length, got {got}")
+    return Columns(str(file), values, range(1, 1 + min(lengths.values(), default=0)))
 
 
 def _variables(file: Location) -> dict[str, Any]:
-    """Arrays by name, structs as dictionaries: version 7.3 is HDF5, SciPy reads those before."""
+    """Arrays by name, structs as dictionaries. Version 7.3 is HDF5, SciPy reads earlier versions."""
     import h5py
     import scipy.io
 
@@ -321,7 +321,7 @@ def _variables(file: Location) -> dict[str, Any]:
 
 
 def _group(group: Any) -> dict[str, Any]:
-    """A group of HDF5, which is a struct; text becomes a string, references (cells, objects) are left out."""
+    """An HDF5 group (a struct) as a dictionary; text as str, without references (cells, objects)."""
     import h5py
 
     result: dict[str, Any] = {}
@@ -333,12 +333,12 @@ def _group(group: Any) -> dict[str, Any]:
         elif item.attrs.get("MATLAB_class") == b"char":
             result[name] = "".join(map(chr, np.asarray(item).T.ravel()))
         elif item.dtype.kind in "fiub" and not item.attrs.get("MATLAB_empty", 0):
-            result[name] = np.asarray(item).T  # HDF5 counts dimensions the other way round
+            result[name] = np.asarray(item).T  # HDF5 has the dimensions in reverse order
     return result
 
 
 def _flat_columns(prefix: str, struct: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Names and contents of what could be a column: vectors, columns of a matrix, rows of a wide one."""
+    """Names and contents of possible columns: vectors, columns of a matrix, rows of a wide matrix."""
     for key, item in struct.items():
         name = f"{prefix}{key}"
         if name.startswith("__"):

@@ -1,7 +1,7 @@
-"""Traces: signals over one time axis, as a run records and plays them, in CSV and Parquet files.
+"""Traces: signals over one time axis, recorded by a run or used as a scenario, in CSV and Parquet files.
 
-CSV: the first row names the columns, time first, then numbers with a decimal point, separated by commas.
-Parquet: the same columns as float64; units stand in the metadata of each field.
+CSV: a row of column names (time first), then rows of numbers with a decimal point, separated by commas.
+Parquet: the same columns as float64, with units in the metadata of the fields.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Trace:
     """Signals over a common, strictly increasing time axis, in SI units.
 
     time      shape (n,) [s]
-    signals   name -> shape (n,); of a run, names are `component.variable`
-    units     name -> unit as the FMU or the file's meta data writes it; a missing name has no unit
+    signals   name -> shape (n,); the names in a run are `component.variable`
+    units     name -> unit as written in the FMU or in the metadata of the file; empty without a unit
     """
 
     time: NDArray[np.float64]
@@ -46,31 +46,31 @@ class Trace:
         return self.signals[name]
 
     def at(self, time: ArrayLike) -> Trace:
-        """The signals at other times [s]: linear between the samples, held outside of them."""
-        when = np.asarray(time, dtype=np.float64)
-        return Trace(when, {n: np.interp(when, self.time, v) for n, v in self.signals.items()}, self.units)
+        """The signals at other times [s]: linear interpolation, constant before and after the samples."""
+        times = np.asarray(time, dtype=np.float64)
+        return Trace(times, {n: np.interp(times, self.time, v) for n, v in self.signals.items()}, self.units)
 
     def plot(self, *patterns: str, title: str = "") -> Figure:
-        """Signals over time as a matplotlib figure, a panel for each unit; nothing is shown or saved.
+        """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
 
-        patterns   names of signals, or patterns such as `*.swing_pressure_*`; all signals without any
+        patterns   names of signals, or patterns such as `*.swing_pressure_*`; default: all signals
         """
         from orchestrator.base.plotting import plot_signals
 
         names: dict[str, None] = {}
         for pattern in patterns or self.signals:
-            known = [pattern] if pattern in self.signals else fnmatch.filter(self.signals, pattern)
-            names |= dict.fromkeys(known or [pattern])
+            matches = [pattern] if pattern in self.signals else fnmatch.filter(self.signals, pattern)
+            names |= dict.fromkeys(matches or [pattern])
         return plot_signals(self.time, self.select(names).signals, self.units, title)
 
     def select(self, names: Iterable[str]) -> Trace:
         """The trace with only these signals, in this order."""
-        kept = {name: self[name] for name in names}
-        return Trace(self.time, kept, {n: u for n, u in self.units.items() if n in kept})
+        signals = {name: self[name] for name in names}
+        return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
 
 
 def read(path: str | Path | Location) -> Trace:
-    """Read a trace; the suffix (.csv or .parquet) tells the format. The file may lie inside an archive."""
+    """Read a trace from a .csv or .parquet file, on disk or inside an archive."""
     file = path if isinstance(path, Location) else Location(Path(path))
     check_suffix(str(file))
     columns = read_columns(file, None)
@@ -83,7 +83,7 @@ def read(path: str | Path | Location) -> Trace:
 
 
 def _check_samples(columns: Columns) -> None:
-    """Refuse empty rows, missing samples, times that do not increase, rows that were lost."""
+    """Refuse empty rows, missing samples, times that do not increase, and missing rows."""
     time, rows = columns.values[TIME], np.asarray(columns.rows)
     for k in np.flatnonzero(np.diff(rows) > 1)[:1]:
         row = f"{columns.file}: {columns.row_word} {rows[k] + 1}"
@@ -95,13 +95,13 @@ def _check_samples(columns: Columns) -> None:
     for k in np.flatnonzero(steps <= 0)[:1]:
         raise Problem(f"{columns.location(k + 1)}: expected a time after {time[k]!s} s, got {time[k + 1]!s}")
     if (gap := _gap(steps)) is not None:
-        usual = f"a sample every {np.median(steps):.6g} s"
-        between = f"between {time[gap]!s} and {time[gap + 1]!s} s"
-        raise Problem(f"{columns.location(gap + 1)}: expected {usual}, got none {between}")
+        expected = f"a sample every {np.median(steps):.6g} s"
+        interval = f"between {time[gap]!s} and {time[gap + 1]!s} s"
+        raise Problem(f"{columns.location(gap + 1)}: expected {expected}, got none {interval}")
 
 
 def write(trace: Trace, path: str | Path) -> Path:
-    """Write a trace as .csv or .parquet, by the suffix; reading it gives the same numbers, bit for bit."""
+    """Write a trace as .csv or .parquet; reading the file gives bit-identical values."""
     file = Path(path)
     check_suffix(file)
     try:
@@ -113,13 +113,13 @@ def write(trace: Trace, path: str | Path) -> Path:
 
 
 def check_suffix(path: str | Path) -> None:
-    """Refuse a file name whose format is unknown, before work is spent on it."""
+    """Refuse a file name with an unknown suffix, before the computation starts."""
     if Path(path).suffix.lower() not in (".csv", ".parquet"):
         raise Problem(f"{path}: expected a file name ending in .csv or .parquet")
 
 
 def write_csv(trace: Trace, path: Path) -> None:
-    """Shortest decimal text that gives back the same float64."""
+    """Write a trace as CSV, each value as the shortest decimal that is read back as the same float64."""
     columns = [trace.time, *trace.signals.values()]
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow([TIME, *trace.signals])
@@ -129,7 +129,7 @@ def write_csv(trace: Trace, path: Path) -> None:
 
 
 def write_parquet(trace: Trace, path: Path) -> None:
-    """One float64 column per signal, time first."""
+    """Write a trace as Parquet: one float64 column per signal, time first."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -144,15 +144,15 @@ def write_parquet(trace: Trace, path: Path) -> None:
 
 
 def _gap(steps: NDArray[np.float64]) -> int | None:
-    """The first interval in which rows of a uniformly sampled file are missing.
+    """Index of the first interval in which rows of a uniformly sampled file are missing, or None.
 
-    Uniform means: nearly all intervals are equal, and the others are whole multiples of them. Files with
-    other intervals are sampled irregularly on purpose.
+    In a uniformly sampled file nearly all intervals are equal and the others are integer multiples of them.
+    Other files are regarded as irregularly sampled.
     """
     if len(steps) < 20:
         return None
     ratio = steps / np.median(steps)
-    whole = np.rint(ratio)
-    if np.abs(ratio - whole).max() > 1e-3 or np.mean(whole == 1) < 0.98:
+    multiple = np.rint(ratio)
+    if np.abs(ratio - multiple).max() > 1e-3 or np.mean(multiple == 1) < 0.98:
         return None
-    return int(np.argmax(whole > 1)) if whole.max() > 1 else None
+    return int(np.argmax(multiple > 1)) if multiple.max() > 1 else None

@@ -45,9 +45,11 @@ def test_short_gaps_of_a_command_are_bridged() -> None:
     short = np.where((time > 0.495) & (time < 0.555), np.nan, time)
     made = Recording(Path("ref.csv"), time, {"short": short, "none": np.full(200, np.nan)}, {})
     np.testing.assert_allclose(fill_gaps(made, "short"), time, atol=1e-15)  # a straight line, rounding
-    with pytest.raises(Problem, match=r"ref.csv: short has no sample from 0.5 s to 0.55 s.*at most 0.05 s"):
+    with pytest.raises(
+        Problem, match=r"ref.csv: short: expected gaps of at most 0.05 s, got one from 0.5 s to 0.55 s"
+    ):
         fill_gaps(made, "short", longest=0.05)
-    with pytest.raises(Problem, match=r"ref.csv: none has no sample"):
+    with pytest.raises(Problem, match=r"ref.csv: none: expected a sample"):
         fill_gaps(made, "none")
     np.testing.assert_allclose(made.trace()["short"], time, atol=1e-15)
     assert "none" not in made.trace().signals

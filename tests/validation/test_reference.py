@@ -95,7 +95,7 @@ MISTAKES = [
     (
         "[reference]",
         '[reference]\nkind = "simulation"',
-        r"of kind 'simulation' must tell origin, made_by, solver, relative_tolerance, date, change, got none",
+        r"reference: expected origin, made_by, solver, relative_tolerance, date, change for a trace of kind",
     ),
     ('metric = "nrmse"', 'metric = "mae"', r"tolerances.angle: metric: expected one of nrmse.*, got 'mae'$"),
     ("limit = 0.01", "limit = 0", r"tolerances.angle: limit: expected a number above 0, got 0$"),
@@ -112,7 +112,11 @@ MISTAKES = [
     ('unit = "deg"', 'unit = "deg"\nrange = 0', r"range: expected a number above 0, got 0$"),
     ('unit = "deg"', 'unit = "deg"\nfactor = true', r"factor: expected a number, got True$"),
     ('unit = "deg"', 'unit = "deg"\ncolumn = "shaft"', r"ref.csv: column 'shaft' expected, got time, shaft"),
-    ("[reference]", '[time]\nunit = "bar"\n[reference]', r"time: unit: expected one of time .*, got 'bar'$"),
+    (
+        "[reference]",
+        '[time]\nunit = "bar"\n[reference]',
+        r"time: unit: expected a unit of time .*, got 'bar'$",
+    ),
     ("[reference]", '[file]\ncsv = "no.csv"\n[reference]', r"no.csv: no such file"),
     ("[reference]", '[file]\ndecimal = ";"\n[reference]', r"\[file\] decimal: expected '.' or ',', got ';'"),
     ("\n0.02,", "\n0.005,", r"ref.csv: line 4: column 'time': expected increasing .*, got 0.005 after 0.01"),

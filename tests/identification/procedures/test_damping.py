@@ -176,7 +176,7 @@ def test_noise_that_is_not_told_is_seen():
     ("change", "words"),
     [
         ({"conditions": {"joint": "elbow"}}, "joint: expected swing, boom, stick, got 'elbow'"),
-        ({"conditions": {}}, "joint: expected a word, got nothing"),
+        ({"conditions": {}}, "joint: expected a text, got nothing"),
         ({"procedure": "valve"}, "expected a recording of this procedure"),
         ({"use": "test"}, "expected a recording of this procedure"),
     ],
@@ -192,7 +192,9 @@ def test_a_missing_signal_and_a_motion_that_tells_nothing_are_refused():
     """The signal's name and file; a joint that stands has no damping to show."""
     record = recording("boom")
     without = {n: x for n, x in record.signals.items() if "rod" not in n}
-    with pytest.raises(Problem, match=r"damping_boom\.csv: signal boom_stick\.boom_rod_pressure is missing"):
+    with pytest.raises(
+        Problem, match=r"damping_boom\.csv: expected the signal boom_stick\.boom_rod_pressure"
+    ):
         identify([replace(record, signals=without)], KNOWN)
     still = {n: np.full_like(x, x[0]) for n, x in record.signals.items()}
     with pytest.raises(Problem, match=r"manipulator\.boom_angle: expected a motion"):

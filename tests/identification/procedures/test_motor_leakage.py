@@ -169,7 +169,7 @@ def test_ripple_of_the_pump_hides_no_step():
     [
         ({"conditions": {"shaft": "free"}}, "shaft: expected locked, got 'free'"),
         ({"procedure": "valve"}, "expected a recording of this procedure"),
-        ({"signals": {}}, "signal pressure_a is missing"),
+        ({"signals": {}}, "expected the signal pressure_a"),
         ({"units": {"pressure_a": "m3/s"}}, "pressure_a is in m3/s, expected Pa"),
     ],
 )

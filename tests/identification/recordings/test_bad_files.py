@@ -78,7 +78,12 @@ def test_marks_that_cannot_be_told_apart(csv):
     for told, found in (("", "','"), ('delimiter = ","', "','")):
         meta.write_text(f'{good}\n[file]\ndecimal = ","\n{told}\n', encoding="utf-8")
         origin = "as set" if told else "the default"
-        refused(csv, "a.csv", "decimal is ','", f'got {found} ({origin}): set delimiter = ";"')
+        refused(
+            csv,
+            "a.csv",
+            "delimiter: expected another character",
+            f'got {found} ({origin}): set delimiter = ";"',
+        )
     meta.write_text(f'{good}\n[file]\ndecimal = "."\ndelimiter = ";;"\n', encoding="utf-8")
     refused(csv, "a.csv", "delimiter: expected one character", "got ';;'")
 
@@ -141,7 +146,7 @@ def test_bad_mat(csv, columns):
         ("factor = 40.0", "factor = 0", ("factor: expected another number than 0, got 0",)),
         ('unit = "bar"', 'unit = "barn"', ("signals.pressure_in", "unit 'barn'", "psi")),
         ('unit = "bar"\n', "", ("signals.pressure_in: unit: expected a text, got nothing",)),
-        ('unit = "ms"', 'unit = "mm"', ("time: unit: expected one of time", "got 'mm'")),
+        ('unit = "ms"', 'unit = "mm"', ("time: unit: expected a unit of time", "got 'mm'")),
         ('"valve"', '"value"', ("procedure: expected one of valve, hose_resistance", "got 'value'")),
         ("[experiment]", '[experiment]\nuse = "fit"', ("use: expected one of train, test, got 'fit'",)),
         (

@@ -142,7 +142,7 @@ def test_required_signals_have_their_dimension(csv):
     require(found, {"pressure_in": "Pa", "flow": "m3/s"})
     with pytest.raises(Problem, match=r"a\.csv: signal flow is in L/min \(m3/s\), expected Pa"):
         require(found, {"flow": "Pa"})
-    with pytest.raises(Problem, match=r"a\.csv: signal pressure_out is missing.*has command, pressure_in"):
+    with pytest.raises(Problem, match=r"a\.csv: expected the signal pressure_out.*got command, pressure_in"):
         require(found, {"pressure_out": "Pa"})
 
 
