@@ -113,11 +113,11 @@ export default {
     describe() {
       if (!this.status || !this.link.alive()) return "no connection";
       const refused = performance.now() - this.refused < TOLD;
-      if (this.status.role === "watching") return `another page drives${refused ? ': press "Ask for controls"' : ""}`;
+      if (this.status.role === "watching") return `another page drives${refused ? ': press "Request controls"' : ""}`;
       if (this.status.role === "free" && refused && this.status.drives) return 'press "Take controls" first';
       if (this.status.role === "free") return this.status.why;
       if (elsewhere(document.activeElement)) return "Esc: back to the sticks";
-      if (this.link.late) return "this page was too slow: let go of Space, then hold it again";
+      if (this.link.late) return "this page was too slow: release Space, then hold it again";
       return this.live ? "driving" : this.status.why;
     },
     touch() {
