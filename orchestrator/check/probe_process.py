@@ -18,7 +18,10 @@ MAX_ATTEMPTS = 6  # child processes for one task; each continues after the case 
 
 @dataclass(frozen=True)
 class ProbeLimits(WorkerLimits):
-    """Limits of one probe; `work_time`: wall time [s] that the probe fills with steps and instances."""
+    """Default limits of one probe, changed by `use_probe_limits`; `worker.process` enforces them.
+
+    work_time   wall time [s] that the probe fills with steps and instances
+    """
 
     call_time: float = 10.0
     total_time: float = 60.0
@@ -100,7 +103,7 @@ def run(
 
 def _attempt(job: Mapping[str, Any]) -> Outcome:
     """Run the task in one child process."""
-    worker = Worker("orchestrator.check.tasks.runner:main", "probe", inside=True)
+    worker = Worker("orchestrator.check.tasks.runner:main", "probe", in_folder=True)
     outcome, done = Outcome(), False
     try:
         worker.put(job)

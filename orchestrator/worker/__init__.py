@@ -1,10 +1,9 @@
-"""A child process that works for this one, and may die of its work.
+"""Worker processes: child processes that run FMUs and may crash, hang or use up the memory.
 
-process.py   the parent's side: start, messages, limits of time and memory, how it ended, removal of files
-main.py      the child's side: reads messages, runs a function, ends when the parent does
-beacon.py    what the child is doing right now, in shared memory that outlives a crash
+process.py    parent's side: start a worker, exchange messages, enforce limits of time and memory, clean up
+main.py       child's side: receive messages, run a function, end when the parent ends
+activity.py   last FMI call and time of the child in shared memory, readable after a crash
 
-FMUs are code of others: they crash, hang, exit and fill the memory. Whoever loads one for a check, a study or
-a machine in real time does it in such a process. The child imports nothing but the standard library before
-its function asks for more, so that it starts in less than 0.1 s.
+Checks, studies and real-time machines load FMUs in worker processes. The child imports only the standard
+library before its function needs more, so that it starts in less than 0.1 s.
 """

@@ -1,6 +1,7 @@
-"""What the child is doing right now, in memory shared with its parent: it outlives a crash of the child.
+"""Last activity of a worker process, in a file that is mapped into the memory of child and parent.
 
-Layout: number of calls so far, time [s], name of the call, last inputs as text.
+The parent can read the activity after a crash of the child. Layout of the file: number of calls, simulation
+time [s], name of the last call, last inputs as text.
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ SIZE = _HEAD.size + _TEXT
 
 @dataclass(frozen=True)
 class Activity:
-    """The last sign of life; `time` [s] is NaN before the first step."""
+    """The last activity of a worker.
+
+    count    number of calls
+    time     simulation time [s]; NaN before the first step
+    call     name of the last function
+    inputs   last inputs, or the case under test in round brackets
+    """
 
     count: int
     time: float
@@ -27,13 +34,13 @@ class Activity:
     def __str__(self) -> str:
         where = f"in {self.call}" if self.call else "before the first call"
         when = f" at t = {self.time:.9g} s" if self.time == self.time else ""
-        if self.inputs.startswith("("):  # not inputs, but what is tried
+        if self.inputs.startswith("("):  # the case under test
             return f"{where}{when} {self.inputs}"
         return f"{where}{when}" + (f", last inputs {self.inputs}" if self.inputs else "")
 
 
 class ActivityRecord:
-    """The writing end, and the reading end, of one file."""
+    """The activity file, for the writing child and for the reading parent."""
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
@@ -43,24 +50,24 @@ class ActivityRecord:
         self._count = 0
 
     def call(self, name: str, time: float = float("nan")) -> None:
-        """Note which function is called next, at which time of the simulation [s]."""
+        """Store the function that is called next, and the simulation time [s]."""
         self._count += 1
         _HEAD.pack_into(self._memory, 0, self._count, time, name.encode())
 
     def inputs(self, text: str) -> None:
-        """Note what was set last; in brackets what is tried."""
+        """Store the last inputs, or the case under test in round brackets."""
         raw = text.encode()[:_TEXT]
         self._memory[_HEAD.size : _HEAD.size + len(raw)] = raw
         self._memory[_HEAD.size + len(raw) :] = bytes(_TEXT - len(raw))
 
     def read(self) -> Activity:
-        """What was noted last."""
+        """Read the last activity."""
         count, time, call = _HEAD.unpack_from(self._memory, 0)
         text = self._memory[_HEAD.size :]
         return Activity(count, time, _text(call), _text(text))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Unmap the file."""
         self._memory.close()
 
 

@@ -1,4 +1,9 @@
-"""The parent's side of a worker process: start, messages, limits, how it ended, removal of its files."""
+"""Parent's side of a worker process: start, messages, limits of time and memory, cause of its end, clean-up.
+
+`Worker.messages` enforces the limits (`WorkerLimits`). The caller sets their values: those of `harvester check`
+are set by `ProbeLimits` in orchestrator/check/probe_process.py and by the option --timeout in
+orchestrator/cli/check.py.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +27,10 @@ from typing import Any
 
 from orchestrator.worker.activity import Activity, ActivityRecord
 
-ALIVE_INTERVAL = 0.5  # [s] at most between two looks at whether the process lives
-POLL_INTERVAL = 0.01  # [s] between two looks at what it takes
-MAX_QUOTED = 200  # characters of what a process wrote before it died
-MAX_STDERR = 1 << 20  # bytes that a process may write to stderr before they are thrown away
+ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
+POLL_INTERVAL = 0.01  # [s] between two checks of the limits
+MAX_QUOTED = 200  # characters of the last line of stderr
+MAX_STDERR = 1 << 20  # bytes; a longer stderr file is emptied
 SIGNAL_NAMES = {
     "SIGSEGV": "segmentation fault",
     "SIGBUS": "bus error",
@@ -34,8 +39,8 @@ SIGNAL_NAMES = {
     "SIGILL": "illegal instruction",
     "SIGKILL": "killed by the system (out of memory?)",
 }
-# Ctrl-C in the terminal is for this process, which ends the other. With a session of its own Linux also parts
-# processors between the two first, so a browser with many threads takes less from a machine in real time.
+# Ctrl-C in the terminal interrupts only this process, which then ends the worker. Linux also schedules
+# sessions fairly, so that a browser with many threads takes less time from a real-time machine.
 SESSION_OPTIONS: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
     SESSION_OPTIONS = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -44,11 +49,11 @@ _END_OF_MESSAGES = object()
 
 @dataclass(frozen=True)
 class WorkerLimits:
-    """What a worker process may take.
+    """Limits of a worker process, set by the caller and enforced by `Worker.messages`; default: none.
 
-    call     longest single call into an FMU [s], as the beacon shows it; a longer one is a hang
-    total    longest time for all of its work [s]
-    memory   [bytes], where the system tells
+    call_time    longest call into an FMU [s], by the activity file; a longer call is reported as a hang
+    total_time   longest time until the process ends [s]
+    memory       largest resident memory [bytes], on systems that report it
     """
 
     call_time: float = math.inf
@@ -57,60 +62,60 @@ class WorkerLimits:
 
 
 class LimitExceeded(Exception):
-    """A process took more than its limits allow; `late`: its time was over, it may only be slow."""
+    """A process exceeded its limits; `timed_out`: its total time has passed, so it may only be slow."""
 
-    def __init__(self, text: str, late: bool = False) -> None:
-        self.timed_out = late
-        super().__init__(text)
+    def __init__(self, message: str, timed_out: bool = False) -> None:
+        self.timed_out = timed_out
+        super().__init__(message)
 
 
 class Worker:
-    """One process, from its start until `close` is called or nobody knows it any more.
+    """A worker process, which runs until `close` is called or the object is garbage-collected.
 
-    target        "package.module:function"; it is called with a `main.Channel`
-    name          of the folder for its temporary files, which is removed at the end
-    patience      [s] for an orderly end, then it is killed
-    environment   variables that differ from those of this process
-    descriptors   open files that it inherits (POSIX)
-    inside        it works in its folder: files that an FMU writes go there
+    target        "package.module:function", called with a `main.Channel`
+    name          prefix of its temporary folder, which is removed at the end
+    grace         time for an orderly end before the process is killed [s]
+    environment   environment variables that differ from those of this process
+    descriptors   file descriptors that the process inherits (POSIX)
+    in_folder     use the temporary folder as working directory, for files that an FMU writes
     """
 
     def __init__(
         self,
         target: str,
         name: str = "worker",
-        patience: float = 0.0,
+        grace: float = 0.0,
         environment: Mapping[str, str] | None = None,
         descriptors: Sequence[int] = (),
-        inside: bool = False,
+        in_folder: bool = False,
     ) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
         self._activity = ActivityRecord(self.folder / "beacon")
-        options = {"cwd": self.folder} if inside else {}
+        options = {"cwd": self.folder} if in_folder else {}
         self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
         self._messages: SimpleQueue[Any] = SimpleQueue()
         reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
         reader.start()
-        self.close = weakref.finalize(self, _end, self._child, reader, self._activity, self.folder, patience)
+        self.close = weakref.finalize(self, _end, self._child, reader, self._activity, self.folder, grace)
 
     @property
     def pid(self) -> int:
-        """The number of the process."""
+        """The process id."""
         return self._child.pid
 
     @property
     def alive(self) -> bool:
-        """Does it still run?"""
+        """True while the process runs."""
         return self._child.poll() is None
 
     @property
     def activity(self) -> Activity:
-        """What it was doing last, if it tells by its beacon."""
+        """The last activity that the process has stored."""
         return self._activity.read()
 
     @property
     def memory(self) -> float:
-        """Memory that it takes [bytes]; 0 where the system does not tell."""
+        """Resident memory of the process [bytes]; 0 on systems that do not report it."""
         try:
             pages = Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[1]
         except (OSError, IndexError):
@@ -119,7 +124,7 @@ class Worker:
 
     @property
     def last_stderr_line(self) -> str:
-        """The last line that it wrote to stderr."""
+        """The last line of stderr."""
         with suppress(OSError):
             text = (self.folder / "errors").read_text(encoding="utf-8", errors="replace")
             return text.strip().rpartition("\n")[2][:MAX_QUOTED]
@@ -127,15 +132,15 @@ class Worker:
 
     @property
     def report(self) -> str:
-        """How the process ended, what it was doing then, and its last words."""
-        how = self.ending.replace("exit status", "the process ended with exit status")
-        return f"{how} {self.activity}" + (
+        """Cause of the end, last activity and last line of stderr, for a message."""
+        cause = self.ending.replace("exit status", "the process ended with exit status")
+        return f"{cause} {self.activity}" + (
             f' ("{self.last_stderr_line[:120]}")' if self.last_stderr_line else ""
         )
 
     @property
     def ending(self) -> str:
-        """How the process ended, such as "segmentation fault" or "exit status 1"; empty while it lives."""
+        """Cause of the end, such as "segmentation fault" or "exit status 1"; empty while the process runs."""
         code = self._child.poll()
         if code is None:
             return ""
@@ -145,21 +150,22 @@ class Worker:
         return SIGNAL_NAMES.get(name, name)
 
     def put(self, message: Any) -> None:
-        """Send something that can be pickled, or is pickled (bytes); nothing where the process is gone."""
+        """Send an object that can be pickled, or is pickled (bytes); ignored if the process has ended."""
         data = message if isinstance(message, bytes) else pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         assert self._child.stdin is not None
-        with suppress(BrokenPipeError, OSError):  # what is read next tells of it
+        with suppress(BrokenPipeError, OSError):  # the next `get` reports the end of the process
             self._child.stdin.write(data)
             self._child.stdin.flush()
 
     def get(self, timeout: float | None = None) -> Any:
         """The next message.
 
-        Raises TimeoutError when none came in time, EOFError when the process has ended and all were read.
+        Raises TimeoutError after `timeout` [s] without a message, EOFError after the last message of a
+        process that has ended.
         """
         until = math.inf if timeout is None else time.monotonic() + timeout
         while True:
-            dead = not self.alive  # then what it sent is on its way, unless an orphan of it holds the pipe
+            dead = not self.alive  # its messages arrive soon, unless a child of it keeps the pipe open
             try:
                 message = self._messages.get(
                     timeout=ALIVE_INTERVAL
@@ -179,38 +185,42 @@ class Worker:
             raise EOFError(self.ending)
 
     def messages(self, limits: WorkerLimits, stop: threading.Event | None = None) -> Iterator[Any]:
-        """All messages until the process ends; raises LimitExceeded where it takes too much or is to stop."""
-        begin = moved = time.monotonic()
+        """All messages until the process ends; raises LimitExceeded if a limit is exceeded or `stop` set."""
+        begin = last_call = time.monotonic()
         count = -1
         while True:
             try:
                 yield self.get(POLL_INTERVAL)
             except TimeoutError:
-                self._quieten()
+                self._truncate_stderr()
             except EOFError:
                 return
-            seen, now = self.activity, time.monotonic()
-            if seen.count != count:
-                count, moved = seen.count, now
-            if count and now - moved > limits.call_time:  # before the first call it is Python that starts
-                raise LimitExceeded(f"hang: no return within {limits.call_time:g} s {seen}")
+            activity, now = self.activity, time.monotonic()
+            if activity.count != count:
+                count, last_call = activity.count, now
+            if count and now - last_call > limits.call_time:  # count is 0 while Python starts
+                raise LimitExceeded(f"hang: no return within {limits.call_time:g} s {activity}")
             if self.memory > limits.memory:
-                raise LimitExceeded(f"takes more than {limits.memory / 1e9:.3g} GB of memory, stopped {seen}")
+                raise LimitExceeded(
+                    f"uses more than {limits.memory / 1e9:.3g} GB of memory, stopped {activity}"
+                )
             if now - begin > limits.total_time:
-                raise LimitExceeded(f"not done within {limits.total_time:g} s, stopped {seen}", late=True)
+                raise LimitExceeded(
+                    f"not done within {limits.total_time:g} s, stopped {activity}", timed_out=True
+                )
             if stop is not None and stop.is_set():
-                raise LimitExceeded("interrupted", late=True)
+                raise LimitExceeded("interrupted", timed_out=True)
 
-    def _quieten(self) -> None:
-        """Throw away what it wrote to stderr, if that is a lot."""
+    def _truncate_stderr(self) -> None:
+        """Empty the stderr file if it is too large."""
         errors = self.folder / "errors"
-        with suppress(OSError):  # refused where a file in use is locked
+        with suppress(OSError):  # Windows locks files in use
             if errors.stat().st_size > MAX_STDERR:
                 os.truncate(errors, 0)
 
 
 def machine_memory() -> float:
-    """Memory of this machine [bytes]; infinite where it is not told."""
+    """Memory of this machine [bytes]; infinite if unknown."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, OSError, ValueError):
@@ -220,7 +230,7 @@ def machine_memory() -> float:
 def _start(
     target: str, folder: Path, environment: Mapping[str, str], **options: Any
 ) -> subprocess.Popen[bytes]:
-    """A Python of its own, which imports nothing of this one."""
+    """Start a new Python process, without a fork of this one."""
     roots = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     variables = {**os.environ, "PYTHONPATH": os.pathsep.join(roots), **environment}
     with (folder / "errors").open("ab") as errors:
@@ -236,7 +246,7 @@ def _start(
 
 
 def _read(source: Any, messages: SimpleQueue[Any]) -> None:
-    """All messages until the process ends; one that is cut off is none."""
+    """Queue all complete messages until the process ends."""
     with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError, AttributeError, ImportError):
         while True:
             messages.put(pickle.load(source))
@@ -246,16 +256,16 @@ def _read(source: Any, messages: SimpleQueue[Any]) -> None:
 def _end(
     child: subprocess.Popen[bytes],
     reader: threading.Thread,
-    beacon: ActivityRecord,
+    activity: ActivityRecord,
     folder: Path,
-    patience: float,
+    grace: float,
 ) -> None:
-    """Close the pipe, wait, kill what is left, also what an FMU has started, and remove the files."""
+    """Close the pipe, wait, kill the process and its children, and remove the files."""
     with suppress(OSError):
         if child.stdin is not None:
             child.stdin.close()
     with suppress(subprocess.TimeoutExpired):
-        child.wait(patience)
+        child.wait(grace)
     if hasattr(os, "killpg"):
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, signal.SIGKILL)
@@ -266,5 +276,5 @@ def _end(
     with suppress(OSError):
         if child.stdout is not None:
             child.stdout.close()
-    beacon.close()
+    activity.close()
     shutil.rmtree(folder, ignore_errors=True)

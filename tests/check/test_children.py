@@ -67,7 +67,7 @@ def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
     """The limit is told, and where the FMU stood."""
     with use_probe_limits(ProbeLimits(call_time=PATIENCE, work_time=2.0, memory=2e8)):
         found = apply(oscillators.make(fault="eats"), tmp_path, "default")
-    text = "co-simulation: takes more than 0.2 GB of memory, stopped in fmi2DoStep at t = 0.31 s"
+    text = "co-simulation: uses more than 0.2 GB of memory, stopped in fmi2DoStep at t = 0.31 s"
     assert ("error", text) in [(f.severity, f.text) for f in found]
 
 

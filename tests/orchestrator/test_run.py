@@ -111,7 +111,10 @@ def test_a_time_that_is_no_multiple_of_the_step_is_told():
             r"^step: expected at least 2\.22e-13 s, the resolution of the times of the run, got 1e-15 s",
         ),
         ({"step": 1e-13, "start": 1e-9, "stop": 1.0}, r"^step: expected at least 2\.22e-13 s"),
-        ({"step": 0.1, "start": 1e300, "stop": 2e300}, r"^step: expected at least 2\.97e\+287 s, the resolution"),
+        (
+            {"step": 0.1, "start": 1e300, "stop": 2e300},
+            r"^step: expected at least 2\.97e\+287 s, the resolution",
+        ),
         (
             {"step": 5e-9, "stop": 1e4},
             r"^step: expected at least 1e-08 s, for at most 1e\+12 steps, got 5e-09 s",

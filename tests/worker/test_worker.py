@@ -108,7 +108,7 @@ def test_a_worker_that_nobody_knows_ends():
 
 def test_a_worker_may_end_in_an_orderly_way(start, tmp_path):
     """It has the time that it takes for itself, as far as the parent has the patience."""
-    worker = start("graceful", patience=SOON)
+    worker = start("graceful", grace=SOON)
     worker.put(str(tmp_path / "end.txt"))
     worker.get(SOON)
     worker.close()
