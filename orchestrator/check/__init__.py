@@ -1,6 +1,6 @@
-"""harvester check: what is wrong with an FMU, and which tool will refuse it.
+"""`harvester check`: finds faults of an FMU, and tools that cannot use it.
 
-Functions import what they need when they are called: the child processes of a check import this package, too.
+Imports are inside the functions, because the child processes of a check import this package, too.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def all_rules() -> tuple[CheckRule, ...]:
 def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
     """Check one FMU.
 
-    tool   id of the tool that shall take it; any: all findings
-    run    also load and run it, in child processes
+    tool   id of the tool that is to import the FMU; any: all findings
+    run    also load and run the FMU in child processes
     """
     from orchestrator.base.errors import Problem
     from orchestrator.check.report import ANY, TOOLS, CheckReport
@@ -41,16 +41,15 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
     if tool != ANY and tool not in TOOLS:
         raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")
     if not path.is_file():
-        what = "expected an .fmu file, got a folder" if path.is_dir() else "no such file"
-        raise Problem(f"{path}: {what}")
+        raise Problem(f"{path}: {'expected an .fmu file, got a folder' if path.is_dir() else 'no such file'}")
     with opened(path) as subject:
         rules = all_rules() if run else STATIC
-        findings = [finding for rule in rules for finding in _applied(rule, subject)]
+        findings = [finding for rule in rules for finding in _findings(rule, subject)]
         return CheckReport(path, _title(subject), without_repeats(findings), tool)
 
 
-def _applied(rule: CheckRule, subject: Subject) -> Iterator[Finding]:
-    """The findings of a rule; one that fails on a strange FMU must not hide those of the others."""
+def _findings(rule: CheckRule, subject: Subject) -> Iterator[Finding]:
+    """The findings of a rule; an exception in a rule becomes a finding, so that the other rules still run."""
     from orchestrator.check.finding import Finding
 
     try:
@@ -61,13 +60,13 @@ def _applied(rule: CheckRule, subject: Subject) -> Iterator[Finding]:
 
 
 def _title(subject: Subject) -> str:
-    """What the file is, in a few words."""
+    """FMI version, interfaces, number of variables, tool and platforms of the FMU."""
     from orchestrator.fmi.raw_description import INTERFACES
 
     model = subject.model
     if not model.interfaces:
-        return "not an FMU that can be read"
+        return "not a readable FMU"
     offered = " and ".join(INTERFACES[k].title() for k in model.interfaces)
-    maker = model.attributes.get("generationTool") or "unknown tool"
+    tool = model.attributes.get("generationTool") or "unknown tool"
     platforms = ", ".join(dict.fromkeys(b.platform for b in subject.binaries)) or "no binaries"
-    return f"FMI {subject.version}, {offered}, {len(model.variables)} variables, by {maker}; {platforms}"
+    return f"FMI {subject.version}, {offered}, {len(model.variables)} variables, by {tool}; {platforms}"

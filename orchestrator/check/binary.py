@@ -1,14 +1,13 @@
-"""What the shared libraries of an FMU say about themselves: ELF, PE and Mach-O in the same terms.
+"""Headers of the shared libraries of an FMU, in the same terms for ELF, PE and Mach-O; functions to export.
 
-And the functions that one must export, whatever the FMU can do. FMI 2.0.5, section 2.3: those of Model
-Exchange, of Co-Simulation or of both, also where a capability flag is false. FMI 3.0.1, section 2.5: those of
-fmi3Functions.h, for whichever interface types.
+A library must export all functions of its interface types, also if a capability flag is false (FMI 2.0.5,
+section 2.3). In FMI 3 it must export all functions of fmi3Functions.h (FMI 3.0.1, section 2.5).
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ MACHINES = {
     "ARM": "aarch32",
     "ARMNT": "aarch32",
 }
-DEBUG = (".debug_info", ".zdebug_info", "__debug_info")
+DEBUG_SECTIONS = (".debug_info", ".zdebug_info", "__debug_info")
 
 
 @dataclass(frozen=True)
@@ -32,17 +31,17 @@ class Binary:
     """One shared library, or one architecture of a universal one.
 
     file         path inside the FMU: binaries/linux64/swing.so
-    format       ELF, PE, Mach-O; "" for another one
+    format       ELF, PE, Mach-O; "" if unknown
     exports      names of exported functions, without the underscore of Mach-O
-    libraries    the libraries that it names
-    unsupplied   undefined symbols that none of these can supply, as far as the file tells
-    versions     newest version of each family that it needs: {"GLIBC": (2, 17)}
-    rpaths       where it looks for libraries
-    traits       what else is unusual: "executable stack", "writable code", "text relocations", "unsigned"
-    debug        bytes of debug sections
-    minimum      oldest macOS that loads it, as written
-    head         its first bytes
-    damage       why it cannot be read, where it cannot
+    libraries    names of the libraries that it needs
+    unresolved   undefined symbols that none of these libraries provides, as far as the file shows
+    versions     newest symbol version of each family that it needs: {"GLIBC": (2, 17)}
+    rpaths       search path for libraries
+    traits       unusual properties: "executable stack", "writable code", "text relocations", "unsigned"
+    debug        size of the debug sections [bytes]
+    macos        oldest macOS that loads it, as written
+    head         the first bytes of the file
+    damage       why the file cannot be read
     """
 
     file: str
@@ -53,12 +52,12 @@ class Binary:
     exports: frozenset[str] = frozenset()
     libraries: tuple[str, ...] = ()
     imports: frozenset[str] = frozenset()
-    unsupplied: tuple[str, ...] = ()
+    unresolved: tuple[str, ...] = ()
     versions: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     rpaths: tuple[str, ...] = ()
     traits: tuple[str, ...] = ()
     debug: int = 0
-    minimum: tuple[int, ...] = ()
+    macos: tuple[int, ...] = ()
     head: bytes = b""
     damage: str = ""
 
@@ -81,46 +80,46 @@ class Binary:
 
 def read_all(folder: Path, files: Iterable[str]) -> tuple[Binary, ...]:
     """The shared libraries among the files, those directly in a platform folder."""
-    chosen = [f for f in files if f.startswith("binaries/") and f.count("/") == 2]
-    return tuple(b for f in chosen if f.endswith(tuple(SUFFIXES.values())) for b in _read(folder / f, f))
+    candidates = [f for f in files if f.startswith("binaries/") and f.count("/") == 2]
+    return tuple(b for f in candidates if f.endswith(tuple(SUFFIXES.values())) for b in _read(folder / f, f))
 
 
 def _read(path: Path, file: str) -> list[Binary]:
-    """One library, or the parts of a universal one; one without format when it cannot be read."""
+    """One library, or the parts of a universal one; without format if the file cannot be read."""
     with path.open("rb") as opened:
         head = opened.read(64)
     size, damage = path.stat().st_size, ""
     try:
-        with warnings.catch_warnings():  # lief warns of each unusual number in a header
+        with warnings.catch_warnings():  # lief warns about each unusual value in a header
             warnings.simplefilter("ignore")
-            found = list(_parsed(path, file, size)) if size else []
-    except Exception as problem:  # headers that lead nowhere
-        found, damage = [], f"{type(problem).__name__} while reading it"
-    return found or [Binary(file, size, head=head, damage=damage)]
+            binaries = list(_parse(path, file, size)) if size else []
+    except Exception as problem:  # lief raises many types on invalid headers
+        binaries, damage = [], f"{type(problem).__name__} while reading it"
+    return binaries or [Binary(file, size, head=head, damage=damage)]
 
 
-def _parsed(path: Path, file: str, size: int) -> Iterator[Binary]:
+def _parse(path: Path, file: str, size: int) -> Iterator[Binary]:
     import lief
 
     lief.logging.disable()
     if lief.is_elf(str(path)):
-        yield _elf(_there(lief.ELF.parse(str(path))), file, size)
+        yield _elf(_checked(lief.ELF.parse(str(path))), file, size)
     elif lief.is_pe(str(path)):
-        yield _pe(_there(lief.PE.parse(str(path))), file, size)
+        yield _pe(_checked(lief.PE.parse(str(path))), file, size)
     elif lief.is_macho(str(path)):
-        universal = _there(lief.MachO.parse(str(path)))  # its parts live as long as it does
+        universal = _checked(lief.MachO.parse(str(path)))  # must exist as long as its parts are used
         for part in range(universal.size):
             yield _macho(universal.at(part), file, size)
 
 
-def _there(parsed: Any) -> Any:
+def _checked(parsed: Any) -> Any:
     if parsed is None:
         raise ValueError("damaged")
     return parsed
 
 
 def _machine(value: Any) -> str:
-    """Our word for a machine type, else that of the file."""
+    """A machine type as in the platform tuples of FMI 3, else as in the file."""
     return MACHINES.get(value.name, str(value.name).lower())
 
 
@@ -129,19 +128,19 @@ def _elf(b: Any, file: str, size: int) -> Binary:
 
     tags, flag = lief.ELF.DynamicEntry.TAG, lief.ELF.Segment
     undefined = [s for s in b.dynamic_symbols if not s.shndx and s.name]
-    needed: dict[str, tuple[int, ...]] = {}
+    versions: dict[str, tuple[int, ...]] = {}
     families = {}
     for requirement in b.symbols_version_requirement:
         for auxiliary in requirement.get_auxiliary_symbols():
             family, _, version = auxiliary.name.partition("_")
             families[requirement.name] = family
             numbers = tuple(int(n) for n in version.split(".") if n.isdigit())
-            needed[family] = max(needed.get(family, ()), numbers)
+            versions[family] = max(versions.get(family, ()), numbers)
     traits = [
         "executable stack"
         if any(s.type == flag.TYPE.GNU_STACK and s.has(flag.FLAGS.X) for s in b.segments)
         else "",
-        "writable code" if any(_writes_code(s, flag) for s in b.segments) else "",
+        "writable code" if any(_is_writable_code(s, flag) for s in b.segments) else "",
         "text relocations" if b.has(tags.TEXTREL) else "",
     ]
     libraries = tuple(str(n) for n in b.libraries)
@@ -155,24 +154,24 @@ def _elf(b: Any, file: str, size: int) -> Binary:
         exports=frozenset(s.name for s in b.dynamic_symbols if s.shndx and s.name),
         libraries=libraries,
         imports=frozenset(s.name for s in undefined),
-        unsupplied=_unsupplied(undefined, libraries, families),
-        versions=needed,
+        unresolved=_unresolved(undefined, libraries, families),
+        versions=versions,
         rpaths=tuple(p for e in rpaths for p in e.paths),
         traits=tuple(t for t in traits if t),
-        debug=sum(s.size for s in b.sections if s.name in DEBUG),
+        debug=sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
     )
 
 
-def _writes_code(segment: Any, flag: Any) -> bool:
+def _is_writable_code(segment: Any, flag: Any) -> bool:
     load = segment.type == flag.TYPE.LOAD
     return bool(load and segment.has(flag.FLAGS.W) and segment.has(flag.FLAGS.X))
 
 
-def _unsupplied(symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]) -> tuple[str, ...]:
-    """Undefined symbols without a version, when every named library gives its symbols versions.
+def _unresolved(symbols: list[Any], libraries: Iterable[str], versioned: Iterable[str]) -> tuple[str, ...]:
+    """Undefined symbols without a version, if all needed libraries have versioned symbols.
 
-    The symbols of glibc and of the compiler's libraries all have versions, so one without must come from a
-    library that the file does not name.
+    All symbols of glibc and of the compiler's libraries have versions. A symbol without version must come
+    from another library, which the file does not list.
     """
     if not set(versioned) or set(libraries) - set(versioned):
         return ()
@@ -192,7 +191,7 @@ def _pe(b: Any, file: str, size: int) -> Binary:
     import lief
 
     flags = lief.PE.Section.CHARACTERISTICS
-    both = [
+    writable_code = [
         s
         for s in b.sections
         if s.has_characteristic(flags.MEM_EXECUTE) and s.has_characteristic(flags.MEM_WRITE)
@@ -206,7 +205,7 @@ def _pe(b: Any, file: str, size: int) -> Binary:
         exports=frozenset(e.name for e in b.exported_functions),
         libraries=tuple(dict.fromkeys(str(n) for n in b.libraries)),
         imports=frozenset(e.name for i in b.imports for e in i.entries if e.name),
-        traits=("writable code",) if both else (),
+        traits=("writable code",) if writable_code else (),
         debug=sum(s.size for s in b.sections if s.name.startswith((".debug", "/"))),
     )
 
@@ -215,7 +214,7 @@ def _macho(b: Any, file: str, size: int) -> Binary:
     import lief
 
     arm = b.header.cpu_type == lief.MachO.Header.CPU_TYPE.ARM64
-    minimum = (
+    macos = (
         b.build_version.minos if b.has_build_version else b.version_min.version if b.has_version_min else ()
     )
     return Binary(
@@ -230,8 +229,8 @@ def _macho(b: Any, file: str, size: int) -> Binary:
         imports=frozenset(s.name.removeprefix("_") for s in b.imported_symbols),
         rpaths=tuple(r.path for r in b.rpaths),
         traits=("unsigned",) if arm and not b.has_code_signature else (),
-        debug=sum(s.size for s in b.sections if s.name in DEBUG),
-        minimum=tuple(minimum),
+        debug=sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
+        macos=tuple(macos),
     )
 
 
@@ -257,13 +256,12 @@ ALL_3 = """GetVersion SetDebugLogging InstantiateModelExchange InstantiateCoSimu
     EnterStepMode GetOutputDerivatives DoStep ActivateModelPartition"""
 
 
-def required(major: int, kinds: Iterable[str]) -> tuple[str, ...]:
-    """Names of all functions that an FMU of these kinds must export."""
+def required(major: int, kinds: Collection[str]) -> tuple[str, ...]:
+    """Names of all functions that a library with these interface types must export."""
     if major == 3:
         access = (f"{verb}{type_}" for verb in ("Get", "Set") for type_ in TYPES_3.split())
         return tuple(f"fmi3{name}" for name in (*ALL_3.split(), *access))
-    offered = set(kinds)
     names = COMMON_2.split()
-    names += EXCHANGE_2.split() if "ModelExchange" in offered else []
-    names += SIMULATION_2.split() if "CoSimulation" in offered else []
+    names += EXCHANGE_2.split() if "ModelExchange" in kinds else []
+    names += SIMULATION_2.split() if "CoSimulation" in kinds else []
     return tuple(f"fmi2{name}" for name in names)

@@ -1,4 +1,4 @@
-"""What a check finds in an FMU, what a rule is, and tables that rules enter by a decorator."""
+"""Data model of a check: findings, rules, and tables in which a decorator registers rules."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ if TYPE_CHECKING:
     from orchestrator.fmi.raw_description import DeclaredVariable
 
 Severity = Literal["error", "warning", "note"]
-LONGEST = 60  # characters of a name that are shown
+MAX_NAME = 60  # characters of a name in a message
 SEVERITIES: tuple[Severity, ...] = get_args(Severity)  # worst first
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or worth knowing.
+    """A fault of the FMU, or a remark.
 
-    rule      id of the rule, such as "unit.undefined"; left empty, the rule fills it in
-    text      file or variable, line, what was expected and what was found
-    tools     ids of the tools that refuse or warn; empty: any tool
-    thread    where this was seen, such as "FMPy#511"; left empty, the rule fills it in
+    rule      id of the rule, such as "unit.undefined"; if empty, the rule sets it
+    text      file or variable, line, expected and actual value
+    tools     ids of the tools that are affected; empty: any tool
+    thread    issue threads that report the problem, such as "FMPy#511"; if empty, the rule sets them
     """
 
     rule: str
@@ -33,32 +33,32 @@ class Finding:
 
 
 def error(text: str, *tools: str, thread: str = "") -> Finding:
-    """A finding that breaks the standard or stops a tool."""
+    """A finding about a violation of the standard, or a fault that stops a tool."""
     return Finding("", "error", text, tools, thread)
 
 
 def warning(text: str, *tools: str, thread: str = "") -> Finding:
-    """A finding that gives wrong or poor results, or stops some tools on some machines."""
+    """A finding about wrong or poor results, or a fault that stops some tools on some machines."""
     return Finding("", "warning", text, tools, thread)
 
 
 def note(text: str, *tools: str, thread: str = "") -> Finding:
-    """A finding worth knowing; nothing fails."""
+    """A finding for information; nothing fails."""
     return Finding("", "note", text, tools, thread)
 
 
 MAKE = {"error": error, "warning": warning, "note": note}
 
 
-def some(names: Sequence[str], shown: int = 5) -> str:
-    """The first names, cut where they are endless, and how many more there are."""
-    cut = [n if len(n) <= LONGEST else n[: LONGEST - 3] + "..." for n in names[:shown]]
-    return ", ".join(cut) + (f" and {len(names) - shown} more" if len(names) > shown else "")
+def join_names(names: Sequence[str], limit: int = 5) -> str:
+    """The first names, shortened if they are too long, and the number of the others."""
+    first = [n if len(n) <= MAX_NAME else n[: MAX_NAME - 3] + "..." for n in names[:limit]]
+    return ", ".join(first) + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
-def listed(variables: Sequence[DeclaredVariable]) -> str:
+def join_variables(variables: Sequence[DeclaredVariable]) -> str:
     """Line of the first variable, and the names of all."""
-    return f"modelDescription.xml line {variables[0].line}: {some([v.name for v in variables])}"
+    return f"modelDescription.xml line {variables[0].line}: {join_names([v.name for v in variables])}"
 
 
 Check = Callable[["Subject"], Iterable[Finding]]
@@ -66,12 +66,12 @@ Check = Callable[["Subject"], Iterable[Finding]]
 
 @dataclass(frozen=True)
 class CheckRule:
-    """One thing to check.
+    """A requirement on an FMU, and the function that checks it.
 
-    id        topic and word: "unit.undefined"
-    text      one line: what must hold
-    check     yields what does not hold
-    threads   where it was seen
+    id        topic and name: "unit.undefined"
+    text      the requirement in one line
+    check     yields a finding for each violation
+    threads   issue threads that report violations
     """
 
     id: str
@@ -80,19 +80,19 @@ class CheckRule:
     threads: tuple[str, ...] = ()
 
     def __call__(self, subject: Subject) -> Iterator[Finding]:
-        """All findings, with the id of this rule and, where they name none, its threads."""
-        for found in self.check(subject):
-            yield replace(found, rule=self.id, thread=found.thread or " ".join(self.threads))
+        """All findings, with the id of this rule and, if they have none, its threads."""
+        for finding in self.check(subject):
+            yield replace(finding, rule=self.id, thread=finding.thread or " ".join(self.threads))
 
 
 class RuleTable(list[CheckRule]):
     """Rules in the order in which they are applied."""
 
     def rule(self, name: str, text: str, *threads: str) -> Callable[[Check], Check]:
-        """Enter the function below as the rule `name`."""
+        """Decorator that registers a function as the rule `name`."""
 
-        def enter(check: Check) -> Check:
+        def register(check: Check) -> Check:
             self.append(CheckRule(name, text, check, threads))
             return check
 
-        return enter
+        return register

@@ -1,6 +1,6 @@
-"""The FMU under check: an archive that may be anything, unpacked and opened as far as that goes.
+"""The FMU that is checked: unpacks and parses a file that may not be a valid FMU.
 
-Nothing in it can stop the check; what is wrong with the archive becomes findings.
+Faults of the archive and of the XML become findings and never stop the check.
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ if TYPE_CHECKING:
     from orchestrator.fmi.raw_description import ModelDescription
 
 DESCRIPTION = "modelDescription.xml"
-MOST_BYTES = 2 << 30  # a description of half a million variables and five binaries stay far below
-MOST_MEMBERS = 50_000
+MAX_BYTES = 2 << 30  # unpacked; FMUs with half a million variables and five binaries are much smaller
+MAX_MEMBERS = 50_000
 METHODS = {zipfile.ZIP_STORED: "store", zipfile.ZIP_DEFLATED: "deflate"}
-LINK = 0o120000
-BAD = (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, NotImplementedError, EOFError)  # of a member
+SYMBOLIC_LINK = 0o120000
+MEMBER_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, NotImplementedError, EOFError)
 
 
 def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
-    """Names of all members, and what is wrong; members that are safe to write are in `folder` afterwards."""
+    """Unpack members with safe names into `folder`; returns the names of all members, and findings."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            faults = [*_faults(members), *_written(archive, folder)]
+            faults = [*_faults(members), *_extract(archive, folder)]
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as problem:
-        text = f"{path.name}: expected a zip archive, got {_kind(path)}: {problem}"
+        text = f"{path.name}: expected a zip archive, got {_content(path)}: {problem}"
         return (), (Finding("archive.zip", "error", text),)
     return tuple(m.orig_filename for m in members), tuple(faults)
 
 
-def _kind(path: Path) -> str:
-    """What the file seems to be."""
+def _content(path: Path) -> str:
+    """Guess from the first bytes of a file what it contains."""
     with path.open("rb") as file:
         head = file.read(64)
     if not head:
         return "an empty file"
     if head.startswith(b"version https://git-lfs"):
-        return "a Git LFS pointer, fetch the file itself"
-    known = {b"PK": "a damaged archive", b"<": "XML", b"7z": "a 7z archive", b"\x1f\x8b": "a gzip file"}
-    return next((what for start, what in known.items() if head.startswith(start)), "something else")
+        return "a Git LFS pointer (fetch the file itself)"
+    formats = {b"PK": "a damaged archive", b"<": "XML", b"7z": "a 7z archive", b"\x1f\x8b": "a gzip file"}
+    return next((name for start, name in formats.items() if head.startswith(start)), "an unknown format")
 
 
 def _error(rule: str, text: str) -> Finding:
@@ -59,15 +59,13 @@ def _error(rule: str, text: str) -> Finding:
 
 
 def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
-    """What the directory of the archive shows."""
+    """Findings on the members in the directory of the archive."""
     for member in members:
         name = member.orig_filename
-        why = unsafe(name)
-        if why:
-            yield _error(
-                "archive.name", f"member {name!r} {why}; expected a relative path with forward slashes"
-            )
-        if member.external_attr >> 16 & 0o170000 == LINK:
+        if reason := unsafe(name):
+            text = f"member {name!r} {reason}; expected a relative path with forward slashes"
+            yield _error("archive.name", text)
+        if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
             yield _error("archive.link", f"member {name!r} is a symbolic link, expected a file")
         if member.compress_type not in METHODS:
             method = zipfile.compressor_names.get(member.compress_type, str(member.compress_type))  # type: ignore[attr-defined]
@@ -78,38 +76,38 @@ def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
             yield _error("archive.method", f"member {name!r} is stored with a data descriptor, expected none")
         if member.flag_bits & 1:
             yield _error("archive.method", f"member {name!r} is encrypted, expected no encryption")
-    yield from _same(members)
+    yield from _duplicates(members)
 
 
-def _same(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
-    """Members that overwrite each other, on some machines at least."""
-    seen: dict[str, str] = {}
+def _duplicates(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
+    """Members that overwrite each other, at least on some systems."""
+    names: dict[str, str] = {}
     for name in (m.filename for m in members):
-        other = seen.setdefault(name.casefold(), name)
+        other = names.setdefault(name.casefold(), name)
         if other is name:
             continue
-        what = "is there twice" if other == name else f"differs from {other!r} only by case"
-        yield _error("archive.twice", f"member {name!r} {what}")
+        fault = "exists twice" if other == name else f"differs from {other!r} only by case"
+        yield _error("archive.twice", f"member {name!r} {fault}")
 
 
 def unsafe(name: str) -> str:
-    """Why a member must not be written under its name; empty when it may be."""
+    """Why a member must not be unpacked under its name; empty if it may."""
     if "\\" in name:
         return "has a backslash"
     if name.startswith("/") or name[1:2] == ":":
         return "has an absolute path"
     if ".." in PurePosixPath(name).parts:
-        return "leads out of the archive"
+        return "is outside of the archive"
     return "has a control character" if any(ord(c) < 32 for c in name) else ""
 
 
-def _written(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
-    """Write all members that may be written."""
+def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
+    """Unpack all members with safe names, up to the limits of size; yields findings."""
     total = 0
     for count, member in enumerate(archive.infolist()):
         total += member.file_size
-        if total > MOST_BYTES or count >= MOST_MEMBERS:
-            text = f"more than {MOST_BYTES >> 20} MB or {MOST_MEMBERS} members; the rest is not checked"
+        if total > MAX_BYTES or count >= MAX_MEMBERS:
+            text = f"more than {MAX_BYTES >> 20} MB or {MAX_MEMBERS} members; the others are not checked"
             yield _error("archive.size", text)
             return
         if unsafe(member.orig_filename) or member.is_dir():
@@ -119,7 +117,7 @@ def _written(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
             target.parent.mkdir(parents=True, exist_ok=True)
             with archive.open(member) as source, target.open("wb") as file:
                 shutil.copyfileobj(source, file)
-        except BAD as problem:
+        except MEMBER_ERRORS as problem:
             yield _error("archive.zip", f"member {member.filename!r} cannot be unpacked: {problem}")
 
 
@@ -131,11 +129,11 @@ class Subject:
     """One FMU.
 
     path          the file
-    folder        its content, unpacked for the time of the check; members with unsafe names are left out
-    version       fmiVersion as written, such as "2.0"; "" when unknown
-    root          root element of modelDescription.xml, with line numbers; None when it is not XML
+    folder        temporary folder with the unpacked members, except those with unsafe names
+    version       fmiVersion as written, such as "2.0"; "" if unknown
+    root          root element of modelDescription.xml, with line numbers; None if it is not XML
     names         names of all members of the archive, as written
-    faults        what went wrong while opening, with the ids of the rules that tell it
+    faults        findings from unpacking and parsing, with the ids of their rules
     """
 
     path: Path
@@ -147,26 +145,26 @@ class Subject:
 
     @property
     def major(self) -> int:
-        """2 or 3; 0 when unknown or not supported."""
+        """2 or 3; 0 if unknown or not supported."""
         head = self.version.partition(".")[0]
         return int(head) if head in ("2", "3") else 0
 
     @cached_property
     def files(self) -> frozenset[str]:
         """The unpacked files, with forward slashes."""
-        there = (p for p in self.folder.rglob("*") if p.is_file())
-        return frozenset(p.relative_to(self.folder).as_posix() for p in there)
+        paths = (p for p in self.folder.rglob("*") if p.is_file())
+        return frozenset(p.relative_to(self.folder).as_posix() for p in paths)
 
     @cached_property
     def model(self) -> ModelDescription:
-        """What modelDescription.xml says, read without judging it."""
+        """The content of modelDescription.xml, which may be invalid."""
         from orchestrator.fmi.read_description import read_description
 
         return read_description(self.root, self.major)
 
     @cached_property
     def binaries(self) -> tuple[Binary, ...]:
-        """The shared libraries of all platforms; of a universal one, each architecture."""
+        """The shared libraries of all platforms, one for each architecture of a universal library."""
         from orchestrator.check.binary import read_all
 
         return read_all(self.folder, sorted(self.files))
@@ -174,7 +172,7 @@ class Subject:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Subject]:
-    """Open an FMU for the time of a check; whatever is wrong with it becomes a fault of the subject."""
+    """Unpack an FMU into a temporary folder and parse it; faults become findings of the subject."""
     with tempfile.TemporaryDirectory(prefix="harvester-check-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         yield unpacked(path, folder, *unpack(path, folder))
@@ -183,15 +181,15 @@ def opened(path: Path) -> Iterator[Subject]:
 def unpacked(
     path: Path, folder: Path, names: tuple[str, ...] = (), faults: tuple[Finding, ...] = ()
 ) -> Subject:
-    """The subject in a folder; `names` and `faults` of the archive."""
-    root, wrong = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
-    more = (Finding("xml.syntax", "error", wrong),) if wrong else ()
+    """The subject of an FMU that is unpacked in a folder; `names` and `faults` are those of the archive."""
+    root, fault = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
+    xml_faults = (Finding("xml.syntax", "error", fault),) if fault else ()
     version = "" if root is None else root.get("fmiVersion", "")
-    return Subject(path, folder, version, root, names, (*faults, *more))
+    return Subject(path, folder, version, root, names, (*faults, *xml_faults))
 
 
 def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
-    """The root of an XML file and what is wrong with it. Entities are not expanded and nothing is fetched."""
+    """The root of an XML file, or None and the fault. Entities are not expanded, and nothing is fetched."""
     from lxml import etree
 
     try:
@@ -199,5 +197,5 @@ def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
     except (etree.XMLSyntaxError, OSError) as problem:
         return None, f"{file}: is not XML: {problem}"
     if tree.docinfo.doctype:
-        return None, f"{file}: has a document type {tree.docinfo.doctype[:60]!r}, expected none"
+        return None, f"{file}: expected no document type, got {tree.docinfo.doctype[:60]!r}"
     return tree.getroot(), ""

@@ -143,7 +143,7 @@ FAULTS: Mapping[str, tuple[str, Patch, str]] = {
     "new glibc": ("binary.glibc", data(_newer_glibc), "2.38"),
     "path of the machine": ("contents.machine", data(lambda b: b + b"\0/home/anna/lag.c\0"), "/home/anna"),
     "other machine": ("platform.format", data(_other_machine), "expected code for x86_64, got aarch64"),
-    "no library": ("platform.format", data(lambda _: b"#!/bin/sh\n"), "something else"),
+    "no library": ("platform.format", data(lambda _: b"#!/bin/sh\n"), "unknown format"),
     "empty library": ("platform.format", EMPTY, "empty"),
     "Git LFS pointer": ("platform.format", data(lambda _: LFS), "Git LFS"),
     "other name": ("platform.name", move("binaries/win64/lag.dll", "binaries/win64/log.dll"), "lag.dll"),

@@ -98,7 +98,7 @@ def test_a_system_given_by_mistake_is_named(tmp_path: Path) -> None:
     path = Archive(2, {"SystemStructure.ssd": b"<a/>", "resources/lag.fmu": b""}).write(tmp_path / "lag.ssp")
     (found,) = [f for f in check(path, run=False).findings if f.severity == "error"]
     assert found.rule == "archive.description"
-    assert found.text.startswith("is a system (SSP), expected an FMU")
+    assert found.text.startswith("expected an FMU, got a system (SSP)")
 
 
 def test_what_is_no_fmu_is_not_told_to_have_failed_to_run(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_nothing_is_written_outside_of_the_folder(tmp_path: Path) -> None:
 
 def test_a_huge_archive_is_not_unpacked_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What unpacks to more than the limit is told, and left."""
-    monkeypatch.setattr("orchestrator.check.subject.MOST_BYTES", 1000)
+    monkeypatch.setattr("orchestrator.check.subject.MAX_BYTES", 1000)
     path = Archive(2, {DESCRIPTION: b"<a/>", "resources/big": bytes(2000)}).write(tmp_path / "lag.fmu")
     assert "archive.size" in rules(path)
 
@@ -165,7 +165,7 @@ def test_a_large_file_is_noted(
     good: Mapping[int, Archive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tools unpack an FMU for each model or instance; a large one is worth a note."""
-    monkeypatch.setattr("orchestrator.check.rules.archive.LARGEST", 1000)
+    monkeypatch.setattr("orchestrator.check.rules.archive.MAX_SIZE", 1000)
     assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
 
 

@@ -14,7 +14,7 @@ from check.test_binaries import FAULTS
 from orchestrator.__main__ import main
 from orchestrator.check import all_rules, check
 from orchestrator.check.finding import SEVERITIES
-from orchestrator.check.report import SHOWN, TOOLS, table
+from orchestrator.check.report import MAX_PRINTED, TOOLS, table
 from orchestrator.check.rules import STATIC
 
 DOCS = Path(__file__).parents[2] / "docs/check.md"
@@ -75,7 +75,7 @@ def test_many_findings_of_a_kind_are_cut_in_print(good: Mapping[int, Archive], t
     archive = good[2].swap("</ModelVariables>", f"{more}</ModelVariables>")
     report = check(archive.write(tmp_path / "lag.fmu"), run=False)
     assert report.count("error") == 20
-    assert f"and {20 - SHOWN} more of this kind" in report.text()
+    assert f"and {20 - MAX_PRINTED} more of this rule" in report.text()
     assert len(json.loads(report.json())["findings"]) == len(report.findings)
 
 

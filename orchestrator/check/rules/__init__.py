@@ -1,4 +1,4 @@
-"""Rules that read the FMU and run nothing of it."""
+"""Rules that read the files of an FMU and do not run it."""
 
 from __future__ import annotations
 

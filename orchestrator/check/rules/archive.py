@@ -1,4 +1,4 @@
-"""The zip archive and what is in it apart from the model: icon, documentation, licence, texts, sources."""
+"""Rules on the zip archive and its files: names, icon, documentation, licence, local paths, sources."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from functools import partial
 from pathlib import PurePosixPath
 
 from orchestrator.base.xml import child, children, local_name
-from orchestrator.check.finding import Finding, RuleTable, error, note, some, warning
+from orchestrator.check.finding import Finding, RuleTable, error, join_names, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
 from orchestrator.check.subject import DESCRIPTION, Subject, read_xml, unsafe
 
 ARCHIVE = RuleTable()
 FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")
-LONGEST = 150  # Windows takes 260 characters, of which a temporary folder and the FMU's name need some
+MAX_PATH = 150  # characters; the limit of Windows, 260, includes the temporary folder and the name of the FMU
 
 
 def _opening(rule: str, subject: Subject) -> Iterator[Finding]:
-    """What opening the FMU found."""
+    """Findings from opening the FMU."""
     return (f for f in subject.faults if f.rule == rule)
 
 
 for _id, _text, _threads in (
     ("archive.zip", "The file is a zip archive, and all its members can be unpacked", ()),
-    ("archive.name", "Members have relative names with forward slashes and stay inside the archive", ()),
+    ("archive.name", "Members have relative names with forward slashes and are inside of the archive", ()),
     ("archive.link", "No member is a symbolic link", ()),
     ("archive.method", "Members are deflated or stored, not encrypted", ()),
-    ("archive.twice", "No two members have the same name, also where case does not count", ()),
-    ("archive.size", "The archive can be unpacked in reasonable space", ()),
+    ("archive.twice", "All members have different names, also on systems that ignore case", ()),
+    ("archive.size", "The unpacked archive has a reasonable size", ()),
 ):
     ARCHIVE.rule(_id, _text, *_threads)(partial(_opening, _id))
 
@@ -38,50 +38,50 @@ for _id, _text, _threads in (
 @ARCHIVE.rule("archive.suffix", "The file name ends in .fmu")
 def suffix(subject: Subject) -> Iterator[Finding]:
     if subject.path.suffix.lower() != ".fmu":
-        yield warning(f"{subject.path.name}: expected a name that ends in .fmu")
+        yield warning(f"{subject.path.name}: expected a file name that ends in .fmu")
 
 
 @ARCHIVE.rule(
-    "archive.description", "modelDescription.xml lies at the top of the archive", "FMIKit#312 FMIKit#261"
+    "archive.description", "modelDescription.xml is at the top of the archive", "FMIKit#312 FMIKit#261"
 )
 def description(subject: Subject) -> Iterator[Finding]:
     if DESCRIPTION in subject.names or any(f.rule == "archive.zip" for f in subject.faults):
         return
     if "SystemStructure.ssd" in subject.names:
-        text = "is a system (SSP), expected an FMU; check the .fmu files in its folder resources one by one"
-        yield error(f"{text}, run the system with harvester run")
+        text = "expected an FMU, got a system (SSP); check the .fmu files in its folder resources one by one"
+        yield error(f"{text}, or run the system with harvester run")
         return
     names = {n: PurePosixPath(n.replace("\\", "/")).name for n in subject.names}
-    near = [n for n, name in names.items() if name.lower() == DESCRIPTION.lower()]
-    found = f"found {near[0]}" if near else f"the archive holds {', '.join(subject.names[:5]) or 'nothing'}"
-    yield error(f"{DESCRIPTION} is missing at the top of the archive; {found}")
+    elsewhere = [n for n, name in names.items() if name.lower() == DESCRIPTION.lower()]
+    got = elsewhere[0] if elsewhere else ", ".join(subject.names[:5]) or "an empty archive"
+    yield error(f"expected {DESCRIPTION} at the top of the archive, got {got}")
 
 
 @ARCHIVE.rule(
     "archive.path",
-    "Paths in the archive have ASCII letters, no spaces, and fit into Windows",
+    "Paths in the archive are ASCII, have no spaces and are short enough for Windows",
     "FMPy#230 fmi-standard#289",
 )
 def paths(subject: Subject) -> Iterator[Finding]:
     unusual = [n for n in subject.names if " " in n or not n.isascii()]
     if unusual:
         yield warning(
-            f"{some(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
+            f"{join_names(unusual, 3)}: spaces or non-ASCII letters; tools build paths and URIs from them"
         )
-    long = [n for n in subject.names if len(n) > LONGEST]
+    long = [n for n in subject.names if len(n) > MAX_PATH]
     if long:
         yield warning(
-            f"member {long[0]!r} has {len(long[0])} characters, expected at most {LONGEST} for Windows"
+            f"member {long[0]!r} has {len(long[0])} characters, expected at most {MAX_PATH} for Windows"
         )
 
 
-@ARCHIVE.rule("archive.stray", "The archive holds only what the standard names")
+@ARCHIVE.rule("archive.stray", "The archive contains only files and folders of the standard")
 def stray(subject: Subject) -> Iterator[Finding]:
     top = {n.split("/")[0] for n in subject.names if not unsafe(n)}
-    strange = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
-    if subject.major and strange:
+    unknown = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
+    if subject.major and unknown:
         yield note(
-            f"{', '.join(strange[:5])}: not a file or folder of an FMU; data for others belong into extra/"
+            f"{', '.join(unknown[:5])}: not a file or folder of the standard; other data belong into extra/"
         )
 
 
@@ -96,104 +96,100 @@ CONTENTS = RuleTable()
 ICONS = {2: ("model.png", "terminalsAndIcons/icon.png"), 3: ("terminalsAndIcons/icon.png",)}
 CATEGORIES = """logEvents logSingularLinearSystems logNonlinearSystems logDynamicStateSelection
     logStatusWarning logStatusDiscard logStatusError logStatusFatal logStatusPending logAll"""
-TEXTS = ("description", "author", "version", "generationTool")
-MACHINE = re.compile(
+METADATA = ("description", "author", "version", "generationTool")
+LOCAL_PATH = re.compile(
     rb"(?<![\w.:/])(?:/(?:home|Users|root|tmp|var/folders|builds|opt/[\w.-]+)/[\w.-]+[\w./-]*"
     rb"|(?:file:///)?[A-Za-z]:[\\/](?:Users|Program Files|Temp|work|build|dev|projects?)[\\/][\w. \\/-]*)"
 )
-LARGEST = 50e6
+MAX_SIZE = 50e6  # bytes
 TEXT_FILES = (
     *(".xml", ".html", ".htm", ".txt", ".md", ".json", ".toml"),
     *(".csv", ".ssv", ".c", ".h", ".py", ".svg"),
 )
 
 
-@CONTENTS.rule("contents.icon", "There is an icon", "OpenModelica#13162")
+@CONTENTS.rule("contents.icon", "The FMU has an icon", "OpenModelica#13162")
 def icon(subject: Subject) -> Iterator[Finding]:
     expected = ICONS.get(subject.major, ())
     if expected and not subject.files.intersection(expected):
         yield note(f"{expected[0]} is missing; tools show an empty block")
 
 
-@CONTENTS.rule("contents.documentation", "There is documentation")
+@CONTENTS.rule("contents.documentation", "The FMU has documentation")
 def documentation(subject: Subject) -> Iterator[Finding]:
     if subject.major and "documentation/index.html" not in subject.files:
-        yield note("documentation/index.html is missing; users cannot look up what the FMU models")
+        yield note("documentation/index.html is missing; users cannot read what the FMU models")
 
 
 @CONTENTS.rule("contents.licence", "The licence is stated")
 def licence(subject: Subject) -> Iterator[Finding]:
     if not subject.major or subject.root is None:
         return
-    there = [f for f in subject.files if f.startswith("documentation/licenses/")]
-    if not there and not subject.root.get("license"):
+    files = sorted(f for f in subject.files if f.startswith("documentation/licenses/"))
+    if not files and not subject.root.get("license"):
         yield note("no licence, neither as attribute license nor in documentation/licenses")
-    elif there and not any(
-        re.fullmatch(r"documentation/licenses/license\.(txt|html|spdx)", f) for f in there
+    elif files and not any(
+        re.fullmatch(r"documentation/licenses/license\.(txt|html|spdx)", f) for f in files
     ):
-        yield note(f"{sorted(there)[0]}: expected an entry point license.txt or license.html next to it")
+        yield note(f"{files[0]}: expected an entry point license.txt or license.html next to it")
 
 
-@CONTENTS.rule("contents.texts", "The FMU tells what it is, who made it and with what")
+@CONTENTS.rule("contents.texts", "The FMU has a description, author, version and generation tool")
 def texts(subject: Subject) -> Iterator[Finding]:
     if not subject.major or subject.root is None:
         return
-    lacking = [n for n in TEXTS if not (subject.root.get(n) or "").strip()]
-    if lacking:
-        yield note(f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(lacking)}")
+    missing = [n for n in METADATA if not (subject.root.get(n) or "").strip()]
+    if missing:
+        yield note(f"{DESCRIPTION} line {subject.root.sourceline}: no {', '.join(missing)}")
 
 
 @CONTENTS.rule(
-    "contents.categories", "There are log categories, each once; in FMI 2 with the standard's names"
+    "contents.categories", "Log categories exist and are unique; in FMI 2 they include names of the standard"
 )
 def categories(subject: Subject) -> Iterator[Finding]:
-    found = subject.model.categories
-    if subject.major and not found:
-        yield note(f"{DESCRIPTION}: no log categories; messages of the FMU cannot be chosen")
-    for name, count in Counter(found).items():
+    names = subject.model.categories
+    if subject.major and not names:
+        yield note(f"{DESCRIPTION}: no log categories; users cannot select messages of the FMU")
+    for name, count in Counter(names).items():
         if count > 1:
-            yield warning(f"{DESCRIPTION}: log category {name} is there {count} times")
-    if subject.major == 2 and found and not set(CATEGORIES.split()).intersection(found):
+            yield warning(f"{DESCRIPTION}: log category {name} is declared {count} times")
+    if subject.major == 2 and names and not set(CATEGORIES.split()).intersection(names):
         yield note(
-            f"{DESCRIPTION}: no log category of the standard, such as logStatusError; found {found[0]}"
+            f"{DESCRIPTION}: expected log categories of the standard such as logStatusError, got {names[0]}"
         )
 
 
-@CONTENTS.rule("contents.annotations", "No data are meant for one tool only")
+@CONTENTS.rule("contents.annotations", "There are no annotations for a single tool")
 def vendors(subject: Subject) -> Iterator[Finding]:
     path = ("VendorAnnotations", "Tool") if subject.major == 2 else ("Annotations", "Annotation")
     for element in children(subject.root, *path):
-        who = element.get("name") or element.get("type") or local_name(element)
+        tool = element.get("name") or element.get("type") or local_name(element)
         yield note(
-            f"{DESCRIPTION} line {element.sourceline}: annotations for {who}; other tools pass them over"
+            f"{DESCRIPTION} line {element.sourceline}: annotations for {tool}; other tools ignore them"
         )
 
 
-@CONTENTS.rule("contents.paths", "Files hold no paths of the machine that made them")
+@CONTENTS.rule("contents.paths", "Files contain no paths of the machine on which the FMU was made")
 def private_paths(subject: Subject) -> Iterator[Finding]:
     for file in sorted(f for f in subject.files if f.endswith(TEXT_FILES)):
         data = (subject.folder / file).read_bytes()
-        found = MACHINE.search(data)
-        if found:
-            line = data.count(b"\n", 0, found.start()) + 1
-            yield warning(
-                f"{file} line {line}: {found.group()[:80].decode('utf-8', 'replace')} is a path of the"
-                " machine that made the FMU"
-            )
+        if match := LOCAL_PATH.search(data):
+            line = data.count(b"\n", 0, match.start()) + 1
+            path = match.group()[:80].decode("utf-8", "replace")
+            yield warning(f"{file} line {line}: {path} is a path of the machine on which the FMU was made")
 
 
-@CONTENTS.rule("contents.machine", "Libraries hold no paths of the machine that built them")
+@CONTENTS.rule("contents.machine", "Libraries contain no paths of the machine on which they were built")
 def machine(subject: Subject) -> Iterator[Finding]:
     for file in sorted({b.file for b in subject.binaries}):
-        found = MACHINE.search((subject.folder / file).read_bytes())
-        if found:
-            yield note(f"{file}: holds the path {found.group()[:80].decode('utf-8', 'replace')}")
+        if match := LOCAL_PATH.search((subject.folder / file).read_bytes()):
+            yield note(f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}")
 
 
-@CONTENTS.rule("contents.size", "The FMU is no larger than it needs to be")
+@CONTENTS.rule("contents.size", f"The FMU has at most {MAX_SIZE / 1e6:.0f} MB")
 def size(subject: Subject) -> Iterator[Finding]:
     bytes_ = subject.path.stat().st_size
-    if bytes_ > LARGEST:
+    if bytes_ > MAX_SIZE:
         yield note(f"{bytes_ / 1e6:.0f} MB; tools unpack it for each instance or each model")
 
 
@@ -208,7 +204,7 @@ def _code(subject: Subject) -> list[str]:
     return sorted(f for f in subject.files if f.startswith("sources/") and f.endswith(CODE))
 
 
-@SOURCES.rule("source.listed", "Sources that are listed are there")
+@SOURCES.rule("source.listed", "Listed source files exist")
 def listed(subject: Subject) -> Iterator[Finding]:
     for kind in subject.model.interfaces:
         for file in children(subject.root, kind, "SourceFiles", "File"):
@@ -224,21 +220,24 @@ def listed(subject: Subject) -> Iterator[Finding]:
             yield error(f"{BUILD} line {file.sourceline}: sources/{name} is listed, but missing")
 
 
-@SOURCES.rule("source.build", "Sources come with the list of files to compile")
+@SOURCES.rule("source.build", "Sources come with a list of the files to compile")
 def build(subject: Subject) -> Iterator[Finding]:
     code = _code(subject)
     if not code or not subject.model.interfaces:
         return
-    lists = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
+    kinds = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
     if subject.major == 3 and BUILD not in subject.files:
-        yield error(f"{BUILD} is missing next to {some(code, 2)}; FMI 3 tools cannot compile them")
-    elif subject.major == 2 and BUILD not in subject.files and not lists:
-        yield warning(f"{DESCRIPTION}: no SourceFiles for {some(code, 2)}")
-    elif subject.major == 2 and lists and len(lists) < len(subject.model.interfaces):
-        yield warning(f"{DESCRIPTION}: SourceFiles for one kind only, expected for all")
+        yield error(f"{BUILD} is missing next to {join_names(code, 2)}; FMI 3 tools cannot compile them")
+    elif subject.major == 2 and BUILD not in subject.files and not kinds:
+        yield warning(f"{DESCRIPTION}: no SourceFiles for {join_names(code, 2)}")
+    elif subject.major == 2 and kinds and len(kinds) < len(subject.model.interfaces):
+        yield warning(f"{DESCRIPTION}: expected SourceFiles for each interface, got {kinds[0]} only")
 
 
-@SOURCES.rule("source.description", "buildDescription.xml keeps its schema and fits modelDescription.xml")
+@SOURCES.rule(
+    "source.description",
+    "buildDescription.xml is valid against its schema and consistent with modelDescription.xml",
+)
 def build_description(subject: Subject) -> Iterator[Finding]:
     if BUILD not in subject.files:
         return
@@ -248,38 +247,36 @@ def build_description(subject: Subject) -> Iterator[Finding]:
         return
     for line, message in violations(root, "fmi3/fmi3BuildDescription.xsd"):
         yield error(f"{BUILD} line {line}: {message}")
-    if subject.major == 3 and root.get("fmiVersion") != subject.version:
-        yield error(
-            f"{BUILD}: fmiVersion is {root.get('fmiVersion')}, expected {subject.version} as in {DESCRIPTION}"
-        )
+    if subject.major == 3 and (got := root.get("fmiVersion")) != subject.version:
+        yield error(f"{BUILD}: fmiVersion: expected {subject.version} as in {DESCRIPTION}, got {got}")
     configurations = list(children(root, "BuildConfiguration"))
     for c in configurations:
         name, platform = c.get("modelIdentifier"), c.get("platform")
         if name not in subject.model.identifiers:
-            known = ", ".join(subject.model.identifiers) or "none"
-            yield error(f"{BUILD} line {c.sourceline}: modelIdentifier {name!r}, expected {known}")
+            expected = ", ".join(subject.model.identifiers) or "none"
+            yield error(f"{BUILD} line {c.sourceline}: modelIdentifier: expected {expected}, got {name!r}")
         if platform and not TUPLE.fullmatch(platform):
-            yield note(f"{BUILD} line {c.sourceline}: {platform} is no platform of the standard")
-    bare = Counter(c.get("modelIdentifier") for c in configurations if not c.get("platform"))
-    if any(n > 1 for n in bare.values()):
-        yield error(f"{BUILD}: more than one BuildConfiguration without platform, expected one")
+            yield note(f"{BUILD} line {c.sourceline}: {platform} is not a platform of the standard")
+    generic = Counter(c.get("modelIdentifier") for c in configurations if not c.get("platform"))
+    if any(n > 1 for n in generic.values()):
+        yield error(f"{BUILD}: expected one BuildConfiguration without platform, got {max(generic.values())}")
 
 
-@SOURCES.rule("source.name", "A single source file is named after the model (FMI 3)")
+@SOURCES.rule("source.name", "A single source file has the name of the model (FMI 3)")
 def single(subject: Subject) -> Iterator[Finding]:
     root, _ = read_xml(subject.folder, BUILD) if BUILD in subject.files and subject.major == 3 else (None, "")
     names = {f.get("name") for f in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile")}
     for name in names & {"all.c", "model.c", "main.c", "fmu.c"} if len(names) == 1 else ():
         expected = subject.model.identifiers[0] if subject.model.identifiers else "model"
         yield note(
-            f"sources/{name}: expected a name such as {expected}.c; objects of several FMUs get mixed up"
+            f"sources/{name}: expected a name such as {expected}.c; object files of several FMUs get mixed up"
         )
 
 
-@SOURCES.rule("source.headers", "Sources bring no headers of FMI; the importer has them")
+@SOURCES.rule("source.headers", "Sources contain no FMI headers; the importer provides them")
 def headers(subject: Subject) -> Iterator[Finding]:
-    found = sorted(
+    files = sorted(
         f for f in subject.files if f.startswith("sources/") and f.endswith((*HEADERS, *HEADERS_3))
     )
-    if found:
-        yield note(f"{some(found)}: headers of FMI, which the importing tool brings itself")
+    if files:
+        yield note(f"{join_names(files)}: FMI headers, which the importing tool provides")

@@ -1,6 +1,6 @@
-"""Shared libraries: what they export, what they need from the target machine, for which platforms they are.
+"""Rules on shared libraries: exported functions, libraries needed on the target machine, platforms.
 
-FMUs that need an interpreter on the target machine, Python above all, are reported here, too.
+FMUs that need an interpreter such as Python on the target machine are reported here, too.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from functools import partial
 
 from orchestrator.check.binary import SUFFIXES, Binary, required
-from orchestrator.check.finding import Finding, RuleTable, error, note, some, warning
+from orchestrator.check.finding import Finding, RuleTable, error, join_names, note, warning
 from orchestrator.check.subject import Subject
 
 EXPORTS = RuleTable()
 
 
 def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
-    """The libraries that bear a model identifier, with the kinds that they serve."""
+    """The libraries with the name of a model identifier, and their interface types."""
     for b in subject.binaries:
         kinds = [k for k, e in subject.model.interfaces.items() if e.get("modelIdentifier") == b.stem]
         if b.format and kinds:
@@ -28,7 +28,7 @@ def models(subject: Subject) -> Iterator[tuple[Binary, list[str]]]:
 
 @EXPORTS.rule(
     "binary.functions",
-    "Every library exports all functions of its FMI version and kinds, whatever the FMU can do",
+    "Every library exports all functions of its FMI version and interface types",
     "FMPy#545 FMPy#642 FMPy#552 FMPy#700 fmi-standard#1868",
 )
 def functions(subject: Subject) -> Iterator[Finding]:
@@ -37,50 +37,50 @@ def functions(subject: Subject) -> Iterator[Finding]:
         if not missing:
             continue
         prefixed = f"{b.stem}_{missing[0]}"
-        hint = f"; it exports {prefixed}, which is for static linking" if prefixed in b.exports else ""
-        yield error(f"{_at(b)}: does not export {some(missing)}{hint}")
+        hint = f"; it exports {prefixed} as for static linking" if prefixed in b.exports else ""
+        yield error(f"{_at(b)}: does not export {join_names(missing)}{hint}")
 
 
 def _at(b: Binary) -> str:
     return f"{b} ({b.machine})" if b.format == "Mach-O" else str(b)
 
 
-@EXPORTS.rule("binary.version", "The libraries export functions of their FMI version only")
+@EXPORTS.rule("binary.version", "Libraries export functions of their FMI version only")
 def version(subject: Subject) -> Iterator[Finding]:
-    own = f"fmi{subject.major}"
+    prefix = f"fmi{subject.major}"
     for b, _ in models(subject):
-        foreign = sorted(e for e in b.exports if re.match(r"fmi[123][A-Z]", e) and not e.startswith(own))
-        if foreign:
-            yield note(f"{_at(b)}: exports functions of another FMI version: {some(foreign, 2)}")
+        others = sorted(e for e in b.exports if re.match(r"fmi[123][A-Z]", e) and not e.startswith(prefix))
+        if others:
+            yield note(f"{_at(b)}: exports functions of another FMI version: {join_names(others, 2)}")
 
 
 @EXPORTS.rule(
     "binary.symbols",
-    "All that a library needs is in the libraries that it names",
+    "All undefined symbols of a library are in the libraries that it needs",
     "PythonFMU#192 PythonFMU#110",
 )
 def symbols(subject: Subject) -> Iterator[Finding]:
     for b, _ in models(subject):
-        if b.unsupplied:
+        if b.unresolved:
             yield error(
-                f"{b}: needs {some(b.unsupplied, 3)}, which none of {', '.join(b.libraries)} has;"
-                " it loads only inside a program that brings them"
+                f"{b}: needs {join_names(b.unresolved, 3)}, which none of {', '.join(b.libraries)} has;"
+                " it loads only inside a program that provides them"
             )
 
 
-@EXPORTS.rule("binary.private", "A library keeps its own names to itself")
+@EXPORTS.rule("binary.private", "Libraries export no other functions")
 def private(subject: Subject) -> Iterator[Finding]:
     for b, _ in models(subject):
-        own = [
+        others = [
             e
             for e in b.exports
             if not re.search(r"fmi[123][A-Z]", e) and not e.startswith(("_init", "_fini"))
         ]
-        if len(own) > 20:
-            yield note(f"{_at(b)}: exports more than the functions of FMI: {some(sorted(own), 2)}")
+        if len(others) > 20:
+            yield note(f"{_at(b)}: exports functions that are not of FMI: {join_names(sorted(others), 2)}")
 
 
-@EXPORTS.rule("binary.debug", "Libraries carry no debug information")
+@EXPORTS.rule("binary.debug", "Libraries contain no debug information")
 def debug(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
         if b.debug:
@@ -91,11 +91,11 @@ def debug(subject: Subject) -> Iterator[Finding]:
 
 @EXPORTS.rule(
     "binary.traits",
-    "Libraries have no code that can be written and no stack that can be executed",
+    "Libraries have no writable code and no executable stack",
     "melonDS#217",
 )
 def traits(subject: Subject) -> Iterator[Finding]:
-    why = {
+    consequences = {
         "executable stack": "Linux with glibc 2.41 and newer does not load it",
         "writable code": "hardened systems do not load it",
         "text relocations": "hardened systems do not load it",
@@ -103,24 +103,24 @@ def traits(subject: Subject) -> Iterator[Finding]:
     }
     for b in subject.binaries:
         for trait in b.traits:
-            yield warning(f"{b}: {trait}; {why[trait]}")
+            yield warning(f"{b}: {trait}; {consequences[trait]}")
 
 
 LIBRARIES = RuleTable()
-SYSTEM = {  # what every machine of the system has
+SYSTEM = {  # libraries that every machine with this format has
     "ELF": r"lib(c|m|dl|pthread|rt|util)\.so\.\d|ld-linux.*\.so\.\d|linux-vdso\.so\.1",
     "PE": r"(?i)(kernel32|user32|advapi32|gdi32|shell32|ole32|oleaut32|ws2_32|wsock32|msvcrt|ucrtbase|ntdll"
     r"|shlwapi|version|winmm|psapi|dbghelp|secur32|crypt32|bcrypt|bcryptprimitives|iphlpapi|userenv|rpcrt4"
     r"|api-ms-win-[a-z0-9-]+|ext-ms-win-[a-z0-9-]+)\.dll",
     "Mach-O": r"/usr/lib/lib(System|c\+\+|c\+\+abi|objc|iconv|z|resolv)\b.*|/System/Library/.*",
 }
-COMMON = {  # libraries that are often there, and what to say
+COMMON = {  # libraries that most Linux systems have
     r"libgcc_s\.so\.\d": "on all usual Linux systems, missing in small containers",
-    r"libstdc\+\+\.so\.\d+": "on most Linux systems; the newest symbols need a new one",
+    r"libstdc\+\+\.so\.\d+": "on most Linux systems; the newest symbols need a new version",
 }
-KNOWN = {  # others that were seen, and what the user has to install
+RUNTIMES = {  # other libraries, and what the user has to install
     r"(?i)(vcruntime|msvcp|concrt)\d+(_\d)?\.dll|msvcr\d+\.dll": "the Visual C++ runtime; link with /MT",
-    r"(?i)(vcruntime\d+|msvcp\d+|ucrtbase|msvcr\d+)d\.dll": "the debug runtime, which must not be passed on",
+    r"(?i)(vcruntime\d+|msvcp\d+|ucrtbase|msvcr\d+)d\.dll": "the debug runtime, which is not redistributable",
     r"(?i)lib(gcc_s|winpthread|stdc\+\+|gomp).*\.dll": "the MinGW runtime; link it statically",
     r"(?i)libgfortran.*|libquadmath.*|libifcore.*": "the Fortran runtime",
     r"(?i)lib(blas|lapack|openblas|mkl).*": "a linear algebra library",
@@ -130,20 +130,20 @@ KNOWN = {  # others that were seen, and what the user has to install
     r"(?i)lib(sundials).*": "SUNDIALS",
 }
 PYTHON_LIBRARY = re.compile(r"(?i)(lib)?python\d?.*\.(so|dll|dylib).*|.*/Python\.framework/.*")
-# newest version that Linux distributions still in use have, and one that lacks it
+# a version that Linux distributions in use lack, and the newest one that they all have, except CentOS 7
 GLIBC = ((2, 34), "RHEL 8 and Ubuntu 20.04 lack it", (2, 28), "RHEL 8 has 2.28, CentOS 7 has 2.17")
 GLIBCXX = (3, 4, 28)  # Ubuntu 20.04
 MACOS = (13,)
 
 
 def _next_to(b: Binary, library: str, subject: Subject) -> bool:
-    """True when the library lies next to this one in the archive."""
+    """True if the library is in the same folder of the archive."""
     return f"binaries/{b.platform}/{library.rpartition('/')[2]}" in subject.files
 
 
 @LIBRARIES.rule(
     "binary.libraries",
-    "Libraries need only what every machine of the platform has, or what lies next to them",
+    "Libraries need only libraries that every machine of the platform has, or that are in the same folder",
     "OpenModelica#11856 OpenModelica#7895 fmi-cross-check#57",
 )
 def libraries(subject: Subject) -> Iterator[Finding]:
@@ -155,56 +155,57 @@ def libraries(subject: Subject) -> Iterator[Finding]:
                 or PYTHON_LIBRARY.fullmatch(library)
                 or _next_to(b, library, subject)
             ):
-                needs.setdefault(_known(b, library), []).append(library)
-        for (what, usual), names in needs.items():
-            say = note if usual else warning
-            yield say(f"{b}: needs {', '.join(names)} on the target machine: {what}")
+                needs.setdefault(_describe(b, library), []).append(library)
+        for (description, common), names in needs.items():
+            make = note if common else warning
+            yield make(f"{b}: needs {', '.join(names)} on the target machine: {description}")
 
 
-def _known(b: Binary, library: str) -> tuple[str, bool]:
-    """What a library is, and whether most machines have it."""
+def _describe(b: Binary, library: str) -> tuple[str, bool]:
+    """Description of a library, and whether most machines have it."""
     common = next((t for p, t in COMMON.items() if re.fullmatch(p, library)), "")
     if common and b.format == "ELF":
         return common, True
-    return next((t for p, t in KNOWN.items() if re.fullmatch(p, library)), "another library"), False
+    return next((t for p, t in RUNTIMES.items() if re.fullmatch(p, library)), "another library"), False
 
 
-@LIBRARIES.rule("binary.loader", "Libraries find the libraries next to them", "OpenModelica#11856")
+@LIBRARIES.rule("binary.loader", "Libraries find the libraries in the same folder", "OpenModelica#11856")
 def loader(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
         neighbours = [n for n in b.libraries if b.format == "ELF" and _next_to(b, n, subject)]
         if neighbours and not any("$ORIGIN" in p for p in b.rpaths):
-            text = f"{b}: needs {neighbours[0]} next to it, but its rpath lacks $ORIGIN"
+            text = f"{b}: needs {neighbours[0]} from the same folder, but its rpath lacks $ORIGIN"
             yield warning(f"{text}; the loader will not find it")
 
 
-@LIBRARIES.rule("binary.path", "Libraries do not look into folders of the machine they were built on")
+@LIBRARIES.rule("binary.path", "Libraries contain no search paths of the machine on which they were built")
 def path(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
-        for found in b.rpaths:
-            if not found.startswith(("$ORIGIN", "@loader_path", "@rpath", "@executable_path")):
-                yield warning(f"{b}: looks for libraries in {found}, expected $ORIGIN or none")
+        for rpath in b.rpaths:
+            if not rpath.startswith(("$ORIGIN", "@loader_path", "@rpath", "@executable_path")):
+                yield warning(f"{b}: rpath: expected $ORIGIN or none, got {rpath}")
         for library in b.libraries:
             if library.startswith("/") and not re.fullmatch(SYSTEM[b.format], library):
-                yield warning(f"{b}: needs {library} at this absolute path")
+                yield warning(f"{b}: needs {library} at an absolute path")
 
 
 @LIBRARIES.rule(
-    "binary.glibc", "Libraries for Linux run with the C library of older distributions", "FMIZoo.jl#3"
+    "binary.glibc", "Libraries for Linux run with the glibc of older distributions", "FMIZoo.jl#3"
 )
 def glibc(subject: Subject) -> Iterator[Finding]:
-    new, lacking, old, still = GLIBC
+    too_new, who_lacks_it, common, examples = GLIBC
     for b in subject.binaries:
-        found = b.versions.get("GLIBC", ())
-        if found >= new:
-            yield warning(f"{b}: needs glibc {_dotted(found)}, expected at most {_dotted(old)}; {lacking}")
-        elif found > old:
-            yield note(f"{b}: needs glibc {_dotted(found)}; {still}")
-        plus = b.versions.get("GLIBCXX", ())
-        if plus > GLIBCXX:
+        needed = b.versions.get("GLIBC", ())
+        if needed >= too_new:
+            text = f"needs glibc {_dotted(needed)}, expected at most {_dotted(common)}"
+            yield warning(f"{b}: {text}; {who_lacks_it}")
+        elif needed > common:
+            yield note(f"{b}: needs glibc {_dotted(needed)}; {examples}")
+        needed = b.versions.get("GLIBCXX", ())
+        if needed > GLIBCXX:
             yield warning(
-                f"{b}: needs GLIBCXX {_dotted(plus)} of libstdc++, expected at most {_dotted(GLIBCXX)};"
-                " Ubuntu 20.04 lacks it, and MATLAB brings its own"
+                f"{b}: needs GLIBCXX {_dotted(needed)} of libstdc++, expected at most {_dotted(GLIBCXX)};"
+                " Ubuntu 20.04 lacks it, and MATLAB ships its own libstdc++"
             )
 
 
@@ -215,19 +216,17 @@ def _dotted(version: tuple[int, ...]) -> str:
 @LIBRARIES.rule("binary.macos", "Libraries for macOS run on versions in use")
 def macos(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
-        if b.minimum[:1] > MACOS:
-            yield warning(f"{b}: needs macOS {_dotted(b.minimum)}, expected at most {_dotted(MACOS)}")
+        if b.macos[:1] > MACOS:
+            yield warning(f"{b}: needs macOS {_dotted(b.macos)}, expected at most {_dotted(MACOS)}")
 
 
-@LIBRARIES.rule("binary.documented", "What the FMU needs from outside is documented in externalDependencies")
+@LIBRARIES.rule("binary.documented", "Libraries that the FMU needs are documented in externalDependencies")
 def documented(subject: Subject) -> Iterator[Finding]:
-    foreign = [f.text for f in libraries(subject) if f.severity == "warning"]
-    documented_ = any(re.match(r"documentation/externalDependencies\.(txt|html)", f) for f in subject.files)
-    if foreign and not documented_:
-        say = error if subject.major == 3 else note
-        yield say(
-            "documentation/externalDependencies.txt or .html is missing, though the FMU needs other libraries"
-        )
+    external = any(f.severity == "warning" for f in libraries(subject))
+    has_list = any(re.match(r"documentation/externalDependencies\.(txt|html)", f) for f in subject.files)
+    if external and not has_list:
+        make = error if subject.major == 3 else note
+        yield make("the FMU needs other libraries, expected documentation/externalDependencies.txt or .html")
 
 
 PLATFORMS = RuleTable()
@@ -248,14 +247,14 @@ THREADS = "PyFMI#61 PythonFMU#106 FMPy#51 FMPy#322 FMPy#576 FMI.jl#47"
 
 
 def folders(subject: Subject) -> list[str]:
-    """The folders below binaries/ that hold files."""
+    """The folders in binaries/ that contain files."""
     return sorted({n.split("/")[1] for n in subject.files if n.startswith("binaries/") and n.count("/") > 1})
 
 
 def as_tuple(folder: str) -> tuple[str, str]:
-    """Machine and system of a folder of either version; empty when it is not standard."""
-    machine, _, rest = TUPLES.get(folder, folder).partition("-")
-    return (machine, rest.partition("-")[0]) if TUPLE.fullmatch(TUPLES.get(folder, folder)) else ("", "")
+    """Machine and system of a platform folder of either FMI version; empty if it is not in the standard."""
+    machine, _, system = TUPLES.get(folder, folder).partition("-")
+    return (machine, system.partition("-")[0]) if TUPLE.fullmatch(TUPLES.get(folder, folder)) else ("", "")
 
 
 def _legal(folder: str, major: int) -> bool:
@@ -264,30 +263,29 @@ def _legal(folder: str, major: int) -> bool:
     return bool(TUPLE.fullmatch(folder))
 
 
-@PLATFORMS.rule("platform.some", "The FMU has a binary for some platform", THREADS)
+@PLATFORMS.rule("platform.some", "The FMU has a binary for a platform", THREADS)
 def any_platform(subject: Subject) -> Iterator[Finding]:
     if not subject.model.interfaces or any(_legal(b.platform, subject.major) for b in subject.binaries):
         return
-    where = folders(subject)
-    found = f"found folders {', '.join(where)}" if where else "found no binaries"
+    example = "linux64" if subject.major == 2 else "x86_64-linux"
+    present = folders(subject)
+    got = f"folders {', '.join(present)}" if present else "no binaries"
     if any(f.startswith("sources/") for f in subject.files):
-        yield warning(f"{found}, only sources: few tools compile them")
+        yield warning(f"expected binaries, got {got}, only sources, which few tools compile")
     else:
-        yield error(
-            f"{found}, expected binaries/{'linux64' if subject.major == 2 else 'x86_64-linux'} or another"
-        )
+        yield error(f"expected binaries for a platform such as {example}, got {got}")
 
 
-def _lacking(system: str, subject: Subject) -> Iterator[Finding]:
-    offered, wanted = {as_tuple(b.platform) for b in subject.binaries}, f"x86_64-{system.lower()}"
-    if offered and tuple(wanted.split("-")) not in offered:
-        name = NAMES[wanted] if subject.major == 2 else wanted
+def _missing(system: str, subject: Subject) -> Iterator[Finding]:
+    platforms, required_ = {as_tuple(b.platform) for b in subject.binaries}, f"x86_64-{system.lower()}"
+    if platforms and tuple(required_.split("-")) not in platforms:
+        name = NAMES[required_] if subject.major == 2 else required_
         yield note(f"no binaries/{name}: no tool on {system} can run it")
 
 
 for _system in ("Windows", "Linux"):
     PLATFORMS.rule(f"platform.{_system.lower()}", f"The FMU runs on 64-bit {_system}", THREADS)(
-        partial(_lacking, _system)
+        partial(_missing, _system)
     )
 
 
@@ -297,7 +295,7 @@ def macos_folder(subject: Subject) -> Iterator[Finding]:
     if subject.binaries and not machines:
         yield note("no binary for macOS")
     elif machines and "aarch64" not in machines:
-        yield note("no binary for Macs with Apple processors; a universal one or aarch64-darwin")
+        yield note("no binary for Macs with Apple processors, neither a universal one nor aarch64-darwin")
 
 
 @PLATFORMS.rule("platform.folder", "Platform folders have the names of the FMI version", "FMPy#671")
@@ -307,29 +305,31 @@ def folder(subject: Subject) -> Iterator[Finding]:
             continue
         other = TUPLES.get(name) if subject.major == 3 else NAMES.get(name)
         if other:
-            yield warning(f"binaries/{name} is the name of the other FMI version, expected binaries/{other}")
+            yield warning(
+                f"expected binaries/{other}, got the name of the other FMI version, binaries/{name}"
+            )
         else:
-            yield note(f"binaries/{name} is no platform of the standard; tools pass it over")
+            yield note(f"binaries/{name} is not a platform of the standard; tools ignore it")
 
 
-@PLATFORMS.rule("platform.format", "Each library is of the format, machine and kind that its folder says")
+@PLATFORMS.rule("platform.format", "Each library has the format and machine of its platform folder")
 def format_(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
         machine, system = as_tuple(b.platform)
         if not b.format:
-            what = b.damage or "something else"
-            what = "a Git LFS pointer" if b.head.startswith(b"version https://git-lfs") else what
-            yield error(f"{b}: expected a shared library, got {what if b.size else 'an empty file'}")
+            got = b.damage or "an unknown format"
+            got = "a Git LFS pointer" if b.head.startswith(b"version https://git-lfs") else got
+            yield error(f"{b}: expected a shared library, got {got if b.size else 'an empty file'}")
         elif system and FORMATS[system] != b.format:
             yield error(f"{b}: expected {FORMATS[system]} for {system}, got {b.format}")
         elif not b.is_library:
             yield error(f"{b}: expected a shared library, got an executable")
-        elif machine and not _right(b, machine, subject):
+        elif machine and not _has_machine(b, machine, subject):
             yield error(f"{b}: expected code for {machine}, got {b.machine}")
 
 
-def _right(b: Binary, machine: str, subject: Subject) -> bool:
-    """True for the right machine; a universal library needs it in one of its parts."""
+def _has_machine(b: Binary, machine: str, subject: Subject) -> bool:
+    """True if the library, or one part of a universal library, is for this machine."""
     return any(o.machine == machine for o in subject.binaries if o.file == b.file)
 
 
@@ -346,10 +346,10 @@ def name(subject: Subject) -> Iterator[Finding]:
                 for f in subject.files
                 if f.startswith(f"binaries/{folder_}/") and f.endswith((".a", ".lib"))
             ]
-            there = sorted(b.name for b in subject.binaries if b.platform == folder_)
-            if not (static and not there):
-                found = ", ".join(there[:4]) or "no library"
-                yield error(f"binaries/{folder_}: expected {expected} for {kind}, found {found}")
+            present = sorted(b.name for b in subject.binaries if b.platform == folder_)
+            if present or not static:
+                got = ", ".join(present[:4]) or "no library"
+                yield error(f"binaries/{folder_}: expected {expected} for {kind}, got {got}")
 
 
 PYTHON = RuleTable()
@@ -362,19 +362,20 @@ def _scripts(subject: Subject) -> list[str]:
 
 
 def _evidence(subject: Subject) -> Iterator[str]:
-    """Why Python is needed."""
+    """Evidence that Python is needed."""
     for b in subject.binaries:
-        named = [n for n in b.libraries if PYTHON_LIBRARY.fullmatch(n)]
-        calls = sorted(i for i in b.imports if re.match(r"_?Py_?[A-Z]", i))
-        if named:
-            yield f"{b} needs {named[0]}"
-        elif len(calls) > 2:
-            yield f"{b} calls {calls[0]} and {len(calls) - 1} more of Python, and names no libpython"
-    maker = "resources/slavemodule.txt" in subject.files or (
+        libraries_ = [n for n in b.libraries if PYTHON_LIBRARY.fullmatch(n)]
+        functions_ = sorted(i for i in b.imports if re.match(r"_?Py_?[A-Z]", i))
+        if libraries_:
+            yield f"{b} needs {libraries_[0]}"
+        elif len(functions_) > 2:
+            more = len(functions_) - 1
+            yield f"{b} calls {functions_[0]} and {more} more functions of Python without needing libpython"
+    by_pythonfmu = "resources/slavemodule.txt" in subject.files or (
         subject.root is not None and "pythonfmu" in str(subject.root.get("generationTool", "")).lower()
     )
-    if maker:
-        yield "PythonFMU made it"
+    if by_pythonfmu:
+        yield "it was made by PythonFMU"
     launcher = "resources/launch.toml"
     if launcher in subject.files and "python" in (subject.folder / launcher).read_text("utf-8", "replace"):
         yield f"{launcher} starts Python"
@@ -386,53 +387,54 @@ def _evidence(subject: Subject) -> Iterator[str]:
     "PythonFMU#110 PythonFMU#192 PythonFMU#202 PythonFMU#222 FMPy#348 Hopsan#2187",
 )
 def needed(subject: Subject) -> Iterator[Finding]:
-    why = list(_evidence(subject))
-    if why:
+    evidence = list(_evidence(subject))
+    if evidence:
         yield warning(
-            f"needs Python on the target: {'; '.join(why[:2])}; the target machine needs the same Python"
+            f"needs Python on the target: {'; '.join(evidence[:2])}; the target machine needs the same Python"
             " on its path, with all packages"
         )
 
 
-@PYTHON.rule("python.packages", "Scripts need no package but the standard library", "PythonFMU#152")
+@PYTHON.rule("python.packages", "Scripts import only the standard library", "PythonFMU#152")
 def packages(subject: Subject) -> Iterator[Finding]:
     if not any(_evidence(subject)):
         return
     scripts = _scripts(subject)
-    own = {s.removeprefix(SCRIPTS).partition("/")[0].removesuffix(".py") for s in scripts} | set(FMU_PACKAGES)
-    found: dict[str, str] = {}
+    shipped = {s.removeprefix(SCRIPTS).partition("/")[0].removesuffix(".py") for s in scripts}
+    shipped.update(FMU_PACKAGES)
+    packages_: dict[str, str] = {}
     for script in scripts:
         for name in _imports((subject.folder / script).read_text("utf-8", "replace")):
-            if name not in sys.stdlib_module_names and name not in own:
-                found.setdefault(name, script)
-    for name, script in found.items():
-        yield warning(f"{script}: imports {name}, which the target's Python must have")
+            if name not in sys.stdlib_module_names and name not in shipped:
+                packages_.setdefault(name, script)
+    for name, script in packages_.items():
+        yield warning(f"{script}: imports {name}, which must be installed on the target machine")
 
 
 def _imports(text: str) -> set[str]:
-    """The top packages that a script imports; none when it cannot be read."""
+    """The top-level packages that a script imports; none if it cannot be parsed."""
     try:
         nodes = list(ast.walk(ast.parse(text)))
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return set()
     plain = {a.name for n in nodes if isinstance(n, ast.Import) for a in n.names}
-    given = {n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module and not n.level}
-    return {name.partition(".")[0] for name in plain | given}
+    from_imports = {n.module for n in nodes if isinstance(n, ast.ImportFrom) and n.module and not n.level}
+    return {name.partition(".")[0] for name in plain | from_imports}
 
 
-@PYTHON.rule("python.syntax", "Scripts can be read by the target's Python")
+@PYTHON.rule("python.syntax", "Scripts can be parsed by Python")
 def syntax(subject: Subject) -> Iterator[Finding]:
     for script in _scripts(subject):
         try:
             ast.parse((subject.folder / script).read_text("utf-8", "replace"))
         except (SyntaxError, ValueError) as problem:
-            yield error(f"{script}: this Python cannot read it: {problem}")
+            yield error(f"{script}: Python cannot parse it: {problem}")
         except (RecursionError, MemoryError):
-            yield note(f"{script}: is nested too deep to be read")
+            yield note(f"{script}: is nested too deeply to be parsed")
 
 
 @PYTHON.rule("runtime.java", "The FMU runs without a Java machine on the target")
 def java(subject: Subject) -> Iterator[Finding]:
     jars = sorted(f for f in subject.files if f.endswith(".jar"))
     if jars:
-        yield warning(f"{some(jars)}: Java; the target machine may need a Java machine")
+        yield warning(f"{join_names(jars)}: Java; the target machine may need a Java machine")

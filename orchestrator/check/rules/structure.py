@@ -1,4 +1,4 @@
-"""ModelStructure: the right unknowns in the right lists, honest dependencies; what the FMU can do."""
+"""Rules on ModelStructure (lists of unknowns and their dependencies), and on capability flags."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.finding import MAKE, Finding, RuleTable, error, note, some, warning
+from orchestrator.check.finding import MAKE, Finding, RuleTable, error, join_names, note, warning
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, Unknown
 
 STRUCTURE = RuleTable()
 WHERE = "modelDescription.xml: ModelStructure"
-UNKNOWN = ("calculated", "approx")  # values of `initial` of what initialisation computes
-PLAIN = ("dependent", "constant")
-KINDS = (*PLAIN, "fixed", "tunable", "discrete")
-LISTS = {
+CALCULATED = ("calculated", "approx")  # values of `initial` of variables that initialisation computes
+INITIAL_KINDS = ("dependent", "constant")  # dependenciesKind in InitialUnknowns
+KINDS = (*INITIAL_KINDS, "fixed", "tunable", "discrete")
+ELEMENTS = {
     2: {"outputs": "Outputs", "initial": "InitialUnknowns"},
     3: {"outputs": "Output", "initial": "InitialUnknown"},
 }
@@ -27,21 +27,21 @@ LISTS = {
 def _differences(
     model: ModelDescription, section: str, expected: list[DeclaredVariable], why: str
 ) -> Iterator[Finding]:
-    """What is missing in a list, and what does not belong there."""
+    """Variables that are missing in a list, and variables that do not belong there."""
     listed = dict.fromkeys(u.variable for u in model.structure.get(section, ()) if u.variable)
-    name = LISTS[model.major][section]
+    name = ELEMENTS[model.major][section]
     missing = [v.name for v in expected if v not in listed]
-    right = set(expected)
-    extra = [v.name for v in listed if v not in right and v.initial]  # "": another rule tells that
+    allowed = set(expected)
+    extra = [v.name for v in listed if v not in allowed and v.initial]  # initial "": variable.combination
     if missing:
-        yield error(f"{WHERE}: {name} lacks {some(missing)}; expected {why}")
+        yield error(f"{WHERE}: {name} lacks {join_names(missing)}; expected {why}")
     if extra:
-        yield error(f"{WHERE}: {name} has {some(extra)}; expected only {why}")
+        yield error(f"{WHERE}: {name} has {join_names(extra)}; expected only {why}")
 
 
 @STRUCTURE.rule(
     "structure.outputs",
-    "Outputs lists every output and nothing else",
+    "Outputs lists exactly the outputs",
     "OMSimulator#838 FMUComplianceChecker#27",
 )
 def outputs(subject: Subject) -> Iterator[Finding]:
@@ -52,24 +52,24 @@ def outputs(subject: Subject) -> Iterator[Finding]:
 
 @STRUCTURE.rule(
     "structure.initial",
-    "InitialUnknowns lists exactly what initialisation computes",
+    "InitialUnknowns lists exactly the variables that initialisation computes",
     "PythonFMU#112 Simulix#28 OpenModelica#15692",
 )
 def initial(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     if not model.major:
         return
-    core = {*model.derivatives, *model.states}
+    continuous = {*model.derivatives, *model.states}
     expected = [
         v
         for v in model.variables
         if v.causality == "calculatedParameter"
-        or (v.initial in UNKNOWN and not v.clocked and (v.causality == "output" or v in core))
+        or (v.initial in CALCULATED and not v.clocked and (v.causality == "output" or v in continuous))
     ]
     clocked = (u.variable for u in model.structure["initial"] if u.variable and u.variable.clocked)
-    chosen = list(clocked) if model.major == 3 else []
+    optional = list(clocked) if model.major == 3 else []
     why = "outputs, states and derivatives that are calculated or approx, and calculated parameters"
-    yield from _differences(model, "initial", expected + chosen, why)
+    yield from _differences(model, "initial", expected + optional, why)
 
 
 @STRUCTURE.rule(
@@ -85,7 +85,7 @@ def derivatives(subject: Subject) -> Iterator[Finding]:
         if key is None:
             yield error(f"{unknown}: the variable has no attribute derivative")
         elif state is None:
-            yield error(f"{variable}: derivative={key!r} is no variable")
+            yield error(f"{variable}: derivative={key!r} is not a variable")
         elif not (state.is_float and state.variability == "continuous"):
             yield error(f"{variable}: is the derivative of {state.name}, which is not continuous")
         elif state.causality not in ("local", "output"):
@@ -94,32 +94,33 @@ def derivatives(subject: Subject) -> Iterator[Finding]:
 
 @STRUCTURE.rule("structure.rates", "Only derivatives of states have the attribute derivative in FMI 2.0")
 def rates(subject: Subject) -> Iterator[Finding]:
-    """The standard allows more; but who counts states by this attribute then counts too many."""
+    """The standard allows others, but tools that count states by this attribute then count too many."""
     model = subject.model
     if subject.major != 2 or "ModelExchange" not in model.interfaces:
         return
     listed = {u.variable for u in model.structure.get("derivatives", ())}
-    said = [v for v in model.variables if v.get("derivative") and v not in listed]
-    said = [v for v in said if v.is_float and v.variability == "continuous"]
-    if said:
+    unlisted = [v for v in model.variables if v.get("derivative") and v not in listed]
+    unlisted = [v for v in unlisted if v.is_float and v.variability == "continuous"]
+    if unlisted:
         yield warning(
-            f"{said[0]}: the attribute derivative, but no entry in ModelStructure/Derivatives;"
-            f" some tools count a state for each: {some([v.name for v in said])}"
+            f"{unlisted[0]}: has the attribute derivative, but no entry in ModelStructure/Derivatives;"
+            f" some tools count a state for each: {join_names([v.name for v in unlisted])}"
         )
 
 
 @STRUCTURE.rule(
-    "structure.entries", "Entries of ModelStructure name variables, each once, in the order of the standard"
+    "structure.entries",
+    "Entries of ModelStructure refer to variables, each once, in the order of the standard",
 )
 def entries(subject: Subject) -> Iterator[Finding]:
     for unknowns in subject.model.structure.values():
         for unknown in unknowns:
             if unknown.variable is None:
-                yield error(f"{unknown}: expected a variable, found none with number {unknown.key}")
+                yield error(f"{unknown}: expected a variable, got none with index or reference {unknown.key}")
         for key, count in Counter(u.key for u in unknowns if u.variable).items():
             if count > 1:
-                twice = next(u for u in unknowns if u.key == key)
-                yield error(f"{twice}: is there {count} times, expected once")
+                first = next(u for u in unknowns if u.key == key)
+                yield error(f"{first}: expected one entry, got {count}")
     keys = [u.key for u in subject.model.structure.get("initial", ()) if u.key is not None]
     if subject.major == 2 and keys != sorted(keys) and len(set(keys)) == len(keys):
         yield warning(f"{WHERE}: InitialUnknowns is not ordered by index")
@@ -127,46 +128,48 @@ def entries(subject: Subject) -> Iterator[Finding]:
 
 @STRUCTURE.rule(
     "structure.dependencies",
-    "Outputs and derivatives say what they depend on; else every input feeds through",
+    "Outputs and derivatives declare their dependencies; without them every input feeds through",
     "FMIKit#21 PyFMI#232",
 )
 def dependencies(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     inputs = model.of("input")
     for section in ("outputs", "derivatives") if inputs else ():
-        silent = [u for u in model.structure.get(section, ()) if u.dependencies is None and u.variable]
-        silent = [u for u in silent if u.variable and u.variable.variability != "constant"]
-        if silent:
-            names = some([u.variable.name for u in silent if u.variable])
+        undeclared = [u for u in model.structure.get(section, ()) if u.dependencies is None and u.variable]
+        undeclared = [u for u in undeclared if u.variable and u.variable.variability != "constant"]
+        if undeclared:
+            names = join_names([u.variable.name for u in undeclared if u.variable])
+            count = f"{len(undeclared)} of {len(model.structure[section])} {section}"
             yield warning(
-                f"{silent[0]}: no dependencies for {len(silent)} of {len(model.structure[section])} {section}"
-                f" ({names}); tools assume direct feed-through from every input"
+                f"{undeclared[0]}: no dependencies for {count} ({names});"
+                " tools assume direct feed-through from every input"
             )
 
 
-@STRUCTURE.rule("structure.knowns", "Dependencies name inputs, states and what is known by then")
+@STRUCTURE.rule("structure.knowns", "Dependencies are knowns of their list, such as inputs and states")
 def knowns(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     states = set(model.states)
-    whole_list = len(states) == len(model.structure.get("derivatives", ()))  # else some states are not known
+    complete = len(states) == len(model.structure.get("derivatives", ()))  # else some states are missing
     for section, unknowns in model.structure.items():
         for unknown in unknowns if section in ("outputs", "derivatives", "initial") else ():
             for key in unknown.dependencies or ():
                 known = model.by_key.get(-1 if key is None else key)
                 if known is None:
-                    yield error(f"{unknown}: dependency {key} is no variable")
-                elif whole_list and not _known(known, section, states, model.major):
-                    say = note if known.causality == "parameter" else warning  # Reference-FMUs list them, too
-                    yield say(
+                    yield error(f"{unknown}: dependency {key} is not a variable")
+                elif complete and not _is_known(known, section, states, model.major):
+                    # a note for parameters, because the Reference-FMUs list them, too
+                    make = note if known.causality == "parameter" else warning
+                    yield make(
                         f"{unknown}: dependency {known.name} is {known.causality}, {known.variability};"
-                        " expected an input, a state or what is known by then"
+                        " expected an input, a state or another known"
                     )
                 if known is None:
                     break
 
 
-def _known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], major: int) -> bool:
-    """True for what the standard calls a known of this list."""
+def _is_known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], major: int) -> bool:
+    """True for a known of this list as defined by the standard."""
     if v.causality in ("input", "independent"):
         return True
     if section == "initial":
@@ -177,7 +180,7 @@ def _known(v: DeclaredVariable, section: str, states: set[DeclaredVariable], maj
     )
 
 
-@STRUCTURE.rule("structure.kinds", "dependenciesKind has one allowed word for each dependency")
+@STRUCTURE.rule("structure.kinds", "dependenciesKind has one allowed value for each dependency")
 def kinds(subject: Subject) -> Iterator[Finding]:
     for section, unknowns in subject.model.structure.items():
         for unknown in unknowns:
@@ -192,32 +195,30 @@ def _kinds(unknown: Unknown, section: str) -> Iterator[Finding]:
         return
     if len(unknown.dependency_kinds) != len(unknown.dependencies):
         yield error(
-            f"{unknown}: {len(unknown.dependency_kinds)} dependenciesKind"
-            f" for {len(unknown.dependencies)} dependencies"
+            f"{unknown}: expected {len(unknown.dependencies)} dependenciesKind as there are dependencies,"
+            f" got {len(unknown.dependency_kinds)}"
         )
-    allowed = PLAIN if section == "initial" else KINDS
+    allowed = INITIAL_KINDS if section == "initial" else KINDS
     wrong = [k for k in unknown.dependency_kinds if k in KINDS and k not in allowed]
     if wrong:
-        yield error(
-            f"{unknown}: dependenciesKind {wrong[0]} is not allowed here, expected {' or '.join(allowed)}"
-        )
+        yield error(f"{unknown}: dependenciesKind: expected {' or '.join(allowed)}, got {wrong[0]}")
     special = [k for k in unknown.dependency_kinds if k != "dependent"]
     if special and unknown.variable and not unknown.variable.is_float:
-        yield note(  # Reference-FMUs have it, too
-            f"{unknown}: dependenciesKind {special[0]} of a {unknown.variable.type}, expected dependent"
-        )
+        # a note, because the Reference-FMUs have it, too
+        text = f"expected dependent for a {unknown.variable.type}, got {special[0]}"
+        yield note(f"{unknown}: dependenciesKind: {text}")
 
 
 CAPABILITIES = RuleTable()
 
 
 def _abilities(findings: Sequence[Mapping[str, Any]], subject: Subject) -> Iterator[Finding]:
-    """What abilities.toml has to say about each interface."""
+    """The findings of abilities.toml that apply to an interface."""
     for kind, entry in subject.model.interfaces.items():
         for f in findings:
-            concerned = f.get("kind", kind) == kind and f.get("fmi", subject.major) == subject.major
+            applies = f.get("kind", kind) == kind and f.get("fmi", subject.major) == subject.major
             has, lacks = f.get("has", ()), f.get("lacks", ())
-            if concerned and (not has or entry.declares(*has)) and not entry.declares(*lacks):
+            if applies and (not has or entry.declares(*has)) and not entry.declares(*lacks):
                 yield MAKE[f["severity"]](f"{DESCRIPTION} line {entry.line}: {kind}: {f['text']}")
 
 

@@ -1,4 +1,4 @@
-"""Units: defined, with the right meaning in SI. Terminals: members that exist, names that match."""
+"""Rules on units (defined, correct in SI) and on terminals (existing members, unique names)."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Iterator, Mapping
 
 from orchestrator.base.units import BASES, parse
 from orchestrator.base.xml import children
-from orchestrator.check.finding import Finding, RuleTable, error, listed, note, warning
+from orchestrator.check.finding import Finding, RuleTable, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.variables import words
 from orchestrator.check.subject import Element, Subject, read_xml
 from orchestrator.fmi.raw_description import UnitDefinition, parse_int
 
 UNITS = RuleTable()
-DIMENSIONS = [b for b in BASES if b != "rad"]  # tools treat the radian differently
-WELL_KNOWN = words(  # names that mean the same everywhere
+DIMENSIONS = [b for b in BASES if b != "rad"]  # tools differ in the treatment of the radian
+WELL_KNOWN = words(  # names with one meaning
     """m mm cm m/s km/h m3 L l m3/s L/min l/min kg s ms min h N kN N.m J kJ W kW Pa kPa MPa bar rad deg rad/s
     deg/s rpm K degC A mA V %"""
 )
@@ -28,23 +28,23 @@ def _at(unit: UnitDefinition) -> str:
 
 @UNITS.rule("unit.undefined", "Every unit that a variable uses is defined", "FMPy#511")
 def undefined(subject: Subject) -> Iterator[Finding]:
-    known = {u.name for u in subject.model.units}
+    defined = {u.name for u in subject.model.units}
     for v in subject.model.variables:
-        if v.unit is not None and v.unit not in known:
+        if v.unit is not None and v.unit not in defined:
             yield error(f"{v}: unit {v.unit!r} is not in UnitDefinitions")
 
 
-@UNITS.rule("unit.display", "Every display unit is defined at its unit", "FMPy#511")
+@UNITS.rule("unit.display", "Every display unit is defined in its unit", "FMPy#511")
 def display(subject: Subject) -> Iterator[Finding]:
     displays = {u.name: u.display_units for u in subject.model.units}
     for v in subject.model.variables:
-        shown = v.attributes.get("displayUnit") if v.is_float else None
-        if shown is None:
+        display_unit = v.attributes.get("displayUnit") if v.is_float else None
+        if display_unit is None:
             continue
         if v.unit is None:
-            yield error(f"{v}: displayUnit {shown!r} without unit")
-        elif v.unit in displays and shown not in displays[v.unit]:
-            yield error(f"{v}: displayUnit {shown!r} is not defined at unit {v.unit}")
+            yield error(f"{v}: displayUnit {display_unit!r} without unit")
+        elif v.unit in displays and display_unit not in displays[v.unit]:
+            yield error(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit}")
     for unit in subject.model.units:
         for name, said in unit.display_units.items():
             if _float(said.get("factor", "1")) == 0:
@@ -58,15 +58,17 @@ def twice(subject: Subject) -> Iterator[Finding]:
             yield warning(f"modelDescription.xml: unit {name} is defined {count} times")
 
 
-@UNITS.rule("unit.base", "Every unit that is used has a BaseUnit", "libcosim#519 OMSimulator#942")
+@UNITS.rule("unit.base", "Every used unit has a BaseUnit", "libcosim#519 OMSimulator#942")
 def base(subject: Subject) -> Iterator[Finding]:
     used = {v.unit for v in subject.model.variables}
     for unit in subject.model.units:
         if unit.base_unit is None and unit.name in used:
-            yield warning(f"{_at(unit)}: has no BaseUnit; no tool can convert it or see a wrong connection")
+            yield warning(
+                f"{_at(unit)}: has no BaseUnit; tools can neither convert it nor detect a wrong connection"
+            )
 
 
-@UNITS.rule("unit.wrong", "Units with well-known names mean what the name says")
+@UNITS.rule("unit.wrong", "Units with well-known names are defined with their usual meaning")
 def wrong(subject: Subject) -> Iterator[Finding]:
     for unit in subject.model.units:
         if unit.base_unit is None or unit.name not in WELL_KNOWN:
@@ -76,13 +78,13 @@ def wrong(subject: Subject) -> Iterator[Finding]:
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
         factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))
         if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
-            yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, found {_text(declared)}")
-        elif not (  # factors are written with five digits or more
+            yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}")
+        elif not (  # factors have five digits or more
             math.isclose(factor, known.factor, rel_tol=1e-4)
             and math.isclose(offset, known.offset, abs_tol=1e-2)
         ):
             expected = f"expected factor {known.factor:.6g} and offset {known.offset:g}"
-            yield error(f"{_at(unit)}: {expected}, found {factor:g} and {offset:g}")
+            yield error(f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}")
 
 
 def _text(exponents: Mapping[str, str]) -> str:
@@ -108,14 +110,14 @@ def factor(subject: Subject) -> Iterator[Finding]:
     ports = [v for v in subject.model.of("input", "output") if v.unit in scaled]
     if ports:
         names = ", ".join(sorted({str(v.unit) for v in ports}))
-        yield note(f"{listed(ports)}: in {names}, not SI; most tools pass the number on without converting")
+        yield note(f"{join_variables(ports)}: in {names}, not SI; most tools do not convert values")
 
 
-@UNITS.rule("unit.missing", "Inputs, outputs and parameters that are real numbers have a unit")
+@UNITS.rule("unit.missing", "Real inputs, outputs and parameters have a unit")
 def missing(subject: Subject) -> Iterator[Finding]:
     without = [v for v in subject.model.of("input", "output", "parameter") if v.is_float and v.unit is None]
     if without:
-        yield note(f"{listed(without)}: real numbers without unit")
+        yield note(f"{join_variables(without)}: no unit")
 
 
 TERMINALS = RuleTable()
@@ -124,77 +126,79 @@ NAMES = {
     "TerminalMemberVariable": ("variableName",),
     "TerminalStreamMemberVariable": ("inStreamVariableName", "outStreamVariableName"),
 }
-FLOWING = ("signal", "inflow", "outflow")  # kinds of members that are exchanged
-CONNECTED = ("input", "output", "parameter", "calculatedParameter")
+EXCHANGED = ("signal", "inflow", "outflow")  # variableKind of members that are connected
+CONNECTABLE = ("input", "output", "parameter", "calculatedParameter")
 
 
 def _root(subject: Subject) -> Element | None:
     return read_xml(subject.folder, FILE)[0] if FILE in subject.files and subject.model.variables else None
 
 
-@TERMINALS.rule("terminal.schema", "terminalsAndIcons.xml keeps its schema")
+@TERMINALS.rule("terminal.schema", "terminalsAndIcons.xml is valid against its schema")
 def schema(subject: Subject) -> Iterator[Finding]:
     if FILE not in subject.files:
         return
-    root, wrong = read_xml(subject.folder, FILE)
+    root, fault = read_xml(subject.folder, FILE)
     if root is None:
-        yield error(wrong)
+        yield error(fault)
         return
     for line, message in violations(root, "fmi3/fmi3TerminalsAndIcons.xsd"):
         yield error(f"{FILE} line {line}: {message}")
     if subject.major == 3 and root.get("fmiVersion") != subject.version:
-        yield error(f"{FILE}: fmiVersion is {root.get('fmiVersion')}, expected {subject.version}")
+        yield error(f"{FILE}: fmiVersion: expected {subject.version}, got {root.get('fmiVersion')}")
 
 
-@TERMINALS.rule("terminal.members", "Members of terminals are variables of the FMU that can be connected")
+@TERMINALS.rule("terminal.members", "Members of terminals are connectable variables of the FMU")
 def members(subject: Subject) -> Iterator[Finding]:
     root = _root(subject)
-    known = {n: v for v in subject.model.variables for n in v.names}
+    variables = {n: v for v in subject.model.variables for n in v.names}
     for element in () if root is None else root.iter(*NAMES):
         for attribute in NAMES[element.tag]:
             name = element.get(attribute, "")
             where = f"{FILE} line {element.sourceline}: {element.getparent().get('name')}"
-            if name not in known:
-                yield error(f"{where}: member {name!r} is no variable of the FMU")
-            elif known[name].causality not in CONNECTED and element.get("variableKind") in FLOWING:
-                yield error(f"{where}: member {name} is {known[name].causality}, expected an input or output")
+            if name not in variables:
+                yield error(f"{where}: member {name!r} is not a variable of the FMU")
+            elif variables[name].causality not in CONNECTABLE and element.get("variableKind") in EXCHANGED:
+                yield error(
+                    f"{where}: member {name}: expected an input or output, got {variables[name].causality}"
+                )
 
 
-@TERMINALS.rule("terminal.names", "Terminals and their members have names of their own")
+@TERMINALS.rule("terminal.names", "Terminals and their members have unique names")
 def names(subject: Subject) -> Iterator[Finding]:
     root = _root(subject)
     for level in () if root is None else root.iter("Terminals", "Terminal"):
         for name, count in Counter(t.get("name") for t in children(level, "Terminal")).items():
             if count > 1:
-                yield error(f"{FILE}: {count} terminals {name} on one level, expected unique names")
+                yield error(f"{FILE}: expected unique names on each level, got {count} terminals {name}")
         if level.tag == "Terminal":
             yield from _member_names(level)
 
 
 def _member_names(terminal: Element) -> Iterator[Finding]:
     where = f"{FILE} line {terminal.sourceline}: {terminal.get('name')}"
-    found = [m.get("memberName") for m in children(terminal, "TerminalMemberVariable")]
+    members_ = [m.get("memberName") for m in children(terminal, "TerminalMemberVariable")]
     rule = terminal.get("matchingRule")
-    if rule in ("plug", "bus") and None in found:
+    if rule in ("plug", "bus") and None in members_:
         yield error(f"{where}: a member has no memberName, which matching by {rule} needs")
-    for name, count in Counter(n for n in found if n is not None).items():
+    for name, count in Counter(n for n in members_ if n is not None).items():
         if count > 1:
-            yield error(f"{where}: {count} members {name}, expected unique names")
+            yield error(f"{where}: expected unique names, got {count} members {name}")
 
 
-@TERMINALS.rule("terminal.rule", "Matching rules are those of the standard, or have a domain name")
+@TERMINALS.rule("terminal.rule", "Matching rules are those of the standard, or have a reverse domain name")
 def rule(subject: Subject) -> Iterator[Finding]:
     root = _root(subject)
     for terminal in () if root is None else root.iter("Terminal"):
-        said = terminal.get("matchingRule", "")
-        if said not in ("plug", "bus", "sequence") and "." not in said:
+        matching = terminal.get("matchingRule", "")
+        if matching not in ("plug", "bus", "sequence") and "." not in matching:
             yield error(
-                f"{FILE} line {terminal.sourceline}: {terminal.get('name')}: matchingRule {said!r},"
-                " expected plug, bus, sequence or a reverse domain name"
+                f"{FILE} line {terminal.sourceline}: {terminal.get('name')}: matchingRule:"
+                f" expected plug, bus, sequence or a reverse domain name, got {matching!r}"
             )
 
 
-@TERMINALS.rule("terminal.icons", "Icons that are named are there, as PNG too")
+@TERMINALS.rule("terminal.icons", "Referenced icons exist, also as PNG")
 def icons(subject: Subject) -> Iterator[Finding]:
     root = _root(subject)
     for element in () if root is None else root.iter("TerminalGraphicalRepresentation"):
@@ -205,8 +209,8 @@ def icons(subject: Subject) -> Iterator[Finding]:
         yield error("terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it")
 
 
-@TERMINALS.rule("terminal.there", "Ports that belong together form terminals (FMI 3)")
-def there(subject: Subject) -> Iterator[Finding]:
+@TERMINALS.rule("terminal.there", "An FMU with many ports has terminals (FMI 3)")
+def exist(subject: Subject) -> Iterator[Finding]:
     ports = len(subject.model.of("input", "output"))
     if subject.major == 3 and FILE not in subject.files and ports > 8:
-        yield note(f"{FILE} is missing; {ports} inputs and outputs have to be connected one by one")
+        yield note(f"{FILE} is missing; users must connect {ports} inputs and outputs one by one")

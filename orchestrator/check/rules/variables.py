@@ -1,4 +1,4 @@
-"""Variables: legal, with names that every tool can use, and with start values and ranges that can be true."""
+"""Rules on variables: attributes that the standard allows, portable names, valid start values and ranges."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
-from orchestrator.check.finding import Finding, RuleTable, error, listed, note, warning
+from orchestrator.check.finding import Finding, RuleTable, error, join_variables, note, warning
 from orchestrator.check.subject import Subject
 from orchestrator.fmi.raw_description import SIGNED, UNSIGNED
 from orchestrator.fmi.raw_description import DeclaredVariable as Variable
 
 VARIABLES = RuleTable()
-CALCULATED, FREE = ("calculated", "approx"), ("calculated", "exact", "approx")
-LEGAL = {  # (causality, variability) -> what `initial` may be, in FMI 2; () means: must not be given
+CALCULATED, ANY = ("calculated", "approx"), ("calculated", "exact", "approx")
+LEGAL = {  # FMI 2: (causality, variability) -> allowed values of `initial`; (): the attribute is not allowed
     ("parameter", "fixed"): ("exact",),
     ("parameter", "tunable"): ("exact",),
     ("calculatedParameter", "fixed"): CALCULATED,
@@ -22,13 +22,13 @@ LEGAL = {  # (causality, variability) -> what `initial` may be, in FMI 2; () mea
     ("input", "discrete"): (),
     ("input", "continuous"): (),
     ("output", "constant"): ("exact",),
-    ("output", "discrete"): FREE,
-    ("output", "continuous"): FREE,
+    ("output", "discrete"): ANY,
+    ("output", "continuous"): ANY,
     ("local", "constant"): ("exact",),
     ("local", "fixed"): CALCULATED,
     ("local", "tunable"): CALCULATED,
-    ("local", "discrete"): FREE,
-    ("local", "continuous"): FREE,
+    ("local", "discrete"): ANY,
+    ("local", "continuous"): ANY,
     ("independent", "continuous"): (),
 }
 LEGAL_3 = LEGAL | {
@@ -39,22 +39,22 @@ LEGAL_3 = LEGAL | {
 }
 
 
-@VARIABLES.rule("variable.duplicate", "Each variable has a name, and no other has the same", "Simulix#28")
+@VARIABLES.rule("variable.duplicate", "Each variable has a unique name", "Simulix#28")
 def duplicate(subject: Subject) -> Iterator[Finding]:
-    seen: dict[str, int] = {}
+    lines: dict[str, int] = {}
     for v in subject.model.variables:
         for name in v.names:
             if not name:
                 yield error(f"{v}: the name is empty")
-            elif name in seen:
-                yield error(f"{v}: the name {name} is also in line {seen[name]}, expected unique names")
+            elif name in lines:
+                yield error(f"{v}: expected unique names, {name} is also in line {lines[name]}")
             else:
-                seen[name] = v.line
+                lines[name] = v.line
 
 
 @VARIABLES.rule(
     "variable.combination",
-    "Causality, variability and initial fit together by the table of the standard",
+    "Causality, variability and initial are an allowed combination",
     "FMPy#189 FMPy#108 FMPy#579",
 )
 def combination(subject: Subject) -> Iterator[Finding]:
@@ -64,13 +64,13 @@ def combination(subject: Subject) -> Iterator[Finding]:
         if allowed is None:
             yield error(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
         elif "initial" in v.attributes and v.initial not in allowed:
-            expected = f"expected {' or '.join(allowed)}" if allowed else "expected none"
-            yield error(f"{v}: initial {v.initial} of a {v.variability} {v.causality}, {expected}")
+            expected = f"expected {' or '.join(allowed) or 'none'} for a {v.variability} {v.causality}"
+            yield error(f"{v}: initial: {expected}, got {v.initial}")
         elif v.variability == "continuous" and not v.is_float:
-            yield error(f"{v}: a {v.type} cannot be continuous, expected discrete")
+            yield error(f"{v}: variability: expected discrete for a {v.type}, got continuous")
 
 
-@VARIABLES.rule("variable.variability", "Variables that are not Real say their variability")
+@VARIABLES.rule("variable.variability", "Variables that are not Real declare their variability")
 def variability(subject: Subject) -> Iterator[Finding]:
     if subject.major != 2:
         return
@@ -81,38 +81,38 @@ def variability(subject: Subject) -> Iterator[Finding]:
             )
 
 
-@VARIABLES.rule("variable.start", "Start values are there where needed, and only there", "FMIKit#151")
+@VARIABLES.rule("variable.start", "Start values exist if and only if they are required", "FMIKit#151")
 def start(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
         if v.type == "Clock":
             continue
-        needed = v.initial in ("exact", "approx") or v.causality in (
+        required = v.initial in ("exact", "approx") or v.causality in (
             "input",
             "parameter",
             "structuralParameter",
         )
-        if needed and v.starts is None:
-            why = v.causality if v.causality in ("input", "parameter") else f"initial {v.initial}"
-            yield error(f"{v}: has no start value, expected one ({why})")
+        if required and v.starts is None:
+            reason = v.causality if v.causality in ("input", "parameter") else f"initial {v.initial}"
+            yield error(f"{v}: expected a start value ({reason}), got none")
         elif v.starts is not None and (v.initial == "calculated" or v.causality == "independent"):
-            why = "initial calculated" if v.initial == "calculated" else "the independent variable"
-            yield error(f"{v}: has the start value {' '.join(v.starts)[:40]}, expected none ({why})")
+            reason = "initial calculated" if v.initial == "calculated" else "the independent variable"
+            yield error(f"{v}: expected no start value ({reason}), got {' '.join(v.starts)[:40]}")
 
 
-@VARIABLES.rule("variable.reference", "Value references are whole numbers; in FMI 3 each is there once")
+@VARIABLES.rule("variable.reference", "Value references are integers, in FMI 3 unique ones")
 def reference(subject: Subject) -> Iterator[Finding]:
-    seen: dict[int, Variable] = {}
+    variables: dict[int, Variable] = {}
     for v in subject.model.variables:
         if v.reference is None or not 0 <= v.reference < 2**32:
-            said = v.attributes.get("valueReference")
-            yield error(f"{v}: valueReference {said!r}, expected a whole number below 2^32")
-        elif subject.major == 3 and v.reference in seen:
-            yield error(f"{v}: valueReference {v.reference} is also that of {seen[v.reference].name}")
+            got = v.attributes.get("valueReference")
+            yield error(f"{v}: valueReference: expected an integer from 0 to 2^32 - 1, got {got!r}")
+        elif subject.major == 3 and v.reference in variables:
+            yield error(f"{v}: valueReference {v.reference} is also that of {variables[v.reference].name}")
         else:
-            seen[v.reference] = v
+            variables[v.reference] = v
 
 
-@VARIABLES.rule("variable.alias", "Variables that share a value reference agree (FMI 2)")
+@VARIABLES.rule("variable.alias", "Variables with the same value reference are consistent (FMI 2)")
 def alias(subject: Subject) -> Iterator[Finding]:
     if subject.major != 2:
         return
@@ -120,45 +120,49 @@ def alias(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
         if v.reference is not None:
             sets[_base(v.type), v.reference].append(v)
-    for same in (s for s in sets.values() if len(s) > 1):
-        yield from _alias(same)
+    for aliases in (s for s in sets.values() if len(s) > 1):
+        yield from _alias(aliases)
 
 
 def _base(type_: str) -> str:
     return "Integer" if type_ == "Enumeration" else type_
 
 
-def _alias(same: list[Variable]) -> Iterator[Finding]:
-    first, names = same[0], ", ".join(v.name for v in same[:4])
-    settable = [v for v in same if v.causality in ("input", "parameter")]
+def _alias(aliases: list[Variable]) -> Iterator[Finding]:
+    first, names = aliases[0], ", ".join(v.name for v in aliases[:4])
+    settable = [v for v in aliases if v.causality in ("input", "parameter")]
     if len(settable) > 1:
         yield error(
             f"{settable[1]}: shares valueReference {first.reference} with {settable[0].name}; both can be set"
         )
         return
-    if len([v for v in same if v.starts is not None and v.variability != "constant"]) > 1:
+    if len([v for v in aliases if v.starts is not None and v.variability != "constant"]) > 1:
         yield error(f"{first}: {names} share a valueReference, and more than one has a start value")
-    if len({v.unit for v in same}) > 1:
-        yield error(f"{first}: {names} share a valueReference, but not the unit")
-    if len({v.variability == "constant" for v in same}) > 1:
+    if len({v.unit for v in aliases}) > 1:
+        yield error(f"{first}: {names} share a valueReference, but have different units")
+    if len({v.variability == "constant" for v in aliases}) > 1:
         yield error(f"{first}: {names} share a valueReference, but only some are constant")
 
 
 @VARIABLES.rule(
     "variable.independent",
-    "There is one independent variable: at most in FMI 2, exactly in FMI 3",
+    "There is at most one independent variable in FMI 2, exactly one in FMI 3",
     "casadi#4030",
 )
 def independent(subject: Subject) -> Iterator[Finding]:
     model = subject.model
-    found = model.of("independent")
-    if len(found) > 1:
-        yield error(f"{found[1]}: is a second independent variable, after {found[0].name}, expected one")
-    if model.major == 3 and model.variables and not found:
-        yield error("modelDescription.xml: no independent variable, expected one such as time")
-    for v in found:
+    variables = model.of("independent")
+    if len(variables) > 1:
+        yield error(
+            f"{variables[1]}: expected one independent variable, got a second one after {variables[0].name}"
+        )
+    if model.major == 3 and model.variables and not variables:
+        yield error(
+            "modelDescription.xml: expected an independent variable such as time, got no independent variable"
+        )
+    for v in variables:
         if not v.is_float:
-            yield error(f"{v}: the independent variable is {v.type}, expected a real number")
+            yield error(f"{v}: expected a real independent variable, got {v.type}")
 
 
 @VARIABLES.rule("variable.type", "Declared types exist and have the type of the variable")
@@ -171,35 +175,35 @@ def type_(subject: Subject) -> Iterator[Finding]:
         elif name is not None:
             expected = model.types[name].type
             if expected != v.type:
-                yield error(f"{v}: declaredType {name} is for {expected}, the variable is {v.type}")
+                yield error(f"{v}: declaredType {name} has the type {expected}, the variable {v.type}")
         elif v.type == "Enumeration":
-            yield error(f"{v}: an enumeration without declaredType has no items")
+            yield error(f"{v}: expected a declaredType, without which an enumeration has no items")
 
 
-@VARIABLES.rule("variable.string", "Inputs and outputs are numbers", "FMPy#696")
+@VARIABLES.rule("variable.string", "Inputs and outputs are numeric", "FMPy#696")
 def string(subject: Subject) -> Iterator[Finding]:
     unusual = [v for v in subject.model.of("input", "output") if v.type in ("String", "Binary", "Clock")]
     if unusual:
-        yield note(f"{listed(unusual)}: {unusual[0].type}; many tools cannot connect them")
+        yield note(f"{join_variables(unusual)}: {unusual[0].type}, which many tools cannot connect")
 
 
 @VARIABLES.rule("variable.array", "Variables are scalars")
 def array(subject: Subject) -> Iterator[Finding]:
     arrays = [v for v in subject.model.variables if v.shape]
     if arrays:
-        yield note(f"{arrays[0]} is an array; tools that grew up with FMI 2 may not take arrays")
+        yield note(f"{arrays[0]} is an array; tools that were made for FMI 2 may not support arrays")
 
 
 @VARIABLES.rule("variable.text", "Inputs, outputs and parameters have a description")
 def text(subject: Subject) -> Iterator[Finding]:
     ports = subject.model.of("input", "output", "parameter")
-    silent = [v for v in ports if not v.get("description").strip()]
-    if silent:
-        yield note(f"{listed(silent)}: no description")
+    undescribed = [v for v in ports if not v.get("description").strip()]
+    if undescribed:
+        yield note(f"{join_variables(undescribed)}: no description")
 
 
 NAMES = RuleTable()
-LONGEST = 63  # namelengthmax of MATLAB
+MAX_LENGTH = 63  # namelengthmax of MATLAB
 IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
 PART = rf"(?:[A-Za-z_][A-Za-z0-9_]*|{QUOTED})(?:\[[0-9]+(?:,[0-9]+)*\])?"
@@ -242,7 +246,7 @@ def _structured(subject: Subject) -> bool:
 
 @NAMES.rule(
     "name.grammar",
-    "Names keep the naming convention that the FMU claims",
+    "Names follow the variableNamingConvention that the FMU declares",
     "casadi#4030 fmi-cross-check#74 OpenModelica#11265",
 )
 def grammar(subject: Subject) -> Iterator[Finding]:
@@ -257,20 +261,24 @@ def grammar(subject: Subject) -> Iterator[Finding]:
 def structured(subject: Subject) -> Iterator[Finding]:
     ports = [v for v in subject.model.of("input", "output") if re.search(r"[.\[]", v.name)]
     if _structured(subject) and ports:
-        yield note(f"{listed(ports)}: structured names of inputs or outputs, expected flat names")
+        yield note(
+            f"{join_variables(ports)}: expected flat names of inputs and outputs, got structured names"
+        )
 
 
 @NAMES.rule("name.characters", "Names are identifiers: letters, digits and underscores")
 def characters(subject: Subject) -> Iterator[Finding]:
     if _structured(subject):
-        return  # the rule on the grammar speaks of these
+        return  # checked by the rule name.grammar
     unusual = [v for v in subject.model.variables if v.name and not IDENTIFIER.fullmatch(v.name)]
     if unusual:
-        yield note(f"{listed(unusual)}: no identifiers; tools rename or quote them")
+        yield note(f"{join_variables(unusual)}: not identifiers; tools rename or quote them")
 
 
 @NAMES.rule(
-    "name.mangled", "Names stay different when a tool replaces what is no letter or digit", "Modelica-FMI#22"
+    "name.mangled",
+    "Names remain different if a tool replaces all characters except letters and digits",
+    "Modelica-FMI#22",
 )
 def mangled(subject: Subject) -> Iterator[Finding]:
     groups: dict[str, list[Variable]] = defaultdict(list)
@@ -278,14 +286,14 @@ def mangled(subject: Subject) -> Iterator[Finding]:
         groups[re.sub(r"\W", "_", v.name)].append(v)
     for name, same in groups.items():
         if len({v.name for v in same}) > 1:
-            yield note(f"{same[1]}: becomes {name} where {same[0].name} does too")
+            yield note(f"{same[1]}: becomes {name} in some tools, as {same[0].name} does")
 
 
 @NAMES.rule("name.case", "Names differ by more than case")
 def case(subject: Subject) -> Iterator[Finding]:
-    seen: dict[str, Variable] = {}
+    variables: dict[str, Variable] = {}
     for v in subject.model.variables:
-        other = seen.setdefault(v.name.casefold(), v)
+        other = variables.setdefault(v.name.casefold(), v)
         if other.name != v.name:
             yield note(f"{v}: differs from {other.name} only by case")
 
@@ -300,18 +308,18 @@ def keyword(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{v}: is a keyword of {' and '.join(languages)}")
 
 
-@NAMES.rule("name.length", f"Names have at most {LONGEST} characters", "FMIKit#341")
+@NAMES.rule("name.length", f"Names have at most {MAX_LENGTH} characters", "FMIKit#341")
 def length(subject: Subject) -> Iterator[Finding]:
-    long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > LONGEST]
+    long = [v for v in subject.model.of("input", "output", "parameter") if len(v.name) > MAX_LENGTH]
     if long:
-        yield note(f"{listed(long)}: {len(long[0].name)} characters, expected at most {LONGEST}")
+        yield note(f"{join_variables(long)}: {len(long[0].name)} characters, expected at most {MAX_LENGTH}")
 
 
 VALUES = RuleTable()
 
 
 def number(v: Variable, text: str | None) -> float | None:
-    """An attribute of a numeric variable; None when there is none or it is no number of its type."""
+    """An attribute of a numeric variable; None if it is missing or not a number of the variable's type."""
     if text is None:
         return None
     try:
@@ -323,7 +331,7 @@ def number(v: Variable, text: str | None) -> float | None:
 
 
 def _fits(v: Variable, text: str) -> bool:
-    """True when a start value is a value of the type."""
+    """True if a start value is a value of the type."""
     value = number(v, text)
     if v.is_float:
         return value is not None
@@ -341,12 +349,12 @@ def start_in_range(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
         for text in v.starts or ():
             if not _fits(v, text):
-                yield error(f"{v}: start value {text!r} is no {v.type}")
+                yield error(f"{v}: start value: expected a {v.type}, got {text!r}")
             elif v.is_float and not math.isfinite(float(text)):
-                yield warning(f"{v}: start value is {text}, expected a finite number")
+                yield warning(f"{v}: start value: expected a finite number, got {text}")
 
 
-@VALUES.rule("value.range", "Start values lie within min and max, and min below max")
+@VALUES.rule("value.range", "Start values are between min and max, and min is below max")
 def range_(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
         low, high = number(v, v.attributes.get("min")), number(v, v.attributes.get("max"))
@@ -357,29 +365,29 @@ def range_(subject: Subject) -> Iterator[Finding]:
             if value is not None and not (low if low is not None else value) <= value <= (
                 high if high is not None else value
             ):
-                yield error(f"{v}: start value {value:g} lies outside of {_interval(low, high)}")
+                yield error(f"{v}: start value {value:g} is outside of {_interval(low, high)}")
 
 
 def _interval(low: float | None, high: float | None) -> str:
     return f"{'-inf' if low is None else f'{low:g}'} ... {'inf' if high is None else f'{high:g}'}"
 
 
-@VALUES.rule("value.nominal", "Nominal values are positive; solvers scale tolerances with them")
+@VALUES.rule("value.nominal", "Nominal values are positive, because solvers scale tolerances with them")
 def nominal(subject: Subject) -> Iterator[Finding]:
     for v in subject.model.variables:
         value = number(v, v.attributes.get("nominal"))
         if value is not None and not (math.isfinite(value) and value > 0):
-            yield warning(f"{v}: nominal {value:g}, expected a positive number")
+            yield warning(f"{v}: nominal: expected a positive number, got {value:g}")
 
 
-@VALUES.rule("value.enumeration", "Enumerations have distinct items, and start at one of them")
+@VALUES.rule("value.enumeration", "Enumerations have distinct items, and their start values are items")
 def enumeration(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     for name, declared in model.types.items():
         values = [value for _, value in declared.items]
         if len(set(values)) < len(values):
             yield error(
-                f"modelDescription.xml line {declared.line}: type {name} has two items with one value"
+                f"modelDescription.xml line {declared.line}: type {name} has two items with the same value"
             )
     for v in model.variables:
         if v.type != "Enumeration" or v.get("declaredType") not in model.types:
@@ -387,4 +395,4 @@ def enumeration(subject: Subject) -> Iterator[Finding]:
         items = [value for _, value in model.types[v.get("declaredType")].items]
         wrong = [s for s in v.starts or () if s not in items]
         if wrong:
-            yield error(f"{v}: start value {wrong[0]} is no item, expected one of {', '.join(items[:8])}")
+            yield error(f"{v}: start value: expected one of {', '.join(items[:8])}, got {wrong[0]}")
