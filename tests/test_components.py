@@ -260,7 +260,7 @@ def test_areas_of_a_cylinder_by_hand() -> None:
 
 def test_leakage_of_a_motor_by_hand() -> None:
     """10 and 4 MPa over a tank at 1 MPa, R_in 2e12, R_ex 1e12 Pa.s/m3: eqs. (11), (12), heat."""
-    nodes = motor.at_ports(10e6, 4e6, 1e6, 0.0, 2e12, 1e12)
+    nodes = motor.nodes_at_port_pressures(10e6, 4e6, 1e6, 0.0, 2e12, 1e12)
     assert nodes.flow_1 == pytest.approx(6e6 / 2e12 + 9e6 / 1e12, rel=1e-12)
     assert nodes.flow_2 == pytest.approx(-6e6 / 2e12 + 3e6 / 1e12, rel=1e-12, abs=1e-20)
     assert nodes.drain == pytest.approx(12e6 / 1e12, rel=1e-12)

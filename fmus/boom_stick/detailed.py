@@ -97,7 +97,7 @@ class DetailedDrive:
 
     def rates(self) -> DriveState:
         """Time derivative of the state."""
-        wanted = spool_valve.wanted_position(self.u.command, self.full_command)
+        wanted = spool_valve.commanded_position(self.u.command, self.full_command)
         head, rod = (
             hose.rates(self.line, of, port.pressure, p)
             for of, port, p in zip(self.x.lines, self.ports, self.x.pressures, strict=True)
@@ -154,7 +154,7 @@ def _drives(
     edges, spool = Edges.of(p, "valve"), Spool.of(p, "spool")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
     for (axis, n), at in zip(names.items(), drive.surroundings(u), strict=True):
-        head, rod = (of.each(partial(getattr, x)) for of in n.lines)
+        head, rod = (of.apply(partial(getattr, x)) for of in n.lines)
         now = DriveState(
             SpoolState(getattr(x, n.spool.position), getattr(x, n.spool.speed)),
             (head, rod),
@@ -175,7 +175,7 @@ def _drives(
 def _names(axis: str, lumps: int, unsteady_friction: bool) -> DriveState:
     """Names of the states of one drive."""
     head, rod = (
-        hose.names(
+        hose.state_names(
             *(f"{axis}_{side}_valve_flow", f"{axis}_{side}_flow", f"{axis}_{side}_hose", ""),
             *(lumps, unsteady_friction),
         )
@@ -194,7 +194,7 @@ def _states(axis: str, names: DriveState) -> Iterator[tuple[str, Quantity]]:
         where = f"the {side} hose of the {axis}"
         first = Quantity("m3/s", f"Flow from the valve into {where}", 1e-3)
         yield pressure, usual[pressure]
-        yield from hose.states(of, where, first, usual[of.flows[-1]])
+        yield from hose.state_quantities(of, where, first, usual[of.flows[-1]])
 
 
 def _initial(
@@ -205,19 +205,19 @@ def _initial(
     state: dict[str, Scalar] = {}
     for n, command in zip(names.values(), (u.boom_command, u.stick_command), strict=True):
         state |= dict.fromkeys(n.all(), 0.0)
-        state[n.spool.position] = spool_valve.wanted_position(command, p.valve_full_command)
+        state[n.spool.position] = spool_valve.commanded_position(command, p.valve_full_command)
         for pressure, of in zip(n.pressures, n.lines, strict=True):
             state |= dict.fromkeys((pressure, *of.pressures), chambers[pressure])
     return state
 
 
-def advised_lumps() -> dict[str, int]:
+def default_lumps() -> dict[str, int]:
     """Lumps per hose by axis with the numbers of parameters.toml."""
     found = read(NUMBERS)["parameters"]
     p = DetailedBoomStickParameters(
         **{name: found[name].value for name in quantities(DetailedBoomStickParameters)}
     )
-    return {axis: hose.advised_lumps(line(p, axis)) for axis in AXES}
+    return {axis: hose.default_lumps(line(p, axis)) for axis in AXES}
 
 
 def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bool = False) -> Subsystem:
@@ -226,7 +226,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
     lumps               T-lumps per hose, or by axis; by default what `hose.lumps_needed` advises up to 75 Hz
     unsteady_friction   with the frequency-dependent friction of the hoses: three more states for each flow
     """
-    count = advised_lumps() if lumps is None else lumps
+    count = default_lumps() if lumps is None else lumps
     each = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
     names = {axis: _names(axis, n, unsteady_friction) for axis, n in each.items()}
     state = make_group(

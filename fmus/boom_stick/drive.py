@@ -79,7 +79,7 @@ def derive(kind: type[Hose], p: Any) -> dict[str, Scalar]:
     return {
         f"{axis}_hose_{name}": value
         for axis in AXES
-        for name, value in hose.derived(kind.of(p, f"{axis}_hose"), *oil).items()
+        for name, value in hose.derived_parameters(kind.of(p, f"{axis}_hose"), *oil).items()
     }
 
 

@@ -1,4 +1,5 @@
-"""Physics of single parts: no FMI, no files, no number of a machine.
+"""Physics of single hydraulic and mechanical parts, without parameter values, FMI or files.
 
-The few constants here shape a smooth stand-in (rounding, the cavity); each says so where it stands.
+The few constants here are widths of smooth approximations and the law of cavitation; their comments give
+reasons.
 """

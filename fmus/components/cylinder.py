@@ -13,7 +13,7 @@ from fmus.contract import Group, Quantity, Scalar
 
 
 class Cylinder(Group):
-    """The numbers of a cylinder."""
+    """Dimensions of a cylinder."""
 
     bore: Scalar = Quantity("m", "Bore of the {} cylinder", 0.1, minimum=1e-3, group="{} cylinder")
     rod: Scalar = Quantity("m", "Rod diameter of the {} cylinder", 0.1, minimum=0.0)
@@ -49,12 +49,12 @@ def force(head: Scalar, rod: Scalar, pressure_head: Scalar, pressure_rod: Scalar
 
 
 def holding_pressures(load: Scalar, head: Scalar, rod: Scalar, preload: Scalar) -> tuple[Scalar, Scalar]:
-    """Pressures [Pa] of a standing piston under a load [N], head and rod side.
+    """Pressures [Pa] of head and rod side that hold the piston at rest under a load [N].
 
-    The rod side stays above `preload` [Pa], the head side above what balances that without a load,
-    preload A_rod / A_head; the balance A_head P_head - A_rod P_rod = load is exact.
+    The rod side stays above `preload` [Pa], the head side above the pressure that balances the preload
+    without a load, preload A_rod / A_head. The balance A_head P_head - A_rod P_rod = load is exact.
     """
-    width = 0.1 * preload * rod  # rounds the change of sides over loads of 10 % of the preload
+    width = 0.1 * preload * rod  # the loaded side changes smoothly over loads of 10 % of the preload
     p_rod = preload + positive(-load, width) / rod
     return (load + rod * p_rod) / head, p_rod
 
@@ -64,8 +64,8 @@ def stop_force(
 ) -> Scalar:
     """Force [N] of the end stops on the piston: elastic with contact damping, zero inside the stroke.
 
-    F = k d (1 + c d') on each end with penetration d, rounded over `rounding` [m] (Hunt and
-    Crossley, J. Appl. Mech. 42 (1975) 440); never pulls, so 1 + c d' is rounded at zero.
+    F = k d (1 + c d') at each end with penetration d, rounded over `rounding` [m] (Hunt and
+    Crossley, J. Appl. Mech. 42 (1975) 440). 1 + c d' is rounded at zero, so that a stop never pulls.
     """
     low = stiffness * ramp(-x, rounding) * positive(1 - damping * v, 0.01)
     high = stiffness * ramp(x - stroke, rounding) * positive(1 + damping * v, 0.01)

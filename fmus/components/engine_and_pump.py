@@ -1,40 +1,41 @@
-"""Diesel engine with a droop governor, and axial piston pumps that a pressure compensator sets.
+"""Diesel engine with a droop governor, and axial piston pump with a pressure compensator.
 
-**The engine** is a source of torque:
+**The engine** is a torque source:
 
     J w'     = T - T_f(w) - T_load                T: torque of the combustion
-    tau T'   = (T_net + T_f) share(z) - T         follows the injected fuel
+    tau T'   = (T_net + T_f) lim(z) - T           follows the injected fuel
     T_net(w) = T_r (1 + r (1 - y^2))        y = (w - w_p) / (w_r - w_p)
-    T_f(w)   = d(w) c_0 + c_1 w                   own friction and pumping
+    T_f(w)   = d(w) c_0 + c_1 w                   friction and pumping losses
     z        = (T_f + T_net (w_0 - w) / (w_0 - w_r)) / (T_net + T_f)
 
-At full fuel the net torque is T_r at the rated speed w_r and 1 + r of that at the speed w_p of its peak,
-a parabola through both. The governor is proportional: from full fuel at w_r the net torque falls to zero at
-the no-load speed w_0. The fuel never goes below zero, so the speed stays positive: what brakes the shaft
-(friction, pumps behind check valves) ends as it stops.
+lim limits z to 0 ... 1 (`smooth.unit_limited`), d is the rounded sign (`smooth.direction`). At full fuel the
+net torque is a parabola: T_r at the rated speed w_r, maximum (1 + r) T_r at the speed w_p. The governor is
+proportional: from full fuel at w_r the net torque falls to zero at the no-load speed w_0. The fuel is never
+negative. The speed stays positive, because the braking torques (friction, pumps behind check valves) vanish
+at standstill.
 
 References: Heywood, Internal Combustion Engine Fundamentals, 1988, ch. 13 (friction); Guzzella and Onder,
 Introduction to Modeling and Control of Internal Combustion Engine Systems, 2010, sec. 2.5 (mean values).
-Valid for mean torque over a cycle above some 800 rpm; no turbocharger lag, no smoke limit, no stall.
+Valid for the mean torque over a cycle, above about 800 rpm; no turbocharger lag, no smoke limit, no stall.
 
-**A pump** has a swash plate that the compensator moves:
+**A pump** has a swash plate, which the compensator moves:
 
-    x      = s D w                         flow drawn from the tank, s = share of the stroke
-    q      = x - k (p - P_t)               left for the outlet line, k: leakage to the case
+    x      = s D w                         flow from the tank, s: stroke relative to the full stroke
+    q      = x - k (p - P_t)               flow into the outlet line, k: leakage to the case
     T      = s D dp + d(w) c_f D m(dp) + c_v w       torque on the shaft, dp = p - P_t
     s'     = r / sqrt(1 + (r / r_max)^2),     r = (s_target - s) / tau
-    s_target = share((P_set - p) / band)
+    s_target = lim((P_set - p) / band)
 
-The losses are those of Wilson (Transactions of the ASME 68 (1946) 371; also in Merritt, Hydraulic Control
-Systems, 1967): laminar leakage, friction of the bearing surfaces in proportion to the pressure at any stroke,
-viscous drag. The compensator senses the pump's own outlet p. Its setting is
-the pressure at which the stroke would be zero (dead head); it is on full stroke `band` below. It follows
-with the lag tau, and no faster than the control piston can move: r_max = 1/t_on on stroke, 1/t_off back.
-As s_target is within 0 ... 1, s stays there whatever p does. Smoothing: s_target is above the straight
-line by rounding^2 / (4 s), which lifts the dead head by band rounding^2 / (4 s_0) with the stroke s_0 that
-covers the leakage (a thousandth of the band for s_0 = 2.5 %), and is rounded at full stroke.
+Loss model of Wilson (Transactions of the ASME 68 (1946) 371; also in Merritt, Hydraulic Control Systems,
+1967): laminar leakage, friction of the bearing surfaces proportional to the pressure at any stroke, viscous
+drag. The compensator senses the outlet pressure p. Its setting is the pressure at which the stroke would be
+zero (dead head); at `band` below the setting the stroke is full. The stroke follows with the lag tau, limited
+by the speed of the control piston: r_max = 1/t_on for increasing, 1/t_off for decreasing stroke. As s_target
+is within 0 ... 1, so is s for any p. Smoothing: s_target is above the straight line by rounding^2 / (4 s),
+which raises the dead head by band rounding^2 / (4 s_0) with the stroke s_0 that covers the leakage (a
+thousandth of the band for s_0 = 2.5 %), and is rounded at full stroke.
 
-Valid for mean flows: no ripple of the pistons, no oil for the control piston, no cavitation at the inlet.
+Valid for mean flows: no piston ripple, no flow to the control piston, no cavitation at the inlet.
 """
 
 from __future__ import annotations
@@ -43,65 +44,60 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fmus.components.smooth import direction, positive, ramp, share, unlimited
+from fmus.components.smooth import direction, positive, ramp, unit_limited, unit_limited_inverse
 from fmus.contract import Group, Quantity, Scalar
 
-_ROUNDING = 0.02  # share of the fuel over which both stops of the rack are rounded
-_SPEED_ROUNDING = 1.0  # rad/s: below, friction lets go of the shaft; far below any idle speed
-_LEAST = 0.1  # of the rated torque: keeps the curve positive far outside of its range
+_ROUNDING = 0.02  # fraction of full fuel over which both limits of the fuel are rounded
+_SPEED_ROUNDING = 1.0  # rad/s, far below idle speed; below, the dry friction falls to zero
+_LEAST_TORQUE = 0.1  # fraction of the rated torque: lower bound of the parabola outside its range
+_PRESSURE_ROUNDING = 1e4  # Pa; below, the pressure-dependent friction falls to zero
 
 
 class DieselEngine(Group):
-    """Numbers of the engine."""
+    """Parameters of the engine."""
 
     rated_speed: Scalar = Quantity("rad/s", "Speed at rated power", 100.0, minimum=1.0, group="Engine")
     rated_torque: Scalar = Quantity("N.m", "Torque at the shaft at rated power", 100.0, minimum=1.0)
     peak_speed: Scalar = Quantity("rad/s", "Speed of the largest torque", 100.0, minimum=1.0)
-    torque_rise: Scalar = Quantity("1", "Largest torque over rated torque, less 1", minimum=0.0)
-    no_load_speed: Scalar = Quantity(
-        "rad/s", "Speed at which the governor leaves no torque", 100.0, minimum=1.0
-    )
+    torque_rise: Scalar = Quantity("1", "Largest torque over rated torque, minus 1", minimum=0.0)
+    no_load_speed: Scalar = Quantity("rad/s", "Speed at which the net torque is zero", 100.0, minimum=1.0)
     friction: Scalar = Quantity(
-        "N.m", "Friction of the engine that does not depend on speed", 10.0, minimum=0.0
+        "N.m", "Friction torque of the engine, independent of speed", 10.0, minimum=0.0
     )
-    viscous_friction: Scalar = Quantity(
-        "N.m.s/rad", "Friction of the engine in proportion to speed", minimum=0.0
-    )
-    inertia: Scalar = Quantity("kg.m2", "Inertia of engine, flywheel and pumps", minimum=1e-3)
-    lag: Scalar = Quantity("s", "Time constant from governor to torque", 0.1, minimum=1e-6)
+    viscous_friction: Scalar = Quantity("N.m.s/rad", "Friction torque of the engine per speed", minimum=0.0)
+    inertia: Scalar = Quantity("kg.m2", "Moment of inertia of engine, flywheel and pumps", minimum=1e-3)
+    lag: Scalar = Quantity("s", "Time constant of the torque after the governor", 0.1, minimum=1e-6)
 
 
 def net_torque(d: DieselEngine, speed: Scalar) -> Scalar:
-    """Torque [N.m] at the shaft with full fuel."""
+    """Torque [N.m] at the shaft at full fuel."""
     y = (speed - d.peak_speed) / (d.rated_speed - d.peak_speed)
-    return d.rated_torque * ca.fmax(1 + d.torque_rise * (1 - y**2), _LEAST)
+    return d.rated_torque * ca.fmax(1 + d.torque_rise * (1 - y**2), _LEAST_TORQUE)
 
 
 def engine_friction(d: DieselEngine, speed: Scalar) -> Scalar:
-    """Torque [N.m] that the engine needs for itself."""
+    """Friction torque [N.m] of the engine."""
     return d.friction * direction(speed, _SPEED_ROUNDING) + d.viscous_friction * speed
 
 
-def asked_torque(d: DieselEngine, speed: Scalar) -> Scalar:
-    """Torque [N.m] of the combustion that the governor asks for."""
-    net, own = net_torque(d, speed), ca.fmax(engine_friction(d, speed), 0)  # a trial speed may be negative
-    z = (own + net * (d.no_load_speed - speed) / (d.no_load_speed - d.rated_speed)) / (net + own)
-    return (net + own) * share(z, _ROUNDING)
+def governor_torque(d: DieselEngine, speed: Scalar) -> Scalar:
+    """Combustion torque [N.m] that the governor commands."""
+    net = net_torque(d, speed)
+    friction = ca.fmax(engine_friction(d, speed), 0)  # a trial speed may be negative
+    z = (friction + net * (d.no_load_speed - speed) / (d.no_load_speed - d.rated_speed)) / (net + friction)
+    return (net + friction) * unit_limited(z, _ROUNDING)
 
 
-def governed_speed(d: DieselEngine, load: Scalar, near: Scalar) -> Scalar:
-    """A better guess of the speed [rad/s] that the governor holds under a load [N.m], from one near it."""
-    net, own = net_torque(d, near), engine_friction(d, near)
-    z = unlimited((load + own) / (net + own), _ROUNDING)
-    return d.no_load_speed - (d.no_load_speed - d.rated_speed) * (z * (net + own) - own) / net
-
-
-_PRESSURE_ROUNDING = 1e4  # Pa: below, the friction under pressure lets go, too
+def governed_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
+    """Fixed-point iteration for the steady speed [rad/s] under a load [N.m], from a guess."""
+    net, friction = net_torque(d, guess), engine_friction(d, guess)
+    z = unit_limited_inverse((load + friction) / (net + friction), _ROUNDING)
+    return d.no_load_speed - (d.no_load_speed - d.rated_speed) * (z * (net + friction) - friction) / net
 
 
 @dataclass(frozen=True)
 class Pump:
-    """Numbers of one pump: D [m3/rad], k [m3/(s.Pa)], c_f [1], c_v [N.m.s/rad], compensator [Pa, 1, s]."""
+    """Parameters of a pump: D [m3/rad], k [m3/(s.Pa)], c_f [1], c_v [N.m.s/rad], compensator [Pa, 1, s]."""
 
     displacement: Scalar
     leakage: Scalar
@@ -115,38 +111,38 @@ class Pump:
     destroke_time: Scalar
 
 
-def drawn(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:
-    """Flow [m3/s] that the pistons draw from the tank."""
+def suction_flow(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:
+    """Flow x [m3/s] from the tank."""
     return stroke * d.displacement * speed
 
 
 def pump_friction(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
-    """Torque [N.m] of the friction at a pressure rise [Pa]; against the motion."""
-    loaded = d.pressure_friction * d.displacement * positive(rise, _PRESSURE_ROUNDING)
-    return loaded * direction(speed, _SPEED_ROUNDING) + d.viscous_friction * speed
+    """Friction torque [N.m] at a pressure rise dp [Pa], against the motion."""
+    dry = d.pressure_friction * d.displacement * positive(rise, _PRESSURE_ROUNDING)
+    return dry * direction(speed, _SPEED_ROUNDING) + d.viscous_friction * speed
 
 
 def torque(d: Pump, stroke: Scalar, speed: Scalar, rise: Scalar) -> Scalar:
-    """Torque [N.m] that turns the shaft."""
+    """Torque T [N.m] on the shaft."""
     return stroke * d.displacement * rise + pump_friction(d, speed, rise)
 
 
 def loss(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
-    """Power [W] turned into heat by leakage and friction; never negative."""
+    """Power [W] dissipated by leakage and friction; never negative."""
     return d.leakage * rise**2 + pump_friction(d, speed, rise) * speed
 
 
 def stroke_rate(d: Pump, stroke: Scalar, pressure: Scalar) -> Scalar:
-    """ds/dt [1/s]: what the lag asks for, limited."""
-    asked = (share((d.setting - pressure) / d.band, d.rounding) - stroke) / d.lag
-    on, off = ca.fmax(asked, 0) * d.stroke_time, ca.fmin(asked, 0) * d.destroke_time
-    return asked / ca.sqrt(1 + on**2 + off**2)
+    """ds/dt [1/s]: the rate r of the lag, limited by the speed of the control piston."""
+    rate = (unit_limited((d.setting - pressure) / d.band, d.rounding) - stroke) / d.lag
+    on, off = ca.fmax(rate, 0) * d.stroke_time, ca.fmin(rate, 0) * d.destroke_time
+    return rate / ca.sqrt(1 + on**2 + off**2)
 
 
 def dead_head(d: Pump, speed: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
-    """Stroke and outlet pressure [Pa] of a pump at a speed that delivers nothing but its leakage.
+    """Stroke and outlet pressure [Pa] at dead head: the flow only covers the leakage.
 
-    From s D w = k (p - P_t) and the compensator's line, a quadratic equation of s.
+    s D w = k (p - P_t) and the line of the compensator give a quadratic equation for s.
     """
     gain = d.displacement * speed / (d.leakage * d.band)
     level = (d.setting - tank) / d.band
@@ -155,5 +151,5 @@ def dead_head(d: Pump, speed: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def check_flow(upstream: Scalar, downstream: Scalar, resistance: Scalar, opening: Scalar) -> Scalar:
-    """Flow [m3/s] through a check valve and its line: zero backwards, opens within `opening` [Pa]."""
+    """Flow [m3/s] through a check valve with its line: zero backwards; opens over `opening` [Pa]."""
     return ramp(upstream - downstream, opening) / resistance

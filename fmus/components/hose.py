@@ -1,4 +1,4 @@
-"""A hose: what follows from length and bore, one lump of it, and a line of many lumps.
+"""Hoses: parameters derived from length and bore, one lump, and a line of many lumps with friction.
 
     I = rho l/A       C = A l/beta       C_R = C_R0 (l/l_0) (D_0/D)^4.75       R = 128 mu l/(pi D^4)
 
@@ -12,14 +12,13 @@
     C_k dP/dt  = Q_in - Q_out        C_k = V/N (kappa(P) + 1/E_wall)
     dq_i/dt    = (Q - q_i)/T_i       with frequency-dependent friction
 
-C_R of the turbulent law: the drop changes over from the laminar one at Q = R/C_R, for the longest hose at
-Re 2500. Both ends give flows, so pressures are put in. Valid below the bandwidth that `lumps_needed` was
-asked for; the T-lumps have the exact wave numbers of the line and too low frequencies, by sin(t)/t with
-t = k l/2N.
+The friction changes from laminar to turbulent at Q = R/C_R, which is Re 2500 for the longest hose. Inputs are
+the pressures at both ends, outputs the flows. Valid below the bandwidth in `lumps_needed`: the T-lumps have
+the exact wave numbers of the line, but their frequencies are too low by the factor sin(t)/t with t = k l/2N.
 
-**Frequency-dependent friction** of laminar flow: Trikha's three terms as a passive network. The wall's
-friction follows a change of the flow with the memory of the boundary layer (W. Zielke, J. Basic
-Engineering 90 (1968) 109): over the whole line, with the steady resistance R,
+**Frequency-dependent friction** of laminar flow: Trikha's three terms as a passive network. The wall friction
+depends on past changes of the flow through the boundary layer (W. Zielke, J. Basic Engineering 90 (1968)
+109); over the whole line, with the steady resistance R,
 
     dp = R Q + R/2 int dQ/dt(t') W(nu (t - t')/r^2) dt',        W(T) ~ sum_i m_i exp(-n_i T)
 
@@ -29,11 +28,11 @@ Each term is a resistance R_i = m_i R/2 with an inertance L_i = R_i r^2/(n_i nu)
 
     drop R_i (Q - q_i)        dq_i/dt = (Q - q_i)/T_i,  T_i = r^2/(n_i nu)        heat R_i (Q - q_i)^2
 
-so energy is stored (L_i q_i^2/2) and lost, never made. The inertances add up to I/3, as they must: slow flow
-has the inertance 4/3 I of its parabolic profile. Up to w r^2/nu = `RANGE` the real part, which damps, is
-within 26 % of Zielke's and the whole impedance within 2.5 %; steady friction alone has 4 % of the real part
-there. The range ends at 700 Hz for a 3/4 in hose and 20 mm2/s. Turbulent flow has a shorter memory: there
-the terms are an upper bound.
+so energy is stored (L_i q_i^2/2) and dissipated, never generated. The inertances add up to I/3, as required:
+slow flow has the inertance 4/3 I of its parabolic profile. Up to w r^2/nu = `RANGE` the real part, which
+damps, is within 26 % of Zielke's and the whole impedance within 2.5 %; steady friction alone has 4 % of the
+real part at that limit. The range ends at 700 Hz for a 3/4 in hose and 20 mm2/s. The memory of turbulent flow
+is shorter, so the terms are an upper bound for it.
 
 Signs: flows are positive from inlet to outlet; pressures are gauge.
 """
@@ -53,14 +52,14 @@ from fmus.components.chamber import Fluid
 from fmus.components.spool_valve import turbulent_drop
 from fmus.contract import Group, Quantity, Scalar
 
-REFERENCE_LENGTH, REFERENCE_BORE = 4.0, 0.01905  # [m] of the hose whose resistance the others are scaled from
-BANDWIDTH = 75.0  # Hz: modes of a line up to here, which recordings at the paper's 200 Hz show, ...
-ERROR = 0.05  # ... have frequencies within this share, unless the number of lumps is given
+REFERENCE_LENGTH, REFERENCE_BORE = 4.0, 0.01905  # [m], hose from which all resistances are scaled
+BANDWIDTH = 75.0  # Hz: highest mode of a line that recordings at the paper's 200 Hz show
+FREQUENCY_ERROR = 0.05  # largest relative error of the frequencies of modes up to BANDWIDTH
 
-WEIGHTS = (40.0, 8.1, 1.0)  # m_i
-DECAYS = (8000.0, 200.0, 26.4)  # n_i
+WEIGHTS = (40.0, 8.1, 1.0)  # m_i of the frequency-dependent friction
+DECAYS = (8000.0, 200.0, 26.4)  # n_i of the frequency-dependent friction
 TERMS = len(WEIGHTS)
-RANGE = 2e4  # largest w r^2/nu
+RANGE = 2e4  # largest w r^2/nu of the frequency-dependent friction
 
 
 class HoseSize(Group):
@@ -71,10 +70,13 @@ class HoseSize(Group):
 
 
 class Hose(HoseSize):
-    """With its friction."""
+    """A hose with its friction."""
 
     resistance: Scalar = Quantity(
-        "Pa.s2/m6", "Turbulent resistance C_R of each {}; 0: of length and bore, eq. (10)", 1e10, minimum=0.0
+        "Pa.s2/m6",
+        "Turbulent resistance C_R of each {}; 0: derived from length and bore, eq. (10)",
+        1e10,
+        minimum=0.0,
     )
 
 
@@ -82,7 +84,7 @@ class VolumeHose(Hose):
     """A hose as a volume with a resistance."""
 
     capacitance: Scalar = Quantity(
-        "m3/Pa", "Capacitance of each {}; 0: of length, bore and bulk modulus", 1e-12, minimum=0.0
+        "m3/Pa", "Capacitance of each {}; 0: derived from length, bore and bulk modulus", 1e-12, minimum=0.0
     )
 
 
@@ -90,41 +92,45 @@ class LumpedHose(VolumeHose):
     """A hose as one lump."""
 
     inertance: Scalar = Quantity(
-        "kg/m4", "Inertance of each {}; 0: of length, bore and density", 1e7, minimum=0.0
+        "kg/m4", "Inertance of each {}; 0: derived from length, bore and density", 1e7, minimum=0.0
     )
 
 
 class ReferenceHose(Group):
-    """What the resistance of every hose is scaled from."""
+    """Resistance of the reference hose, from which that of every hose is scaled."""
 
     hose_reference_resistance: Scalar = Quantity(
-        *("Pa.s2/m6", "C_R of 4 m of 3/4 in hose (19.05 mm), from which eq. (10) leads to the others", 1e10),
+        "Pa.s2/m6",
+        "C_R of a 3/4 in hose (19.05 mm) of 4 m, from which eq. (10) derives that of the other hoses",
+        1e10,
         minimum=0.0,
         group="Hoses",
     )
 
 
 class HoseWall(Group):
-    """How the walls of all hoses give way."""
+    """Compliance of the walls of all hoses."""
 
     hose_wall_modulus: Scalar = Quantity(
-        *("Pa", "Pressure over relative growth of a hose's volume by its wall", 1e9),
+        "Pa",
+        "Pressure over relative growth of a hose's volume by its wall",
+        1e9,
         minimum=1e7,
         group="Hose walls",
     )
 
 
-def derived(
+def derived_parameters(
     h: Hose, density: Scalar, bulk_modulus: Scalar, reference_resistance: Scalar
 ) -> dict[str, Scalar]:
-    """The numbers of a hose that follow from its length and bore."""
+    """Parameters of a hose that are derived from its length and bore."""
     ratios = (h.length / REFERENCE_LENGTH, h.bore / REFERENCE_BORE)
-    found = {
+    parameters = {
         "resistance": scaled_resistance(reference_resistance, *ratios),
         "capacitance": capacitance(h.length, h.bore, bulk_modulus),
         "inertance": inertance(h.length, h.bore, density),
     }
-    return {name: value for name, value in found.items() if hasattr(h, name)}
+    return {name: value for name, value in parameters.items() if hasattr(h, name)}
 
 
 def flow_rate(
@@ -157,8 +163,8 @@ def capacitance(length: Scalar, diameter: Scalar, bulk_modulus: Scalar) -> Scala
 def scaled_resistance(resistance: Scalar, length_ratio: Scalar, diameter_ratio: Scalar) -> Scalar:
     """C_R [Pa.s2/m6] of another hose at the same flow, eq. (10): C_R ~ l / D^4.75.
 
-    Blasius: turbulent flow in a smooth pipe, Re 3e3 to 1e5. C_R belongs to one reference
-    flow: the true drop grows as Q^1.75, so C_R falls by 16 % per doubling of Q (E10).
+    Blasius: turbulent flow in a smooth pipe, Re 3e3 to 1e5. C_R is valid at one reference flow: the true drop
+    grows as Q^1.75, so C_R falls by 16 % per doubling of Q (E10).
     """
     return resistance * length_ratio / diameter_ratio**4.75
 
@@ -169,49 +175,49 @@ def laminar_resistance(length: Scalar, diameter: Scalar, viscosity: Scalar) -> S
 
 
 def frequency_limit(length: Scalar, density: Scalar, bulk_modulus: Scalar) -> Scalar:
-    """Highest frequency [Hz] at which one lump describes the line, eq. (3): C0 / (2 pi l)."""
+    """Highest frequency [Hz] at which one lump is valid for the line, eq. (3): C0 / (2 pi l)."""
     return ca.sqrt(bulk_modulus / density) / (2 * math.pi * length)
 
 
 # ---- a line of many lumps
 
 
-def _numbers(line: Line) -> tuple[tuple[Scalar, Scalar], ...]:
-    """(R_i, 1/T_i) of each term, for the whole line."""
+def _friction_terms(line: Line) -> tuple[tuple[Scalar, Scalar], ...]:
+    """(R_i, 1/T_i) of each term of the frequency-dependent friction, for the whole line."""
     diffusion = line.fluid.viscosity / line.fluid.density / (line.bore / 2) ** 2
     r = line.laminar_resistance
     return tuple((m * r / 2, n * diffusion) for m, n in zip(WEIGHTS, DECAYS, strict=True))
 
 
-def drop(line: Line, flow: Scalar, within: Sequence[Scalar]) -> Scalar:
-    """Pressure [Pa] beyond the steady drop."""
-    return sum(r * (flow - q) for (r, _), q in zip(_numbers(line), within, strict=True))
+def layer_drop(line: Line, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
+    """Pressure drop [Pa] of the frequency-dependent friction, in addition to the steady drop."""
+    return sum(r * (flow - q) for (r, _), q in zip(_friction_terms(line), layers, strict=True))
 
 
-def layer_rates(line: Line, flow: Scalar, within: Sequence[Scalar]) -> tuple[Scalar, ...]:
+def layer_rates(line: Line, flow: Scalar, layers: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """dq_i/dt [m3/s2]."""
-    return tuple(n * (flow - q) for (_, n), q in zip(_numbers(line), within, strict=True))
+    return tuple(n * (flow - q) for (_, n), q in zip(_friction_terms(line), layers, strict=True))
 
 
-def layer_energy(line: Line, within: Sequence[Scalar]) -> Scalar:
-    """Energy [J] that the profile of the flow holds beyond I Q^2/2."""
-    return sum(r / n * q**2 / 2 for (r, n), q in zip(_numbers(line), within, strict=True))
+def layer_energy(line: Line, layers: Sequence[Scalar]) -> Scalar:
+    """Kinetic energy [J] of the flow profile, in addition to I Q^2/2."""
+    return sum(r / n * q**2 / 2 for (r, n), q in zip(_friction_terms(line), layers, strict=True))
 
 
-def layer_heat(line: Line, flow: Scalar, within: Sequence[Scalar]) -> Scalar:
-    """Power [W] turned into heat beyond the steady friction; never negative."""
-    return sum(r * (flow - q) ** 2 for (r, _), q in zip(_numbers(line), within, strict=True))
+def layer_heat(line: Line, flow: Scalar, layers: Sequence[Scalar]) -> Scalar:
+    """Power [W] dissipated by the frequency-dependent friction; never negative."""
+    return sum(r * (flow - q) ** 2 for (r, _), q in zip(_friction_terms(line), layers, strict=True))
 
 
 def impedance(line: Line, omega: float) -> complex:
-    """dp/Q [Pa.s/m3] of the whole line, laminar, for a flow of angular frequency `omega` [rad/s]."""
-    memory = sum(r * 1j * omega / (1j * omega + n) for r, n in _numbers(line))
-    return complex(1j * omega * line.inertance + line.laminar_resistance + memory)
+    """dp/Q [Pa.s/m3] of the whole line for laminar flow at the angular frequency `omega` [rad/s]."""
+    unsteady = sum(r * 1j * omega / (1j * omega + n) for r, n in _friction_terms(line))
+    return complex(1j * omega * line.inertance + line.laminar_resistance + unsteady)
 
 
 @dataclass(frozen=True)
 class Line:
-    """Length and bore [m], turbulent resistance C_R [Pa.s2/m6], modulus of the wall [Pa], oil."""
+    """Parameters of a line: length, bore [m], turbulent C_R [Pa.s2/m6], wall modulus [Pa], oil."""
 
     length: Scalar
     bore: Scalar
@@ -237,58 +243,59 @@ class Line:
 
 @dataclass(frozen=True)
 class LineState:
-    """N+1 flows [m3/s] from inlet to outlet, N pressures [Pa], and for each flow those of its layers, if any.
+    """State of a line of N lumps; also used for the rates and for the names of the states.
 
-    Also their rates, or their names.
+    flows       N+1 flows [m3/s] from inlet to outlet
+    pressures   N pressures [Pa]
+    layers      for each flow the q_i [m3/s] of the frequency-dependent friction; empty without it
     """
 
     flows: tuple[Any, ...]
     pressures: tuple[Any, ...]
     layers: tuple[tuple[Any, ...], ...]
 
-    def each(self, function: Callable[[Any], Any]) -> LineState:
-        """The state with a function of every entry in its place."""
+    def apply(self, function: Callable[[Any], Any]) -> LineState:
+        """The function applied to every entry."""
         return LineState(
             tuple(map(function, self.flows)),
             tuple(map(function, self.pressures)),
-            tuple(tuple(map(function, one)) for one in self.layers),
+            tuple(tuple(map(function, q)) for q in self.layers),
         )
 
     def all(self) -> tuple[Any, ...]:
         """All entries in order."""
-        return (*self.flows, *self.pressures, *(q for one in self.layers for q in one))
+        return (*self.flows, *self.pressures, *(q for layers in self.layers for q in layers))
 
 
-def shares(lumps: int) -> tuple[float, ...]:
-    """Which part of the line each flow runs through: half a lump at both ends."""
+def length_fractions(lumps: int) -> tuple[float, ...]:
+    """Fraction of the length of the line for each flow: half a lump at both ends, else one lump."""
     return (0.5 / lumps, *(1 / lumps,) * (lumps - 1), 0.5 / lumps)
 
 
 def _friction(line: Line, x: LineState) -> tuple[Scalar, ...]:
-    """Pressure drop [Pa] over the whole line if it had each of the flows."""
+    """For each flow the pressure drop [Pa] over the whole line with this flow."""
     steady = (q * ca.sqrt(line.laminar_resistance**2 + (line.resistance * q) ** 2) for q in x.flows)
     if not x.layers:
         return tuple(steady)
-    more = (drop(line, q, one) for q, one in zip(x.flows, x.layers, strict=True))
-    return tuple(a + b for a, b in zip(steady, more, strict=True))
+    unsteady = (layer_drop(line, q, layers) for q, layers in zip(x.flows, x.layers, strict=True))
+    return tuple(a + b for a, b in zip(steady, unsteady, strict=True))
 
 
 def rates(line: Line, x: LineState, inlet: Scalar, outlet: Scalar) -> LineState:
-    """Time derivative of the state between two pressures [Pa]."""
+    """Time derivative of the state at the pressures [Pa] of inlet and outlet."""
     n = len(x.pressures)
     nodes = (inlet, *x.pressures, outlet)
-    driving = (a - b for a, b in pairwise(nodes))
+    drops = (a - b for a, b in pairwise(nodes))
     flows = tuple(
-        (dp / w - drop) / line.inertance
-        for dp, w, drop in zip(driving, shares(n), _friction(line, x), strict=True)
+        (dp / w - friction) / line.inertance
+        for dp, w, friction in zip(drops, length_fractions(n), _friction(line, x), strict=True)
     )
     pressures = tuple(
         chamber.pressure_rate(p, q_in - q_out, _capacitance(line, p) / n, 1 / n)
         for p, (q_in, q_out) in zip(x.pressures, pairwise(x.flows), strict=True)
     )
-    return LineState(
-        flows, pressures, tuple(layer_rates(line, q, one) for q, one in zip(x.flows, x.layers, strict=False))
-    )
+    layers = tuple(layer_rates(line, q, own) for q, own in zip(x.flows, x.layers, strict=False))
+    return LineState(flows, pressures, layers)
 
 
 def _capacitance(line: Line, pressure: Scalar) -> Scalar:
@@ -296,27 +303,27 @@ def _capacitance(line: Line, pressure: Scalar) -> Scalar:
 
 
 def stored_energy(line: Line, x: LineState) -> Scalar:
-    """Energy [J] of the compressed oil, the stretched wall, the cavities and the moving columns."""
+    """Energy [J] of oil compression, wall expansion, cavities and flow."""
     n = len(x.pressures)
-    springs = sum(
+    elastic = sum(
         line.volume * (chamber.energy_density(line.fluid, p) + p**2 / (2 * line.wall_modulus))
         + chamber.stored_energy(p, 0.0)
         for p in x.pressures
     )
-    moving = sum(w * q**2 for w, q in zip(shares(n), x.flows, strict=True))
-    within = sum(w * layer_energy(line, one) for w, one in zip(shares(n), x.layers, strict=False))
-    return springs / n + line.inertance * moving / 2 + within
+    kinetic = sum(w * q**2 for w, q in zip(length_fractions(n), x.flows, strict=True))
+    layers = sum(w * layer_energy(line, own) for w, own in zip(length_fractions(n), x.layers, strict=False))
+    return elastic / n + line.inertance * kinetic / 2 + layers
 
 
 def heat(line: Line, x: LineState) -> Scalar:
-    """Power [W] turned into heat by friction; never negative."""
-    w = shares(len(x.pressures))
+    """Power [W] dissipated by friction; never negative."""
+    w = length_fractions(len(x.pressures))
     if not x.layers:
-        return sum(a * q * drop for a, q, drop in zip(w, x.flows, _friction(line, x), strict=True))
+        return sum(a * q * dp for a, q, dp in zip(w, x.flows, _friction(line, x), strict=True))
     steady = _friction(line, LineState(x.flows, x.pressures, ()))
     return sum(
-        a * (q * drop + layer_heat(line, q, one))
-        for a, q, drop, one in zip(w, x.flows, steady, x.layers, strict=True)
+        a * (q * dp + layer_heat(line, q, layers))
+        for a, q, dp, layers in zip(w, x.flows, steady, x.layers, strict=True)
     )
 
 
@@ -325,35 +332,37 @@ def cavity_volume(x: LineState) -> Scalar:
     return sum(chamber.cavity_volume(p) for p in x.pressures) / len(x.pressures)
 
 
-def names(first: str, last: str, inner: str, side: str, lumps: int, unsteady_friction: bool) -> LineState:
-    """Names of the states: `first` and `last` flow at the ends, the others from `inner` and `side`."""
+def state_names(
+    first: str, last: str, inner: str, side: str, lumps: int, unsteady_friction: bool
+) -> LineState:
+    """Names of the states: `first` and `last` for the flows at the ends, else from `inner` and `side`."""
     flows = (first, *(f"{inner}_flow{side}_{k}" for k in range(1, lumps)), last)
     pressures = tuple(f"{inner}_pressure{side}_{k}" for k in range(1, lumps + 1))
-    within = tuple(
+    layers = tuple(
         tuple(f"{inner}_layer{side}_{k}_{i}" for i in range(1, TERMS + 1)) for k in range(lumps + 1)
     )
-    return LineState(flows, pressures, within if unsteady_friction else ())
+    return LineState(flows, pressures, layers if unsteady_friction else ())
 
 
 def lumps_needed(
     length: float, bore: float, bandwidth: float, error: float, fluid: Fluid, wall_modulus: float = math.inf
 ) -> int:
-    """How many T-lumps give every mode up to `bandwidth` [Hz] within the share `error` of its frequency.
+    """Number of T-lumps that give every mode up to `bandwidth` [Hz] a relative frequency error <= `error`.
 
-    A mode between open or shut ends has a wave number k. The ladder has the same k, and
+    A mode between open or closed ends has a wave number k. The ladder has the same k, and
 
         gamma(s_ladder) = gamma(s_line) sin(t)/t,        t = k l/2N,        gamma(s)^2 = Z(s) s C/l
 
-    with the impedance Z of the line's friction: without friction the frequencies themselves are low by
-    1 - sin(t)/t. So N = k l/2t with sin(t)/t = 1 - error and k = |gamma| at the bandwidth. Viscosity slows
-    the waves down: a narrow bore needs more lumps. With a chamber at an end the ladder's k is a bit higher,
-    its error smaller. Air is left out, though it slows the waves at low pressure.
+    with the impedance Z of the line. Without friction the frequencies are too low by the fraction 1 -
+    sin(t)/t. So N = k l/2t with sin(t)/t = 1 - error and k = |gamma| at the bandwidth. Viscosity reduces the
+    wave speed, so a narrow bore needs more lumps. With a chamber at an end the k of the ladder is slightly
+    higher and its error smaller. Air is neglected, although it reduces the wave speed at low pressure.
     """
     modulus = 1 / (1 / fluid.bulk_modulus + 1 / wall_modulus)
     line = Line(length, bore, 0.0, wall_modulus, fluid)
     omega = 2 * math.pi * bandwidth
-    slower = abs(impedance(line, omega)) / (omega * line.inertance)
-    phase = omega * length * math.sqrt(fluid.density / modulus * slower)
+    viscous_factor = abs(impedance(line, omega)) / (omega * line.inertance)
+    phase = omega * length * math.sqrt(fluid.density / modulus * viscous_factor)
     return max(1, math.ceil(phase / (2 * _angle(error)) * (1 - 1e-12)))
 
 
@@ -366,22 +375,26 @@ def _angle(error: float) -> float:
     return low
 
 
-def states(
-    x: LineState, where: str, first: Quantity | None = None, last: Quantity | None = None
+def state_quantities(
+    names: LineState, line: str, first: Quantity | None = None, last: Quantity | None = None
 ) -> Iterator[tuple[str, Quantity]]:
-    """The states of a line by name; `first` and `last` in the place of the flows at its ends."""
-    inner = (f"Flow from lump {k} to {k + 1} of {where}" for k in range(1, len(x.pressures)))
+    """(name, declaration) of the states of a line.
+
+    line          the line in descriptions: "swing line A"
+    first, last   declarations of the flows at its ends, if other than the default
+    """
+    inner = (f"Flow from lump {k} to {k + 1} of {line}" for k in range(1, len(names.pressures)))
     middle = [Quantity("m3/s", text, 1e-3) for text in inner]
-    ends = (Quantity("m3/s", f"Flow into {where}", 1e-3), Quantity("m3/s", f"Flow out of {where}", 1e-3))
-    yield from zip(x.flows, (first or ends[0], *middle, last or ends[1]), strict=True)
-    for k, name in enumerate(x.pressures, 1):
-        yield name, chamber.pressure(f"Pressure of lump {k} of {where}")
-    for k, within in enumerate(x.layers):
-        for i, name in enumerate(within, 1):
-            text = f"Flow in {where} that friction term {i} of flow {k} remembers"
+    ends = (Quantity("m3/s", f"Flow into {line}", 1e-3), Quantity("m3/s", f"Flow out of {line}", 1e-3))
+    yield from zip(names.flows, (first or ends[0], *middle, last or ends[1]), strict=True)
+    for k, name in enumerate(names.pressures, 1):
+        yield name, chamber.pressure(f"Pressure of lump {k} of {line}")
+    for k, layers in enumerate(names.layers):
+        for i, name in enumerate(layers, 1):
+            text = f"Layer flow q_{i} of the frequency-dependent friction of flow {k} in {line}"
             yield name, Quantity("m3/s", text, 1e-3)
 
 
-def advised_lumps(line: Line) -> int:
-    """How many lumps a line needs for `BANDWIDTH` and `ERROR`."""
-    return lumps_needed(line.length, line.bore, BANDWIDTH, ERROR, line.fluid, line.wall_modulus)
+def default_lumps(line: Line) -> int:
+    """Number of lumps of a line for `BANDWIDTH` and `FREQUENCY_ERROR`."""
+    return lumps_needed(line.length, line.bore, BANDWIDTH, FREQUENCY_ERROR, line.fluid, line.wall_modulus)

@@ -1,11 +1,11 @@
-"""Mechanics: a cylinder in a triangle, and equations of motion from energies.
+"""Mechanics of linkages: triangle of a cylinder at a joint, and equations of motion from energies.
 
-**A cylinder** joins a pin at f (fixed link) with a pin at r (moving link), both seen from the joint. Piston
-position x(q), x' = J q', torque = J F (eqs. 5 to 7):
+**A cylinder** connects a pin at f (fixed link) and a pin at r (moving link), both relative to the joint.
+Piston position x(q), x' = J q', torque = J F (eqs. 5 to 7):
 
     l = |f - R(q) r|      J = dl/dq = f x R(q) r / l      dJ/dq = (f . R(q) r - J^2) / l
 
-Signs: q counter-clockwise; J > 0 where extending the cylinder increases q.
+Signs: q counter-clockwise; J > 0 if extending the cylinder increases q.
 
 **Equations of motion**
 
@@ -44,7 +44,7 @@ def rotate(cos: Scalar, sin: Scalar, point: Point) -> Point:
 
 
 def triangle(q: Scalar, base: Point, rod: Point) -> Triangle:
-    """Geometry at the joint angle q [rad]; regular while the three pins are not in line."""
+    """Triangle at the joint angle q [rad]; singular for collinear pins."""
     x, z = rotate(ca.cos(q), ca.sin(q), rod)
     length = ca.sqrt((base[0] - x) ** 2 + (base[1] - z) ** 2)
     arm = (base[0] * z - base[1] * x) / length
@@ -68,7 +68,7 @@ class EquationsOfMotion:
     potential: Scalar
 
     def acceleration(self, tau: ca.SX) -> ca.SX:
-        """q'' shape (n, 1) for generalised forces tau, by the square-root-free Cholesky factors of M."""
+        """q'', shape (n, 1), for generalised forces tau, by the LDL^T factors of M."""
         d, upper, order = ca.ldl(self.mass)
         return ca.ldl_solve(tau - self.coriolis - self.gravity, d, upper, order)
 
@@ -79,7 +79,7 @@ def equations_of_motion(
     q: ca.SX,
     speed: ca.SX,
 ) -> EquationsOfMotion:
-    """Derive M, V, G from T(q, q') and U(q) and evaluate them at q, speed (columns)."""
+    """M, V and G derived from T(q, q') and U(q), evaluated at q and speed (columns)."""
     s, w = ca.SX.sym("q", q.shape[0]), ca.SX.sym("w", q.shape[0])
     t, u = kinetic(s, w), potential(s)
     momentum = ca.gradient(t, w)

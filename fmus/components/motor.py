@@ -16,7 +16,7 @@ from fmus.contract import Scalar
 
 @dataclass(frozen=True)
 class MotorNodes:
-    """Pressures [Pa] at the two motor ports, flows into them from the lines and case drain flow [m3/s]."""
+    """Pressures [Pa] of both motor ports, flows from the lines into them and case drain flow [m3/s]."""
 
     pressure_1: Scalar
     pressure_2: Scalar
@@ -40,7 +40,7 @@ def nodes(
         [G1 + G_in + G_ex   -G_in           ] [P1]   [G1 P_c1 + G_ex P_t - D w]
         [-G_in              G2 + G_in + G_ex] [P2] = [G2 P_c2 + G_ex P_t + D w]
 
-    with the pressures P_c of the lines, P_t of the tank, and the flow D w that the motor takes.
+    with the pressures P_c of the lines, P_t of the tank, and the displaced flow D w.
     """
     g1, g2 = 1 / line_resistance_1, 1 / line_resistance_2
     g_in, g_ex = 1 / internal_resistance, 1 / external_resistance
@@ -50,11 +50,11 @@ def nodes(
     determinant = a * d - g_in**2
     p1 = (d * b1 + g_in * b2) / determinant
     p2 = (a * b2 + g_in * b1) / determinant
-    # line flows by the node balance: (P_c1 - P1)/R_1 is the difference of nearly equal numbers
-    return at_ports(p1, p2, tank, displaced_flow, internal_resistance, external_resistance)
+    # line flows from the node balance, because (P_c1 - P1)/R_1 is a difference of nearly equal values
+    return nodes_at_port_pressures(p1, p2, tank, displaced_flow, internal_resistance, external_resistance)
 
 
-def at_ports(
+def nodes_at_port_pressures(
     pressure_1: Scalar,
     pressure_2: Scalar,
     tank: Scalar,
@@ -62,7 +62,7 @@ def at_ports(
     internal_resistance: Scalar,
     external_resistance: Scalar,
 ) -> MotorNodes:
-    """The flows at known port pressures, eqs. (11), (12): no line resistance in between."""
+    """Nodes at given port pressures, eqs. (11), (12), without line resistances."""
     g_in, g_ex = 1 / internal_resistance, 1 / external_resistance
     cross, drain_1, drain_2 = (
         g_in * (pressure_1 - pressure_2),
@@ -76,7 +76,7 @@ def at_ports(
 def leakage_loss(
     node: MotorNodes, tank: Scalar, internal_resistance: Scalar, external_resistance: Scalar
 ) -> Scalar:
-    """Power [W] turned into heat by both leakages; never negative."""
+    """Power [W] dissipated by both leakages; never negative."""
     p1, p2 = node.pressure_1, node.pressure_2
     drain = ((p1 - tank) ** 2 + (p2 - tank) ** 2) / external_resistance
     return drain + (p1 - p2) ** 2 / internal_resistance

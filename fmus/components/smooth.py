@@ -1,4 +1,4 @@
-"""Smooth pieces from which the empirical functions are built."""
+"""Smooth approximations of max, min, sign and limits, used by the empirical laws of the components."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def ramp(z: Scalar, width: Scalar) -> Scalar:
 
 
 def ramp_integral(z: Scalar, width: Scalar) -> Scalar:
-    """Integral of `ramp` from 0 to z: what a spring with that force stores."""
+    """Integral of `ramp` from 0 to z: the energy of a spring with that force."""
     s, beyond = ca.fmax(0, ca.fmin(1, z / width)), ca.fmax(0, z - width)
     return width**2 * (s**4 / 4 - s**5 / 10) + beyond * (width + beyond) / 2
 
@@ -33,25 +33,26 @@ def positive(z: Scalar, width: Scalar) -> Scalar:
 
 
 def capped(z: Scalar, width: Scalar) -> Scalar:
-    """min(z, 1) rounded within width/2 of 1, twice continuously differentiable, exact outside of that."""
+    """min(z, 1), rounded within width/2 of 1, twice continuously differentiable, exact elsewhere."""
     return z - ramp(z - 1 + width / 2, width)
 
 
-def share(z: Scalar, width: Scalar) -> Scalar:
-    """z limited to 0 ... 1, smooth: never zero, and 1 from 1 + width/2 on.
+def unit_limited(z: Scalar, width: Scalar) -> Scalar:
+    """z limited to 0 ... 1, smooth: always above zero, and 1 from 1 + width/2 on.
 
-    Up to 1 - width/2 it is `positive`, above z by less than width^2 / (4 z), and `unlimited` is its inverse.
+    Up to 1 - width/2 it is `positive`, above z by less than width^2 / (4 z), and `unit_limited_inverse` is
+    its inverse.
     """
     return capped(positive(z, width), width)
 
 
-def unlimited(s: Scalar, width: Scalar) -> Scalar:
-    """The z whose `share` is s, for 0 < s <= 1 - width."""
+def unit_limited_inverse(s: Scalar, width: Scalar) -> Scalar:
+    """The z with unit_limited(z) = s, for 0 < s <= 1 - width."""
     return s - width**2 / (4 * s)
 
 
 def s_curve(z: Scalar) -> Scalar:
-    """From 0 at z = 0 to 1 at z = 1, twice continuously differentiable."""
+    """Step from 0 at z = 0 to 1 at z = 1, twice continuously differentiable."""
     z = ca.fmin(ca.fmax(z, 0), 1)
     return z**3 * (10 - 15 * z + 6 * z**2)
 

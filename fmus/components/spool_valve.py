@@ -1,24 +1,29 @@
-"""Four-way spool valve: four sharp metering edges and two port nodes, with or without the spool's own motion.
+"""Four-way spool valve: flows of the metering edges (meter-in, meter-out), and dynamics of the spool.
 
     P --edge--> A <--edge-- T        command > 0 opens P-A and B-T
-    P --edge--> B <--edge-- T        command < 0 opens P-B and A-T, closed between
+    P --edge--> B <--edge-- T        command < 0 opens P-B and A-T; closed in the dead band
+
+For an open edge P-A the meter-in flow is `EdgeFlows.supply` of port A, and the meter-out flow of the open
+edge B-T is `EdgeFlows.tank` of port B. Two ways to compute them:
+
+    edge_flows                   from the line flow, a state: lines with inertance
+    edge_flows_from_pressure    from the chamber pressure: lines without inertance
 
 Signs: line flow is positive out of a port towards the actuator.
 References: paper eqs. (1), (2); corrections E3, E7 in docs/equations.md.
 
-A spool with dynamics follows its command by a second order, limited in speed and stroke:
+A spool with dynamics is a second-order lag of its command, limited in speed and stroke:
 
     dx/dt = v        dv/dt = 2 z w (v_c - v)        v_c = min(max(s(w/(2 z) (u - x)), -c (1 + x)), c (1 - x))
 
-x is the position as share of the stroke, u the command likewise, w the natural frequency, z the damping
-ratio, s a saturation at the largest speed v_max: exactly linear up to 0.9 v_max, twice continuously
-differentiable, so that small motions obey x'' + 2 z w x' + w^2 x = w^2 u. The last two limits, with
-c = z w/2, keep the spool inside its stroke: its speed towards an end stays below z w times the way left. No
-command makes it hit a stop, so no stop has to be modelled. They act closer than v_max/c to an end.
-|v| <= v_max stays true as well.
+x is the position and u the command, both relative to the stroke; w is the natural frequency, z the damping
+ratio. s is a saturation at the largest speed v_max: exactly linear up to 0.9 v_max, twice continuously
+differentiable. So small motions obey x'' + 2 z w x' + w^2 x = w^2 u. The other two limits, with c = z w/2,
+keep the spool inside its stroke: its speed towards an end stays below z w times the distance left. The spool
+never hits an end, so no stop is modelled. These limits act closer than v_max/c to an end. |v| <= v_max is
+true as well. Each edge has its own overlap.
 
-Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 2022 give 30 Hz and 0.707. Its
-edges open each from an overlap of its own on.
+Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 2022 give 30 Hz and 0.707.
 """
 
 from __future__ import annotations
@@ -33,7 +38,7 @@ from fmus.contract import Group, Quantity, Scalar
 
 
 class Edges(Group):
-    """The metering edges of a valve; the valves are identical (section 3(b))."""
+    """Parameters of the metering edges of a valve; all valves are identical (section 3(b))."""
 
     area: Scalar = Quantity(
         "m2", "Opening area of each metering edge at full command", 1e-5, minimum=0.0, group="Valve"
@@ -43,7 +48,7 @@ class Edges(Group):
     )
     full_command: Scalar = Quantity("V", "Command at which the valve is fully open", minimum=0.1)
     command_rounding: Scalar = Quantity(
-        "V", "Width over which the foot of the opening curve is rounded", minimum=1e-3
+        "V", "Command range over which the valve begins to open", minimum=1e-3
     )
     leakage: Scalar = Quantity("m3/(s.Pa)", "Laminar leakage of each metering edge", 1e-14, minimum=1e-17)
     transition_flow: Scalar = Quantity(
@@ -52,23 +57,23 @@ class Edges(Group):
 
 
 class Valve(Edges):
-    """A symmetrical spool valve without dynamics."""
+    """Parameters of a symmetrical spool valve without dynamics."""
 
     dead_band: Scalar = Quantity("V", "Dead band: command up to which the valve stays closed", minimum=0.0)
 
 
 def _overlap(edge: str) -> Quantity:
-    text = f"Overlap of the edge {edge}: share of the stroke up to which it stays closed"
+    text = f"Overlap of the edge {edge}: fraction of the stroke up to which it stays closed"
     return Quantity("1", text, 0.1, minimum=0.0, maximum=0.9)
 
 
 class Spool(Group):
-    """A spool with dynamics: natural frequency, damping ratio z, largest speed, an overlap for each edge."""
+    """Parameters of a spool with dynamics: natural frequency, damping ratio, largest speed, overlaps."""
 
     frequency: Scalar = Quantity("Hz", "Natural frequency of the spool", 10.0, minimum=0.1, group="Spool")
     damping: Scalar = Quantity("1", "Damping ratio of the spool", minimum=0.1)
     speed: Scalar = Quantity(
-        "1/s", "Largest speed of the spool, in strokes from the centre", 10.0, minimum=0.1
+        "1/s", "Largest speed of the spool, relative to its stroke from the centre", 10.0, minimum=0.1
     )
     overlap_pa: Scalar = _overlap("P-A")
     overlap_at: Scalar = _overlap("A-T")
@@ -77,13 +82,13 @@ class Spool(Group):
 
 
 def opens(valve: Valve) -> dict[str, Scalar]:
-    """What must hold beyond the bounds of single parameters."""
+    """Requirement: the valve opens before full command."""
     return {"valve_full_command exceeds valve_dead_band": valve.full_command - valve.dead_band}
 
 
 @dataclass(frozen=True)
 class EdgeFlows:
-    """One port node: its pressure [Pa]; flow from supply, flow to tank and flow into the line [m3/s]."""
+    """A port with its two edges: pressure [Pa]; flow from supply, to tank and into the line [m3/s]."""
 
     pressure: Scalar
     supply: Scalar
@@ -92,10 +97,10 @@ class EdgeFlows:
 
 
 def opening(command: Scalar, dead_band: Scalar, full_command: Scalar, rounding: Scalar) -> Scalar:
-    """Share of the full area [1] of the edges that a positive command [V] opens.
+    """Opening [1], relative to the full area, of the edges that a positive command [V] opens.
 
-    Zero up to the dead band, then a straight line to 1 at full command (the form of the
-    PVG32 valve of Khadim et al. 2022), its foot rounded over `rounding` volts; 1 above.
+    Zero up to the dead band, then a straight line to 1 at full command (the form of the PVG32 valve of Khadim
+    et al. 2022) with a start rounded over `rounding` volts; 1 above.
     """
     effective = ca.fmin(command, full_command)
     return ramp(effective - dead_band, rounding) / ramp(full_command - dead_band, rounding)
@@ -109,8 +114,8 @@ def flow_gain(area: Scalar, discharge_coefficient: Scalar, density: Scalar) -> S
 def turbulent_drop(flow: Scalar, resistance: Scalar, transition_flow: Scalar) -> Scalar:
     """Pressure drop [Pa] over C_R [Pa.s2/m6], paper eq. (1): dp = C_R Q |Q|.
 
-    |Q| is rounded to sqrt(Q^2 + Q_t^2), so that the slope at Q = 0 is C_R Q_t instead of
-    zero: laminar there. The drop exceeds eq. (1) by less than 0.5 % for |Q| > 10 Q_t.
+    |Q| is rounded to sqrt(Q^2 + Q_t^2), so that the derivative at Q = 0 is C_R Q_t instead of zero: laminar
+    flow. The drop exceeds eq. (1) by less than 0.5 % for |Q| > 10 Q_t.
     """
     return resistance * flow * ca.sqrt(flow**2 + transition_flow**2)
 
@@ -122,8 +127,8 @@ def turbulent_factor(drop: Scalar, transition_flow: Scalar) -> Scalar:
 
         Q = y sqrt(c / (1 + sqrt(1 + (c y)^2)))        c = 2 / Q_t^2
 
-    odd and increasing in y; its slope at y = 0 is 1 / Q_t, so that of an edge is K^2 / Q_t. No difference of
-    nearly equal numbers occurs, and a closed edge (K = 0) passes exactly nothing.
+    Q is odd and increasing in y. dQ/dy at y = 0 is 1 / Q_t, so dQ/dp of an edge is K^2 / Q_t. No difference
+    of nearly equal values occurs, and the flow through a closed edge (K = 0) is exactly zero.
     """
     c = 2 / transition_flow**2
     return ca.sqrt(c / (1 + ca.sqrt(1 + (c * drop) ** 2)))
@@ -138,20 +143,20 @@ def edge_flows(
     supply_pressure: Scalar,
     tank_pressure: Scalar,
 ) -> EdgeFlows:
-    """Flows of a port's two edges, supply (meter-in) and tank (meter-out), from the line flow Q.
+    """Flows of the two edges of a port, supply (meter-in) and tank (meter-out), from the line flow Q.
 
     Each edge has the conductance G = G_leak + K / sqrt(C_R (Q^2 + Q_t^2)) with K^2 = 1 / C_R,
 
         (P_s - P) G_s = Q + (P - P_t) G_t
 
-    so an open edge obeys eq. (1) (rounded as in `turbulent_drop`) and a closed one passes
-    exactly G_leak times its pressure difference. At most one of the two is open; taking the
-    line flow for the edge flow neglects the leakage of the closed one in the turbulent term: below 0.1 % of
-    the drop from 1000 times that leakage (20 L/min) up.
+    so an open edge obeys eq. (1), rounded as in `turbulent_drop`, and the flow through a closed edge is
+    exactly G_leak times its pressure difference. At most one edge is open. The turbulent term uses the line
+    flow instead of the edge flow and so neglects the leakage of the closed edge: an error below 0.1 % of the
+    drop for flows above 1000 times that leakage (20 L/min).
     """
-    speed = ca.sqrt(line_flow**2 + transition_flow**2)
-    g_supply = leakage + gain_supply**2 / speed
-    g_tank = leakage + gain_tank**2 / speed
+    rounded_flow = ca.sqrt(line_flow**2 + transition_flow**2)
+    g_supply = leakage + gain_supply**2 / rounded_flow
+    g_tank = leakage + gain_tank**2 / rounded_flow
     pressure = (g_supply * supply_pressure + g_tank * tank_pressure - line_flow) / (g_supply + g_tank)
     supply, tank = g_supply * (supply_pressure - pressure), g_tank * (pressure - tank_pressure)
     return EdgeFlows(pressure, supply, tank, line_flow)
@@ -166,23 +171,23 @@ def ports_from_flow(
     tank_pressure: Scalar,
     density: Scalar,
 ) -> tuple[EdgeFlows, EdgeFlows]:
-    """Both port nodes at a command [V] and the line flows [m3/s] out of A and B."""
+    """Both ports at a command [V], from the line flows [m3/s] out of A and B."""
     full = flow_gain(valve.area, valve.discharge_coefficient, density)
-    shape = (valve.dead_band, valve.full_command, valve.command_rounding)
-    forward, backward = full * opening(command, *shape), full * opening(-command, *shape)
-    rest = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    return edge_flows(flow_a, forward, backward, *rest), edge_flows(flow_b, backward, forward, *rest)
+    curve = (valve.dead_band, valve.full_command, valve.command_rounding)
+    forward, backward = full * opening(command, *curve), full * opening(-command, *curve)
+    edge = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
+    return edge_flows(flow_a, forward, backward, *edge), edge_flows(flow_b, backward, forward, *edge)
 
 
 def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
-    """K^2 [m6/(s2.Pa)] of what a positive command [V] opens: `flow_gain` times `opening`, squared."""
+    """K^2 [m6/(s2.Pa)] of the edge that a positive command [V] opens, K = `flow_gain` times `opening`."""
     foot = ramp(valve.full_command - valve.dead_band, valve.command_rounding)
     full = flow_gain(valve.area, valve.discharge_coefficient, density) / foot
     effective = ca.fmin(command, valve.full_command)
     return (full * ramp(effective - valve.dead_band, valve.command_rounding)) ** 2
 
 
-def _edge_flows_from_pressure(
+def edge_flows_from_pressure(
     pressure: Scalar,
     source: Scalar,
     from_supply: Scalar,
@@ -192,10 +197,13 @@ def _edge_flows_from_pressure(
     supply_pressure: Scalar,
     tank_pressure: Scalar,
 ) -> EdgeFlows:
-    """Flows of the two edges of a port that leads directly into a chamber at this pressure P.
+    """Flows of the two edges of a port that leads directly into a chamber at the pressure P.
 
-    Each edge passes G_leak dp, the one that is open (to the supply if `from_supply`, else to the tank, with
-    the pressure `source` behind it) also Q(K^2 dp), see `turbulent_factor`. At most one is open.
+    Each edge has the leakage G_leak dp. The open edge, to the supply if `from_supply` and else to the tank,
+    also has the flow Q(K^2 dp) of `turbulent_factor`. At most one edge is open.
+
+    source   pressure behind the open edge
+    square   K^2 of the open edge, including the resistance of the line
     """
     y = square * (source - pressure)
     turbulent = y * turbulent_factor(y, transition_flow)
@@ -218,24 +226,24 @@ def ports_from_pressure(
     density: Scalar,
     line_resistance: Scalar,
 ) -> tuple[EdgeFlows, EdgeFlows]:
-    """Both ports at a command [V], lines without inertia to chambers at these pressures [Pa].
+    """Both ports at a command [V], from the chamber pressures [Pa]; lines without inertance.
 
     The line's C_R [Pa.s2/m6] is in series with the open edge: 1 / K_both^2 = 1 / K^2 + C_R.
     """
-    edge = _square_gain(valve, ca.fabs(command), density)
-    square = edge / (1 + line_resistance * edge)
+    edge_square = _square_gain(valve, ca.fabs(command), density)
+    square = edge_square / (1 + line_resistance * edge_square)
     forward = command > 0
     behind_a = ca.if_else(forward, supply_pressure, tank_pressure)
-    behind_b = supply_pressure + tank_pressure - behind_a  # the other one
-    rest = (square, valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
+    behind_b = supply_pressure + tank_pressure - behind_a  # the other of the two
+    edge = (square, valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
     return (
-        _edge_flows_from_pressure(pressure_a, behind_a, forward, *rest),
-        _edge_flows_from_pressure(pressure_b, behind_b, 1 - forward, *rest),
+        edge_flows_from_pressure(pressure_a, behind_a, forward, *edge),
+        edge_flows_from_pressure(pressure_b, behind_b, 1 - forward, *edge),
     )
 
 
 def throttling_loss(node: EdgeFlows, supply_pressure: Scalar, tank_pressure: Scalar) -> Scalar:
-    """Power [W] turned into heat by the two edges of a port; never negative."""
+    """Power [W] dissipated by the two edges of a port; never negative."""
     return node.supply * (supply_pressure - node.pressure) + node.tank * (node.pressure - tank_pressure)
 
 
@@ -244,29 +252,29 @@ def throttling_loss(node: EdgeFlows, supply_pressure: Scalar, tank_pressure: Sca
 
 @dataclass(frozen=True)
 class SpoolState:
-    """Position [1] and speed [1/s]; also their rates, or their names."""
+    """Position [1] and speed [1/s] of a spool; also used for their rates and for their names."""
 
     position: Scalar
     speed: Scalar
 
 
 def saturation(z: Scalar) -> Scalar:
-    """z up to 0.9, +-1 beyond 1.1, a smooth bend in between."""
+    """z limited to -1 ... 1: exact up to 0.9, +-1 beyond 1.1, smooth in between."""
     return z - ramp(z - 0.9, 0.2) + ramp(-z - 0.9, 0.2)
 
 
-def wanted_position(command: Scalar, full_command: Scalar) -> Scalar:
-    """Position [1] that a command [V] asks for: full stroke from the full command on."""
+def commanded_position(command: Scalar, full_command: Scalar) -> Scalar:
+    """Position [1] for a command [V]: full stroke from the full command on."""
     return ca.fmax(-1, ca.fmin(1, command / full_command))
 
 
-def spool_rates(spool: Spool, x: SpoolState, wanted: Scalar) -> SpoolState:
-    """Time derivative of the state for a wanted position [1]."""
+def spool_rates(spool: Spool, x: SpoolState, commanded: Scalar) -> SpoolState:
+    """Time derivative of the state for a commanded position [1]."""
     w = 2 * math.pi * spool.frequency
     lag = 2 * spool.damping * w
     closing = lag / 4
-    free = spool.speed * saturation(w**2 / lag * (wanted - x.position) / spool.speed)
-    limited = ca.fmin(ca.fmax(free, -closing * (1 + x.position)), closing * (1 - x.position))
+    saturated = spool.speed * saturation(w**2 / lag * (commanded - x.position) / spool.speed)
+    limited = ca.fmin(ca.fmax(saturated, -closing * (1 + x.position)), closing * (1 - x.position))
     return SpoolState(x.speed, lag * (limited - x.speed))
 
 
@@ -280,15 +288,15 @@ def spool_ports(
     tank_pressure: Scalar,
     density: Scalar,
 ) -> tuple[EdgeFlows, EdgeFlows]:
-    """Both port nodes at a spool position and the line flows [m3/s] out of A and B."""
+    """Both ports at a spool position [1], from the line flows [m3/s] out of A and B."""
     full = flow_gain(edges.area, edges.discharge_coefficient, density)
     rounding = edges.command_rounding / edges.full_command
 
     def gain(x: Scalar, overlap: Scalar) -> Scalar:
         return full * opening(x, overlap, 1.0, rounding)
 
-    rest = (edges.leakage, edges.transition_flow, supply_pressure, tank_pressure)
+    edge = (edges.leakage, edges.transition_flow, supply_pressure, tank_pressure)
     return (
-        edge_flows(flow_a, gain(position, spool.overlap_pa), gain(-position, spool.overlap_at), *rest),
-        edge_flows(flow_b, gain(-position, spool.overlap_pb), gain(position, spool.overlap_bt), *rest),
+        edge_flows(flow_a, gain(position, spool.overlap_pa), gain(-position, spool.overlap_at), *edge),
+        edge_flows(flow_b, gain(-position, spool.overlap_pb), gain(position, spool.overlap_bt), *edge),
     )

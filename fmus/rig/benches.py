@@ -167,7 +167,7 @@ def _valve_with_spool() -> BenchValve:
     p = detailed()
 
     def rates(x: ByName, command: Scalar) -> ByName:
-        wanted = spool_valve.wanted_position(command, p.valve_full_command)
+        wanted = spool_valve.commanded_position(command, p.valve_full_command)
         rate = spool_valve.spool_rates(Spool.of(p, "spool"), SpoolState(x["position"], x["speed"]), wanted)
         return {"position": rate.position, "speed": rate.speed}
 
@@ -210,11 +210,11 @@ def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Ar
 def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
     spool, p = bench_valve("detailed"), detailed()
     of = boom_stick_detailed.line(p, "stick")
-    lumps = boom_stick_detailed.advised_lumps()["stick"]
-    names = hose.names("first_flow", "last_flow", "inner", "", lumps, unsteady_friction=False)
+    lumps = boom_stick_detailed.default_lumps()["stick"]
+    names = hose.state_names("first_flow", "last_flow", "inner", "", lumps, unsteady_friction=False)
 
     def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-        state = names.each(lambda name: x[name])
+        state = names.apply(lambda name: x[name])
         inlet = spool.ports(x, u["command"], (state.flows[0], 0.0), RETURN)[0].pressure
         outlet = RETURN + turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
         along = hose.rates(of, state, inlet, outlet)
@@ -254,7 +254,7 @@ def _detailed_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
     p = detailed_swing()
     of = Fluid.of(p)
     leaks = (p.internal_leakage_resistance, p.external_leakage_resistance)
-    nodes = motor.at_ports(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *leaks)
+    nodes = motor.nodes_at_port_pressures(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *leaks)
     rates, fed = {}, {}
     for side, flow in (("a", nodes.flow_1), ("b", nodes.flow_2)):
         pressure = x[f"pressure_{side}"]

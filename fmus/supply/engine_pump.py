@@ -165,7 +165,7 @@ def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_Working, _Work
         return _Working(
             d,
             rise,
-            engine_and_pump.drawn(d, stroke, x.engine_speed),
+            engine_and_pump.suction_flow(d, stroke, x.engine_speed),
             d.leakage * rise,
             engine_and_pump.check_flow(pressure, x.supply_pressure, p.check_resistance, p.check_opening),
             engine_and_pump.torque(d, stroke, x.engine_speed, rise),
@@ -194,7 +194,7 @@ def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> En
         pump_1_stroke=engine_and_pump.stroke_rate(a.pump, x.pump_1_stroke, x.pump_1_pressure),
         pump_2_stroke=engine_and_pump.stroke_rate(b.pump, x.pump_2_stroke, x.pump_2_pressure),
         engine_speed=accelerating / motor.inertia,
-        engine_torque=(engine_and_pump.asked_torque(motor, x.engine_speed) - x.engine_torque) / motor.lag,
+        engine_torque=(engine_and_pump.governor_torque(motor, x.engine_speed) - x.engine_torque) / motor.lag,
         reservoir_volume=return_flow(u) + a.leakage + b.leakage + spilled - a.drawn - b.drawn,
     )
 
@@ -261,7 +261,7 @@ def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
         "pump_1_stroke": stroke_1,
         "pump_2_stroke": stroke_2,
         "engine_speed": speed,
-        "engine_torque": engine_and_pump.asked_torque(motor, speed),
+        "engine_torque": engine_and_pump.governor_torque(motor, speed),
         "reservoir_volume": p.reservoir_volume_start,
     }
 

@@ -56,7 +56,7 @@ class _Now:
 
 
 def _now(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _Now:
-    a, b = (n.each(partial(getattr, x)) for n in names)
+    a, b = (n.apply(partial(getattr, x)) for n in names)
     state, tank = SpoolState(x.swing_spool_position, x.swing_spool_speed), u.tank_pressure
     pressures = (x.swing_pressure_a, x.swing_pressure_b)
     anti = PressureValve.of(p, "anti_cavitation")
@@ -66,7 +66,9 @@ def _now(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _N
         (a, b),
         pressures,
         spool_valve.spool_ports(Edges.of(p, "valve"), Spool.of(p, "spool"), state.position, *line_ends),
-        motor.at_ports(*pressures, tank, drive.displacement(p) * u.swing_speed, *drive.leakage(p)),
+        motor.nodes_at_port_pressures(
+            *pressures, tank, drive.displacement(p) * u.swing_speed, *drive.leakage(p)
+        ),
         orifice.cross_flow(PressureValve.of(p, "relief"), pressures[0] - pressures[1]),
         (orifice.relief_flow(anti, tank - pressures[0]), orifice.relief_flow(anti, tank - pressures[1])),
     )
@@ -86,7 +88,7 @@ def _pressure_rates(n: _Now, p: DetailedSwingParameters) -> Pair:
 
 def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
     n = _now(names, x, u, p)
-    wanted = spool_valve.wanted_position(u.swing_command, p.valve_full_command)
+    wanted = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
     spool = spool_valve.spool_rates(Spool.of(p, "spool"), n.spool, wanted)
     rates = {"swing_spool_position": spool.position, "swing_spool_speed": spool.speed}
     sides = zip(SIDES, names, n.lines, n.ports, n.pressures, _pressure_rates(n, p), strict=True)
@@ -126,7 +128,7 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
 
 def _initial(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
     """Both lines at the preload, the oil at rest: no torque; the spool where it is told."""
-    position = spool_valve.wanted_position(u.swing_command, p.valve_full_command)
+    position = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
     state: dict[str, Scalar] = {"swing_spool_position": position, "swing_spool_speed": 0.0}
     for side, of in zip(SIDES, names, strict=True):
         state |= dict.fromkeys(of.all(), 0.0)
@@ -143,14 +145,14 @@ def _states(names: Names) -> Iterator[tuple[str, Quantity]]:
         where = f"swing line {side.upper()}"
         last = Quantity("m3/s", f"Flow from {where} to the motor", 1e-3)
         yield f"swing_pressure_{side}", usual[f"swing_pressure_{side}"]
-        yield from hose.states(of, where, usual[f"swing_flow_{side}"], last)
+        yield from hose.state_quantities(of, where, usual[f"swing_flow_{side}"], last)
 
 
-def advised_lumps() -> int:
+def default_lumps() -> int:
     """Lumps per line with the numbers of parameters.toml."""
     found = read(NUMBERS)["parameters"]
     p = DetailedSwingParameters(**{name: found[name].value for name in quantities(DetailedSwingParameters)})
-    return hose.advised_lumps(line(p))
+    return hose.default_lumps(line(p))
 
 
 def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
@@ -159,9 +161,9 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
     lumps               T-lumps per line; by default what `hose.lumps_needed` advises up to 75 Hz
     unsteady_friction   with the frequency-dependent friction of the lines: three more states for each flow
     """
-    count = advised_lumps() if lumps is None else lumps
+    count = default_lumps() if lumps is None else lumps
     a, b = (
-        hose.names(
+        hose.state_names(
             *(f"swing_flow_{side}", f"swing_motor_flow_{side}", "swing_line", f"_{side}"),
             *(count, unsteady_friction),
         )

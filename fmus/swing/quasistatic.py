@@ -38,7 +38,7 @@ def _ports(
         valve, u.swing_command, *pressures, p.density, p.line_turbulent_resistance
     )
     taken = drive.displacement(p) * u.swing_speed
-    return ports, motor.at_ports(*lines, u.tank_pressure, taken, *drive.leakage(p))
+    return ports, motor.nodes_at_port_pressures(*lines, u.tank_pressure, taken, *drive.leakage(p))
 
 
 def dynamics(

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import jve
 
-from fmus.boom_stick.detailed import advised_lumps, detailed, line
+from fmus.boom_stick.detailed import default_lumps, detailed, line
 from fmus.components import hose
 from fmus.components.chamber import Fluid
 from fmus.components.hose import Line, lumps_needed
@@ -42,9 +42,9 @@ def pipe(viscosity: float = 1e-12, wall: float = STIFF, length: float = LENGTH, 
 @cache
 def jacobian(one: Line, lumps: int, unsteady: bool = False) -> np.ndarray:
     """df/dx of the component at rest: flows, pressures, layers, between two constant pressures."""
-    names = hose.names("first", "last", "inner", "", lumps, unsteady)
+    names = hose.state_names("first", "last", "inner", "", lumps, unsteady)
     x = {name: ca.SX.sym(name) for name in names.all()}
-    state = names.each(x.get)
+    state = names.apply(x.get)
     rates = hose.rates(one, state, WORK, WORK)
     symbols = ca.vertcat(*x.values())
     found = ca.Function("J", [symbols], [ca.jacobian(ca.vertcat(*rates.all()), symbols)])
@@ -146,10 +146,10 @@ def test_a_narrow_bore_needs_more_lumps():
     assert narrow > wide
 
 
-def test_default_hoses_have_the_advised_lumps():
+def test_default_hoses_have_the_default_lumps():
     """The states of `detailed()` are those of the adviser; fewer or more on demand, also by axis."""
     states = quantities(detailed().states)
-    for axis, n in advised_lumps().items():
+    for axis, n in default_lumps().items():
         assert sum(name.startswith(f"{axis}_head_hose_pressure_") for name in states) == n
     mixed = quantities(detailed({"boom": 1, "stick": 3}).states)
     assert sum("hose_pressure" in name for name in mixed) == 2 * (1 + 3)
@@ -209,7 +209,7 @@ def test_the_subsystem_has_the_modes_of_its_hoses():
 
 def test_the_adviser_holds_at_real_ends():
     """Between a closed valve and a chamber the advised hoses are within the error that was asked for."""
-    matrix, p = linearised(max(advised_lumps().values()))
+    matrix, p = linearised(max(default_lumps().values()))
     exact, found = hose_modes(p), modes(matrix)
     found = found[(found > 0.7 * exact[0]) & (found < 1.1 * exact[-1])]
     assert exact[-1] < 150.0  # Hz: the bandwidth is 75

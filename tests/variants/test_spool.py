@@ -71,7 +71,7 @@ def test_full_step_takes_the_rate_limit():
 @given(st.lists(st.floats(-5.0, 5.0), min_size=5, max_size=40), st.floats(-1.0, 1.0))
 def test_no_command_drives_the_spool_too_fast_or_out_of_its_stroke(levels, start):
     """Whatever the commands, also beyond full: |v| <= v_max and |x| <= 1."""
-    wanted = [float(spool_valve.wanted_position(level * 10.0, 10.0)) for level in levels]
+    wanted = [float(spool_valve.commanded_position(level * 10.0, 10.0)) for level in levels]
     found = follow(np.repeat(wanted, 50), start)
     # invariants of the equations; Runge-Kutta may leave them by its error of 1e-6
     assert np.abs(found[:, 1]).max() <= V_MAX * (1 + 1e-6)
