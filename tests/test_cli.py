@@ -362,7 +362,7 @@ def test_all_options_reach_the_validation(capsys):
         (["parameters", "swing", "boom"], "boom"),
         (["parameters", "--source", "hearsay"], "'hearsay', expected one of paper, derived, literature"),
         (["signals", "--kind", "state"], "kind: expected one of input, output, parameter, got 'state'"),
-        (["run", "--cut", "*_jerk"], "cut *_jerk: no connected input fits"),
+        (["run", "--cut", "*_jerk"], "cut *_jerk: no connected input matches"),
         (["run", "--parameters", "rech"], "parameter set 'rech' is unknown; did you mean reach?; build"),
         (["run", "--parameters", "none.ssv"], "none.ssv: no such file"),
         (["run", "--set", "boom_command=3"], "to set it, cut that wire: --cut boom_stick.boom_command"),

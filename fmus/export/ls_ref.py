@@ -16,8 +16,8 @@ from lxml import etree
 from fmus.contract import Subsystem, quantities
 from orchestrator.base.xml import shortest_decimal
 from orchestrator.fmi.description import FmuVariable
-from orchestrator.ssp.common import NAMESPACES, xml_text
 from orchestrator.ssp.write import parameter_set
+from orchestrator.ssp.xml_writing import NAMESPACES, xml_text
 
 PLACE = "extra/org.fmi-standard.fmi-ls-ref"
 PAGE = "documentation/fmi-ls-ref.html"

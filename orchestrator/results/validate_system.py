@@ -28,7 +28,7 @@ from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layo
 from orchestrator.results.summary import summary
 from orchestrator.results.validation import Validation, by_variable, once, validate
 from orchestrator.ssp.load import load
-from orchestrator.ssp.swap import lost
+from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Component, Port, System, coerce
 
 POSITIONS = ("rad", "m")
@@ -231,7 +231,7 @@ def validate_system(
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
     result = run_or_save(system, scenario or commands, trace, **options, every_point=False)
     # a reference of the usual system knows signals that a swapped FMU has not
-    gone = lost(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
+    gone = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
     against = against.select([name for name in against.signals if name not in gone])
     recorded = result.trace
     if len(result.system.components) == 1:

@@ -1,6 +1,7 @@
-"""What an SSP suggests for the coupling of its components: master and communication step, read and written.
+"""Annotations of an SSP that suggest master and communication step, read and written.
 
-SSP has no place for them, so each tool has an annotation of its own. Ours, which other tools pass over, is
+The SSP standard has no elements for master and step, so each tool has an annotation of its own. The
+annotation of this project, which other tools ignore, is
 
     <ssd:DefaultExperiment>
       <ssd:Annotations>
@@ -15,8 +16,8 @@ SSP has no place for them, so each tool has an annotation of its own. Ours, whic
 with the attributes of `Coupling` and the communication step [s]. It may also be an annotation of the
 outermost System, or of the whole file. In other places, such as a nested file, it is ignored with a note.
 
-Without ours, the annotations of other tools count. They are followed, or a run is refused until the user says
-how to couple: a run with another step than that of the file would look like its result.
+If this annotation is missing, those of other tools are used. They are followed, or a run is refused until the
+user chooses a master or a step: a run with another step than that of the file could be taken for its result.
 
     OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster, or a solver in attributes; Jacobi,
                   held inputs a draft       SimulationInformation directly in a System, as in drafts of SSP:
@@ -37,29 +38,29 @@ from typing import Any, NamedTuple
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
-from orchestrator.ssp.common import add
+from orchestrator.ssp.xml_writing import add
 
 OWN = "harvester-cosim"
-PLACES = ("DefaultExperiment",), ("System",), ()  # of the annotations, from the root
+PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root
 
 
 def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> Suggestion:
-    """The suggestion in .ssd files, the outermost first, for these components."""
+    """The suggestion in .ssd files for these components; roots: the outermost file first."""
     own = list(_own_couplings(roots[0]))
     if not own:
-        return _of_other_tools(roots)
+        return _suggestion_of_other_tools(roots)
     if len(own) > 1:
-        numbers = ", ".join(str(e.element.sourceline) for e in own)
-        message = f"expected one Coupling in annotations of type {OWN}, got some in lines {numbers}"
+        lines = ", ".join(str(e.element.sourceline) for e in own)
+        message = f"expected one Coupling in annotations of type {OWN}, got some in lines {lines}"
         raise Problem(f"{roots[0].file}: {message}")
     (element,) = own
-    given = _attributes(element, ATTRIBUTES)
-    step = given.pop("step", None)
+    choices = _attributes(element, ATTRIBUTES)
+    step = choices.pop("step", None)
     if step is not None and not step > 0:
         raise element.problem(f"expected a positive number of seconds for step, got {step:g}")
     factors = _factors(element)
     try:
-        coupling = Coupling(**given, factors=factors)
+        coupling = Coupling(**choices, factors=factors)
         coupling.check(components)
     except Problem as problem:
         raise element.problem(str(problem)) from None
@@ -67,22 +68,22 @@ def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> S
 
 
 def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
-    """Notes on annotations of ours in other places than `PLACES`, such as inner systems and nested files."""
-    taken = [e.element for place in PLACES for e in roots[0].children(*place, "Annotations", "Annotation")]
+    """Notes on annotations of this project in other places than `PATHS`, such as nested files."""
+    read = [e.element for path in PATHS for e in roots[0].children(*path, "Annotations", "Annotation")]
     reason = f"annotation of type {OWN}: left out, only one of the outermost system counts"
     return [
         f"{root.file}: line {e.sourceline}: {reason}"
         for root in roots
         for e in root.element.iter()
-        if local_name(e) == "Annotation" and e.get("type") == OWN and e not in taken
+        if local_name(e) == "Annotation" and e.get("type") == OWN and e not in read
     ]
 
 
-# ---- ours --------------------------------------------------------------------------------------------------
+# ---- annotation of this project ----------------------------------------------------------------------------
 
 
 class Attribute(NamedTuple):
-    """The type of an attribute; `read` raises ValueError for a text other than expected."""
+    """The type of an attribute; `read` raises ValueError if the text is not as expected."""
 
     expected: str
     read: Callable[[str], Any]
@@ -105,9 +106,9 @@ FACTOR: Mapping[str, Attribute] = {"component": _TEXT, "steps": _WHOLE}
 
 
 def _own_couplings(root: XmlElement) -> Iterator[XmlElement]:
-    """The elements in annotations of our type."""
-    for place in PLACES:
-        for annotation in root.children(*place, "Annotations", "Annotation"):
+    """The elements in annotations of this project."""
+    for path in PATHS:
+        for annotation in root.children(*path, "Annotations", "Annotation"):
             for e in annotation.children() if annotation.get("type") == OWN else ():
                 if e.name != "Coupling":
                     raise e.problem(f"expected Coupling in an annotation of type {OWN}")
@@ -115,49 +116,49 @@ def _own_couplings(root: XmlElement) -> Iterator[XmlElement]:
 
 
 def _factors(element: XmlElement) -> dict[str, int]:
-    """Component -> its number of steps in each communication step."""
+    """Component -> number of its steps in one communication step."""
     factors = dict[str, int]()
     for e in element.children():
         if e.name != "Factor":
             raise e.problem("expected Factor in a Coupling")
-        given = _attributes(e, FACTOR)
+        attributes = _attributes(e, FACTOR)
         for name in FACTOR:
-            if name not in given:
+            if name not in attributes:
                 raise e.problem(f"expected an attribute {name}, got none")
-        if given["component"] in factors:
-            raise e.problem(f"component {given['component']} has a Factor already, expected one")
-        factors[given["component"]] = given["steps"]
+        if (component := attributes["component"]) in factors:
+            raise e.problem(f"component {component}: expected one Factor, got two")
+        factors[component] = attributes["steps"]
     return factors
 
 
 def _attributes(element: XmlElement, types: Mapping[str, Attribute]) -> dict[str, Any]:
-    """The attributes in their types."""
-    found = dict[str, Any]()
+    """The attributes of an element, converted to their types."""
+    values = dict[str, Any]()
     for name, text in element.attributes.items():
         if name not in types:
-            close = suggest(name, types) or f"; there are {', '.join(types)}"
-            raise element.problem(f"unknown attribute {name!r}{close}")
+            hint = suggest(name, types) or f"; there are {', '.join(types)}"
+            raise element.problem(f"unknown attribute {name!r}{hint}")
         try:
-            found[name] = types[name].read(text.strip())
+            values[name] = types[name].read(text.strip())
         except ValueError:
             raise element.problem(f"expected {types[name].expected} for {name}, got {text!r}") from None
-    return found
+    return values
 
 
-# ---- those of other tools ----------------------------------------------------------------------------------
+# ---- annotations of other tools ----------------------------------------------------------------------------
 
-NEAR = 1e-9  # relative: two texts of one step size
+SAME_STEP = 1e-9  # relative difference of two equal steps
 DRAFT = "a draft of SSP"
 JACOBI = Coupling("jacobi")
 
 
 @dataclass(frozen=True)
 class Request:
-    """What one element of a tool's annotation asks for.
+    """Coupling and step that one element of a tool's annotation requests.
 
-    coupling    None where it asks for a step alone
+    coupling    None if it requests only a step
     step        [s]
-    component   the only one that is meant; empty: all are
+    component   the component that it applies to; empty: all
     """
 
     tool: str
@@ -168,18 +169,20 @@ class Request:
 
     def __str__(self) -> str:
         master = self.coupling.master if self.coupling else "any master"
-        how = f", adaptive {self.coupling.adaptive:g}" if self.coupling and self.coupling.adaptive else ""
+        adaptive = (
+            f", adaptive {self.coupling.adaptive:g}" if self.coupling and self.coupling.adaptive else ""
+        )
         line = self.element.element.sourceline
-        return f"line {line} ({self.tool}) wants {master}{how}, step {self.step:g} s"
+        return f"line {line} ({self.tool}) requests {master}{adaptive}, step {self.step:g} s"
 
     def agrees(self, other: Request) -> bool:
-        """Do both ask for the same?"""
-        same_step = abs(self.step - other.step) <= NEAR * self.step
+        """Are two requests compatible?"""
+        same_step = abs(self.step - other.step) <= SAME_STEP * self.step
         return same_step and (None in (self.coupling, other.coupling) or self.coupling == other.coupling)
 
 
-def _of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
-    """What the annotations of other tools in these files ask for together."""
+def _suggestion_of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
+    """The suggestion of all annotations of other tools in these files."""
     try:
         requests = [r for root in roots for r in _requests(root)]
         for one, other in combinations(requests, 2):
@@ -208,29 +211,29 @@ def _of_other_tools(roots: Iterable[XmlElement]) -> Suggestion:
 
 
 def _requests(root: XmlElement) -> Iterator[Request]:
-    """All requests of a file, in its order."""
+    """All requests in a file."""
     for raw in root.element.iter():
         element = XmlElement(root.file, raw)
         if element.name == "Annotation":
-            kind = (element.get("type") or "").strip()
-            for beginning, tool in REFUSED.items():
-                if kind.startswith(beginning):
-                    raise _refusal(element, f"the annotation {kind} of {tool} is not supported")
-            if kind in TOOLS:
-                yield from _elements(element, TOOLS[kind])
+            type_ = (element.get("type") or "").strip()
+            for prefix, tool in REFUSED.items():
+                if type_.startswith(prefix):
+                    raise _refusal(element, f"the annotation {type_} of {tool} is not supported")
+            if type_ in TOOLS:
+                yield from _elements(element, TOOLS[type_])
         elif element.name == "SimulationInformation" and local_name(raw.getparent()) == "System":
             yield from _simulation_information(element, DRAFT)
 
 
-def _elements(parent: XmlElement, kind: AnnotationType) -> Iterator[Request]:
-    """The elements of an annotation, which OMSimulator puts into another one."""
+def _elements(parent: XmlElement, annotation: AnnotationType) -> Iterator[Request]:
+    """The requests in an annotation; OMSimulator nests annotations."""
     for e in parent.children():
         if e.name == "Annotations":
-            yield from _elements(e, kind)
-        elif e.name in kind.readers:
-            yield from kind.readers[e.name](e, kind.tool)
-        elif e.name not in kind.harmless:
-            raise _unsupported(e, kind.tool)
+            yield from _elements(e, annotation)
+        elif e.name in annotation.readers:
+            yield from annotation.readers[e.name](e, annotation.tool)
+        elif e.name not in annotation.ignored:
+            raise _unsupported(e, annotation.tool)
 
 
 def _refusal(element: XmlElement, reason: str) -> Problem:
@@ -238,12 +241,12 @@ def _refusal(element: XmlElement, reason: str) -> Problem:
 
 
 def _unsupported(element: XmlElement, tool: str) -> Problem:
-    """An unknown element may say anything about the run, so it is not passed over."""
+    """An unknown element may affect the run, so it is not ignored."""
     return _refusal(element, f"{element.name} of {tool} is not supported")
 
 
 def _step(element: XmlElement, name: str) -> float:
-    """A step [s], which has to be there: with another one the run would not be that of the file."""
+    """A step [s]; the attribute is required."""
     element.required(name)
     value = element.number(name)
     if not value > 0:
@@ -252,11 +255,11 @@ def _step(element: XmlElement, name: str) -> float:
 
 
 def _owner(element: XmlElement) -> str:
-    """The component whose annotation this is, or the system."""
-    above = (
+    """The name of the component or system that has the annotation."""
+    ancestors = (
         e.get("name") for e in element.element.iterancestors() if local_name(e) in ("Component", "System")
     )
-    return next(filter(None, above), "the system")
+    return next(filter(None, ancestors), "the system")
 
 
 # libcosim, Vico and OpenMCx
@@ -268,18 +271,21 @@ ORDERS: Mapping[str | None, Coupling] = {  # stepType of OpenMCx; without one it
 
 
 def _algorithm(element: XmlElement, tool: str) -> Iterator[Request]:
-    """Algorithm and MasterAlgorithm: one element inside holds the step."""
-    inside = list(element.children())
-    if not inside:
+    """Algorithm and MasterAlgorithm: elements inside have the step."""
+    children = list(element.children())
+    if not children:
         raise _refusal(element, f"{element.name} of {tool}: expected a FixedStepAlgorithm, got none")
-    for e in inside:
+    for e in children:
         if e.name not in ("FixedStepAlgorithm", "FixedStepMaster"):
             raise _unsupported(e, tool)
         for size in e.children("StepSizes", "StepSize"):
-            many = size.required("multipleOf")
-            if many.strip() != "1":
-                wish = f"{size.get('component') or 'a component'} wants a step of its own, {many} times"
-                raise _refusal(size, f"{wish} the base step of {tool}, which is not supported")
+            multiple = size.required("multipleOf")
+            if multiple.strip() != "1":
+                component = size.get("component") or "a component"
+                message = (
+                    f"the step of {component}, {multiple} times the base step of {tool}, is not supported"
+                )
+                raise _refusal(size, message)
         yield Request(tool, e, JACOBI, _step(e, "baseStepSize"))
 
 
@@ -296,20 +302,20 @@ def _component_step(element: XmlElement, tool: str) -> Iterator[Request]:
 
 def _task(element: XmlElement, tool: str) -> Iterator[Request]:
     """Task of OpenMCx."""
-    kind, end = element.get("stepType"), element.get("endType")
-    if kind not in ORDERS:
-        raise _refusal(element, f"stepType {kind!r} of {tool} is not supported")
+    step_type, end = element.get("stepType"), element.get("endType")
+    if step_type not in ORDERS:
+        raise _refusal(element, f"stepType {step_type!r} of {tool} is not supported")
     if end not in (None, "end_time"):
         raise _refusal(element, f"endType {end!r} of {tool} is not supported, expected 'end_time'")
-    yield Request(tool, element, ORDERS[kind], _step(element, "deltaTime"))
+    yield Request(tool, element, ORDERS[step_type], _step(element, "deltaTime"))
 
 
-# SimulationInformation of OMSimulator, drafts of SSP and early libcosim. An element inside holds the master.
+# SimulationInformation of OMSimulator, drafts of SSP and early libcosim. A child element is the master.
 # OMSimulator's Python API writes attributes instead: a solver, and its name in annotations of components.
 
 MODEL_EXCHANGE = ("euler", "cvode")  # methods that solve by Model Exchange
 VARIABLE = ("initialStepSize", "minimumStepSize", "maximumStepSize", "relativeTolerance")
-USUAL = dict(zip(VARIABLE, (1e-6, 1e-12, 1e-3, 1e-4), strict=True))  # of the API, where it gives no attribute
+API_DEFAULTS = dict(zip(VARIABLE, (1e-6, 1e-12, 1e-3, 1e-4), strict=True))  # for missing attributes
 METHODS = {"oms_ma": ("fixedStepSize", "relativeTolerance"), "oms_mav": VARIABLE, "oms_mav2": VARIABLE}
 TOLERANCES = ("tolerance", "absoluteTolerance")  # the API writes them and does not read them
 RESULTS = ("name", "resultFile", "loggingInterval", "bufferSize", "signalFilter")
@@ -333,7 +339,7 @@ def _simulation_information(element: XmlElement, tool: str) -> Iterator[Request]
                 e.required(name)
             yield _variable_step(e, tool, {})
         elif e.name == "VariableStepSolver":
-            raise _wants_model_exchange(e, tool)
+            raise _model_exchange_refusal(e, tool)
         else:
             raise _unsupported(e, tool)
 
@@ -342,22 +348,22 @@ def _solver(element: XmlElement, tool: str) -> Request:
     """A solver in attributes."""
     method = element.get("method") or ""
     if method in MODEL_EXCHANGE:
-        raise _wants_model_exchange(element, tool)
+        raise _model_exchange_refusal(element, tool)
     if method not in METHODS:
         raise _refusal(element, f"the method {method!r} of {tool} is not supported")
     _refuse_other_attributes(element, tool, (*RESULTS, "method", *METHODS[method], *TOLERANCES))
     name = element.get("name")
     users = {e.get("name") for e in _all(element) if e.get("method") is None}
-    if name is not None and name not in users:  # OMSimulator would couple by its usual master
+    if name is not None and name not in users:  # OMSimulator would use its default master
         raise _refusal(element, f"no component names the solver {name!r} of {tool}")
     if method == "oms_ma":
         return Request(tool, element, JACOBI, _step(element, "fixedStepSize"))
-    return _variable_step(element, tool, USUAL)
+    return _variable_step(element, tool, API_DEFAULTS)
 
 
-def _variable_step(element: XmlElement, tool: str, usual: Mapping[str, float]) -> Request:
-    """A master that chooses its steps; the nearest of ours has the same tolerance and limits."""
-    first, smallest, largest, tolerance = (element.number(name, usual.get(name)) for name in VARIABLE)
+def _variable_step(element: XmlElement, tool: str, defaults: Mapping[str, float]) -> Request:
+    """A master with adaptive steps; the nearest one of this project has the same tolerance and limits."""
+    first, smallest, largest, tolerance = (element.number(name, defaults.get(name)) for name in VARIABLE)
     if not first > 0:
         message = f"initialStepSize: expected a positive number of seconds, got {first:g}"
         raise _refusal(element, message)
@@ -368,16 +374,16 @@ def _variable_step(element: XmlElement, tool: str, usual: Mapping[str, float]) -
     return Request(tool, element, coupling, first)
 
 
-def _wants_model_exchange(element: XmlElement, tool: str) -> Problem:
-    how = element.get("description") or element.get("method") or element.name
-    wish = f"{element.name} of {tool} wants Model Exchange ({how})"
-    return _refusal(element, f"{wish}, here FMUs take part by Co-Simulation only")
+def _model_exchange_refusal(element: XmlElement, tool: str) -> Problem:
+    method = element.get("description") or element.get("method") or element.name
+    request = f"{element.name} of {tool} requests Model Exchange ({method})"
+    return _refusal(element, f"{request}, expected Co-Simulation")
 
 
-def _refuse_other_attributes(element: XmlElement, tool: str, known: tuple[str, ...]) -> None:
-    """Refuse attributes that are not read: one may be a step."""
+def _refuse_other_attributes(element: XmlElement, tool: str, names: tuple[str, ...]) -> None:
+    """Refuse attributes that are not read, because one may be a step."""
     for name in element.attributes:
-        if name not in known:
+        if name not in names:
             raise _refusal(element, f"attribute {name} of {element.name} ({tool}) is not supported")
 
 
@@ -390,11 +396,11 @@ Reader = Callable[[XmlElement, str], Iterator[Request]]
 
 
 class AnnotationType(NamedTuple):
-    """How the elements in a type of annotations are read, and which do not matter to a run."""
+    """Readers of the elements in one type of annotations, and elements without effect on a run."""
 
     tool: str
     readers: Mapping[str, Reader]
-    harmless: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
 
 
 _LIBCOSIM = AnnotationType(
@@ -419,7 +425,7 @@ TOOLS = {
     "com.avl.model.connect.ssp.task": AnnotationType("OpenMCx", {"Task": _task}),
     "com.avl.model.connect.ssp.component": AnnotationType("OpenMCx", {"Component": _component_step}),
 }
-REFUSED = {  # by the beginning of their type
+REFUSED = {  # by the prefix of the annotation type
     "se.umu.math.umit.": "FMIGo",
     "com.avl.model.connect.ssp.connection": "OpenMCx",
     "com.github.ecos-platform.scenario": "Ecos",
@@ -437,9 +443,9 @@ VENDOR_NAMESPACES = {
 
 
 def write_suggestion(system: Element, experiment: Element, suggestion: Suggestion) -> None:
-    """Write how to couple, in our annotation, and the step for OMSimulator and libcosim.
+    """Write the annotation of this project, and the step for OMSimulator and libcosim.
 
-    OMSimulator opens no system without a step. Its master and that of libcosim step all components at once.
+    OMSimulator opens no system without a step. Its master and that of libcosim are Jacobi masters.
     """
     coupling, step = suggestion.coupling or Coupling(), suggestion.step
     if step is not None:
@@ -451,18 +457,18 @@ def write_suggestion(system: Element, experiment: Element, suggestion: Suggestio
         add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=decimal)
     if step is None and suggestion.coupling is None:
         return
-    usual = Coupling()
+    default = Coupling()
     values = {"step": step} | {
         name: getattr(coupling, name)
         for name in ATTRIBUTES
-        if name != "step" and (name == "master" or getattr(coupling, name) != getattr(usual, name))
+        if name != "step" and (name == "master" or getattr(coupling, name) != getattr(default, name))
     }
     own = add(_annotation(experiment, OWN), "hc:Coupling", **{n: values.get(n) for n in ATTRIBUTES})
     for component, steps in coupling.factors.items():
         add(own, "hc:Factor", component=component, steps=steps)
 
 
-def _annotation(parent: Element, kind: str) -> Element:
+def _annotation(parent: Element, type_: str) -> Element:
     """A new annotation of a type."""
     holder = parent.find("{*}Annotations")
-    return add(add(parent, "ssd:Annotations") if holder is None else holder, "ssc:Annotation", type=kind)
+    return add(add(parent, "ssd:Annotations") if holder is None else holder, "ssc:Annotation", type=type_)

@@ -1,4 +1,4 @@
-"""Systems from FMU files and connections given in Python, and what makes a connection fit."""
+"""`assemble`: makes a system from FMU files and connections; and checks of a connection."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ def assemble(
     connections   "a.y -> b.u", or (source, target), or (source, target, factor, offset) with
                   target = factor * source + offset after the unit conversion
     start         component.variable -> value
-    inputs        input of the whole system -> component inputs that it feeds; the first one gives the unit
-    stop          stop time [s] where a run gives no other
-    step          communication step [s] where a run gives no other, with Gauss-Seidel
+    inputs        input of the system -> component inputs that it feeds; the first one gives the unit
+    stop          default stop time of a run [s]
+    step          default communication step of a run [s], with Gauss-Seidel
     """
     components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
     system = System(name, components)
     notes: list[str] = []
-    connected = []
+    checked = []
     for entry in connections:
-        given = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
-        if len(given) not in (2, 3, 4):
+        parts = [e.strip() for e in entry.split("->")] if isinstance(entry, str) else list(entry)
+        if len(parts) not in (2, 3, 4):
             raise Problem(f"connection {entry!r}: expected 'a.y -> b.u' or (source, target, factor, offset)")
-        linear = LinearTransformation(*(float(x) for x in given[2:]))
-        ends = system.port(str(given[0])), system.port(str(given[1]))
-        connected.append(_connect(system, *ends, linear, notes))
+        linear = LinearTransformation(*(float(x) for x in parts[2:]))
+        ends = system.port(str(parts[0])), system.port(str(parts[1]))
+        checked.append(_connect(system, *ends, linear, notes))
     inlets = {n: _inlet(system, n, ends, notes) for n, ends in (inputs or {}).items()}
-    _check_single(connected, inlets)
+    _check_one_source(checked, inlets)
     suggestion = Suggestion() if step is None else Suggestion(Coupling("gauss-seidel"), step)
     return replace(
         system,
-        connections=tuple(connected),
+        connections=tuple(checked),
         inputs=inlets,
         stop=stop,
         suggestion=suggestion,
@@ -61,7 +61,7 @@ def assemble(
 
 
 def open_component(name: str, fmu: Location, exchange: bool = False) -> Component:
-    """A component from its FMU, which takes part by Co-Simulation or by Model Exchange."""
+    """A component from its FMU; exchange: for Model Exchange, not Co-Simulation."""
     return Component(name, read_interface(fmu, exchange), fmu)
 
 
@@ -78,7 +78,7 @@ def _connect(
 
 
 def _inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) -> Inlet:
-    """An input of the whole system."""
+    """An input of the system, with unit conversions."""
     ports = [system.port(target) for target in targets]
     for port in ports:
         if (causality := system.variable(port).causality) != "input":
@@ -90,28 +90,28 @@ def _inlet(system: System, name: str, targets: Sequence[str], notes: list[str]) 
 
 
 def check_connection(system: System, source: Port, target: Port, linear: LinearTransformation) -> Connection:
-    """A connection whose causality and types fit."""
-    result, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
+    """A connection; raises Problem if causalities or types do not fit."""
+    connection, y, u = Connection(source, target, linear), system.variable(source), system.variable(target)
     if y.causality not in SOURCES or u.causality not in TARGETS:
-        raise Problem(f"{result}: expected an output and an input, got {y.causality} and {u.causality}")
-    if family(y) != family(u) or y.kind == "String":
-        raise Problem(f"{result}: variables of type {y.kind} and {u.kind} cannot be connected")
+        raise Problem(f"{connection}: expected an output and an input, got {y.causality} and {u.causality}")
+    if connectable_type(y) != connectable_type(u) or y.kind == "String":
+        raise Problem(f"{connection}: variables of type {y.kind} and {u.kind} cannot be connected")
     if not y.is_real and not (linear.factor.is_integer() and linear.offset.is_integer()):
         got = f"{linear.factor:g} and {linear.offset:g}"
-        raise Problem(f"{result}: expected whole factor and offset, got {got}")
-    return result
+        raise Problem(f"{connection}: expected integer factor and offset, got {got}")
+    return connection
 
 
-def _check_single(connections: Iterable[Connection], inlets: Mapping[str, Inlet]) -> None:
-    """Refuse a component input that is fed twice."""
-    seen: dict[Port, object] = {}
+def _check_one_source(connections: Iterable[Connection], inlets: Mapping[str, Inlet]) -> None:
+    """Refuse a component input with two sources."""
+    source_of: dict[Port, object] = {}
     feeds = [(c.target, c.source) for c in connections]
     for target, source in [*feeds, *((port, i.name) for i in inlets.values() for port, _ in i.targets)]:
-        if target in seen:
-            raise Problem(f"{target} is fed twice, by {seen[target]} and by {source}")
-        seen[target] = source
+        if target in source_of:
+            raise Problem(f"{target}: expected one source, got {source_of[target]} and {source}")
+        source_of[target] = source
 
 
-def family(variable: FmuVariable) -> str:
-    """The types that may be connected: equal ones, and integers with enumerations."""
+def connectable_type(variable: FmuVariable) -> str:
+    """The type for connections: equal types may be connected; enumerations count as integers."""
     return "Integer" if variable.kind == "Enumeration" else variable.kind

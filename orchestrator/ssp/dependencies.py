@@ -1,9 +1,10 @@
-"""Direct feed-through between components: the order in which outputs become known, and algebraic loops.
+"""Direct feed-through between components: the order in which outputs are read, and algebraic loops.
 
-An output without feed-through is known right after the step, one with feed-through once the inputs that it
-depends on are set. Outputs that depend on each other are a `DependencyCycle`. Where the FMUs declare these
-dependencies it is an algebraic loop, which is solved. Where an FMU does not, values are carried round first,
-and the loop is solved only if they do not settle (`engine/algebraic_loop.py`).
+An output without feed-through can be read directly after a step. An output with feed-through can be read when
+the inputs that it depends on are set. Outputs that depend on each other are a `DependencyCycle`. If the FMUs
+declare these dependencies, the cycle is an algebraic loop, which is solved. If an FMU declares none, values
+are first copied along the connections, and the loop is solved only if they do not settle
+(`engine/algebraic_loop.py`).
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from itertools import pairwise
 from orchestrator.base.errors import Problem
 from orchestrator.ssp.system import Connection, Port, System
 
-SHOWN = 6  # connections in a text
+MAX_CONNECTIONS = 6  # in a message
 
 
 @dataclass(frozen=True)
 class DependencyCycle:
-    """Outputs that depend on each other in a circle: an algebraic loop, or perhaps one.
+    """Outputs that depend on each other: an algebraic loop, or a potential one.
 
-    connections   of Real values from outputs of the cycle to inputs that its outputs depend on
-    declared      the FMUs declare these dependencies; else some declare none, and there may be no loop at all
-    rounds        how often its outputs are read where some signals are not Real, so not solved for; else 1
-    discrete      an output in a circle of declared dependencies that is not Real
-    passes        how often values are carried round before a loop is supposed; 0 where one is declared
-    text          the loop, to begin a note or a message
+    connections   Real connections from outputs of the cycle to inputs that its outputs depend on
+    declared      the FMUs declare these dependencies; else some FMU declares none, and there may be no loop
+    rounds        how often its outputs are read, because some are not Real and cannot be solved for; else 1
+    discrete      an output that is not Real in a cycle of declared dependencies
+    passes        how often values are copied before a loop is assumed; 0 for a declared loop
+    text          description of the loop, for the beginning of a note or a message
     """
 
     connections: tuple[Connection, ...]
@@ -40,11 +41,11 @@ class DependencyCycle:
 
 @dataclass(frozen=True)
 class OutputOrder:
-    """When outputs are read at a communication point, in stages counted from 0.
+    """The order in which outputs are read at a communication point, in stages 0, 1, ...
 
     stages   output -> its stages
     notes    remarks for the user
-    cycles   with their stages; nothing else reads their outputs and sets their inputs
+    cycles   dependency cycles with their stages, in which their outputs are read and their inputs are set
     """
 
     stages: Mapping[Port, tuple[int, ...]]
@@ -66,30 +67,31 @@ def output_order(system: System) -> OutputOrder:
     for group in strongly_connected(graph):
         first = 1 + max((stages[p][-1] for y in group for p in graph[y] if p not in group), default=-1)
         cycle = feedthrough.cycle(group)
-        when = tuple(range(first, first + (cycle.rounds if cycle else 1)))
-        stages |= dict.fromkeys(group, when)
+        cycle_stages = tuple(range(first, first + (cycle.rounds if cycle else 1)))
+        stages |= dict.fromkeys(group, cycle_stages)
         if cycle is None:
             continue
         if cycle.discrete:
             kind = system.variable(cycle.discrete).kind
-            got = f"expected Real signals, to be solved for, got {kind} {cycle.discrete}"
-            raise Problem(f"{cycle.text}: {got}")
+            raise Problem(
+                f"{cycle.text}: expected Real signals, to be solved for, got {kind} {cycle.discrete}"
+            )
         if cycle.rounds > 1:
             notes.append(
                 f"{cycle.text}; its signals that are not Real are read {cycle.rounds} times per step"
             )
-        cycles += [(cycle, when)] if cycle.connections else []
+        cycles += [(cycle, cycle_stages)] if cycle.connections else []
     return OutputOrder(stages, tuple(notes), tuple(cycles))
 
 
 class Feedthrough:
-    """Direct dependencies of a system.
+    """Direct dependencies of outputs in a system.
 
     graph   output -> outputs that it depends on through connections
     """
 
     def __init__(self, system: System, initially: bool = False) -> None:
-        """initially: those of initialisation mode, else those of the run."""
+        """initially: dependencies in initialisation mode; default: those of the run."""
         self._system, self._initially = system, initially
         source = {c.target: c.source for c in system.connections}
         self.graph: dict[Port, list[Port]] = {}
@@ -100,10 +102,10 @@ class Feedthrough:
                     self.graph[output] = [source[u] for u in sorted(self.depends(output)) if u in source]
 
     def depends(self, output: Port) -> set[Port]:
-        """The variables of its own component that an output depends on; all where the FMU does not say."""
+        """The variables of its component that an output depends on; all if the FMU declares none."""
         interface = self._system.components[output.component].interface
-        known = interface.initial_knowns if self._initially else interface.direct_inputs
-        return {Port(output.component, name) for name in known(output.variable)}
+        names = interface.initial_knowns if self._initially else interface.direct_inputs
+        return {Port(output.component, name) for name in names(output.variable)}
 
     def declares(self, output: Port) -> bool:
         """Does the FMU declare what an output depends on?"""
@@ -112,49 +114,48 @@ class Feedthrough:
         return declared.get(output.variable) is not None
 
     def cycle(self, group: list[Port]) -> DependencyCycle | None:
-        """The cycle of a strongly connected group of outputs; None where the output does not depend on
-        itself."""
+        """The cycle of a strongly connected group of outputs; None for one output without self-dependency."""
         if not _circular(self.graph, group):
             return None
         declared = {y: [p for p in self.graph[y] if p in group and self.declares(y)] for y in group}
-        circles = [g for g in strongly_connected(declared) if _circular(declared, g)]
+        loops = [g for g in strongly_connected(declared) if _circular(declared, g)]
         involved = sorted({y.component for y in group})
         discrete = [y for y in group if not self._real(y)]
         needed = set().union(*map(self.depends, group))
         inside = [c for c in self._system.connections if c.source in group and c.target in needed]
         return DependencyCycle(
             connections=tuple(c for c in inside if self._real(c.source)),
-            declared=bool(circles),
+            declared=bool(loops),
             rounds=len(involved) + 1 if discrete else 1,
-            discrete=next((y for g in circles for y in g if y in discrete), None),
-            passes=0 if circles else len(involved) + 1,
-            text=self._loop_text(circles[0], inside) if circles else self._silent_text(group, involved),
+            discrete=next((y for g in loops for y in g if y in discrete), None),
+            passes=0 if loops else len(involved) + 1,
+            text=self._loop_text(loops[0], inside) if loops else self._undeclared_text(group, involved),
         )
 
     def _real(self, port: Port) -> bool:
         return self._system.variable(port).is_real
 
     def _loop_text(self, group: list[Port], inside: list[Connection]) -> str:
-        """The connections of a loop, beginning with one way round."""
-        first = [self._connection(*pair) for pair in pairwise(_way_round(self.graph, group))]
+        """The connections of a loop; the first ones form a closed path."""
+        first = [self._connection(*pair) for pair in pairwise(_closed_path(self.graph, group))]
         names = [str(c) for c in dict.fromkeys([*first, *inside])]
-        more = f", and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        return f"algebraic loop {', '.join(names[:SHOWN])}{more}"
+        more = f", and {len(names) - MAX_CONNECTIONS} more" if len(names) > MAX_CONNECTIONS else ""
+        return f"algebraic loop {', '.join(names[:MAX_CONNECTIONS])}{more}"
 
-    def _silent_text(self, group: list[Port], involved: list[str]) -> str:
-        silent = ", ".join(sorted(str(y) for y in group if not self.declares(y)))
-        message = f"{silent}: direct dependencies are not declared"
+    def _undeclared_text(self, group: list[Port], involved: list[str]) -> str:
+        undeclared = ", ".join(sorted(str(y) for y in group if not self.declares(y)))
+        message = f"{undeclared}: direct dependencies are not declared"
         return f"{message}, which would make an algebraic loop of {' and '.join(involved)}"
 
     def _connection(self, source: Port, output: Port) -> Connection:
         """The connection by which `source` reaches `output`."""
-        known = self.depends(output)
-        return next(c for c in self._system.connections if c.source == source and c.target in known)
+        inputs = self.depends(output)
+        return next(c for c in self._system.connections if c.source == source and c.target in inputs)
 
 
-# ---- graphs; NetworkX has these, too, but takes longer to import than a short run ----------------------
+# ---- graphs; the import of NetworkX would take longer than a short run -------------------------------------
 
-Graph = Mapping[Port, Iterable[Port]]  # node -> nodes that must be known before
+Graph = Mapping[Port, Iterable[Port]]  # node -> nodes that it depends on
 
 
 def strongly_connected(graph: Graph) -> list[list[Port]]:
@@ -173,8 +174,8 @@ def strongly_connected(graph: Graph) -> list[list[Port]]:
     for root in graph:
         path = [] if root in index else [visit(root)]
         while path:
-            node, rest = path[-1]
-            for before in rest:
+            node, dependencies = path[-1]
+            for before in dependencies:
                 if before not in index:
                     path.append(visit(before))
                     break
@@ -198,8 +199,8 @@ def _circular(graph: Graph, group: list[Port]) -> bool:
     return len(group) > 1 or group[0] in graph[group[0]]
 
 
-def _way_round(graph: Graph, group: list[Port]) -> list[Port]:
-    """One way round in a circular group; it ends where it begins, and each node needs the one before it."""
+def _closed_path(graph: Graph, group: list[Port]) -> list[Port]:
+    """A closed path in a circular group; each node depends on the one before it."""
     path, inside = [group[0]], set(group)
     while True:
         before = next(p for p in graph[path[-1]] if p in inside)

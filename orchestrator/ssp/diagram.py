@@ -1,9 +1,8 @@
-"""The diagram of a system: places of components and of their connectors, and bends of the connections [mm], y
-up.
+"""Layout of a system's diagram: positions of components and connectors, bends of connections [mm]; y is up.
 
-Components stand in columns. A connector is on the side of the column that its connection leads to, and at the
-height of the connector at the other end where that is free, so that most connections are straight and none
-crosses a component.
+Components are arranged in columns. A connector is on the side of the column that its connection leads to, and
+at the height of the connector at the other end if that height is free. So most connections are straight, and
+none crosses a component.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from dataclasses import dataclass, field
 
 from orchestrator.ssp.system import Port
 
-WIDTH, GAP, PITCH = 70.0, 50.0, 5.0  # of components, between columns, between connectors
+WIDTH, GAP, PITCH = 70.0, 50.0, 5.0  # [mm]: width of a component, gap between columns, pitch of connectors
 Point = tuple[float, float]
 
 
@@ -33,21 +32,21 @@ class Box:
         return left, self.bottom, left + WIDTH, self.top
 
     def connector(self, name: str) -> Point:
-        """Place of a connector, in a frame that has its corners at (0, 0) and (1, 1)."""
+        """Position of a connector relative to the box, whose corners are (0, 0) and (1, 1)."""
         side = int(name in self.sides[1])
         return float(side), (self.sides[side][name] - self.bottom) / (self.top - self.bottom)
 
     def absolute(self, name: str) -> Point:
-        """Place of a connector in the diagram."""
+        """Position of a connector in the diagram."""
         x1, _, x2, _ = self.corners
         side = int(name in self.sides[1])
         return (x1, x2)[side], self.sides[side][name]
 
 
 class Diagram:
-    """A diagram of components.
+    """The layout of a diagram.
 
-    boxes   component -> its place
+    boxes   component -> its box
     bends   connection -> its waypoints, if it is not straight
     """
 
@@ -57,7 +56,7 @@ class Diagram:
         connections: Sequence[tuple[Port, Port]],
         columns: Sequence[Sequence[str]] = (),
     ) -> None:
-        """connectors: component -> its inputs and outputs; columns: from the left, else one per component."""
+        """connectors: component -> inputs and outputs; columns: from the left; default: one per component."""
         self._connectors, self._connections = connectors, connections
         self.columns = columns or [[name] for name in connectors]
         self._column = {name: i for i, names in enumerate(self.columns) for name in names}
@@ -66,7 +65,7 @@ class Diagram:
         self.bends = self._bends()
 
     def _place(self) -> None:
-        """Place all components, beginning with the fullest column, then outwards."""
+        """Place all components, from the fullest column outwards."""
         columns = self.columns
         first = max(range(len(columns)), key=lambda i: len(columns[i]), default=0)
         for i in [*range(first, len(columns)), *range(first - 1, -1, -1)]:
@@ -76,13 +75,14 @@ class Diagram:
                 ceiling = self.boxes[name].bottom - 2 * PITCH
 
     def _box(self, name: str, ceiling: float) -> Box:
-        """A component below `ceiling`: connectors with placed peers at their heights, others under each
-        other."""
+        """The box of a component below `ceiling`; connectors have the heights of their placed peers."""
         box = Box(self._column[name])
         top = 0.0 if ceiling == float("inf") else ceiling - PITCH
         for heights, names in zip(box.sides, self._sides(name), strict=True):
-            wanted = {v: y for v in names if (y := self._peer_height(Port(name, v))) is not None and y <= top}
-            for v, y in sorted(wanted.items(), key=lambda item: -item[1]):
+            peer_heights = {
+                v: y for v in names if (y := self._peer_height(Port(name, v))) is not None and y <= top
+            }
+            for v, y in sorted(peer_heights.items(), key=lambda item: -item[1]):
                 heights[v] = y if y not in heights.values() else min(heights.values()) - PITCH
             below = min(heights.values(), default=top + PITCH)
             for n, v in enumerate((v for v in names if v not in heights), start=1):
@@ -92,7 +92,7 @@ class Diagram:
         return box
 
     def _sides(self, name: str) -> tuple[list[str], list[str]]:
-        """Connectors on the left and on the right, those of one port next to each other."""
+        """Connectors on the left and on the right; those with the same stem are adjacent."""
         inputs, outputs = self._connectors[name]
         sides: tuple[list[str], list[str]] = ([], [])
         connected: list[str] = []
@@ -105,7 +105,7 @@ class Diagram:
             sides[side].append(v)
             connected += [v] if towards else []
         stems = list(dict.fromkeys(v.partition("_")[0] for v in connected))
-        for names in sides:  # connected ones by their port, then the others
+        for names in sides:  # connected ones by stem, then the others
             names.sort(key=lambda v: stems.index(v.partition("_")[0]) if v in connected else len(stems))
         return sides
 
@@ -121,12 +121,12 @@ class Diagram:
     def _bends(self) -> dict[tuple[Port, Port], list[Point]]:
         """The waypoints of each connection that is not straight.
 
-        It turns in the gap next to each of its ends; one that passes a column does so below all components.
+        A connection turns in the gap next to each of its ends. It passes other columns below all components.
         """
         lane = {gap: 0 for gap in range(-1, len(self.boxes) + 1)}
         floor = min((box.bottom for box in self.boxes.values()), default=0.0) - PITCH
         bent = [c for c in self._connections if not self._straight(*c)]
-        found = {}
+        bends = {}
         for connection in bent:
             turns = []
             for component, name in connection:
@@ -137,11 +137,11 @@ class Diagram:
                 turns.append((gap, lane_x, y))
             (gap, x, y), (other, x2, y2) = turns
             if gap == other:
-                found[connection] = [(x, y), (x, y2)]
+                bends[connection] = [(x, y), (x, y2)]
             else:
-                found[connection] = [(x, y), (x, floor), (x2, floor), (x2, y2)]
+                bends[connection] = [(x, y), (x, floor), (x2, floor), (x2, y2)]
                 floor -= PITCH / 2
-        return found
+        return bends
 
     def _straight(self, *ends: Port) -> bool:
         boxes = [self.boxes[end.component] for end in ends]

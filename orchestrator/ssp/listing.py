@@ -1,4 +1,4 @@
-"""The variables of a system as text: name, unit and description, as its FMUs declare them."""
+"""Tables of the variables of a system for the terminal: name, unit and description from its FMUs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Entry = tuple[str, DeclaredUnit | None, str]  # name, unit, description
 
 
 def lines(system: System, kind: str | None = None) -> Iterator[str]:
-    """Inputs and outputs of the system, then outputs, inputs and parameters of each FMU; or only one kind."""
+    """Inputs and outputs of the system, then outputs, inputs and parameters of each FMU; or one kind."""
     if kind not in (None, *KINDS):
         raise Problem(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
-    alone = len(system.components) == 1 and not system.inputs  # the table of its FMU holds the same inputs
-    if kind in (None, "input") and not alone:
+    single = len(system.components) == 1 and not system.inputs  # the table of its FMU has the same inputs
+    if kind in (None, "input") and not single:
         yield from _table(f"{system.name}: inputs for --set and scenarios", _inlets(system))
     if kind in (None, "output"):
         outputs = [
@@ -32,32 +32,31 @@ def lines(system: System, kind: str | None = None) -> Iterator[str]:
         if kind is None and component.interface.description:
             yield from textwrap.wrap(f"{component.name}: {component.interface.description}", WIDTH)
             yield ""
-        for wanted in ("output", "input", "parameter"):
-            if kind in (None, wanted):
-                yield from _table(f"{component.name}: {wanted}s", _variables(system, component, wanted))
+        for causality in ("output", "input", "parameter"):
+            if kind in (None, causality):
+                yield from _table(f"{component.name}: {causality}s", _variables(system, component, causality))
         if kind is None and component.interface.unsupported:
             yield from textwrap.wrap(f"{component.name}: {component.interface.unsupported_note}", WIDTH)
             yield ""
 
 
 def _description(system: System, port: Port, connected: str) -> str:
-    """The description of a variable and what it is connected to."""
+    """The description of a variable and its connection."""
     return "; ".join(filter(None, [system.variable(port).description, connected]))
 
 
 def _inlets(system: System) -> list[Entry]:
-    """Inputs of the system, and component inputs that nothing feeds, with the description of their first
-    target."""
-    found = []
+    """Inputs of the system and component inputs without a source; description: that of the first target."""
+    entries = []
     for inlet in (*system.inputs.values(), *system.open.values()):
         ports = [port for port, _ in inlet.targets]
         text = _description(system, ports[0], f"to {', '.join(map(str, ports))}") if ports else ""
-        found.append((inlet.name, inlet.unit, text))
-    return found
+        entries.append((inlet.name, inlet.unit, text))
+    return entries
 
 
 def _variables(system: System, component: Component, causality: str) -> list[Entry]:
-    """The variables of one component; for a connected input also its source."""
+    """The variables of one component; a connected input also has its source."""
     source = {c.target: c.source for c in system.connections}
     ports = [(Port(component.name, v.name), v.unit) for v in component.interface.of(causality)]
     return [
@@ -67,7 +66,7 @@ def _variables(system: System, component: Component, causality: str) -> list[Ent
 
 
 def _table(title: str, entries: list[Entry]) -> Iterator[str]:
-    """Three columns; a long description continues on the next lines."""
+    """A table with three columns; long descriptions are wrapped."""
     if not entries:
         return
     yield title
@@ -75,8 +74,8 @@ def _table(title: str, entries: list[Entry]) -> Iterator[str]:
     unit_width = max(len(unit.name) if unit else 1 for _, unit, _ in entries)
     room = max(WIDTH - name_width - unit_width - 6, 30)
     for name, unit, text in entries:
-        first, *rest = textwrap.wrap(text, room, break_on_hyphens=False) or [""]
+        first, *more = textwrap.wrap(text, room, break_on_hyphens=False) or [""]
         head = f"  {name:<{name_width}}  {unit.name if unit else '-':<{unit_width}}  "
         yield (head + first).rstrip()
-        yield from (" " * len(head) + line for line in rest)
+        yield from (" " * len(head) + line for line in more)
     yield ""

@@ -1,6 +1,6 @@
-"""Reading SSP 1.0 and 2.0: a .ssp archive, an unpacked one, a .ssd file, or a single .fmu.
+"""`load`: reads a system from SSP 1.0 or 2.0 (.ssp archive, unpacked archive, .ssd file) or a single .fmu.
 
-Nested systems, also those in other .ssd and .ssp files, are flattened: components are named by their path,
+Nested systems, also those in other .ssd and .ssp files, are flattened: the name of a component is its path,
 and each component input is traced back through the connectors of systems to the output that feeds it.
 """
 
@@ -23,14 +23,14 @@ from orchestrator.ssp.system_structure import DEFINITION, SINKS, Connector, Flat
 def load(path: str | Path, exchange: bool = False) -> System:
     """The system in an .ssp, .ssd or .fmu file, or in a folder with an unpacked SSP or FMU.
 
-    exchange   its FMUs take part by Model Exchange; else by Co-Simulation, as `run` needs them
+    exchange   read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
     """
     file = Location(Path(path))
     suffix = file.path.suffix.lower()
     if not file.path.exists():
         raise Problem(f"{file}: no such file")
     if suffix == ".fmu" or (file.path / "modelDescription.xml").is_file():
-        return single(file, exchange)
+        return _single_fmu(file, exchange)
     if suffix == ".ssp" or file.is_folder:
         return _load_ssd(file.member(DEFINITION), exchange)
     if suffix == ".ssd":
@@ -38,8 +38,8 @@ def load(path: str | Path, exchange: bool = False) -> System:
     raise Problem(f"{file}: expected a .ssp, .ssd or .fmu file")
 
 
-def single(fmu: Location, exchange: bool = False) -> System:
-    """A system of one FMU, whose inputs are those of the system."""
+def _single_fmu(fmu: Location, exchange: bool = False) -> System:
+    """A system of one FMU; the inputs of the FMU are inputs of the system."""
     component = open_component(fmu.path.stem, fmu, exchange)
     inputs = [v for v in component.interface.of("input") if v.kind != "String"]
     inlets = {v.name: Inlet(v.name, v.unit, ((Port(component.name, v.name), IDENTITY),)) for v in inputs}
@@ -92,9 +92,9 @@ def _inlet(
     connector: Connector,
     maps: list[tuple[SignalPath, LinearTransformation]],
 ) -> Inlet:
-    """An input of the outermost system; without a unit of its own it has that of the inputs it feeds."""
+    """An input of the outermost system; without a declared unit it has that of the inputs that it feeds."""
     fed = [(path, m) for path, m in maps if path.source == connector and path.target.owner in flat.sources]
     targets = tuple((Port(*path.target), m) for path, m in fed)
     units = {system.variable(port).unit for port, _ in targets}
-    own = flat.unit(connector) or (units.pop() if len(units) == 1 else None)
-    return Inlet(connector.name, own, targets)
+    unit = flat.unit(connector) or (units.pop() if len(units) == 1 else None)
+    return Inlet(connector.name, unit, targets)

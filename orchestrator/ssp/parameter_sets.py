@@ -1,6 +1,6 @@
-"""Start values from an SSP: parameter bindings, parameter sets (SSV) and parameter mappings (SSM).
+"""Start values of a system: parameter bindings, parameter sets (SSV) and parameter mappings (SSM).
 
-A user picks further parameter sets, such as poses and programs: by name from the SSP, or as .ssv files.
+A user can select further parameter sets, such as poses: by name from the SSP, or as .ssv files.
 """
 
 from __future__ import annotations
@@ -15,20 +15,19 @@ from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, Value
-from orchestrator.ssp.common import read_transformation, read_units
+from orchestrator.ssp.common_elements import read_transformation, read_units
 from orchestrator.ssp.signal_paths import SignalPaths
-from orchestrator.ssp.swap import lost
-from orchestrator.ssp.system import Port, System, coerce, settable
+from orchestrator.ssp.swap import missing_after_swap
+from orchestrator.ssp.system import Port, System, check_settable, coerce
 from orchestrator.ssp.system_structure import Connector, ParameterBinding
 
-MappingEntry = tuple[
-    str, LinearTransformation, Mapping[str, str], bool
-]  # target, transformation, table, suppressed
+# target, transformation, table source -> target, suppression of the unit conversion
+MappingEntry = tuple[str, LinearTransformation, Mapping[str, str], bool]
 SET, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
 
 
 class ParameterValue(NamedTuple):
-    """A value on its way to a variable: its unit is converted (unless suppressed), then `map` is applied."""
+    """A value for a variable; its unit is converted (unless suppressed), then `map` is applied."""
 
     name: str
     text: str
@@ -37,16 +36,16 @@ class ParameterValue(NamedTuple):
     suppressed: bool = False
 
     def map_to(self, target: DeclaredUnit | None, where: str) -> tuple[LinearTransformation, str | None]:
-        """The whole map to a value in the unit `target`, and a note when it rests on an assumption."""
+        """The map to a value in the unit `target`, and a note if a unit is unknown."""
         if self.suppressed:
             return self.map, None
         linear, note = conversion(self.unit, target, where)
         return linear.then(self.map), note
 
 
-def read_parameter_set(root: XmlElement, known: Mapping[str, DeclaredUnit]) -> list[ParameterValue]:
-    """The values of a parameter set, in its own units or, else, in those known around it."""
-    units, found = {**known, **read_units(root)}, list[ParameterValue]()
+def read_parameter_set(root: XmlElement, outer_units: Mapping[str, DeclaredUnit]) -> list[ParameterValue]:
+    """The values of a parameter set, whose units are defined there or in the file around it."""
+    units, values = {**outer_units, **read_units(root)}, list[ParameterValue]()
     for parameter in root.children("Parameters", "Parameter"):
         value = next((e for e in parameter.children() if e.name in KINDS), None)
         text = value.get("value") if value is not None else None
@@ -55,38 +54,38 @@ def read_parameter_set(root: XmlElement, known: Mapping[str, DeclaredUnit]) -> l
             raise Problem(f"{parameter.location}: {message}")
         unit = value.get("unit")
         declared = units.get(unit, DeclaredUnit(unit)) if unit else None
-        found.append(ParameterValue(parameter.required("name"), text, declared))
-    return found
+        values.append(ParameterValue(parameter.required("name"), text, declared))
+    return values
 
 
-# ---- bound in the SSP --------------------------------------------------------------------------------------
+# ---- bindings of the SSP -----------------------------------------------------------------------------------
 
 
 def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
-    """Start values by component; bindings of outer systems win over inner ones, later over earlier."""
+    """Start values by component; outer bindings override inner ones, later ones override earlier ones."""
     flat, system = signals.flat, signals.system
-    found: dict[str, dict[str, Value]] = {name: {} for name in system.components}
+    start: dict[str, dict[str, Value]] = {name: {} for name in system.components}
     for binding in flat.bindings:
         file = binding.element.file
         for value in _values(signals, binding):
             targets = list(_targets(signals, binding, value))
             if not targets:
                 owner = binding.owner or flat.name
-                signals.notes.append(f"{file}: parameter {value.name!r} of {owner} fits no variable")
+                signals.notes.append(f"{file}: parameter {value.name!r} of {owner} does not match a variable")
             for port, linear, note in targets:
                 variable = system.variable(port)
                 signals.notes.extend([note] if note else [])
                 if variable.settable:
-                    found[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
+                    start[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
                 else:
                     signals.notes.append(f"{file}: {port} keeps its value: the FMU determines it itself")
-    return found
+    return start
 
 
 def _targets(
     signals: SignalPaths, binding: ParameterBinding, value: ParameterValue
 ) -> Iterator[tuple[Port, LinearTransformation, str | None]]:
-    """The variables that a value sets, with the map from the value: one, or all that a connector feeds."""
+    """The variable that a value sets, or all that a connector feeds, with the map from the value."""
     flat, system = signals.flat, signals.system
     full = f"{binding.owner}.{value.name}" if binding.owner else value.name
     for owner in sorted([*flat.sources, *flat.systems], key=len, reverse=True):
@@ -104,13 +103,13 @@ def _targets(
             unit = flat.unit(connector)
             for path in (p for p in signals.paths if connector in p.connectors):
                 first, note = value.map_to(unit, f"parameter {connector}")
-                rest = replace(signals, notes=[]).map_from(path, connector, unit or value.unit)
-                yield Port(*path.target), first.then(rest), note
+                from_connector = replace(signals, notes=[]).map_from(path, connector, unit or value.unit)
+                yield Port(*path.target), first.then(from_connector), note
             return
 
 
 def _values(signals: SignalPaths, binding: ParameterBinding) -> list[ParameterValue]:
-    """The values of a binding after prefix and mapping. Names without mapping stay as they are."""
+    """The values of a binding after prefix and mapping; without a mapping entry a name is unchanged."""
     content = _content(signals, binding, binding.element, SET, "ParameterValues", "ParameterSet")
     prefix, entries = binding.element.get("prefix") or "", dict[str, list[MappingEntry]]()
     mapping = binding.element.child("ParameterMapping")
@@ -119,23 +118,22 @@ def _values(signals: SignalPaths, binding: ParameterBinding) -> list[ParameterVa
         for e in root.children("MappingEntry"):
             entry = e.required("target"), *read_transformation(e), e.boolean("suppressUnitConversion")
             entries.setdefault(e.required("source"), []).append(entry)
-    found = []
+    values = []
     for value in read_parameter_set(content, binding.units):
         name = prefix + value.name
         for target, linear, table, suppressed in entries.get(name, [(name, IDENTITY, {}, False)]):
             text = table.get(value.text, value.text)
-            found.append(ParameterValue(target, text, value.unit, linear, suppressed))
-    return found
+            values.append(ParameterValue(target, text, value.unit, linear, suppressed))
+    return values
 
 
 def _content(
     signals: SignalPaths, binding: ParameterBinding, element: XmlElement, expected: str, *path: str
 ) -> XmlElement:
-    """What a binding or its mapping consists of: the element at `path` inside, or the root of another
-    file."""
-    kind, name = element.get("type") or expected, path[-1]
-    if kind != expected:
-        raise element.problem(f"expected the type {expected}, got {kind}")
+    """The content of a binding or its mapping: the element at `path` inside, or the root of another file."""
+    mime_type, name = element.get("type") or expected, path[-1]
+    if mime_type != expected:
+        raise element.problem(f"expected the type {expected}, got {mime_type}")
     source, inside = element.get("source"), element.child(*path)
     if bool(source) == (inside is not None):
         raise element.problem(f"expected a source or a {name} inside, got {'both' if source else 'neither'}")
@@ -150,23 +148,23 @@ def _content(
     return read_xml(element.file.resolve(source or ""), name)
 
 
-# ---- chosen by the user ------------------------------------------------------------------------------------
+# ---- selected by the user ----------------------------------------------------------------------------------
 
-FOLDER, SUFFIX = "resources", ".ssv"
+SUFFIX = ".ssv"
 
 
 def with_sets(system: System, sets: Sequence[str | Path]) -> System:
-    """The system with start values from parameter sets, later ones over earlier ones.
+    """The system with start values from parameter sets; later ones override earlier ones.
 
-    A set may name connected inputs: its values for them hold until the run has initialised. Values of a
-    variable that was lost in a swap, or cannot be set any more, are left out.
+    A set may contain connected inputs: these values are used until the end of the initialisation. Values are
+    left out if a swapped FMU lacks the variable, or determines it itself.
     """
     for chosen in sets:
         file = _file(system, chosen)
-        gone = lost(system)
+        missing = missing_after_swap(system)
         for value in read_parameter_set(read_xml(file, "ParameterSet"), {}):
-            if value.name in gone:
-                note = f"{file}: {value.name} is left out: {gone[value.name]}"
+            if value.name in missing:
+                note = f"{file}: {value.name} is left out: {missing[value.name]}"
                 system = replace(system, notes=(*system.notes, note))
             else:
                 system = _with_value(system, file, value)
@@ -182,9 +180,9 @@ def _with_value(system: System, file: Location, value: ParameterValue) -> System
     start = {name: dict(c.start) for name, c in system.components.items()}
     notes: list[str] = []
     for port, linear in targets:
-        settable(port, system.components[port.component].interface)
-        own = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
-        first, note = value.map_to(own, where)
+        check_settable(port, system.components[port.component].interface)
+        unit = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
+        first, note = value.map_to(unit, where)
         notes += [note] if note else []
         start[port.component][port.variable] = coerce(
             where, system.variable(port), value.text, first.then(linear)
@@ -194,26 +192,21 @@ def _with_value(system: System, file: Location, value: ParameterValue) -> System
 
 
 def _file(system: System, chosen: str | Path) -> Location:
-    """The file of a set: one on disk if the name ends in .ssv, else one of the SSP's."""
+    """The file of a set: a path that ends in .ssv, or a name in the SSP."""
     if str(chosen).endswith(SUFFIX):
         return Location(Path(chosen))
-    known = names(system)
-    if str(chosen) not in known:
+    sets = parameter_sets(system)
+    if str(chosen) not in sets:
         home = system.source.parent if system.source and system.source.members else system.source
-        holds = f"{home or system.name} holds {', '.join(known) or 'none'}"
+        contents = f"{home or system.name} contains {', '.join(sets) or 'none'}"
         raise Problem(
-            f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), known)}; {holds};"
+            f"parameter set {str(chosen)!r} is unknown{suggest(str(chosen), sets)}; {contents};"
             f" a file name ends in {SUFFIX}"
         )
-    return known[str(chosen)]
+    return sets[str(chosen)]
 
 
-def names(system: System) -> Mapping[str, Location]:
+def parameter_sets(system: System) -> Mapping[str, Location]:
     """The parameter sets in the resources of an SSP, by name."""
-    source = system.source
-    if source is None or not str(source).endswith(".ssd"):
-        return {}
-    home = source.parent if source.members else Location(source.path.parent / FOLDER)
-    inside = f"{FOLDER}/" if source.members else ""
-    found = [n for n in sorted(home.names()) if n.startswith(inside) and n.endswith(SUFFIX)]
-    return {PurePosixPath(n).stem: home.member(n) for n in found if n.count("/") == inside.count("/")}
+    files = system.resources.items()
+    return {PurePosixPath(n).stem: f for n, f in files if n.endswith(SUFFIX) and "/" not in n}

@@ -1,25 +1,29 @@
-"""Power bonds: pairs of opposite connections whose product is power, found from the units."""
+"""Power bonds: two opposite connections between two components whose signals multiply to power.
+
+Bonds are found from the units of the signals; effort and flow are those of bond graphs.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import product, takewhile
 from math import prod
+from typing import NamedTuple
 
 from orchestrator.base.errors import Problem
 from orchestrator.ssp.system import Connection, Port, System
 
-# effort and flow in (kg, m, s, A, K, mol, cd); their products are watts
+# dimensions of effort and flow: exponents of (kg, m, s, A, K, mol, cd); their product is power
 FORCE, VELOCITY = (1, 1, -2, 0, 0, 0, 0), (0, 1, -1, 0, 0, 0, 0)
-TORQUE, SPEED = (1, 2, -2, 0, 0, 0, 0), (0, 0, -1, 0, 0, 0, 0)
-PRESSURE, FLOW = (1, -1, -2, 0, 0, 0, 0), (0, 3, -1, 0, 0, 0, 0)
+TORQUE, ANGULAR_VELOCITY = (1, 2, -2, 0, 0, 0, 0), (0, 0, -1, 0, 0, 0, 0)
+PRESSURE, VOLUME_FLOW = (1, -1, -2, 0, 0, 0, 0), (0, 3, -1, 0, 0, 0, 0)
 VOLTAGE, CURRENT = (1, 2, -3, -1, 0, 0, 0), (0, 0, 0, 1, 0, 0, 0)
-PAIRS = ((FORCE, VELOCITY), (TORQUE, SPEED), (PRESSURE, FLOW), (VOLTAGE, CURRENT))
+PAIRS = ((FORCE, VELOCITY), (TORQUE, ANGULAR_VELOCITY), (PRESSURE, VOLUME_FLOW), (VOLTAGE, CURRENT))
 
 
 @dataclass(frozen=True)
 class Bond:
-    """effort, flow: the two component inputs; their product times `scale` is power [W]."""
+    """effort, flow: the two component inputs; the product of their values times `scale` is power [W]."""
 
     name: str
     effort: Port
@@ -27,45 +31,67 @@ class Bond:
     scale: float = 1.0
 
 
+class _Candidate(NamedTuple):
+    """Two connections that may be a bond; prefix: common leading words of the names of the two inputs."""
+
+    prefix: tuple[str, ...]
+    effort: Connection
+    flow: Connection
+
+    @property
+    def inputs(self) -> set[Port]:
+        return {self.effort.target, self.flow.target}
+
+    def shares_one_connection(self, other: _Candidate) -> bool:
+        return (self.effort is other.effort) != (self.flow is other.flow)
+
+
 def find_bonds(system: System) -> list[Bond]:
-    """The bonds that follow from units; among several pairs the common stem of the names decides."""
-    candidates = []
-    for effort, flow in product(system.connections, repeat=2):
-        if _opposite(effort, flow) and _is_power(system, effort, flow):
-            candidates.append((_stem(effort, flow), effort, flow))
-    bonds, taken = [], set[Port]()
-    for stem, effort, flow in sorted(candidates, key=lambda c: -len(c[0])):
-        rivals = [c for c in candidates if (c[1] is effort) != (c[2] is flow) and len(c[0]) >= len(stem)]
-        if effort.target in taken or flow.target in taken or any(_free(c, taken) for c in rivals):
+    """The bonds that follow from the units.
+
+    If a connection could belong to several bonds, the longest common prefix of the input names decides. If
+    several prefixes are equally long there is no bond.
+    """
+    candidates = [
+        _Candidate(_common_prefix(effort, flow), effort, flow)
+        for effort, flow in product(system.connections, repeat=2)
+        if _opposite(effort, flow) and _is_power(system, effort, flow)
+    ]
+    bonds, used = [], set[Port]()
+    for candidate in sorted(candidates, key=lambda c: -len(c.prefix)):
+        rivals = [
+            c
+            for c in candidates
+            if c.shares_one_connection(candidate) and len(c.prefix) >= len(candidate.prefix)
+        ]
+        if candidate.inputs & used or any(not rival.inputs & used for rival in rivals):
             continue
-        taken |= {effort.target, flow.target}
-        bonds.append(_bond(system, effort, flow, stem))
+        used |= candidate.inputs
+        bonds.append(_bond(system, candidate))
     return bonds
 
 
-def _free(candidate: tuple[tuple[str, ...], Connection, Connection], taken: set[Port]) -> bool:
-    return candidate[1].target not in taken and candidate[2].target not in taken
-
-
 def bond_of(system: System, effort: str, flow: str) -> Bond:
-    """A bond given by the names of its two inputs."""
-    fed = {c.target: c for c in system.connections}
+    """The bond of two inputs, given by their names."""
+    sources = {c.target: c for c in system.connections}
     ports = system.port(effort), system.port(flow)
     for port in ports:
-        if port not in fed:
+        if port not in sources:
             raise Problem(f"power bond {effort}, {flow}: {port} is not a connected input")
-    a, b = (fed[p] for p in ports)
+    a, b = (sources[p] for p in ports)
     if not _opposite(a, b):
-        raise Problem(f"power bond {effort}, {flow}: expected opposite connections, got {a} and {b}")
-    return _bond(system, a, b, _stem(a, b))
+        expected = "two opposite connections between the same two components"
+        raise Problem(f"power bond {effort}, {flow}: expected {expected}, got {a} and {b}")
+    return _bond(system, _Candidate(_common_prefix(a, b), a, b))
 
 
-def _bond(system: System, effort: Connection, flow: Connection, stem: tuple[str, ...]) -> Bond:
-    units = system.variable(effort.target).unit, system.variable(flow.target).unit
+def _bond(system: System, candidate: _Candidate) -> Bond:
+    effort, flow = candidate.effort.target, candidate.flow.target
+    units = system.variable(effort).unit, system.variable(flow).unit
     scale = prod((u.factor for u in units if u is not None), start=1.0)
-    a, b = sorted((effort.target.component, flow.target.component))
-    name = f"{a} - {b}" + (f": {'_'.join(stem)}" if stem else "")
-    return Bond(name, effort.target, flow.target, scale)
+    a, b = sorted((effort.component, flow.component))
+    name = f"{a} - {b}" + (f": {'_'.join(candidate.prefix)}" if candidate.prefix else "")
+    return Bond(name, effort, flow, scale)
 
 
 def _opposite(effort: Connection, flow: Connection) -> bool:
@@ -80,12 +106,7 @@ def _is_power(system: System, effort: Connection, flow: Connection) -> bool:
     return e is not None and f is not None and (e.dimension, f.dimension) in PAIRS
 
 
-def _stem(effort: Connection, flow: Connection) -> tuple[str, ...]:
-    """Common leading words of the two inputs' names."""
-    words = [c.target.variable.replace(".", "_").split("_") for c in (effort, flow)]
-    stem = []
-    for a, b in zip(*words, strict=False):
-        if a != b:
-            break
-        stem.append(a)
-    return tuple(stem)
+def _common_prefix(effort: Connection, flow: Connection) -> tuple[str, ...]:
+    words = (c.target.variable.replace(".", "_").split("_") for c in (effort, flow))
+    pairs = takewhile(lambda pair: pair[0] == pair[1], zip(*words, strict=False))
+    return tuple(word for word, _ in pairs)

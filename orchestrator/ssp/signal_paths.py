@@ -1,4 +1,4 @@
-"""From chains of connections through nested systems to one linear map between two variables."""
+"""Signal paths: chains of connections through nested systems, and the linear map over each of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orchestrator.ssp.system_structure import Connector, FlatStructure, Incoming
 
 @dataclass(frozen=True)
 class SignalPath:
-    """The way from `connectors[0]` to `connectors[-1]`; connections[i] leads to connectors[i + 1]."""
+    """A chain of connections; connections[i] leads from connectors[i] to connectors[i + 1]."""
 
     connectors: tuple[Connector, ...]
     connections: tuple[IncomingConnection, ...]
@@ -28,9 +28,9 @@ class SignalPath:
 
 @dataclass(frozen=True)
 class SignalPaths:
-    """All ways to connectors of components and to outputs of the outermost system.
+    """All paths to connectors of components and to outputs of the outermost system.
 
-    notes   remarks on unit conversions are added here
+    notes   remarks on unit conversions, which are appended here
     """
 
     flat: FlatStructure
@@ -39,7 +39,7 @@ class SignalPaths:
     paths: tuple[SignalPath, ...]
 
     def map(self, path: SignalPath) -> LinearTransformation:
-        """The map over the whole way, unit conversions included."""
+        """The map over the whole path, with unit conversions."""
         declared = self.flat.unit(path.source)
         if path.source.owner not in self.flat.sources:
             return self.map_from(path, path.source, declared)
@@ -50,18 +50,18 @@ class SignalPaths:
     def map_from(
         self, path: SignalPath, connector: Connector, unit: DeclaredUnit | None
     ) -> LinearTransformation:
-        """The map from a connector on the way, whose value is in `unit`, to the variable at the end."""
-        at, last = path.connectors.index(connector), path.target
-        own = self.system.variable(Port(*last)).unit if last.owner in self.flat.sources else None
+        """The map from a connector of the path, whose value is in `unit`, to the variable at the end."""
+        start, last = path.connectors.index(connector), path.target
+        target_unit = self.system.variable(Port(*last)).unit if last.owner in self.flat.sources else None
         where = f"{self._label(path.source)} -> {self._label(last)}"
         linear = IDENTITY
-        for connection, after in zip(path.connections[at:], path.connectors[at + 1 :], strict=True):
-            declared = self.flat.unit(after) or (own if after == last else None)
+        for connection, end in zip(path.connections[start:], path.connectors[start + 1 :], strict=True):
+            declared = self.flat.unit(end) or (target_unit if end == last else None)
             if not connection.suppressed:
                 linear = linear.then(self._conversion(unit, declared, where))
             unit = declared or unit
             linear = linear.then(connection.transformation)
-        return linear.then(self._conversion(self.flat.unit(last), own, where))
+        return linear.then(self._conversion(self.flat.unit(last), target_unit, where))
 
     def _conversion(
         self, source: DeclaredUnit | None, target: DeclaredUnit | None, where: str
@@ -72,13 +72,13 @@ class SignalPaths:
 
     def _label(self, connector: Connector) -> str:
         """A connector with its unit."""
-        inside = connector.owner in self.flat.sources
-        unit = self.system.variable(Port(*connector)).unit if inside else self.flat.unit(connector)
+        of_component = connector.owner in self.flat.sources
+        unit = self.system.variable(Port(*connector)).unit if of_component else self.flat.unit(connector)
         return f"{connector} {unit}" if unit else str(connector)
 
 
 def signal_paths(flat: FlatStructure, system: System, notes: list[str]) -> SignalPaths:
-    """The paths of a flat structure; connectors of components have to be variables of their FMUs."""
+    """The paths of a flat structure; connectors of components must be variables of their FMUs."""
     ends = [c for c in flat.incoming if c.owner in flat.sources]
     ends += [c for c in flat.of_kind("", "output", "calculatedParameter") if c in flat.incoming]
     paths = tuple(_path_to(flat, end) for end in ends)
@@ -92,7 +92,7 @@ def _path_to(flat: FlatStructure, end: Connector) -> SignalPath:
     connectors, connections = [end], list[IncomingConnection]()
     while incoming := flat.incoming.get(connectors[0]):
         if incoming.source in connectors:
-            raise Problem(f"connection to {end}: the connectors form a circle at {incoming.source}")
+            raise Problem(f"connection to {end}: the connectors form a cycle at {incoming.source}")
         connections.insert(0, incoming)
         connectors.insert(0, incoming.source)
     return SignalPath(tuple(connectors), tuple(connections))
@@ -102,5 +102,5 @@ def _check_variable(flat: FlatStructure, system: System, connector: Connector) -
     interface = system.components[connector.owner].interface
     interface.check_supported(connector.name, f"connection to {connector}")
     if connector.name not in interface.variables:
-        fmu, close = flat.sources[connector.owner], suggest(connector.name, interface.variables)
-        raise Problem(f"connection to {connector}: {fmu} has no variable {connector.name!r}{close}")
+        fmu, suggestion = flat.sources[connector.owner], suggest(connector.name, interface.variables)
+        raise Problem(f"connection to {connector}: {fmu} has no variable {connector.name!r}{suggestion}")

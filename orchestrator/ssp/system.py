@@ -1,4 +1,4 @@
-"""A co-simulation system: components, connections between them, and inputs and outputs of the whole."""
+"""A co-simulation system as data: components, connections, and inputs and outputs of the system."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import integer, real
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 
-FEW = 4  # names that fit into a message
+MAX_NAMES = 4  # in a message
+RESOURCES = "resources"  # folder of an SSP
 
 
 class Port(NamedTuple):
@@ -31,8 +32,8 @@ class Port(NamedTuple):
 class Component:
     """One FMU in the system.
 
-    start      values set before initialisation
-    replaced   the FMU that was here before a swap
+    start      start values that the system sets before initialisation
+    replaced   interface of the FMU that was replaced by a swap
     """
 
     name: str
@@ -42,7 +43,7 @@ class Component:
     replaced: FmuInterface | None = None
 
     def value(self, variable: str) -> Value:
-        """The start value of a variable: the system's, else the FMU's own; NaN where neither tells one."""
+        """The start value of a variable: that of the system, else that of the FMU; NaN without one."""
         declared = self.interface.variables[variable]
         if variable in self.start:
             return self.start[variable]
@@ -50,8 +51,8 @@ class Component:
             return "" if declared.kind == "String" else float("nan")
         return coerce(f"{self.name}.{variable}", declared, declared.start)
 
-    def numbers(self) -> dict[str, float]:
-        """Parameters that are real numbers and have a value, by name."""
+    def real_parameters(self) -> dict[str, float]:
+        """Values of the Real parameters that have one, by name."""
         real = [v for v in self.interface.variables.values() if v.is_real and v.causality == "parameter"]
         return {
             v.name: float(self.value(v.name)) for v in real if v.name in self.start or v.start is not None
@@ -60,7 +61,7 @@ class Component:
 
 @dataclass(frozen=True)
 class Connection:
-    """The value of `source`, mapped by `map` (unit conversion and transformation), goes to `target`."""
+    """Sets `target` to the value of `source`, mapped by `map` (unit conversion and transformation)."""
 
     source: Port
     target: Port
@@ -72,7 +73,7 @@ class Connection:
 
 @dataclass(frozen=True)
 class Inlet:
-    """An input of the whole system and the component inputs it feeds."""
+    """An input of the system and the component inputs that it feeds."""
 
     name: str
     unit: DeclaredUnit | None
@@ -81,7 +82,7 @@ class Inlet:
 
 @dataclass(frozen=True)
 class Outlet:
-    """An output of the whole system and the component output behind it."""
+    """An output of the system and the component output that gives its value."""
 
     name: str
     unit: DeclaredUnit | None
@@ -91,10 +92,10 @@ class Outlet:
 
 @dataclass(frozen=True)
 class System:
-    """Everything that is known before a run. Times in [s].
+    """A system before a run. Times in [s].
 
-    notes        remarks to show after a run
-    suggestion   how to couple the components, from its file
+    notes        remarks for the user, shown after a run
+    suggestion   suggested master and step, from the file of the system
     """
 
     name: str
@@ -110,53 +111,69 @@ class System:
 
     @property
     def coupling(self) -> Coupling | None:
-        """How its file suggests to couple the components, with what was changed since."""
+        """The suggested coupling, with changes by `coupled`."""
         return self.suggestion.coupling
 
     @property
     def step(self) -> float | None:
-        """The communication step [s] that goes with it."""
+        """The suggested communication step [s]."""
         return self.suggestion.step
 
     @property
     def refusal(self) -> str:
-        """Why the coupling that its file wants is not possible here; a given step or master puts it aside."""
+        """The reason why the coupling of the file is not supported; a given step or master replaces it."""
         return self.suggestion.refusal
+
+    @property
+    def resources(self) -> Mapping[str, Location]:
+        """Files in the resources of the system's SSP, by name under `resources/`; empty without an SSP."""
+        if self.source is None or not str(self.source).endswith(".ssd"):
+            return {}
+        if not self.source.members:
+            folder = Location(self.source.path.parent / RESOURCES)
+            return {name: folder.member(name) for name in folder.names()} if folder.is_folder else {}
+        archive, prefix = self.source.parent, f"{RESOURCES}/"
+        names = (name for name in sorted(archive.names()) if name.startswith(prefix))
+        return {name.removeprefix(prefix): archive.member(name) for name in names}
 
     def port(self, name: str) -> Port:
         """The port that `component.variable` names; both parts may contain dots."""
         port = self._find(name)
         if port is None:
-            near = (
+            suggestion = (
                 suggest(name, self.names())
                 or f"; expected one of {', '.join(self.components)}, a dot and a name"
             )
-            raise Problem(f"unknown variable {name!r}{near}")
+            raise Problem(f"unknown variable {name!r}{suggestion}")
         return port
 
     def _find(self, name: str) -> Port | None:
         for component in sorted(self.components, key=len, reverse=True):
-            rest, interface = name.removeprefix(component + "."), self.components[component].interface
-            if rest != name:
-                interface.check_supported(rest, name)
-                if rest in interface.variables:
-                    return Port(component, rest)
+            variable, interface = name.removeprefix(component + "."), self.components[component].interface
+            if variable != name:
+                interface.check_supported(variable, name)
+                if variable in interface.variables:
+                    return Port(component, variable)
         return None
 
     def targets(self, name: str) -> tuple[tuple[Port, LinearTransformation], ...]:
-        """What a name stands for: an input of the system, one `component.variable`, or, as a bare name, every
-        component input of that name."""
+        """The component inputs that a name refers to, with the conversion to their units.
+
+        A name is an input of the system, a `component.variable`, or the name of a component input, which
+        refers
+        to all component inputs of that name.
+        """
         if name in self.inputs:
             return self.inputs[name].targets
-        same = [] if self._find(name) else [p for p in self.ports("input") if p.variable == name]
-        units = {self.unit(p) for p in same}
+        inputs = [] if self._find(name) else [p for p in self.ports("input") if p.variable == name]
+        units = {self.unit(p) for p in inputs}
         if len(units) > 1:
-            each = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in same)
-            raise Problem(f"{name} names inputs in different units: {each}")
-        return tuple((port, self._given(port)) for port in same or [self.port(name)])
+            with_units = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in inputs)
+            raise Problem(f"{name}: expected inputs with one unit, got {with_units}")
+        return tuple((port, self._conversion(port)) for port in inputs or [self.port(name)])
 
     def has(self, name: str) -> bool:
-        """Does `targets` know this name? Tells it without the search for names that are like it."""
+        """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
         return (
             name in self.inputs
             or self._find(name) is not None
@@ -173,20 +190,20 @@ class System:
 
     @property
     def open(self) -> Mapping[str, Inlet]:
-        """Component inputs that nothing feeds, by their bare names."""
-        taken = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
-        found: dict[str, list[Port]] = {}
+        """Component inputs that have no source, by variable name."""
+        fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}
+        open_ports: dict[str, list[Port]] = {}
         for port in self.ports("input"):
-            if port not in taken and self.variable(port).kind != "String":
-                found.setdefault(port.variable, []).append(port)
+            if port not in fed and self.variable(port).kind != "String":
+                open_ports.setdefault(port.variable, []).append(port)
         return {
-            name: Inlet(name, self.unit(ports[0]), tuple((p, self._given(p)) for p in ports))
-            for name, ports in found.items()
+            name: Inlet(name, self.unit(ports[0]), tuple((p, self._conversion(p)) for p in ports))
+            for name, ports in open_ports.items()
         }
 
     @property
     def exposed(self) -> list[Port]:
-        """Component inputs that are inputs of the whole system or that no connection feeds."""
+        """Component inputs that are fed by an input of the system, or have no source."""
         inlets = [*self.inputs.values(), *self.open.values()]
         ports = [port for inlet in inlets for port, _ in inlet.targets]
         return [p for p in ports if (v := self.variable(p)).causality == "input" and v.kind != "String"]
@@ -196,67 +213,68 @@ class System:
         return self.components[port.component].interface.variables[port.variable]
 
     def unit(self, port: Port) -> DeclaredUnit | None:
-        """The unit of values that are given for a port: of a swapped FMU, that of the one before it."""
-        before = self.components[port.component].replaced
-        known, own = before.variables.get(port.variable) if before else None, self.variable(port).unit
-        same = known and known.unit and (own is None or known.unit.dimension == own.dimension)
-        return known.unit if known and same else own
+        """The unit of values that a user gives for a port; after a swap that of the replaced FMU."""
+        replaced, unit = self.components[port.component].replaced, self.variable(port).unit
+        before = replaced.variables.get(port.variable) if replaced else None
+        if before and before.unit and (unit is None or before.unit.dimension == unit.dimension):
+            return before.unit
+        return unit
 
-    def _given(self, port: Port) -> LinearTransformation:
-        """From the unit of given values to that of the FMU."""
+    def _conversion(self, port: Port) -> LinearTransformation:
+        """From the unit of values that a user gives to the unit of the FMU."""
         return conversion(self.unit(port), self.variable(port).unit, str(port))[0]
 
     def with_start(self, values: Mapping[str, Value | str]) -> System:
-        """The same system with other start values, given by names as `targets` knows them."""
+        """The system with other start values; names are those that `targets` accepts."""
         connected = {c.target: c for c in self.connections}
-        fresh = {name: dict(c.start) for name, c in self.components.items()}
+        start = {name: dict(c.start) for name, c in self.components.items()}
         for name, value in values.items():
             for port, linear in self.targets(name):
                 if port in connected:
-                    fed = f"it is fed by {connected[port]}"
-                    raise Problem(f"{name} cannot be set: {fed}; to set it, cut that wire: --cut {port}")
-                settable(port, self.components[port.component].interface)
-                fresh[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
-        components = {n: replace(c, start=fresh[n]) for n, c in self.components.items()}
+                    reason = f"it is fed by {connected[port]}"
+                    raise Problem(f"{name} cannot be set: {reason}; to set it, cut that wire: --cut {port}")
+                check_settable(port, self.components[port.component].interface)
+                start[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
+        components = {n: replace(c, start=start[n]) for n, c in self.components.items()}
         return replace(self, components=components)
 
-    def coupled(self, given: Coupling | Mapping[str, Any]) -> System:
-        """The same system, coupled so, or with other settings, named like the fields of `Coupling`.
+    def coupled(self, choices: Coupling | Mapping[str, Any]) -> System:
+        """The system with another coupling, or with single choices named like the fields of `Coupling`.
 
-        A master among them puts aside all that the system's file suggests, else the rest of that stays.
+        A master among them replaces the whole suggestion of the system's file. Other choices change it.
         """
-        return replace(self, suggestion=self.suggestion.with_choices(given))
+        return replace(self, suggestion=self.suggestion.with_choices(choices))
 
     def without(self, *patterns: str) -> System:
-        """The same system without the connections whose target, such as `b.force_rate`, fits a pattern.
+        """The system without the connections whose target, such as `b.force_rate`, matches a pattern.
 
-        patterns   with * and ? as in file names: "*_rate" is every input whose name ends so
+        patterns   with * and ? as in file names: "*_rate" matches every input whose name ends in _rate
         """
         targets = [str(c.target) for c in self.connections]
         for pattern in patterns:
             if not any(fnmatchcase(target, pattern) for target in targets):
-                near = suggest(pattern, targets) or f"; connected are {', '.join(targets[:8]) or 'none'}"
-                raise Problem(f"cut {pattern}: no connected input fits{near}")
+                hint = suggest(pattern, targets) or f"; connected are {', '.join(targets[:8]) or 'none'}"
+                raise Problem(f"cut {pattern}: no connected input matches{hint}")
         cut = [t for t in targets if any(fnmatchcase(t, pattern) for pattern in patterns)]
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
         notes = (f"cut, so these inputs keep their start values: {', '.join(cut)}",) if cut else ()
         return replace(self, connections=kept, notes=self.notes + notes)
 
 
-def settable(port: Port, interface: FmuInterface) -> None:
-    """Refuse to set what the FMU computes itself."""
+def check_settable(port: Port, interface: FmuInterface) -> None:
+    """Raise Problem if the FMU computes a variable itself."""
     variable = interface.variables[port.variable]
     if not variable.settable:
-        kind = f"{variable.variability} {variable.causality}"
+        category = f"{variable.variability} {variable.causality}"
         sources = sorted((interface.initial_dependencies.get(port.variable) or frozenset()) - {port.variable})
-        at_start = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= FEW else ""
-        raise Problem(f"{port} cannot be set: it is a {kind} that the FMU determines itself{at_start}")
+        at_start = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= MAX_NAMES else ""
+        raise Problem(f"{port} cannot be set: it is a {category} that the FMU determines itself{at_start}")
 
 
 def coerce(
     where: str, variable: FmuVariable, value: Value | str, linear: LinearTransformation = IDENTITY
 ) -> Value:
-    """`value` (perhaps text from a command line or an XML file) in the type of `variable`."""
+    """A value, also as text from a command line or an XML file, in the type of a variable."""
     text = str(value).strip()
     try:
         if variable.kind == "Real":

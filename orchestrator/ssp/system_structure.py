@@ -1,6 +1,7 @@
-"""Reads .ssd files: components, connectors, connections and parameter bindings of all nested systems, flat.
+"""Reads .ssd files: components, connectors, connections and parameter bindings of all nested systems.
 
-Components and systems are known by their path, such as "arm.drive"; the outermost system has an empty one.
+The structure is flat. Components and systems have their path as name, such as "arm.drive"; the path of the
+outermost system is empty.
 """
 
 from __future__ import annotations
@@ -14,10 +15,15 @@ from orchestrator.base.files import Location
 from orchestrator.base.units import DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.raw_description import FLOATS
-from orchestrator.ssp.common import as_linear, read_transformation, read_units
+from orchestrator.ssp.common_elements import as_linear, read_transformation, read_units
 
 DEFINITION = "SystemStructure.ssd"
-SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds of connectors that give a value
+SOURCES = (
+    "output",
+    "calculatedParameter",
+    "local",
+    "constant",
+)  # kinds of connectors with a value for others
 SINKS = ("input", "parameter", "structuralParameter")
 FMU, SSD, PACKAGE = (
     f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")
@@ -36,7 +42,7 @@ class Connector(NamedTuple):
 
 
 class ConnectorType(NamedTuple):
-    """What a file declares of a connector."""
+    """The declaration of a connector in a file."""
 
     kind: str | None
     unit: DeclaredUnit | None
@@ -44,7 +50,7 @@ class ConnectorType(NamedTuple):
 
 
 class IncomingConnection(NamedTuple):
-    """The connection that feeds a connector; `suppressed`: without conversion of the unit."""
+    """The connection that feeds a connector; suppressed: its unit is not converted."""
 
     source: Connector
     transformation: LinearTransformation
@@ -52,7 +58,7 @@ class IncomingConnection(NamedTuple):
 
 
 class ParameterBinding(NamedTuple):
-    """A parameter binding of the component or system at `owner`, with the units known around it."""
+    """A parameter binding of the component or system at `owner`, with the units that its file defines."""
 
     owner: str
     element: XmlElement
@@ -64,9 +70,9 @@ class FlatStructure:
     """All systems of an SSP.
 
     sources    path of a component -> its FMU
-    incoming   connector -> what feeds it
-    bindings   the innermost first
-    roots      of every .ssd file that was read, the outermost first
+    incoming   connector -> connection that feeds it
+    bindings   parameter bindings, innermost first
+    roots      root elements of all .ssd files, outermost first
     """
 
     name: str
@@ -99,15 +105,15 @@ def read_structure(file: Location) -> FlatStructure:
     if experiment is not None:
         flat.start = experiment.number("startTime") if experiment.get("startTime") is not None else None
         flat.stop = experiment.number("stopTime") if experiment.get("stopTime") is not None else None
-    _SsdReader(flat, root, (), {}).file("")
+    _SsdReader(flat, root, (), {}).read("")
     return flat
 
 
 class _SsdReader:
-    """Walks the elements of one .ssd file.
+    """Reads the elements of one .ssd file into a flat structure.
 
-    including   the files that include this one, one in the other
-    units       known in this file: its own, and those of the files that include it
+    including   the chain of files that include this one
+    units       units defined in this file and in the files that include it
     """
 
     def __init__(
@@ -120,8 +126,8 @@ class _SsdReader:
         self._flat, self._root, self._including = flat, root, including
         self._units = {**units, **read_units(root)}
 
-    def file(self, path: str) -> None:
-        """The system of the file, as the one at `path`."""
+    def read(self, path: str) -> None:
+        """Read the system of the file, with this path."""
         self._flat.roots.append(self._root)
         system = self._root.child("System")
         if system is None:
@@ -129,32 +135,32 @@ class _SsdReader:
         self._system(system, path, {})
 
     def _system(self, element: XmlElement, path: str, dictionaries: Mapping[str, str]) -> None:
-        """A system: its elements first, so that bindings come innermost first."""
+        """Read a system: first its elements, so that inner bindings precede outer ones."""
         self._flat.systems.add(path)
         self._connectors(element, path)
         inner = [d.required("name") for d in element.children("SignalDictionaries", "SignalDictionary")]
-        known = {**dictionaries, **{name: _join(path, name) for name in inner}}
-        owners: dict[str, str] = {}  # of the connectors of each element
+        visible = {**dictionaries, **{name: _join(path, name) for name in inner}}
+        owners: dict[str, str] = {}  # name of an element -> owner of its connectors
         for part in element.children("Elements"):
             for e in part.children():
                 name = self._name(e, path, owners)
-                owners[name] = self._element(e, path, known)
+                owners[name] = self._element(e, path, visible)
         for c in element.children("Connections", "Connection"):
             self._connection(c, path, owners)
         self._bindings(element, path)
 
     def _name(self, element: XmlElement, path: str, owners: Mapping[str, str]) -> str:
-        """The name of an element, unique because connections and start values find it by its name."""
+        """The name of an element, which must be unique in its system."""
         name = element.required("name")
         full = _join(path, name)
         if not name:
             raise element.problem("expected a name, got an empty one")
         if name in owners or full in self._flat.sources or full in self._flat.systems:
-            raise element.problem(f"expected a name of its own, {full} is there already")
+            raise element.problem(f"expected a unique name, got {full} twice")
         return name
 
     def _element(self, element: XmlElement, path: str, dictionaries: Mapping[str, str]) -> str:
-        """One element of a system; returns the owner of its connectors."""
+        """Read one element of a system; returns the owner of its connectors."""
         full = _join(path, element.required("name"))
         if element.name == "System":
             self._system(element, full, dictionaries)
@@ -164,47 +170,47 @@ class _SsdReader:
             dictionary = element.get("dictionary") or ""
             if dictionary not in dictionaries:
                 raise element.problem(f"{full}: no signal dictionary named {dictionary!r}")
-            return f"{dictionaries[dictionary]}()"  # no component has such a name
+            return f"{dictionaries[dictionary]}()"  # not a valid name of a component
         else:
             raise element.problem(f"{full}: expected Component, System or SignalDictionaryReference")
         return full
 
     def _component(self, element: XmlElement, full: str) -> None:
-        kind = element.get("type") or FMU
+        mime_type = element.get("type") or FMU
         source = element.file.resolve(element.required("source"))
         implementation = element.get("implementation") or "any"
         if implementation not in ("any", "CoSimulation"):
             raise Problem(
                 f"{element.location}: component {full}: expected CoSimulation, got {implementation}"
             )
-        if kind == FMU:
+        if mime_type == FMU:
             self._flat.sources[full] = source
-        elif kind in (SSD, PACKAGE):
-            self._inner_file(element, full, source if kind == SSD else source.member(DEFINITION))
+        elif mime_type in (SSD, PACKAGE):
+            self._inner_file(element, full, source if mime_type == SSD else source.member(DEFINITION))
         else:
-            raise Problem(f"{element.location}: component {full}: expected an FMU, got type {kind}")
+            raise Problem(f"{element.location}: component {full}: expected an FMU, got type {mime_type}")
         self._connectors(element, full)
         self._bindings(element, full)
 
     def _inner_file(self, element: XmlElement, full: str, file: Location) -> None:
-        """The system of another file, as a component."""
+        """Read the system of another file as a component."""
         root = read_xml(file, "SystemStructureDescription")
         including = (*self._including, _resolved(element.file))
         if _resolved(file) in including:
             raise element.problem(f"{full}: expected another file, {file} includes itself")
-        _SsdReader(self._flat, root, including, self._units).file(full)
+        _SsdReader(self._flat, root, including, self._units).read(full)
 
     def _connectors(self, element: XmlElement, owner: str) -> None:
-        seen = set[Connector]()
+        connectors = set[Connector]()
         for e in element.children("Connectors", "Connector"):
             connector = Connector(owner, e.required("name"))
-            if connector in seen:
-                raise e.problem(f"expected a name of its own, {connector} is there already")
-            seen.add(connector)
+            if connector in connectors:
+                raise e.problem(f"expected a unique name, got {connector} twice")
+            connectors.add(connector)
             names = [name for typed in e.children() if typed.name in FLOATS and (name := typed.get("unit"))]
             unit = self._units.get(names[-1], DeclaredUnit(names[-1])) if names else None
             array = e.child("Dimension") is not None
-            if inner := self._flat.connectors.get(connector):  # the file of the component declares it, too
+            if inner := self._flat.connectors.get(connector):  # the file of the component declares it too
                 unit, array = unit or inner.unit, array or inner.array
             self._flat.connectors[connector] = ConnectorType(e.get("kind"), unit, array)
 
@@ -213,16 +219,16 @@ class _SsdReader:
             self._flat.bindings.append(ParameterBinding(owner, e, self._units))
 
     def _connection(self, element: XmlElement, path: str, owners: Mapping[str, str]) -> None:
-        """One connection; the kinds of its connectors decide the direction, not which one is the start."""
+        """Read one connection; the kinds of its connectors, not start and end, determine its direction."""
         ends = [self._end(element, side, path, owners) for side in ("start", "end")]
         (start, first), (end, last) = ends
         where = f"{element.file}: connection {start} -> {end}"
         if first is not None and first == last:
-            raise Problem(f"{where}: expected one source and one sink, got two connectors of kind {first}")
+            raise Problem(f"{where}: expected one source and one sink, got two of kind {first}")
         if first == SINK or last == SOURCE:
             start, end = end, start
         if end in self._flat.incoming:
-            raise Problem(f"{where}: {end} is fed twice, also by {self._flat.incoming[end].source}")
+            raise Problem(f"{where}: {end}: expected one source, got {self._flat.incoming[end].source} too")
         linear, table = read_transformation(element)
         if table:
             linear = as_linear(table, where)
@@ -233,30 +239,29 @@ class _SsdReader:
     def _end(
         self, element: XmlElement, side: str, path: str, owners: Mapping[str, str]
     ) -> tuple[Connector, str | None]:
-        """One end of a connection, and whether it is its source or sink; None where the file leaves it
-        open."""
+        """One end of a connection: its connector, and SOURCE, SINK or None (not declared in the file)."""
         # some tools write an empty name for a connector of the system itself
         name, connector = element.get(f"{side}Element") or None, element.required(f"{side}Connector")
         where = f"{element.file}: connection to"
         if name is not None and name not in owners:
             raise Problem(f"{where} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
-        found = Connector(path if name is None else owners[name], connector)
-        declared = self._flat.connectors.get(found, ConnectorType(None, None, False))
+        end = Connector(path if name is None else owners[name], connector)
+        declared = self._flat.connectors.get(end, ConnectorType(None, None, False))
         if declared.array or element.get(f"{side}Indices"):
-            raise Problem(f"{where} {found}: expected a scalar, arrays are not supported")
-        if declared.kind is None and found.owner in self._flat.systems:
-            known = [c.name for c in self._flat.connectors if c.owner == found.owner]
-            label = found.owner or self._flat.name
+            raise Problem(f"{where} {end}: expected a scalar, got an array")
+        if declared.kind is None and end.owner in self._flat.systems:
+            names = [c.name for c in self._flat.connectors if c.owner == end.owner]
+            label = end.owner or self._flat.name
             raise Problem(
-                f"{element.file}: {label} has no connector {connector!r}{suggest(connector, known)}"
+                f"{element.file}: {label} has no connector {connector!r}{suggest(connector, names)}"
             )
         if declared.kind not in (*SOURCES, *SINKS):
-            return found, None
-        return found, SOURCE if (declared.kind in SOURCES) != (name is None) else SINK
+            return end, None
+        return end, SOURCE if (declared.kind in SOURCES) != (name is None) else SINK
 
 
 def _resolved(file: Location) -> Location:
-    """One name for a file, however a source spells its path."""
+    """The absolute location of a file, so that different paths to it compare equal."""
     return Location(file.path.resolve(), file.members)
 
 

@@ -58,7 +58,7 @@ def track(
     systems = swapped_systems(loaded, machines, given)
     # All start values are computed first: a point out of reach is reported before anything runs.
     tasks = [
-        (path, name, {**start(machine.components[MANIPULATOR].numbers()), **given})
+        (path, name, {**start(machine.components[MANIPULATOR].real_parameters()), **given})
         for path, start in paths
         for name, machine in systems.items()
     ]
@@ -111,9 +111,9 @@ def differences(system: System) -> list[str]:
     if CONTROLLER not in system.components:
         return []
     controller, notes = system.components[CONTROLLER], []
-    assumed = controller.numbers()
+    assumed = controller.real_parameters()
     for part, component in system.components.items():
-        for name, value in {} if part == CONTROLLER else component.numbers().items():
+        for name, value in {} if part == CONTROLLER else component.real_parameters().items():
             twin = f"{part}_{name}" if f"{part}_{name}" in assumed else name
             if twin not in assumed or _equal(assumed[twin], value):
                 continue

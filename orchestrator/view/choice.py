@@ -75,7 +75,7 @@ def poses(system: Path) -> tuple[str, ...]:
     loaded = load(system)
     scene = view_description(loaded).scene
     angles = [name.encode() for name in scene.initial] if scene else []
-    texts = {name: file.read() for name, file in parameter_sets.names(loaded).items()}
+    texts = {name: file.read() for name, file in parameter_sets.parameter_sets(loaded).items()}
     return tuple(name for name, text in texts.items() if angles and all(angle in text for angle in angles))
 
 

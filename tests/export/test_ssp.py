@@ -119,13 +119,13 @@ def test_fmpy_simulates_the_system(system):
             [*WIRES, ("second.level", "second.target")],
             {},
             {},
-            "second.target is fed twice, by first.level and by second.level",
+            "second.target: expected one source, got first.level and second.level",
         ),
         (
             WIRES,
             {"command": ("second.target",)},
             {},
-            "second.target is fed twice, by first.level and by comm",
+            "second.target: expected one source, got first.level and comm",
         ),
         (WIRES, {"command": ("first.level",)}, {}, "command -> first.level: expected an input, got output"),
         (WIRES, {}, {"first.nothing": 1.0}, "unknown variable 'first.nothing'"),
@@ -162,8 +162,8 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
     ("options", "words"),
     [
         ({"sets": {"odd": {"first.nothing": 1.0}}}, "set odd: unknown variable 'first.nothing'"),
-        ({"sets": {"one": {}}, "bound": ("two",)}, "two is bound, expected one of the sets one"),
-        ({"version": "3.0"}, "SSP version '3.0', expected one of 1.0, 2.0"),
+        ({"sets": {"one": {}}, "bound": ("two",)}, "bound set two: expected one of the sets one"),
+        ({"version": "3.0"}, "SSP version: expected one of 1.0, 2.0, got '3.0'"),
     ],
 )
 def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):

@@ -88,7 +88,7 @@ def test_wires_of_whole_numbers_keep_whole_numbers(each, both):
     doubled = assemble(files, [("p.int_out", "q.int_in", 2, -3)], {"p.int_in": 4})
     np.testing.assert_array_equal(both(doubled).result.trace["q.int_in"], 7)
     with pytest.raises(
-        Problem, match=r"p.int_out -> q.int_in: expected whole factor and offset, got 0.5 and 0"
+        Problem, match=r"p.int_out -> q.int_in: expected integer factor and offset, got 0.5 and 0"
     ):
         assemble(files, [("p.int_out", "q.int_in", 0.5, 0)])
 

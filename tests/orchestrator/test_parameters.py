@@ -77,7 +77,10 @@ def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("stepp", r"parameter set 'stepp' is unknown; did you mean steep\?; .*system.ssp holds plain, steep"),
+        (
+            "stepp",
+            r"parameter set 'stepp' is unknown; did you mean steep\?; .*system.ssp contains plain, steep",
+        ),
         ("none.ssv", r"none.ssv: no such file"),
         ("odd.ssv", r"odd.ssv: unknown variable 'g.fctor'; did you mean g.factor"),
         ("output.ssv", r"g.y cannot be set: it is a continuous output"),
@@ -95,5 +98,5 @@ def test_sets_that_do_not_fit_are_refused(system, tmp_path, monkeypatch, name, m
 
 def test_a_system_without_sets_says_so(fmus):
     """A single FMU has none."""
-    with pytest.raises(Problem, match=r"parameter set 'steep' is unknown; .* holds none"):
+    with pytest.raises(Problem, match=r"parameter set 'steep' is unknown; .* contains none"):
         run(str(fmus["gain"]), parameters=["steep"])

@@ -1,5 +1,4 @@
-"""A system that is written as an SSP is the same system when it is read: connections, values, how to
-couple."""
+"""A system that is written as an SSP is the same system when it is read again."""
 
 from __future__ import annotations
 
@@ -12,6 +11,7 @@ from properties import examples
 
 from orchestrator import Coupling, System, assemble, load
 from orchestrator.base.coupling import Suggestion
+from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.ssp.system import Connection, Inlet, Outlet, Port
 from orchestrator.ssp.write import write_ssp
@@ -102,3 +102,26 @@ def test_a_system_is_read_as_it_was_written(gains, tmp_path_factory, data, versi
     suggested = system.suggestion
     if suggested.coupling is not None or suggested.step is not None:
         assert (read.coupling, read.step) == (suggested.coupling or Coupling(), suggested.step)
+
+
+RESOURCES = {"view.toml": b"title = 'bench'", "notes/readme.txt": b"measured in May", "cold.ssv": b"<a/>"}
+
+
+@pytest.mark.parametrize("unpacked", [False, True])
+def test_other_resources_are_written_again(gains, tmp_path, unpacked):
+    """Files that belong to no component are kept, files of replaced or unpacked FMUs are not."""
+    first = write_ssp(assemble({"p": gains[0], "q": gains[1]}), tmp_path / "first.ssp", resources=RESOURCES)
+    if unpacked:
+        Location(first).extract(tmp_path / "first")
+        first = tmp_path / "first"
+        (first / "resources" / "old").mkdir()
+        (first / "resources" / "old" / "modelDescription.xml").write_bytes(b"")
+        (first / "resources" / "old" / "model.bin").write_bytes(b"")
+    system = load(first)
+    system = replace(system, components={"p": system.components["p"]})
+    second = write_ssp(system, tmp_path / "second.ssp", resources={"view.toml": b"title = 'other'"})
+    kept = load(second).resources
+    assert sorted(kept) == ["cold.ssv", "notes/readme.txt", "p.fmu", "signals.ssb", "view.toml"]
+    assert kept["view.toml"].read() == b"title = 'other'"
+    assert kept["notes/readme.txt"].read() == RESOURCES["notes/readme.txt"]
+    assert load(gains[0]).resources == {}

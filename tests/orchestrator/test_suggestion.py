@@ -152,7 +152,7 @@ def test_attributes_of_other_namespaces_are_passed_over(make):
             coupling("", '<hc:Factor component="a" steps="x"/>'),
             "Factor: expected a whole number for steps, got 'x'",
         ),
-        (coupling("", FACTOR + FACTOR), "Factor: component a has a Factor already, expected one"),
+        (coupling("", FACTOR + FACTOR), "Factor: component a: expected one Factor, got two"),
         (coupling("", "<hc:Rate/>"), "Rate: expected Factor in a Coupling"),
         ("<Master/>", "Master: expected Coupling in an annotation of type harvester-cosim"),
     ],

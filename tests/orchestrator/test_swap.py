@@ -83,7 +83,7 @@ def test_variants_lie_beside_the_system(bench):
             {"g": "fine,h=fine"},
             "swap g=fine,h=fine: expected the name of a variant or a path that ends in .fmu",
         ),
-        ({"g": "my.py"}, "my.py is a Python file, expected an .fmu file: harvester build my.py makes one"),
+        ({"g": "my.py"}, "expected an .fmu file, got a Python file; harvester build my.py makes one"),
     ],
 )
 def test_a_choice_that_is_not_there_is_told(bench, swaps, message):
@@ -94,7 +94,7 @@ def test_a_choice_that_is_not_there_is_told(bench, swaps, message):
 
 def test_a_system_without_a_file_has_no_variants(oscillator):
     """Assembled in Python."""
-    with pytest.raises(Problem, match=r"swap a=fine: the system has no file to look for variants beside"):
+    with pytest.raises(Problem, match=r"swap a=fine: expected a path to an .fmu: the system has no file"):
         with_swaps(oscillator, {"a": "fine"})
 
 
@@ -132,7 +132,7 @@ def test_units_that_the_fmu_does_not_state_are_assumed(fmus, oscillator):
     bare = edited(fmus["mass_b"], "bare", (r' unit="[^"]*"', ""), ("<UnitDef.*UnitDefinitions>", ""))
     result = run(oscillator, step=1e-3, stop=0.1, swap={"b": bare})
     assert result.card.notes[1] == (
-        f"{bare} states no unit of force, x: taken as that of the FMU it replaces"
+        f"{bare} declares no unit for force, x: taken as that of the replaced FMU"
     )
     assert result.trace.units["b.force"] == "N"
 
@@ -241,7 +241,7 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     plain = edited(fmus["gain"], "plain", renamed("offset"))
     result = run(bench, step=0.5, stop=1.0, swap={"g": plain}, parameters=["high"], set={"command": 1.0})
     np.testing.assert_array_equal(result.trace["result"], 3.0)
-    assert f"{plain} has no offset: what the system sets there is left out" in result.card.notes
+    assert f"{plain} has no offset: the start values of the system are left out" in result.card.notes
     note = "build/harvester.ssp/resources/high.ssv: g.offset is left out: "
     assert any(n.startswith(note) for n in result.card.notes)
     with pytest.raises(Problem, match=r"unknown variable 'g.offset'"):
@@ -255,7 +255,7 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
         ),
     )
     told = str(run(bench, step=0.5, stop=1.0, swap={"g": computed}, parameters=["high"]).card.notes)
-    assert f"{computed} determines offset itself: what the system sets is left out" in told
+    assert f"{computed} determines offset itself: the start values of the system are left out" in told
     assert f"high.ssv: g.offset is left out: {computed} determines it itself" in told
 
 
@@ -331,7 +331,7 @@ def test_an_input_that_is_new_is_told(oscillator, fmus):
     """No wire reaches it, so it keeps its start value."""
     more = edited(fmus["mass_b"], "more", renamed("force", "push"))
     notes = with_swaps(oscillator.without("b.force"), {"b": more}).notes
-    assert f"{more} has inputs of its own, push: no wire feeds them" in notes
+    assert f"{more} has additional inputs, push: no wire feeds them" in notes
 
 
 def test_a_name_is_suggested_only_if_it_would_fit(fmus, oscillator):

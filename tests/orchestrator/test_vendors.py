@@ -228,7 +228,7 @@ HINT = annotation("com.opensimulationplatform", f'<osp:StepSizeHint {OSP} value=
 REFUSED = {
     "Model Exchange": (
         {"in_system": oms(SOLVER)},
-        r"VariableStepSolver of OMSimulator wants Model Exchange \(cvode\)",
+        r"VariableStepSolver of OMSimulator requests Model Exchange \(cvode\)",
     ),
     "a solver of 2026": (
         {
@@ -237,7 +237,7 @@ REFUSED = {
                 f'<oms:SimulationInformation {OMS} name="s" method="euler" tolerance="1e-6"/>',
             )
         },
-        r"SimulationInformation of OMSimulator wants Model Exchange \(euler\)",
+        r"SimulationInformation of OMSimulator requests Model Exchange \(euler\)",
     ),
     "a method that nobody knows": (
         named('method="oms_mb" fixedStepSize="0.02"'),
@@ -324,7 +324,7 @@ REFUSED = {
                 "com.avl.model.connect.ssp.task", f'<mc:Task {TASK} stepType="sequential" deltaTime="0.01"/>'
             ),
         },
-        r"\(OMSimulator\) wants jacobi, step 0\.01 s, but line \d+ \(OpenMCx\) wants gauss-seidel, step 0\.01 s",
+        r"\(OMSimulator\) requests jacobi, step 0\.01 s, but line \d+ \(OpenMCx\) requests gauss-seidel, step 0\.01 s",
     ),
     "constraints": (
         {"in_system": annotation("se.umu.math.umit.ssp.kinematicconstraints", "<x/>")},
@@ -340,15 +340,15 @@ REFUSED = {
     ),
     "two that do not agree": (
         {"in_system": oms(FIXED), "experiment": osp(BASE.replace("2e-2", "1e-2"))},
-        r"line \d+ \(OMSimulator\) wants jacobi, step 0\.02 s, but line \d+ \(libcosim\) wants jacobi, step 0\.01 s",
+        r"line \d+ \(OMSimulator\) requests jacobi, step 0\.02 s, but line \d+ \(libcosim\) requests jacobi, step 0\.01 s",
     ),
     "a step for one component": (
         {"experiment": osp(SIZES)},
-        r"a wants a step of its own, 2 times the base step",
+        r"the step of a, 2 times the base step",
     ),
     "a hint for one component": (
         {"experiment": osp(BASE), "in_component": HINT},
-        r"wants any master, step 0\.01 s, but",
+        r"requests any master, step 0\.01 s, but",
     ),
     "arguments of a command": (
         {"in_system": annotation("se.umu.math.umit.fmigo-master.arguments", "<x/>")},
@@ -362,7 +362,7 @@ def test_what_cannot_be_followed_is_refused_until_the_user_says_how(make, name):
     """No silent other step: one line with the reason; a step or a master of one's own runs it."""
     places, reason = REFUSED[name]
     path = make(**places)
-    order = reason if name != "a hint for one component" else r"wants .*, but .* wants "
+    order = reason if name != "a hint for one component" else r"requests .*, but .* requests "
     with pytest.raises(
         Problem, match=rf"(?s)^[^\n]*{order}[^\n]*; to choose a way of your own, give --master and"
     ):
@@ -469,7 +469,7 @@ def test_an_annotation_in_a_nested_file_is_followed(nest):
         (
             {"in_system": oms(FIXED)},
             {"experiment": osp(BASE.replace("2e-2", "1"))},
-            r"inner.*\(libcosim\) wants",
+            r"inner.*\(libcosim\) requests",
         ),
         (
             {"in_system": oms(FIXED)},

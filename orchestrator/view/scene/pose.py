@@ -80,7 +80,7 @@ def start(system: System, parameters: Sequence[str]) -> Start:
 
 def _parameter_values(component: Component) -> Mapping[str, float]:
     """Values of the real parameters, as set in the system, else those of the FMU."""
-    values = component.numbers()
+    values = component.real_parameters()
     for name, value in values.items():
         if not math.isfinite(value):
             raise Problem(f"{component.name}.{name}: expected a finite number, got {value}")

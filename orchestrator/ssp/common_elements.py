@@ -1,0 +1,103 @@
+"""Common elements of all file formats of SSP (namespace ssc): units, transformations, value mappings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, LinearTransformation
+from orchestrator.base.xml import Element, XmlElement, finite
+from orchestrator.ssp.xml_writing import add
+
+MAPPINGS = tuple(f"{kind}MappingTransformation" for kind in ("Boolean", "Integer", "Enumeration"))
+
+# ---- units
+
+
+def read_units(root: XmlElement) -> dict[str, DeclaredUnit]:
+    """The units that a file defines, by name."""
+    return {name: _unit(name, e) for e in root.children("Units", "Unit") if (name := e.required("name"))}
+
+
+def _unit(name: str, element: XmlElement) -> DeclaredUnit:
+    """One unit; a mistake in it is reported when a value is converted, because files define unused units."""
+    base = element.child("BaseUnit")
+    if base is None:
+        return DeclaredUnit(name)
+    try:
+        exponents = tuple(_exponent(base, b) for b in BASES)
+        factor, offset = base.number("factor", 1.0), base.number("offset", 0.0)
+    except Problem as problem:
+        return DeclaredUnit(name, fault=str(problem))
+    message = f"expected a factor other than 0, got {base.get('factor')!r}"
+    return DeclaredUnit(name, exponents, factor, offset, "" if factor else str(base.problem(message)))
+
+
+def _exponent(base: XmlElement, name: str) -> int:
+    value = base.number(name, 0.0)
+    if not value.is_integer():
+        raise base.problem(f"expected a whole number for {name}, got {value:g}")
+    return int(value)
+
+
+def write_units(root: Element, prefix: str, units: Iterable[DeclaredUnit | None]) -> None:
+    """Write the units that have a definition; `prefix`: of the file format."""
+    defined = {u.name: u for u in units if u is not None and u.exponents is not None}
+    parent = add(root, f"{prefix}:Units") if defined else None
+    for name, u in sorted(defined.items()):
+        base: dict[str, float] = {b: n for b, n in zip(BASES, u.exponents or (), strict=True) if n}
+        base |= {
+            k: v for k, v, default in (("factor", u.factor, 1.0), ("offset", u.offset, 0.0)) if v != default
+        }
+        add(add(parent, "ssc:Unit", name=name), "ssc:BaseUnit", **base)
+
+
+# ---- transformations
+
+
+def read_transformation(element: XmlElement) -> tuple[LinearTransformation, Mapping[str, str]]:
+    """The transformation in a connection or mapping entry: a linear one, and a table source -> target."""
+    linear = element.child("LinearTransformation")
+    if linear is not None:
+        return LinearTransformation(linear.number("factor", 1.0), linear.number("offset", 0.0)), {}
+    for e in element.children():
+        if e.name in MAPPINGS:
+            return IDENTITY, _table(e)
+        if e.name.endswith("Transformation"):
+            raise e.problem(f"expected LinearTransformation or one of {', '.join(MAPPINGS)}")
+    return IDENTITY, {}
+
+
+def _table(mapping: XmlElement) -> dict[str, str]:
+    """The table of a mapping, source -> target."""
+    table = dict[str, str]()
+    for e in mapping.children("MapEntry"):
+        source = e.required("source")
+        if source in table:
+            raise e.problem(f"expected each source once, got {source!r} twice")
+        table[source] = e.required("target")
+    if not table:
+        raise mapping.problem("expected a MapEntry, got none")
+    return table
+
+
+def as_linear(table: Mapping[str, str], where: str) -> LinearTransformation:
+    """A table of Boolean or integer values as a linear transformation; raises Problem if it is not linear."""
+    booleans = {"true": "1", "false": "0"}
+    try:
+        points = sorted({(finite(booleans.get(a, a)), finite(booleans.get(b, b))) for a, b in table.items()})
+    except ValueError:
+        points = []
+    for (x, _), (next_x, _) in pairwise(points):
+        if x == next_x:
+            raise Problem(f"{where}: expected one value for {x:g} in this mapping, got two")
+    if len(points) == 1:
+        return LinearTransformation(0.0, points[0][1])
+    if len(points) >= 2:
+        (x0, y0), (x1, y1) = points[:2]
+        slope = (y1 - y0) / (x1 - x0)
+        linear = LinearTransformation(slope, y0 - slope * x0)
+        if all(linear(x) == y for x, y in points):
+            return linear
+    raise Problem(f"{where}: this mapping of values is not supported on a connection")
