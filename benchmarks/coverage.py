@@ -21,7 +21,7 @@ import numpy as np
 
 from fmus.components.spool_valve import opening
 from fmus.identification.estimate import Estimate
-from fmus.identification.machine import Numbers, lookup, nominal
+from fmus.identification.machine import Parameters, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.rig.experiments import EXPERIMENTS, experiment
@@ -32,7 +32,7 @@ ERROR, CURVE = 0.02, 0.03  # bars: of a parameter, of C_R(V) from 1.5 V up
 LEAST, MOST = 0.90, 0.99  # bars: share of intervals that hold the truth
 
 
-def truth(known: Numbers) -> dict[str, float]:
+def truth(known: Parameters) -> dict[str, float]:
     """C_R(V) of the valve; the parameters of the parts are found by name."""
     v = {
         n: lookup(f"valve_{n}", known).value
@@ -53,7 +53,7 @@ def trial(task: tuple[int, str]) -> list[tuple[str, float, float, float]]:
                 write(Path(folder), experiment(name, machine), seed)
         found = identify(read_folder(folder), joint=False)
     curve = truth(nominal())
-    return [(e.name, e.value, e.low, e.high) for e in _with_truth(found.findings, curve)]
+    return [(e.name, e.value, e.low, e.high) for e in _with_truth(found.results, curve)]
 
 
 def _with_truth(findings: tuple, curve: Mapping[str, float]) -> Iterator[Estimate]:
@@ -82,7 +82,7 @@ def main() -> int:
     return report({name: np.array(rows) for name, rows in found.items()}, nominal())
 
 
-def report(found: Mapping[str, np.ndarray], known: Numbers) -> int:
+def report(found: Mapping[str, np.ndarray], known: Parameters) -> int:
     """The table; 1 if a bar is missed."""
     curve, missed = truth(known), 0
     print("| parameter | truth | mean error | largest error | half interval | holds the truth | bars |")

@@ -19,8 +19,8 @@ from fmus.identification.pipeline import MACHINE, Identified, identify
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.finding_figures import draw_finding
-from fmus.identification.report.recording_comparison import Compared, picture
+from fmus.identification.report.procedure_figures import draw_procedure
+from fmus.identification.report.recording_comparison import RecordingComparison, captioned_figure
 from fmus.identification.report.report_texts import caption
 from fmus.rig import write_all
 from orchestrator.base.plotting import png
@@ -58,7 +58,7 @@ def everything(folder: Path) -> None:
     seen = prediction(found["detailed"])
     assert seen is not None
     for joint, number in JOINTS.items():
-        shown = picture(seen, joint)
+        shown = captioned_figure(seen, joint)
         (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(shown.figure))
         fill(f"figure {number}", shown.caption)
     fill("held out", held_out(seen))
@@ -78,11 +78,11 @@ def recorded(folder: Path, machine: str) -> Identified:
 def draw(found: Identified) -> None:
     """The figures of the procedures, with what they found."""
     kinds = [r.kind for r in found.recordings]
-    for finding in found.findings:
-        number, name = PROCEDURES[finding.procedure]
-        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(draw_finding(finding, kinds)))
-        said = [f"- {typeset(remark)}" for remark in finding.remarks]
-        told = [caption(finding, kinds), "", estimates(finding.estimates), "", *said]
+    for result in found.results:
+        number, name = PROCEDURES[result.procedure]
+        (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(draw_procedure(result, kinds)))
+        said = [f"- {typeset(remark)}" for remark in result.remarks]
+        told = [caption(result, kinds), "", estimates(result.estimates), "", *said]
         fill(f"figure {number}", "\n".join(told).rstrip())
 
 
@@ -100,8 +100,8 @@ def value(e: Estimate) -> tuple[str, str, str]:
 def returned(found: Identified) -> str:
     """What the procedures gave back of the numbers that the rig has."""
     rows = []
-    for finding in found.findings:
-        for e in finding.estimates:
+    for result in found.results:
+        for e in result.estimates:
             truth = lookup(e.name, nominal()).value
             holds = "yes" if e.low <= truth <= e.high else "no"
             shown = report_texts.number(report_texts.in_unit(truth, e.unit), 4)
@@ -120,10 +120,10 @@ def refined(found: Identified) -> str:
     return table(("parameter", "in the model", "identified", "95 % interval", "unit"), rows)
 
 
-def held_out(seen: Compared) -> str:
+def held_out(seen: RecordingComparison) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
     rows = [
-        (KINDS[kind], f"`{name}`", report_texts.share(error, 3), LIMITS.get(kind, ""))
+        (KINDS[kind], f"`{name}`", report_texts.percentage(error, 3), LIMITS.get(kind, ""))
         for kind, (name, error) in worst_signals(seen).items()
     ]
     return table(("", "worst signal", "NRMSE", "asked for below"), rows)
@@ -134,8 +134,8 @@ def effects(found: Explanation) -> str:
     rows = [
         (
             s.effect,
-            report_texts.share(s.alone),
-            report_texts.share(s.together),
+            report_texts.percentage(s.alone),
+            report_texts.percentage(s.together),
             report_texts.number(s.coefficient, 2),
         )
         for s in found.shares

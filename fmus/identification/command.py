@@ -1,4 +1,4 @@
-"""The command `harvester identify`: a folder of recordings becomes parameters.toml and a page."""
+"""The command `harvester identify`: writes parameters.toml and a report from a folder of recordings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from fmus.identification.machine import FREE
-from fmus.identification.outcome import content, prediction, worst_signals
+from fmus.identification.outcome import page_content, prediction, worst_signals
 from fmus.identification.pipeline import MACHINE, identify
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recordings.clock import evenly, thinned
@@ -29,16 +29,16 @@ def run(
     names: Sequence[str] = FREE,
     starts: int = 0,
 ) -> None:
-    """Read, identify, write the parameters and the page; prints what happens.
+    """Read the recordings, identify, write parameters and report; prints the progress.
 
     out    parameters.toml to write
     page   folder of identification.html and .json
 
-    An interrupt writes the parameters that were estimated until then, and goes on as one.
+    After an interrupt the parameters estimated until then are written, and KeyboardInterrupt is raised again.
     """
     if out.suffix != ".toml":
         raise Problem(f"--out {out}: expected a file that ends in .toml")
-    begun = perf_counter()
+    start_time = perf_counter()
     recordings = read_folder(folder)
     qualities = [quality(r) for r in recordings]
     seconds = sum(float(r.time[-1] - r.time[0]) for r in recordings)
@@ -49,36 +49,33 @@ def run(
     identified = identify(
         recordings, joint=joint, inertial=inertial, names=names, starts=starts, report=print, show=_show
     )
-    numbers = {name: e.number() for name, (e, _) in sorted(identified.estimates.items())}
+    parameters = {name: e.number() for name, (e, _) in sorted(identified.estimates.items())}
     out.parent.mkdir(parents=True, exist_ok=True)
-    write(out, {"parameters": numbers})
+    write(out, {"parameters": parameters})
     if identified.interrupted:
-        plural = "s" * (len(numbers) > 1)
-        print(f"{out}: {len(numbers)} parameter{plural}, as found until the interrupt; no report")
+        plural = "s" * (len(parameters) > 1)
+        print(f"{out}: {len(parameters)} parameter{plural}, estimated until the interrupt; no report")
         raise KeyboardInterrupt
-    print(f"{out}: {len(numbers)} parameters with their 95 % intervals")
-    compared = prediction(identified)
-    contents = content(folder, out, identified, compared, qualities)
-    if compared:
-        use = "held out" if compared.recording.use == "test" else "used for fitting"
-        print(f"predicted: {compared.recording.source.name}, {use}; NRMSE of the worst signal of each kind")
-        for kind, (name, error) in worst_signals(compared).items():
+    print(f"{out}: {len(parameters)} parameters with their 95 % intervals")
+    comparison = prediction(identified)
+    contents = page_content(folder, out, identified, comparison, qualities)
+    if comparison:
+        use = "held out" if comparison.recording.use == "test" else "used for fitting"
+        print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signal of each kind")
+        for kind, (name, error) in worst_signals(comparison).items():
             print(f"  {kind:<10}{100 * error:5.2f} %  {name}")
     if contents.explanation:
         print(contents.explanation.verdict)
     for line in contents.warnings:
         print(f"warning: {line}")
     html, data = write_page(page, contents)
-    print(f"report: {html}\nnumbers: {data}\n{perf_counter() - begun:.0f} s")
+    print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
 
 
 def _show(result: ProcedureResult) -> None:
-    """What a procedure estimated, a line for each parameter in the unit that a person reads."""
+    """Print the estimates of a procedure in display units, in ASCII for any terminal."""
     print(f"{result.procedure}:")
     for e in result.estimates:
-        unit, factor = display_conversion(e.unit) or (
-            e.unit,
-            1.0,
-        )  # in ASCII: no terminal has to know superscripts
+        unit, factor = display_conversion(e.unit) or (e.unit, 1.0)
         value, low, high = (f"{factor * x:.{report_texts.digits(e)}g}" for x in (e.value, e.low, e.high))
         print(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")

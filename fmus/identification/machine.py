@@ -1,7 +1,7 @@
-"""The machine to be identified: its numbers and names, and the joint refinement as an estimation problem.
+"""The machine as an object of identification: its parameters and signals by name, and the joint refinement.
 
-Numbers are kept by `part.name`: those of the parameter files, replaced by what was estimated since. Parameter
-files call a parameter `name` where parts do not differ; recordings call a signal `part.name`.
+Parameters are addressed by `part.name`. Their values are those of the parameter files, replaced by estimates.
+A parameter file uses the bare `name` if the parts do not differ. A recording calls a signal `part.name`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from fmus.parameters import Number, Values, derived, numbers, read, values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
-Numbers = Mapping[str, Number]
+Parameters = Mapping[str, Number]
 
-# What a work cycle shows. Left out, because it hardly does or because something else stands for them:
-# inertances and resistances of the swing's lines (their time is below a millisecond), rounding and leakage of
-# the valve, inertances of the hoses, geometry, displacement of the motor (read off a type plate).
+# Parameters that a work cycle excites. Left out, because it hardly excites them or other parameters have the
+# same effect: inertances and resistances of the swing's lines (time constants below a millisecond), rounding
+# and leakage of the valve, inertances of the hoses, geometry, displacement of the motor (on its type plate).
 FREE = (
     "valve_area",
     "valve_dead_band",
@@ -45,13 +45,13 @@ FREE = (
     "boom_piston_damping",
     "stick_piston_damping",
 )
-UNKNOWN = 0.3  # relative sd of a number that nobody measured: literature and free choices are that far apart
-COMMANDS = ("swing_command", "boom_command", "stick_command")
-SMOOTH = {"supply_pressure": 20.0}  # s, or as long as it takes no more than the noise of the sensor off
+PRIOR_SD = 0.3  # relative, of a value that was not measured: the scatter of the literature
+COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
+SMOOTHING = {"supply_pressure": 20.0}  # s, less if it would remove more than the noise of the sensor
 
 
 def nominal() -> dict[str, Number]:
-    """All parameters of the parts and their variants; with the values of what is derived."""
+    """All parameters of the parts and their variants from the parameter files, also the derived ones."""
     return {
         f"{part}.{name}": number
         for part, sub in SUBSYSTEMS.items()
@@ -59,103 +59,101 @@ def nominal() -> dict[str, Number]:
     }
 
 
-def targets_of(name: str, known: Numbers) -> list[str]:
-    """The parameters, `part.name`, that a name stands for: a bare one for those of every part."""
-    return [full for full in known if name in (full, full.partition(".")[2])]
+def targets_of(name: str, parameters: Parameters) -> list[str]:
+    """The parameters `part.name` that a name refers to: a bare name to those of all parts."""
+    return [full for full in parameters if name in (full, full.partition(".")[2])]
 
 
-def short_name(name: str, known: Numbers) -> str:
-    """The shortest name that means the same parameters: without part where parts do not differ."""
+def short_name(name: str, parameters: Parameters) -> str:
+    """The bare name if it refers to the same parameters, else the name."""
     bare = name.rpartition(".")[2]
-    return bare if targets_of(bare, known) == targets_of(name, known) else name
+    return bare if targets_of(bare, parameters) == targets_of(name, parameters) else name
 
 
-def lookup(name: str, known: Numbers) -> Number:
-    """The number of a name, with or without part."""
-    return known[targets_of(name, known)[0]]
+def lookup(name: str, parameters: Parameters) -> Number:
+    """The parameter with this name, with or without part."""
+    return parameters[targets_of(name, parameters)[0]]
 
 
-def updated(known: Numbers, estimates: Iterable[Estimate]) -> dict[str, Number]:
-    """With estimates in the place of what was known: a bare name goes to every part that has it."""
-    result = dict(known)
+def updated(parameters: Parameters, estimates: Iterable[Estimate]) -> dict[str, Number]:
+    """The parameters with estimates in place of known values; a bare name sets it in every part."""
+    result = dict(parameters)
     for estimate in estimates:
-        targets = targets_of(estimate.name, known)
+        targets = targets_of(estimate.name, parameters)
         if not targets:
-            raise Problem(f"{estimate.name} was estimated, expected a parameter of the machine")
+            raise Problem(f"estimates: expected parameters of the machine, got {estimate.name}")
         result |= dict.fromkeys(targets, estimate.number())
     return result
 
 
-def _flat() -> dict[str, str]:
+def _flat_names() -> dict[str, str]:
     """`part.name` -> variable of `HARVESTER`."""
     tables = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
     return dict(flat_names(SUBSYSTEMS, tables, INPUTS, TOTALS, HIDDEN))
 
 
-def signals() -> dict[str, str]:
-    """Input or output of `HARVESTER` -> the signal of a recording, such as "swing.supply_pressure"."""
-    names = {own: targets[0] for own, targets in INPUTS.items()}
-    flat, outputs = _flat(), quantities(HARVESTER.outputs)
+def signal_names() -> dict[str, str]:
+    """Input or output of `HARVESTER` -> signal of a recording, such as "swing.supply_pressure"."""
+    names = {name: targets[0] for name, targets in INPUTS.items()}
+    flat, outputs = _flat_names(), quantities(HARVESTER.outputs)
     for variable in declared(SUBSYSTEMS, "outputs"):
         if variable in flat and flat[variable] in outputs:
             names.setdefault(flat[variable], variable)
     return names
 
 
-def parameters() -> dict[str, str]:
-    """Parameter of `HARVESTER` -> its name in parameters.toml, `part.name` where parts differ."""
-    flat, names = _flat(), {}
+def parameter_names() -> dict[str, str]:
+    """Parameter of `HARVESTER` -> its name in parameters.toml, `part.name` if the parts differ."""
+    flat, names = _flat_names(), {}
     for variable in declared(SUBSYSTEMS, "parameters"):
-        own = variable.partition(".")[2]
-        names[flat[variable]] = own if flat[variable] == own else variable
+        bare = variable.partition(".")[2]
+        names[flat[variable]] = bare if flat[variable] == bare else variable
     return names
 
 
-def checked(names: Sequence[str]) -> dict[str, str]:
-    """The parameters of the one block by the names of parameters.toml, if all `names` are among them."""
-    own = {name: flat for flat, name in parameters().items()}
+def check_free(names: Sequence[str]) -> dict[str, str]:
+    """Name in parameters.toml -> parameter of `HARVESTER`. Raises Problem if one of `names` is missing."""
+    flat_of = {name: flat for flat, name in parameter_names().items()}
     for name in names:
-        if name not in own:
-            near = get_close_matches(name, own, 1) or [", ".join(sorted(own))]
-            raise Problem(f"{name} is to be refined, expected a parameter of the machine: {near[0]}")
-    return own
+        if name not in flat_of:
+            similar = get_close_matches(name, flat_of, 1) or [", ".join(sorted(flat_of))]
+            raise Problem(f"free parameters: expected a parameter of the machine ({similar[0]}), got {name}")
+    return flat_of
 
 
 def problem(
-    recordings: Sequence[Recording], known: Numbers, names: Sequence[str] = FREE
+    recordings: Sequence[Recording], parameters: Parameters, names: Sequence[str] = FREE
 ) -> EstimationProblem:
-    """The machine against all its recordings; those with use "test" are held out.
+    """The joint refinement as an output-error problem; recordings with use "test" are held out.
 
-    names   free parameters, as parameters.toml calls them
-
-    A parameter's prior is its number, with the standard deviation of a measurement before or `UNKNOWN`.
+    parameters   their values are the priors, with their standard deviations or `PRIOR_SD`
+    names        free parameters, as in parameters.toml
     """
-    own, names_of_signals = checked(names), signals()
+    flat_of, signals = check_free(names), signal_names()
     for recording in recordings:
-        for command in COMMANDS:
-            _ = recording[
-                names_of_signals[command]
-            ]  # a drive without its command would be taken to stand still
-    usual = values(HARVESTER)
-    fixed = Values({flat: lookup(n, known).value for flat, n in parameters().items()}, usual.u, usual.x)
+        for command in COMMANDS.values():
+            _ = recording[command]  # a drive without its command would be simulated at rest
+    defaults = values(HARVESTER)
+    p = {flat: lookup(name, parameters).value for name, flat in flat_of.items()}
+    fixed = Values(p, defaults.u, defaults.x)
     priors: dict[str, tuple[float, float | None]] = {}
     for name in names:
-        number = lookup(name, known)
-        priors[own[name]] = (number.value, number.sd or UNKNOWN * abs(number.value) or None)
-    moving = ("_speed", "_flow", "_flow_a", "_flow_b")
+        known = lookup(name, parameters)
+        priors[flat_of[name]] = (known.value, known.sd or PRIOR_SD * abs(known.value) or None)
+    zero_at_rest = ("_speed", "_flow", "_flow_a", "_flow_b")
     mapping = RecordingMap(
         HARVESTER,
         outputs=_measured_outputs(recordings),
-        signals=names_of_signals,
-        smooth=SMOOTH,
-        rest=[n for n in quantities(HARVESTER.states) if n.endswith(moving)],
+        signals=signals,
+        smooth=SMOOTHING,
+        rest=[n for n in quantities(HARVESTER.states) if n.endswith(zero_at_rest)],
         values=fixed,
     )
     runs = {use: [mapping.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
     return EstimationProblem(
         sub=HARVESTER,
         outputs=tuple(mapping.outputs),
-        free=_within_ten(free_parameters(HARVESTER, [own[n] for n in names], priors, fixed)),
+        free=_within_ten(free_parameters(HARVESTER, [flat_of[n] for n in names], priors, fixed)),
         training=tuple(runs["train"]),
         held_out=tuple(runs["test"]),
         fixed=fixed,
@@ -163,7 +161,7 @@ def problem(
 
 
 def _within_ten(free: Collection[FreeParameter]) -> tuple[FreeParameter, ...]:
-    """A factor of ten around the value on a logarithmic scale is all that a search may try."""
+    """Bounds of parameters on a logarithmic scale: at most a factor of ten from the value."""
     return tuple(
         replace(f, low=max(f.low, f.value / 10), high=min(f.high, f.value * 10)) if f.log else f for f in free
     )
@@ -173,19 +171,19 @@ def _measured_outputs(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Outputs that a training recording has a sensor for."""
     training = [r for r in recordings if r.use == "train"]
     if not training:
-        raise Problem("joint refinement: expected a recording of the machine to train with, found none")
-    names = signals()
+        raise Problem("joint refinement: expected a recording of the machine to train with, got none")
+    names = signal_names()
     outputs = [n for n in quantities(HARVESTER.outputs) if n in names]
     measured = tuple(n for n in outputs if any(names[n] in r.signals for r in training))
     if not measured:
-        wanted = ", ".join(names[n] for n in outputs)
-        raise Problem(f"{training[0].source}: nothing to compare is measured, expected one of {wanted}")
+        expected = ", ".join(names[n] for n in outputs)
+        raise Problem(f"{training[0].source}: measured signals: expected one of {expected}, got none")
     return measured
 
 
 def assumptions(recordings: Sequence[Recording]) -> list[str]:
-    """What is not measured and taken as constant, a sentence each."""
-    supply, constant = signals()["supply_pressure"], values(HARVESTER).u["supply_pressure"]
+    """Sentences on inputs that are not measured and therefore constant."""
+    supply, constant = signal_names()["supply_pressure"], values(HARVESTER).u["supply_pressure"]
     return [
         f"{r.source.name}: the supply pressure is not measured, taken as {constant / 1e5:g} bar throughout"
         for r in recordings

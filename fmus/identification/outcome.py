@@ -1,4 +1,4 @@
-"""What was identified, as the page shows it: parameters, a predicted recording, causes of its residual."""
+"""Content of the report on an identification: parameters, a predicted recording, causes of its residual."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
-from fmus.identification.machine import Numbers, lookup, nominal, parameters, signals
+from fmus.identification.machine import Parameters, lookup, nominal, parameter_names, signal_names
 from fmus.identification.pipeline import MACHINE, Identified
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.identification_page import (
@@ -18,91 +18,97 @@ from fmus.identification.report.identification_page import (
     IdentifiedParameter,
     refinement,
 )
-from fmus.identification.report.recording_comparison import Compared, attribute, picture, predicted
+from fmus.identification.report.recording_comparison import (
+    CaptionedFigure,
+    RecordingComparison,
+    attribute,
+    captioned_figure,
+    compare_prediction,
+)
 from fmus.identification.report.report_texts import warnings
 from fmus.machine.parts import SUBSYSTEMS
 
-PICTURED = ("swing", "stick", "boom")  # joints: Figs. 10 and 11 of the paper, and the third
-KINDS = ("angle", "speed", "pressure", "flow")
+FIGURES = ("swing", "stick", "boom")  # joints: Figs. 10 and 11 of the paper, and the third joint
+QUANTITIES = ("angle", "speed", "pressure", "flow")
+MOVES = 0.01  # rad, angular range above which a joint is shown
 
 
-def prediction(identified: Identified) -> Compared | None:
-    """A recording of the machine and its prediction with the estimates: a held-out one if there is."""
-    own = [r for r in identified.recordings if r.procedure == MACHINE]
-    chosen = next((r for r in own if r.use == "test"), own[0] if own else None)
-    return predicted(chosen, _of_usual_parts(identified.known)) if chosen else None
+def prediction(identified: Identified) -> RecordingComparison | None:
+    """A recording of the machine and its prediction with the estimates; a held-out one if possible."""
+    recordings = [r for r in identified.recordings if r.procedure == MACHINE]
+    selected = next((r for r in recordings if r.use == "test"), recordings[0] if recordings else None)
+    return compare_prediction(selected, _of_default_parts(identified.parameters)) if selected else None
 
 
-def worst_signals(compared: Compared) -> dict[str, tuple[str, float]]:
-    """The signal of each kind that is predicted worst, and its NRMSE."""
-    errors = compared.nrmse()
-    own = {kind: {n: e for n, e in errors.items() if kind in n.split("_")} for kind in KINDS}
-    return {kind: max(one.items(), key=lambda item: item[1]) for kind, one in own.items() if one}
+def worst_signals(comparison: RecordingComparison) -> dict[str, tuple[str, float]]:
+    """The signal with the largest NRMSE of each quantity, and its NRMSE."""
+    errors = comparison.nrmse()
+    by_quantity = {q: {n: e for n, e in errors.items() if q in n.split("_")} for q in QUANTITIES}
+    return {q: max(own.items(), key=lambda item: item[1]) for q, own in by_quantity.items() if own}
 
 
-def explanation(compared: Compared, identified: Identified) -> Explanation | None:
-    """Which effect the residual shows; the fitted parameters may take what they can."""
+def explanation(comparison: RecordingComparison, identified: Identified) -> Explanation | None:
+    """Which effect the residual shows, apart from errors of the refined parameters."""
     if identified.refined is None:
         return None
-    fitted = [name for name, (_, procedure) in identified.estimates.items() if procedure == MACHINE]
-    return attribute(compared, _of_usual_parts(identified.known), fitted)
+    refined = [name for name, (_, procedure) in identified.estimates.items() if procedure == MACHINE]
+    return attribute(comparison, _of_default_parts(identified.parameters), refined)
 
 
-def content(
+def page_content(
     folder: Path,
     out: Path,
     identified: Identified,
-    compared: Compared | None,
+    comparison: RecordingComparison | None,
     qualities: Sequence[Mapping[str, Any]] = (),
 ) -> IdentificationPage:
-    """Everything that the page shows.
+    """The content of the report.
 
-    folder, out   where the recordings are, where the parameters are written
-    compared      the result of `prediction`
+    folder       folder of the recordings
+    out          file of the estimated parameters
+    comparison   result of `prediction`
     """
-    refined = identified.refined
-    joints = PICTURED if compared else ()
+    names, signals, refined = parameter_names(), signal_names(), identified.refined
+    figures: list[CaptionedFigure] = []
+    if comparison:
+        predicted = comparison.predicted
+        moving = [j for j in FIGURES if np.ptp(predicted[f"manipulator.{j}_angle"]) > MOVES]
+        figures = [captioned_figure(comparison, joint) for joint in moving]
     return IdentificationPage(
         title=f"Identification from {folder.name}",
         source=str(folder),
         kinds=tuple(dict.fromkeys(r.kind for r in identified.recordings)),
-        findings=tuple(identified.findings),
+        results=tuple(identified.results),
         parameters=tuple(_parameter(e, procedure) for e, procedure in identified.estimates.values()),
         qualities=tuple(qualities),
-        refinement=refinement(refined, parameters(), signals(), starts=identified.starts)
-        if refined
-        else None,
-        explanation=explanation(compared, identified) if compared else None,
-        pictures=tuple(
-            picture(compared, joint)
-            for joint in joints
-            if compared and np.ptp(compared.predicted[f"manipulator.{joint}_angle"]) > 0.01
-        ),
-        commands=_commands(folder, out, identified),
-        remarks=tuple(f"{name}: {why}." for name, why in identified.skipped.items()),
-        warnings=tuple(warnings(refined, parameters(), signals())) if refined else (),
+        refinement=refinement(refined, names, signals, starts=identified.starts) if refined else None,
+        explanation=explanation(comparison, identified) if comparison else None,
+        figures=tuple(figures),
+        commands=_next_commands(folder, out, identified),
+        remarks=tuple(f"{name}: {reason}." for name, reason in identified.skipped.items()),
+        warnings=tuple(warnings(refined, names, signals)) if refined else (),
     )
 
 
-def _of_usual_parts(known: Numbers) -> dict[str, float]:
-    """A variant keeps its own numbers."""
-    own = {f"{part}.{name}" for part, sub in SUBSYSTEMS.items() for name in quantities(sub.parameters)}
-    return {name: number.value for name, number in known.items() if name in own}
+def _of_default_parts(parameters: Parameters) -> dict[str, float]:
+    """Values of the parameters of the default parts; those of variants are left out."""
+    names = {f"{part}.{name}" for part, sub in SUBSYSTEMS.items() for name in quantities(sub.parameters)}
+    return {name: parameter.value for name, parameter in parameters.items() if name in names}
 
 
 def _parameter(estimate: Estimate, procedure: str) -> IdentifiedParameter:
-    before = lookup(estimate.name, nominal())
+    known = lookup(estimate.name, nominal())
     name = estimate.name.rpartition(".")[2]
     text = next(q[name].text for s in SUBSYSTEMS.values() if name in (q := quantities(s.parameters)))
-    return IdentifiedParameter(estimate, procedure, before.value, before.source, text)
+    return IdentifiedParameter(estimate, procedure, known.value, known.source, text)
 
 
-def _commands(folder: Path, out: Path, identified: Identified) -> dict[str, str]:
-    """How to go on."""
-    commands = {f"harvester build --parameters {out}": "FMUs with these numbers"}
+def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str, str]:
+    """Commands that use the estimates -> their purpose."""
+    commands = {f"harvester build --parameters {out}": "FMUs with these parameters"}
     held_out = [r for r in identified.recordings if r.procedure == MACHINE and r.use == "test"]
     for recording in held_out[:1]:
         supply = ' --play "*.supply_pressure"' if "swing.supply_pressure" in recording.signals else ""
         command = f"harvester validate --reference {folder / recording.source.name}{supply}"
-        commands[command] = "their run against the recording that was held out"
+        commands[command] = "Validation of these FMUs against the held-out recording"
     return commands

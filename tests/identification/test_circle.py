@@ -32,7 +32,7 @@ def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     assert errors["pressure"] < 0.10
     told = explanation(seen, found)
     assert told is not None
-    assert told.named == "swinging head"
+    assert told.effect == "swinging head"
     write(tmp_path / "own.toml", {"parameters": {n: e.number() for n, (e, _) in found.estimates.items()}})
     usual, others = numbered_parts(tmp_path / "own.toml")
     for sub in (*usual.values(), *others):

@@ -122,7 +122,10 @@ def test_what_cannot_be_found_does_not_hinder_the_rest(capsys):
     [
         (["nowhere"], "nowhere: expected a folder of recordings, got no such file or folder"),
         (["mine", "--out", "parameters.csv"], "--out parameters.csv: expected a file that ends in .toml"),
-        (["mine", "--free", "valve_aera"], "valve_aera is to be refined, expected"),
+        (
+            ["mine", "--free", "valve_aera"],
+            "free parameters: expected a parameter of the machine (valve_area), got valve_aera",
+        ),
     ],
 )
 @pytest.mark.usefixtures("here")

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus.identification import pipeline
-from fmus.identification.machine import signals
-from fmus.identification.pipeline import identify
+from fmus.identification.machine import signal_names
+from fmus.identification.pipeline import PROCEDURES, identify
 from fmus.identification.procedures import valve
+from fmus.identification.recording_names import name_remarks
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
@@ -25,6 +25,10 @@ def made(procedure, names, **conditions):
     )
 
 
+def remarks(recordings):
+    return list(name_remarks(recordings, {name: module.SIGNALS for name, module in PROCEDURES.items()}))
+
+
 @pytest.mark.parametrize("procedure", ["machine", "damping"])
 @pytest.mark.parametrize(
     ("wrong", "right"),
@@ -38,25 +42,25 @@ def made(procedure, names, **conditions):
 def test_a_misspelt_signal_of_the_machine_is_refused(procedure, wrong, right):
     """One line with the file, the signal and what may be meant, before anything is identified."""
     with pytest.raises(Problem) as caught:
-        identify([made(procedure, [*signals().values(), wrong])])
+        identify([made(procedure, [*signal_names().values(), wrong])])
     message = str(caught.value)
-    assert message == f"run.csv: signal {wrong} is no input or output of the machine, expected {right}"
+    assert message == f"run.csv: signal {wrong}: expected an input or output of the machine, such as {right}"
 
 
 def test_a_signal_unlike_any_is_named():
     """A temperature, or a spare channel of a bench, is no mistake: it is said that it is not used."""
-    (text,) = pipeline.remarks([made("machine", [*signals().values(), "oil_temperature"])])
-    assert text == "run.csv: no signal of the machine, not used: oil_temperature"
-    (text,) = pipeline.remarks([made("valve", [*valve.SIGNALS, "oil_temperature"])])
-    assert text == "run.csv: no signal of valve, not used: oil_temperature"
-    (text,) = pipeline.remarks([made("valve", ["pressure_inn"])])
+    (text,) = remarks([made("machine", [*signal_names().values(), "oil_temperature"])])
+    assert text == "run.csv: not a signal of the machine, not used: oil_temperature"
+    (text,) = remarks([made("valve", [*valve.SIGNALS, "oil_temperature"])])
+    assert text == "run.csv: not a signal of valve, not used: oil_temperature"
+    (text,) = remarks([made("valve", ["pressure_inn"])])
     assert "pressure_inn (misspelt pressure_in?)" in text
 
 
 def test_whatever_the_machine_shows_may_be_recorded():
     """All that a procedure or the refinement reads raises no remark."""
-    assert pipeline.remarks([made("machine", signals().values(), tank_pressure=1e5)]) == []
-    assert pipeline.remarks([made("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
+    assert remarks([made("machine", signal_names().values(), tank_pressure=1e5)]) == []
+    assert remarks([made("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
 
 
 @pytest.mark.parametrize(
@@ -66,4 +70,4 @@ def test_whatever_the_machine_shows_may_be_recorded():
 def test_a_misspelt_condition_is_refused(procedure, wrong, right):
     """A key of [experiment] that differs by case or a letter from one that counts."""
     with pytest.raises(Problem, match=rf"^run.csv: \[experiment\] unknown key {wrong}, expected {right}$"):
-        pipeline.remarks([made(procedure, [], **{wrong: "x"})])
+        remarks([made(procedure, [], **{wrong: "x"})])

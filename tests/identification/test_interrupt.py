@@ -57,7 +57,7 @@ def test_a_finished_procedure_is_kept(quick):
     found = identify([VALVE, MACHINE])
     assert found.interrupted
     assert list(found.estimates) == ["valve_area"]
-    assert found.known["swing.valve_area"].value == AREA.value
+    assert found.parameters["swing.valve_area"].value == AREA.value
     assert identify([VALVE]).interrupted is False
 
 
@@ -81,7 +81,7 @@ def test_an_interrupted_search_is_not_begun_again(quick):
     quick.setattr(pipeline, "refine_from_other_starts", lambda *_: pytest.fail("begun again"))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
-    assert found.known["swing.valve_area"].value == 3e-5
+    assert found.parameters["swing.valve_area"].value == 3e-5
 
 
 def test_interrupted_starts_keep_the_result(quick):
@@ -112,7 +112,7 @@ def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
     assert main(["identify", "mine"]) == 130
     out, err = capsys.readouterr()
     assert err == "harvester: interrupted\n"
-    assert out.splitlines()[-1] == "parameters.toml: 1 parameter, as found until the interrupt; no report"
+    assert out.splitlines()[-1] == "parameters.toml: 1 parameter, estimated until the interrupt; no report"
     table = tomllib.loads(Path("parameters.toml").read_text(encoding="utf-8"))["parameters"]["valve_area"]
     assert (table["value"], table["unit"]) == (AREA.value, nominal()["swing.valve_area"].unit)
     assert not Path("build/identification.html").exists()

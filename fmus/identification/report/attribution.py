@@ -1,14 +1,16 @@
-"""Which effect a residual shows: what each variant of a part would change, compared with the residual.
+"""Attribution of a residual to physical effects: regression on the changes that variants of parts cause.
 
 The residual r(t) = measured - predicted of all signals, each over its own root mean square, is regressed on
-what each effect would change in the identified machine, d_k(t) = y(t; variant k) - y(t; the usual machine):
+the change that each effect causes in the identified machine, d_k(t) = y(t; variant k) - y(t; default
+machine):
 
     r = sum_k c_k d_k + sum_j b_j dy/dp_j + e        c_k >= 0
 
-The identified parameters p_j may take what they can: a fit without the effect has bent them to cover for it.
-c_k = 1 means an effect as strong as the numbers of the variant say. A share is that of the residual's sum of
-squares. Alone: only effect k is there. Together: the mean over all orders in which effects can be added
-[Shapley value; Lindeman, Merenda and Gold 1980], so that the shares add up to what all of them explain.
+The sensitivities dy/dp_j to the identified parameters absorb as much as they can, because a fit without the
+effect has biased the parameters. c_k = 1 means an effect as strong as in the variant. Shares are fractions of
+the residual's sum of squares. "Alone" is the share of effect k as the only one. "Together" is the mean over
+all orders in which effects can be added [Shapley value; Lindeman, Merenda and Gold 1980], so that these
+shares add up to the share that all effects explain.
 """
 
 from __future__ import annotations
@@ -22,8 +24,10 @@ import numpy as np
 import statsmodels.api as sm
 from scipy.optimize import nnls
 
-from fmus.identification.report.prediction import Array, Excitation, Signals, predict
+from fmus.identification.estimate import CONFIDENCE
+from fmus.identification.report.prediction import Excitation, Signals, predict
 from orchestrator.base.errors import Problem
+from orchestrator.data.table import Array
 
 # effect -> the variants that have it
 EFFECTS: Mapping[str, Mapping[str, str]] = {
@@ -33,52 +37,56 @@ EFFECTS: Mapping[str, Mapping[str, str]] = {
     "hose walls, air and spool of the swing": {"swing": "detailed"},
     "pump and engine": {"supply": "engine_pump"},
 }
-STEP = 1e-3  # relative, of finite differences: errors of the solver are 1e5 times smaller
-ABOVE_NOISE = 1.5  # times the sensor's noise: a residual below shows nothing
-MEMORY = 0.5  # s: over which neighbouring samples of a residual are taken to depend on each other
-LEAST = 0.2  # share from which an effect is reported
-CLOSE = 0.8  # of the largest share: an effect that explains as much cannot be distinguished from it
-SMALL = 1e-3  # of the range: a residual below needs no effect to explain it, whatever the sensor resolves
+STEP = 1e-3  # relative step of finite differences: errors of the solver are 1e5 times smaller
+ABOVE_NOISE = 1.5  # rms residual over the sensor's noise below which a signal is left out
+MEMORY = 0.5  # s, lag up to which samples of a residual are taken as correlated
+LEAST = 0.2  # share above which an effect is reported
+CLOSE = 0.8  # fraction of the largest share above which an effect cannot be distinguished from the largest
+SMALL = 1e-3  # rms residual over the range of a signal below which it needs no explanation
 
 
-def shown(given: Excitation) -> dict[str, Mapping[str, str]]:
-    """The effects that a prediction can miss: where the supply pressure was measured, its cause is in it."""
-    measured = given.supply_pressure is not None
-    return {name: swap for name, swap in EFFECTS.items() if not (measured and "supply" in swap)}
+def candidate_effects(excitation: Excitation) -> dict[str, Mapping[str, str]]:
+    """Effects that may explain a residual; a measured supply pressure includes those of the supply."""
+    measured = excitation.supply_pressure is not None
+    return {name: variants for name, variants in EFFECTS.items() if not (measured and "supply" in variants)}
 
 
-def changes(given: Excitation, numbers: Mapping[str, float]) -> dict[str, dict[str, Array]]:
-    """What each effect would change in every signal of the machine."""
-    usual = predict(given, numbers)
-    return {name: _difference(predict(given, numbers, swap), usual) for name, swap in shown(given).items()}
+def effect_changes(excitation: Excitation, parameters: Mapping[str, float]) -> dict[str, dict[str, Array]]:
+    """Change of every signal of the machine by each effect."""
+    default = predict(excitation, parameters)
+    return {
+        name: _difference(predict(excitation, parameters, variants), default)
+        for name, variants in candidate_effects(excitation).items()
+    }
 
 
-def slopes(
-    given: Excitation, numbers: Mapping[str, float], names: Iterable[str]
+def sensitivities(
+    excitation: Excitation, parameters: Mapping[str, float], names: Iterable[str]
 ) -> dict[str, dict[str, Array]]:
-    """What each parameter would change, by finite differences: one `STEP` of its value.
+    """Change of every signal by a relative change `STEP` of each parameter.
 
-    A name without its part means the numbers of all parts that have it.
+    A name without its part refers to the parameters of all parts that have it.
     """
-    usual, found = predict(given, numbers), {}
+    default, result = predict(excitation, parameters), {}
     for name in names:
-        own = {key: (1 + STEP) * v for key, v in numbers.items() if name in (key, key.partition(".")[2])}
-        if not own:
-            raise Problem(f"{name}: expected its number among those of the machine")
-        found[name] = _difference(predict(given, {**numbers, **own}), usual)
-    return found
+        changed = {k: (1 + STEP) * v for k, v in parameters.items() if name in (k, k.partition(".")[2])}
+        if not changed:
+            raise Problem(f"identified parameters: expected parameters of the machine, got {name}")
+        result[name] = _difference(predict(excitation, {**parameters, **changed}), default)
+    return result
 
 
-def _difference(one: Signals, other: Signals) -> dict[str, Array]:
-    return {name: one[name] - other[name] for name in other if name in one}
+def _difference(signals: Signals, reference: Signals) -> dict[str, Array]:
+    return {name: signals[name] - reference[name] for name in reference if name in signals}
 
 
 @dataclass(frozen=True)
 class EffectShare:
-    """What one effect explains, as shares of the residual's sum of squares.
+    """Share of the residual's sum of squares that one effect explains.
 
-    coefficient, low, high   how strong it is, 1 as in the variant, with its 95 % interval
-    signals                  share alone, by signal, of what the parameters leave
+    alone, together          as the only effect, and among all effects
+    coefficient, low, high   strength (1: as in the variant) with its 95 % interval
+    signals                  share alone by signal, after subtraction of what the parameters absorb
     """
 
     effect: str
@@ -92,14 +100,14 @@ class EffectShare:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Which effects a residual shows.
+    """Effects that a residual shows.
 
-    shares      largest alone first
-    together    share that all effects explain
-    parameters  share that other values of the identified parameters would take
-    noise       share that is noise of the sensors
-    quiet       signals left out, because their residual is not above the noise
-    verdict     all this in words
+    shares       by effect, the largest share alone first
+    together     share that all effects explain
+    parameters   share that other values of the identified parameters would explain
+    noise        share of the noise of the sensors
+    quiet        signals left out because their residual is small or not above the noise
+    verdict      summary in sentences
     """
 
     shares: tuple[EffectShare, ...]
@@ -112,7 +120,7 @@ class Explanation:
 
     @property
     def effect(self) -> str:
-        """The effect that the residual shows, empty if it shows none."""
+        """The effect with the largest share, empty if that share is small."""
         return self.shares[0].effect if self.shares and self.shares[0].alone >= LEAST else ""
 
 
@@ -125,14 +133,14 @@ def explain(
     absorbed: Mapping[str, Signals] | None = None,
     small: Mapping[str, float] | None = None,
 ) -> Explanation:
-    """Which effects the residual shows.
+    """Explanation of a residual by effects.
 
-    residual   measured - predicted by signal, shape (n,); NaN where there is no sample
-    effects    what each effect would change
+    residual   measured - predicted by signal, shape (n,); NaN if there is no sample
+    effects    change of the signals by each effect
     step       sample time [s]
     noise      standard deviation of a sample of each signal's sensor
-    absorbed   what each identified parameter would change
-    small      root mean square of each signal's residual up to which it is good enough to be left alone
+    absorbed   change of the signals by each identified parameter
+    small      root mean square of each signal's residual below which the signal is left out
     """
     noise, small = noise or {}, small or {}
     size = {name: rms(values) for name, values in residual.items()}
@@ -140,121 +148,121 @@ def explain(
     quiet = tuple(n for n in residual if n not in used)
     if not used:
         only_small = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
-        return Explanation((), 0.0, 0.0, 1.0, (), quiet, nothing(only_small))
-    known = {n: np.isfinite(residual[n]) for n in used}
+        return Explanation((), 0.0, 0.0, 1.0, (), quiet, nothing_to_explain(only_small))
+    valid = {n: np.isfinite(residual[n]) for n in used}
 
     def column(signals: Signals) -> Array:
-        """Signals under each other, each over its size; those with many samples count as much as others."""
-        weights = {n: 1 / (size[n] * np.sqrt(known[n].sum())) for n in used}
+        """All signals in one column, each over its rms residual and the root of its number of samples."""
+        weights = {n: 1 / (size[n] * np.sqrt(valid[n].sum())) for n in used}
         return np.concatenate(
-            [weights[n] * (signals[n] if n in signals else 0 * residual[n])[known[n]] for n in used]
+            [weights[n] * (signals[n] if n in signals else 0 * residual[n])[valid[n]] for n in used]
         )
 
     r = column(residual)
     d = np.column_stack([column(change) for change in effects.values()])
-    whole = float(r @ r)
-    ends = np.cumsum([0, *(int(known[n].sum()) for n in used)])
-    ranges = {n: slice(int(ends[k]), int(ends[k + 1])) for k, n in enumerate(used)}
+    total = float(r @ r)
+    ends = np.cumsum([0, *(int(valid[n].sum()) for n in used)])
+    rows = {n: slice(int(ends[k]), int(ends[k + 1])) for k, n in enumerate(used)}
     if absorbed:
-        slope = np.column_stack([column(change) for change in absorbed.values()])
-        r, d = without(slope, r), without(slope, d)
-    parameters = 1 - float(r @ r) / whole
-    part = explained(d, r) / whole
-    joint = shapley(part, len(effects))
+        s = np.column_stack([column(change) for change in absorbed.values()])
+        r, d = orthogonal_part(r, s), orthogonal_part(d, s)
+    parameters = 1 - float(r @ r) / total
+    explained = explained_squares(d, r) / total
+    together = shapley_values(explained, len(effects))
     shares = [
         EffectShare(
             name,
-            float(part[1 << k]),
-            joint[k],
-            *coefficient(d[:, k], r, round(MEMORY / step)),
-            by_signal(d[:, k], r, ranges),
+            float(explained[1 << k]),
+            together[k],
+            *strength_interval(d[:, k], r, round(MEMORY / step)),
+            shares_by_signal(d[:, k], r, rows),
         )
         for k, name in enumerate(effects)
     ]
     ordered = tuple(sorted(shares, key=lambda s: -s.alone))
-    noisy = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
-    text = verdict(ordered, float(part[-1]), parameters, noisy)
-    return Explanation(ordered, float(part[-1]), parameters, noisy, tuple(used), quiet, text)
+    noise_share = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
+    text = verdict(ordered, float(explained[-1]), parameters, noise_share)
+    return Explanation(ordered, float(explained[-1]), parameters, noise_share, tuple(used), quiet, text)
 
 
 def rms(values: Array) -> float:
-    """Root mean square of the samples that are there."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+    """Root mean square of the finite values, 0 if there is none."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
 
 
-def without(slope: Array, values: Array) -> Array:
-    """The part of columns that is orthogonal to the columns of `slope`."""
-    length = np.linalg.norm(slope, axis=0)
-    q, s, _ = np.linalg.svd(slope[:, length > 0] / length[length > 0], full_matrices=False)
-    q = q[:, s > 1e-6 * s[0]] if s.size else q  # directions that only rounding tells apart
-    rest: Array = values - q @ (q.T @ values)
-    return rest
+def orthogonal_part(columns: Array, regressors: Array) -> Array:
+    """The part of columns that is orthogonal to the regressors."""
+    length = np.linalg.norm(regressors, axis=0)
+    q, s, _ = np.linalg.svd(regressors[:, length > 0] / length[length > 0], full_matrices=False)
+    q = q[:, s > 1e-6 * s[0]] if s.size else q  # without directions that are rounding errors
+    orthogonal: Array = columns - q @ (q.T @ columns)
+    return orthogonal
 
 
-def explained(d: Array, r: Array) -> Array:
-    """Sum of squares that each set of effects explains, c >= 0; bit k of the index: effect k is in it."""
+def explained_squares(d: Array, r: Array) -> Array:
+    """Sum of squares that each set of effects explains, c >= 0; effect k is in the set if bit k is set."""
     q, upper = np.linalg.qr(d)
-    seen = q.T @ r
+    projected = q.T @ r
     count = d.shape[1]
-    found = np.zeros(1 << count)
+    explained = np.zeros(1 << count)
     for index in range(1, 1 << count):
-        chosen = [k for k in range(count) if index >> k & 1]
-        found[index] = seen @ seen - nnls(upper[:, chosen], seen)[1] ** 2
-    return np.maximum(found, 0.0)
+        members = [k for k in range(count) if index >> k & 1]
+        explained[index] = projected @ projected - nnls(upper[:, members], projected)[1] ** 2
+    return np.maximum(explained, 0.0)
 
 
-def shapley(explained: Array, count: int) -> list[float]:
-    """Mean increase by each effect over all orders of adding them."""
-    found = []
+def shapley_values(explained: Array, count: int) -> list[float]:
+    """Mean increase of the explained sum of squares by each effect over all orders of adding effects."""
+    values = []
     for k in range(count):
         others = [j for j in range(count) if j != k]
-        total = 0.0
+        value = 0.0
         for size in range(count):
             weight = factorial(size) * factorial(count - size - 1) / factorial(count)
-            for chosen in combinations(others, size):
-                index = sum(1 << j for j in chosen)
-                total += weight * float(explained[index | 1 << k] - explained[index])
-        found.append(total)
-    return found
+            for members in combinations(others, size):
+                index = sum(1 << j for j in members)
+                value += weight * float(explained[index | 1 << k] - explained[index])
+        values.append(value)
+    return values
 
 
-def coefficient(d: Array, r: Array, lags: int) -> tuple[float, float, float]:
-    """Strength of an effect alone with its 95 % interval; errors depend on their neighbours [Newey, West]."""
+def strength_interval(d: Array, r: Array, lags: int) -> tuple[float, float, float]:
+    """Strength of an effect alone with its 95 % interval for correlated errors [Newey, West]."""
     if not d.any():
         return 0.0, 0.0, 0.0
     fit = sm.OLS(r, d[:, None]).fit(cov_type="HAC", cov_kwds={"maxlags": max(1, lags)})
-    low, high = fit.conf_int(alpha=0.05)[0]
+    low, high = fit.conf_int(alpha=1 - CONFIDENCE)[0]
     return float(fit.params[0]), float(low), float(high)
 
 
-def by_signal(d: Array, r: Array, rows: Mapping[str, slice]) -> dict[str, float]:
-    """Share of each signal's residual that the effect takes at the one strength that fits all signals."""
+def shares_by_signal(d: Array, r: Array, rows: Mapping[str, slice]) -> dict[str, float]:
+    """Share of each signal's residual that an effect explains at its strength from all signals."""
     strength = max(0.0, float(d @ r) / float(d @ d)) if d.any() else 0.0
-    found = {}
-    for name, where in rows.items():
-        whole = float(r[where] @ r[where])
-        left = r[where] - strength * d[where]
-        found[name] = 1 - float(left @ left) / whole if whole else 0.0
-    return found
+    shares = {}
+    for name, part in rows.items():
+        total = float(r[part] @ r[part])
+        unexplained = r[part] - strength * d[part]
+        shares[name] = 1 - float(unexplained @ unexplained) / total if total else 0.0
+    return shares
 
 
-def nothing(small: bool) -> str:
-    """No signal has a residual worth an explanation; `small`: some are just small, not within the noise."""
-    to = f" or to {100 * SMALL:g} % of its range" if small else ""
+def nothing_to_explain(small: bool) -> str:
+    """Verdict if no residual is large enough; `small`: some residuals are above the noise, but small."""
+    limit = f" or to {100 * SMALL:g} % of its range" if small else ""
     return (
-        f"Nothing is left to explain: each signal is predicted to the noise of its sensor{to}, "
+        f"Nothing is left to explain: each signal is predicted to the noise of its sensor{limit}, "
         "so the residual shows no effect."
     )
 
 
-def verdict(found: Sequence[EffectShare], together: float, parameters: float, noise: float) -> str:
-    """The explanation in whole sentences; shares as in `Explanation`, largest alone first."""
-    first = found[0]
+def verdict(shares: Sequence[EffectShare], together: float, parameters: float, noise: float) -> str:
+    """Summary of an explanation in sentences; arguments as in `Explanation`."""
+    first = shares[0]
     if first.alone < LEAST:
         text = (
-            f"None of the effects below explains what the prediction misses: the largest share is "
-            f"{_percent(first.alone)} ({first.effect}), all of them together explain {_percent(together)}."
+            f"None of the effects below explains the residual: the largest share is {_percent(first.alone)} "
+            f"({first.effect}), all of them together explain {_percent(together)}."
         )
     else:
         text = (
@@ -262,19 +270,19 @@ def verdict(found: Sequence[EffectShare], together: float, parameters: float, no
             f"{first.coefficient:.2g} times as strong as in the variant. "
             f"All effects together explain {_percent(together)}."
         )
-        close = [s.effect for s in found[1:] if s.alone >= CLOSE * first.alone]
+        close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
         if close:
             text += f" The data hardly distinguish it from {' and '.join(close)}."
-    left = 1 - together - parameters - noise
+    unexplained = 1 - together - parameters - noise
     if parameters > LEAST / 2:
         text += (
-            f" {_percent(parameters)} would go if the identified parameters had slightly other values: that "
-            "part is their uncertainty, or an effect that looks like it."
+            f" {_percent(parameters)} would disappear with slightly different values of the identified "
+            "parameters: this part is their uncertainty, or an effect that resembles it."
         )
     if noise > LEAST / 2:
         text += f" {_percent(noise)} is noise of the sensors."
-    if left > LEAST / 2:
-        text += f" The other {_percent(left)} has a cause that is not in the list."
+    if unexplained > LEAST / 2:
+        text += f" The other {_percent(unexplained)} has a cause that is not in the list."
     return text
 
 

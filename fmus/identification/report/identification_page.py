@@ -1,6 +1,6 @@
-"""The report of an identification: one self-contained HTML file, and the same numbers as JSON.
+"""Report of an identification: one self-contained HTML file, and a JSON file with the same values.
 
-`refinement` and `quality` give what the page and the JSON hold of a joint refinement and of a recording.
+`refinement` and `quality` return the content for a joint refinement and for a recording.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from fmus.identification.recordings.quality import examine
 from fmus.identification.refinement.multistart import MultistartResult
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.report import report_texts
-from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.finding_figures import draw_finding, draw_matrix
-from fmus.identification.report.recording_comparison import Picture
+from fmus.identification.report.attribution import Explanation, rms
+from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure
+from fmus.identification.report.recording_comparison import CaptionedFigure
 from orchestrator.base import html_page
 from orchestrator.base.plotting import embed
 from orchestrator.data.recording import Recording
@@ -33,9 +33,10 @@ NAME = "identification"
 
 @dataclass(frozen=True)
 class IdentifiedParameter:
-    """One identified parameter: the estimate, the value before, and which procedure found it.
+    """An identified parameter: its estimate, the procedure, and the value before.
 
-    prior, prior_source   value and source of the machine's own files, None if there is none
+    prior, prior_source   value and source in the machine's parameter files, None if there is none
+    text                  description of the parameter
     """
 
     estimate: Estimate
@@ -47,26 +48,27 @@ class IdentifiedParameter:
 
 @dataclass(frozen=True)
 class IdentificationPage:
-    """Everything that the page shows.
+    """Content of the report.
 
-    kinds        of the recordings: "simulation", "measurement", "published"
-    qualities    what `quality` gives
-    refinement   what `refinement` gives
-    pictures     measured and predicted traces
-    commands     how to go on: command -> what it does
-    remarks      what the reader must know first, whole sentences
-    warnings     what makes the numbers doubtful and what to check, whole sentences
+    kinds        kinds of the recordings: "simulation", "measurement", "published"
+    results      of the procedures
+    qualities    results of `quality`
+    refinement   result of `refinement`
+    figures      measured and predicted signals
+    commands     commands that use the estimates -> their purpose
+    remarks      sentences on procedures without a result
+    warnings     sentences on doubtful results and what to check
     """
 
     title: str
     source: str
     kinds: tuple[str, ...]
-    findings: tuple[ProcedureResult, ...]
+    results: tuple[ProcedureResult, ...]
     parameters: tuple[IdentifiedParameter, ...]
     qualities: tuple[Mapping[str, Any], ...] = ()
     refinement: Mapping[str, Any] | None = None
     explanation: Explanation | None = None
-    pictures: tuple[Picture, ...] = ()
+    figures: tuple[CaptionedFigure, ...] = ()
     commands: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -75,41 +77,36 @@ class IdentificationPage:
 def write_page(folder: Path, page: IdentificationPage) -> tuple[Path, Path]:
     """Write identification.html and identification.json to a folder; returns both paths.
 
-    The JSON has all numbers of the page in SI units, without the curves of the figures.
+    The JSON file has all values of the page in SI units, without the curves of the figures.
     """
-    numbers = {name: value for name, value in vars(page).items() if name != "pictures"}
-    numbers["findings"] = [
-        {name: value for name, value in vars(finding).items() if name != "panels"}
-        for finding in page.findings
+    content = {name: value for name, value in vars(page).items() if name not in ("figures", "results")}
+    content["findings"] = [
+        {name: value for name, value in vars(result).items() if name != "panels"} for result in page.results
     ]
     html = html_page.write_text(folder / f"{NAME}.html", render(page))
-    return html, html_page.write_json(folder / f"{NAME}.json", numbers)
+    return html, html_page.write_json(folder / f"{NAME}.json", content)
 
 
 def render(page: IdentificationPage) -> str:
-    """The HTML text."""
-    joint = page.refinement
-    findings = [
-        (
-            finding,
-            finding.panels
-            and embed(draw_finding(finding, page.kinds, titled=False), f"f{k}-", finding.title),
-            report_texts.caption(finding, page.kinds),
-        )
-        for k, finding in enumerate(page.findings)
-    ]
-    several = joint is not None and len(joint["names"]) > 1
+    """The HTML file as text."""
+    joint, heatmap = page.refinement, None
+    if joint and len(joint["names"]) > 1:
+        matrix = draw_correlation(joint["names"], joint["correlation"])
+        heatmap = embed(matrix, "c-", "Correlation")
+    results = []
+    for k, result in enumerate(page.results):
+        figure = draw_procedure(result, page.kinds, titled=False) if result.panels else None
+        drawing = figure and embed(figure, f"f{k}-", result.title)
+        results.append((result, drawing, report_texts.caption(result, page.kinds)))
     return html_page.render(
         TEMPLATE,
         title=page.title,
         page=page,
-        words=report_texts,
+        texts=report_texts,
         origin=report_texts.origin(page.kinds),
-        findings=findings,
-        heat=joint
-        and several
-        and embed(draw_matrix(joint["names"], joint["correlation"]), "c-", "Correlation"),
-        pictures=[(p, embed(p.figure, f"t{k}-", p.title)) for k, p in enumerate(page.pictures)],
+        results=results,
+        heatmap=heatmap,
+        figures=[(f, embed(f.figure, f"t{k}-", f.title)) for k, f in enumerate(page.figures)],
     )
 
 
@@ -120,57 +117,58 @@ def refinement(
     facts: Mapping[str, str] | None = None,
     starts: MultistartResult | None = None,
 ) -> dict[str, Any]:
-    """What page and JSON hold of a refinement.
+    """Content of the page and the JSON file for a refinement.
 
-    names, signals   parameter and output of the problem -> what the page calls them
-    facts            what else is to be shown, such as the time it took
-    starts           the same search from random starts, on fewer samples
+    names, signals   parameter and output of the problem -> its name in the report
+    facts            further facts, such as the computing time
+    starts           the refinement from random start points, on fewer samples
+
+    Keys of the result:
 
     names, correlation   of the parameters, (n, n)
-    fits                 how well each signal is predicted, see `_fit`
-    unidentified         what the data cannot show, whole sentences
-    starts               where each random search began and ended, see `_starts`
-    facts                method, seconds, samples ...: name -> text, in the order to show
+    fits                 goodness of fit of each signal, see `_goodness_of_fit`
+    unidentified         sentences on parameters that the data do not determine
+    starts               start and end of each random search, see `_starts`
+    facts                recordings, iterations ...: name -> text, in the order of the page
     """
     names, signals = names or {}, signals or {}
-    problem, found = refined.problem, refined.statistics
+    problem, statistics = refined.problem, refined.statistics
     seconds = sum(float(run.time[-1] - run.time[0]) for run in problem.training)
     recordings = f"{len(problem.training)} for training, {seconds:.0f} s; {len(problem.held_out)} held out"
-    scatter = "the scatter between segments: residuals depend on their past, which noise of sensors does not"
-    noise = "from the noise of the sensors: residuals are independent of each other"
+    scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
+    noise = "from the noise of the sensors: residuals are uncorrelated"
     return {
         "names": [names.get(n, n) for n in problem.names],
-        "correlation": found.correlation,
-        "condition": found.condition,
-        "fits": [_fit(refined, k, signals.get(n, n)) for k, n in enumerate(problem.outputs)],
+        "correlation": statistics.correlation,
+        "condition": statistics.condition,
+        "fits": [_goodness_of_fit(refined, k, signals.get(n, n)) for k, n in enumerate(problem.outputs)],
         "unidentified": [_renamed(sentence, names) for sentence in refined.unidentified],
         "starts": _starts(refined, starts) if starts else [],
         "facts": {
             "recordings": recordings,
             "iterations": str(len(refined.history)),
             "ended": refined.reason,
-            "95 % intervals": f"from {scatter} explain" if refined.robust else noise,
+            "95 % intervals": scatter if refined.robust else noise,
             **(facts or {}),
         },
         "remarks": [*advice(refined), *(f"{names.get(n, n)} ended at its bound." for n in refined.at_bound)],
     }
 
 
-def _fit(refined: RefinementResult, place: int, name: str) -> dict[str, Any]:
-    """How well one signal is predicted; None where there is no such recording.
+def _goodness_of_fit(refined: RefinementResult, index: int, name: str) -> dict[str, Any]:
+    """Goodness of fit of one signal; None if there is no such recording.
 
-    train, test   NRMSE over the range
-    noise     root mean square of the training residual in standard deviations of the sensor
-    memory    share of the lags at which the residual depends on its past beyond chance, 0.01 if white
-    white     probability of such a memory if the residual were white [Ljung and Box]
-    inputs    the largest such share for its correlation with an earlier input
+    train, test   NRMSE
+    noise         root mean square of the training residual in standard deviations of the sensor
+    memory        fraction of the lags with a significant autocorrelation, 0.01 if the residual is white
+    white         probability of this autocorrelation if the residual is white [Ljung and Box]
+    inputs        largest such fraction for the cross-correlation with an earlier input
     """
-    tests = refined.whiteness[refined.problem.outputs[place]]
+    tests = refined.whiteness[refined.problem.outputs[index]]
 
     def mean(traces: Sequence[Any]) -> float | None:
-        values = np.array([float(t.nrmse()[place]) for t in traces])
-        known = values[np.isfinite(values)]
-        return float(np.sqrt(np.mean(known**2))) if known.size else None
+        values = np.array([float(t.nrmse()[index]) for t in traces])
+        return rms(values) if np.isfinite(values).any() else None
 
     return {
         "signal": name,
@@ -191,31 +189,31 @@ def _starts(refined: RefinementResult, starts: MultistartResult) -> list[dict[st
     residual   root mean square residual at the end, in standard deviations of the sensors
     same       whether the search led to the result, within a standard deviation
     """
-    found, problem = [], refined.problem
-    for place, start in enumerate(starts.starts, 1):
-        begun = np.array([f.z_of(start.initial[f.name]) for f in problem.free])
-        away = float(np.sqrt(np.mean((begun - problem.initial()) ** 2)))
+    rows, problem = [], refined.problem
+    for number, start in enumerate(starts.starts, 1):
+        z = np.array([f.z_of(start.initial[f.name]) for f in problem.free])
+        away = float(np.sqrt(np.mean((z - problem.initial()) ** 2)))
         end = {"apart": start.distance, "residual": start.residual, "iterations": start.iterations}
-        found.append({"name": f"random {place}", "away": away, **end, "same": start.distance < 1})
-    return found
+        rows.append({"name": f"random {number}", "away": away, **end, "same": start.distance < 1})
+    return rows
 
 
 def _renamed(sentence: str, names: Mapping[str, str]) -> str:
-    """A whole sentence with the page's names; longest first, because one may begin like another."""
-    known = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
-    text = re.sub(rf"\b({known})\b", lambda m: names[m[1]], sentence) if names else sentence
+    """A sentence with the names of the report; longest first, because one may be the beginning of another."""
+    pattern = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
+    text = re.sub(rf"\b({pattern})\b", lambda m: names[m[1]], sentence) if names else sentence
     return text if text.endswith(".") else f"{text}."
 
 
 def quality(recording: Recording) -> dict[str, Any]:
-    """What page and JSON hold of a recording's clock and signals.
+    """Content of the page and the JSON file for the clock and the signals of a recording.
 
-    faults     how many remarks there are, those of the channels included
-    channels   by signal: lowest and highest value, noise found, share of the samples in the dead zone of the
-               sensor, which are not used, and remarks in whole sentences
+    faults     number of remarks, including those of the channels
+    channels   by signal: lowest and highest value, noise, fraction of samples in the dead zone of the sensor
+               (which are not used), and remarks
     """
-    found = examine(recording)
-    rate, remarks = found.clock.rate, list(found.clock.remarks())
+    report = examine(recording)
+    rate, remarks = report.clock.rate, list(report.clock.remarks())
     if evenly(recording) is not recording:
         remarks.append(f"The clock: all signals are interpolated at {rate:.6g} Hz; gaps stay gaps.")
     if rate > 1.01 * FASTEST and recording.procedure == "machine":
@@ -231,7 +229,7 @@ def quality(recording: Recording) -> dict[str, Any]:
             "remarks": [text.removeprefix(f"{signal.name}: ") for text in signal.faults()],
             "dead": signal.dead.share,
         }
-        for signal in found.signals
+        for signal in report.signals
     ]
     return {
         "name": recording.source.name,
@@ -248,7 +246,7 @@ def quality(recording: Recording) -> dict[str, Any]:
 
 
 def faults(qualities: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """What somebody who waits for the results has to read: faults one by one, dead zones in one line."""
+    """Lines on the faults of all recordings for a terminal; dead zones are summarised in one line."""
     for q in qualities:
         yield from (f"{q['name']}: {remark}" for remark in q["remarks"])
         yield from (f"{q['name']}: {c['signal']}: {text}" for c in q["channels"] for text in c["remarks"])
@@ -256,9 +254,9 @@ def faults(qualities: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         (c["dead"], q["name"], c["signal"]) for q in qualities for c in q["channels"] if 0 < c["dead"] < 1
     ]
     if dead:
-        share, name, signal = max(dead)
+        fraction, name, signal = max(dead)
         files = len({file for _, file, _ in dead})
         yield (
             f"meters in their dead zones, where nothing is used: {files} recording{'s' * (files > 1)},"
-            f" at most {100 * share:.2g} % of the samples ({name}: {signal})"
+            f" at most {100 * fraction:.2g} % of the samples ({name}: {signal})"
         )

@@ -1,4 +1,4 @@
-"""What the machine does with given numbers, commands and variants of its parts."""
+"""Prediction of a recording: the machine simulated with its commands, parameter values and variants."""
 
 from __future__ import annotations
 
@@ -6,31 +6,30 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fmus.identification.machine import COMMANDS
+from fmus.identification.procedures.momentum_balance import JOINTS
 from fmus.identification.recordings.derivatives import filter_for
-from fmus.machine.parts import INPUTS, parts, wiring
+from fmus.machine.parts import parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, fill_gaps
+from orchestrator.data.table import Array
 
-Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
-COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
-JOINTS = ("swing", "boom", "stick")
 SUPPLY = "swing.supply_pressure"
-SMOOTH = 0.05  # s: over which its noise is averaged; the pumps are slower
-STEADY = 5e4  # Pa: a supply that is off by this moves flows by 0.1 %
-STRAIGHT = 1e-4  # V: a command that is off by this opens a valve by 0.001 %
-TOLERANCE = 1e-8  # of CVODES: far below what sensors see; dry friction needs it to be this small
+SMOOTHING = 0.05  # s, filter against the noise of the supply pressure; the pumps are slower
+SUPPLY_TOLERANCE = 5e4  # Pa, error of the supply pressure that changes flows by 0.1 %
+COMMAND_TOLERANCE = 1e-4  # V, error of a command that changes the opening of a valve by 0.001 %
+TOLERANCE = 1e-8  # of CVODES, far below the resolution of sensors; dry friction requires it
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """What the machine is driven by: commands [V] (n,) over time (n,) [s], the pose [rad] it starts from.
+    """Inputs of the machine: commands [V] (n,) over time (n,) [s], and the initial pose [rad].
 
-    supply_pressure   samples (n,) [Pa], or None for the constant one of the parameter file
+    supply_pressure   samples (n,) [Pa], or None for the constant value of the parameter file
     """
 
     time: Array
@@ -39,92 +38,96 @@ class Excitation:
     supply_pressure: Array | None = None
 
 
-def drive(recording: Recording, rest: float = 0.5) -> Excitation:
-    """What a recording of the machine tells of its drive; it stands still in its first `rest` seconds."""
-    pose = {joint: _at_rest(recording, f"manipulator.{joint}_angle", rest) for joint in JOINTS}
-    raw = np.column_stack([fill_gaps(recording, signal) for signal in COMMANDS.values()])
-    commands = dict(zip(COMMANDS, straight(recording.time, raw).T, strict=True))
-    return Excitation(recording.time, commands, pose, _supply(recording))
+def excitation(recording: Recording, rest: float = 0.5) -> Excitation:
+    """The excitation during a recording of the machine, which is at rest in its first `rest` seconds."""
+    pose = {joint: _initial_mean(recording, f"manipulator.{joint}_angle", rest) for joint in JOINTS}
+    samples = np.column_stack([fill_gaps(recording, signal) for signal in COMMANDS.values()])
+    commands = dict(zip(COMMANDS, simplify(recording.time, samples).T, strict=True))
+    return Excitation(recording.time, commands, pose, _supply_pressure(recording))
 
 
-def _at_rest(recording: Recording, name: str, rest: float) -> float:
-    """Mean of a signal over the first `rest` seconds."""
-    values = recording[name][recording.time <= recording.time[0] + rest]
-    known = values[np.isfinite(values)]
-    if not known.size:
-        raise Problem(f"{recording.source}: {name} has no sample in its first {rest:g} s, expected the pose")
-    return float(known.mean())
+def _initial_mean(recording: Recording, name: str, duration: float) -> float:
+    """Mean of a signal over the first `duration` seconds."""
+    values = recording[name][recording.time <= recording.time[0] + duration]
+    valid = values[np.isfinite(values)]
+    if not valid.size:
+        raise Problem(f"{recording.source}: {name}: expected a sample in the first {duration:g} s, got none")
+    return float(valid.mean())
 
 
-def _supply(recording: Recording) -> Array | None:
-    """The measured supply pressure, without the noise of its sensor."""
+def _supply_pressure(recording: Recording) -> Array | None:
+    """The measured supply pressure, smoothed, or None."""
     if SUPPLY not in recording.signals:
         return None
     time = recording.time
-    smooth = filter_for(recording, SMOOTH).apply(fill_gaps(recording, SUPPLY))
-    full = np.isfinite(smooth)
-    smooth = np.interp(time, time[full], smooth[full])
-    return straight(time, smooth[:, None], STEADY)[:, 0]
+    smooth = filter_for(recording, SMOOTHING).apply(fill_gaps(recording, SUPPLY))
+    valid = np.isfinite(smooth)
+    smooth = np.interp(time, time[valid], smooth[valid])
+    return simplify(time, smooth[:, None], SUPPLY_TOLERANCE)[:, 0]
 
 
-def straight(time: Array, samples: Array, tolerance: float = STRAIGHT) -> Array:
-    """Samples (n, m) as straight lines between as few of them as `tolerance` allows [Douglas, Peucker 1973].
+def simplify(time: Array, samples: Array, tolerance: float = COMMAND_TOLERANCE) -> Array:
+    """Samples (n, m) on straight lines between as few of them as possible [Douglas, Peucker 1973].
 
-    The solver starts anew at every corner, and rounding in a file makes a corner of every sample.
+    The solver restarts at every corner of an input, and rounding in a file makes every sample a corner.
     """
-    kept, left = {0, len(time) - 1}, [(0, len(time) - 1)]
-    while left:
-        first, last = left.pop()
+    kept, pending = {0, len(time) - 1}, [(0, len(time) - 1)]
+    while pending:
+        first, last = pending.pop()
         part = slice(first, last + 1)
-        share = ((time[part] - time[first]) / (time[last] - time[first]))[:, None]
-        off = np.abs(samples[part] - samples[first] - share * (samples[last] - samples[first])).max(axis=1)
-        worst = first + int(np.argmax(off))
-        if off.max() > tolerance:
+        fraction = ((time[part] - time[first]) / (time[last] - time[first]))[:, None]
+        line = samples[first] + fraction * (samples[last] - samples[first])
+        error = np.abs(samples[part] - line).max(axis=1)
+        worst = first + int(np.argmax(error))
+        if error.max() > tolerance:
             kept.add(worst)
-            left += [(a, b) for a, b in ((first, worst), (worst, last)) if b - a > 1]
+            pending += [(a, b) for a, b in ((first, worst), (worst, last)) if b - a > 1]
     corners = sorted(kept)
     lines = [np.interp(time, time[corners], column[corners]) for column in samples.T]
     return np.column_stack(lines)
 
 
 def predict(
-    given: Excitation, numbers: Mapping[str, float], variants: Mapping[str, str] | None = None
+    excitation: Excitation, parameters: Mapping[str, float], variants: Mapping[str, str] | None = None
 ) -> Signals:
     """All outputs of the machine, `part.name`, shape (n,) each, and the commands.
 
-    numbers    parameters by `name`, for every part that declares it, or by `part.name`; others as in files
-    variants   of parts that are not the usual ones
+    parameters   values by `part.name`, or by `name` for every part that has it; others are those of the files
+    variants     part -> its variant, for parts that are not the default ones
     """
     machine = parts(**(variants or {}))
     wires, inputs = wiring(machine)
-    pose = {f"manipulator.initial_{joint}_angle": angle for joint, angle in given.pose.items()}
-    known = {part: values(sub) for part, sub in machine.items()}
-    model = join(machine, wires, inputs, _set(known, {**numbers, **pose}, any_part=bool(variants)))
-    u = np.tile(model.u, (given.time.size, 1))
-    driven = {**given.commands}
-    if given.supply_pressure is not None and "supply_pressure" in model.inputs:
-        driven["supply_pressure"] = given.supply_pressure
-    for name, samples in driven.items():
+    pose = {f"manipulator.initial_{joint}_angle": angle for joint, angle in excitation.pose.items()}
+    defaults = {part: values(sub) for part, sub in machine.items()}
+    replaced = _with_values(defaults, {**parameters, **pose}, allow_unused=bool(variants))
+    model = join(machine, wires, inputs, replaced)
+    u = np.tile(model.u, (excitation.time.size, 1))
+    samples_of = {**excitation.commands}
+    if excitation.supply_pressure is not None and "supply_pressure" in model.inputs:
+        samples_of["supply_pressure"] = excitation.supply_pressure
+    for name, samples in samples_of.items():
         u[:, model.inputs.index(name)] = samples
     try:
-        _, y = simulate(model, given.time, u, tolerance=TOLERANCE)
+        _, y = simulate(model, excitation.time, u, tolerance=TOLERANCE)
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
-        raise Problem(f"machine with {dict(variants or {})}: the solver gave up: {reason}") from None
-    found = dict(zip(model.output_names, y.T, strict=True))
-    return found | {signal: given.commands[name] for name, signal in COMMANDS.items()}
+        raise Problem(f"machine with variants {dict(variants or {})}: the solver failed: {reason}") from None
+    outputs = dict(zip(model.output_names, y.T, strict=True))
+    return outputs | {signal: excitation.commands[name] for name, signal in COMMANDS.items()}
 
 
-def _set(known: Mapping[str, Values], numbers: Mapping[str, float], *, any_part: bool) -> dict[str, Values]:
-    """Values with parameters replaced; a number that no part has is refused, but where a variant is used."""
-    found, used = {}, set[str]()
-    for part, own in known.items():
-        # `part.name` counts more than `name`
-        given = {name: [k for k in (f"{part}.{name}", name) if k in numbers] for name in own.p}
-        used.update(*given.values())
-        p = {name: numbers[given[name][0]] if given[name] else value for name, value in own.p.items()}
-        found[part] = replace(own, p=p)
-    unknown = sorted(set(numbers) - used)
-    if unknown and not any_part:
-        raise Problem(f"{unknown[0]} is given, expected a parameter of the machine")
-    return found
+def _with_values(
+    defaults: Mapping[str, Values], parameters: Mapping[str, float], *, allow_unused: bool
+) -> dict[str, Values]:
+    """Values with parameters replaced. Raises Problem for a name that no part has, unless that is allowed."""
+    result, used = {}, set[str]()
+    for part, known in defaults.items():
+        # `part.name` has precedence over `name`
+        keys = {name: [k for k in (f"{part}.{name}", name) if k in parameters] for name in known.p}
+        used.update(*keys.values())
+        p = {name: parameters[keys[name][0]] if keys[name] else value for name, value in known.p.items()}
+        result[part] = replace(known, p=p)
+    unknown = sorted(set(parameters) - used)
+    if unknown and not allow_unused:
+        raise Problem(f"parameters: expected parameters of the machine, got {unknown[0]}")
+    return result

@@ -1,7 +1,7 @@
-"""A recording of the machine next to its prediction: residuals, the effect they show, and figures.
+"""Comparison of a recording with its prediction: residuals, goodness of fit, attribution, and figures.
 
-The figures show measured and predicted signals of a joint over time, as in the paper's Figs. 10 and 11: the
-measurement is a solid line, the prediction a dotted one, and the strip below each shows their difference.
+The figures show measured and predicted signals of a joint over time, as in the paper's Figs. 10 and 11. The
+measurement is a solid line, the prediction a dotted one, and the strip below each panel shows the residual.
 """
 
 from __future__ import annotations
@@ -14,8 +14,21 @@ from matplotlib.figure import Figure
 
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good
-from fmus.identification.report.attribution import SMALL, Explanation, changes, explain, slopes
-from fmus.identification.report.prediction import COMMANDS, JOINTS, Array, Excitation, Signals, drive, predict
+from fmus.identification.report.attribution import (
+    SMALL,
+    Explanation,
+    effect_changes,
+    explain,
+    rms,
+    sensitivities,
+)
+from fmus.identification.report.prediction import (
+    COMMANDS,
+    JOINTS,
+    Signals,
+    excitation,
+    predict,
+)
 from fmus.identification.report.report_texts import counterpart, footer, origin
 from orchestrator.base.plotting import (
     PALETTE,
@@ -28,11 +41,11 @@ from orchestrator.base.plotting import (
 )
 from orchestrator.base.text import display_unit, percentage, sentences
 from orchestrator.data.recording import Recording
+from orchestrator.data.table import Array
 
-WINDOW = 0.1  # s, of the filter that differentiates angles: wide enough for the encoder's steps
-# Below this share of the largest value the range of a signal that stands still is not shown.
-REST = 1e-9
-# what the paper's Figs. 10 and 11 show, and the same for the boom: label -> signals with their names
+WINDOW = 0.1  # s, filter that differentiates angles, wide enough for the encoder's steps
+CONSTANT = 1e-9  # range over largest value below which a signal is constant
+# joint -> label of a panel -> signals and labels of its curves, as in the paper's Figs. 10 and 11
 SIGNALS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     "swing": {
         "command": {"swing.swing_command": ""},
@@ -59,10 +72,10 @@ FIGURES = {"swing": 10, "boom": 0, "stick": 11}
 
 
 @dataclass(frozen=True)
-class Compared:
-    """Measured and predicted signals by name, SI, shape (n,); NaN where nothing usable was measured.
+class RecordingComparison:
+    """Measured and predicted signals by name, in SI units, shape (n,); NaN if no good sample was measured.
 
-    Measured angles have their speeds with them; the predicted speeds went through the same filter.
+    Speeds are added to measured angles. Measured and predicted speeds are derivatives by the same filter.
     """
 
     recording: Recording
@@ -76,70 +89,70 @@ class Compared:
         return {n: self.measured[n] - self.predicted[n] for n in names}
 
     def nrmse(self) -> dict[str, float]:
-        """Root mean square residual over the range of the measurement, of all signals that move."""
+        """NRMSE of all signals that are not constant."""
         common = [name for name in self.measured if name in self.predicted]
-        found = {name: relative_error(self.measured[name], self.predicted[name]) for name in common}
-        return {name: value for name, value in found.items() if value is not None}
+        errors = {name: nrmse(self.measured[name], self.predicted[name]) for name in common}
+        return {name: error for name, error in errors.items() if error is not None}
 
 
-def relative_error(measured: Array, predicted: Array) -> float | None:
-    """Root mean square residual over the range of the measurement, gaps left out; None if it stands still."""
-    known = np.isfinite(measured) & np.isfinite(predicted)
-    if not known.any():
+def nrmse(measured: Array, predicted: Array) -> float | None:
+    """Root mean square residual over the range of the measurement, without gaps; None if it is constant."""
+    residual = predicted - measured
+    valid = measured[np.isfinite(residual)]
+    if not valid.size:
         return None
-    span = float(np.ptp(measured[known]))
-    error = float(np.sqrt(np.mean((predicted[known] - measured[known]) ** 2)))
-    return error / span if span > REST * (1 + float(np.abs(measured[known]).max())) else None
+    span = float(np.ptp(valid))
+    return rms(residual) / span if span > CONSTANT * (1 + float(np.abs(valid).max())) else None
 
 
-def compare(recording: Recording, predicted: Signals) -> Compared:
-    """A recording next to a prediction over the same samples."""
+def compare(recording: Recording, predicted: Signals) -> RecordingComparison:
+    """A recording and a prediction over the same samples."""
     smooth = filter_for(recording, WINDOW)
     measured = {n: np.where(good(recording, n), recording[n], np.nan) for n in recording.signals}
-    given = set(COMMANDS.values())
-    shown, units = {n: y for n, y in predicted.items() if n not in given}, dict(recording.units)
+    commands = set(COMMANDS.values())
+    outputs, units = {n: y for n, y in predicted.items() if n not in commands}, dict(recording.units)
     for joint in JOINTS:
         angle, speed = f"manipulator.{joint}_angle", f"manipulator.{joint}_speed"
         if angle in measured and angle in predicted:
             measured[speed] = smooth.apply(measured[angle], 1)
-            shown[speed] = smooth.apply(predicted[angle], 1)
+            outputs[speed] = smooth.apply(predicted[angle], 1)
             units[speed] = "rad/s"
-    return Compared(recording, measured, shown, units)
+    return RecordingComparison(recording, measured, outputs, units)
 
 
-def predicted(recording: Recording, numbers: Mapping[str, float]) -> Compared:
-    """The recording next to what the machine with these numbers does at its commands."""
-    return compare(recording, predict(drive(recording), numbers))
+def compare_prediction(recording: Recording, parameters: Mapping[str, float]) -> RecordingComparison:
+    """A recording and its prediction by the machine with these parameter values."""
+    return compare(recording, predict(excitation(recording), parameters))
 
 
 def attribute(
-    seen: Compared, numbers: Mapping[str, float], identified: Iterable[str], given: Excitation | None = None
+    comparison: RecordingComparison, parameters: Mapping[str, float], identified: Iterable[str]
 ) -> Explanation:
     """Which effect the residual shows.
 
-    numbers      of the identified machine
-    identified   those of them that were fitted, and so may have covered for an effect
-    given        what drove the machine, by default what the recording holds
+    parameters   values of the identified machine
+    identified   names of the fitted parameters, whose errors may look like an effect
     """
-    given, recording = given or drive(seen.recording), seen.recording
-    spans = {n: float(np.nanmax(y) - np.nanmin(y)) for n, y in seen.measured.items() if np.isfinite(y).any()}
+    recording, measured = comparison.recording, comparison.measured
+    inputs = excitation(recording)
+    ranges = {n: float(np.nanmax(y) - np.nanmin(y)) for n, y in measured.items() if np.isfinite(y).any()}
     return explain(
-        seen.residual(),
-        changes(given, numbers),
-        step=float(np.median(np.diff(given.time))),
+        comparison.residual(),
+        effect_changes(inputs, parameters),
+        step=float(np.median(np.diff(inputs.time))),
         noise={name: recording.sensor(name).sd for name in recording.signals},
-        small={name: SMALL * span for name, span in spans.items()},
-        absorbed=slopes(given, numbers, identified),
+        small={name: SMALL * span for name, span in ranges.items()},
+        absorbed=sensitivities(inputs, parameters, identified),
     )
 
 
-def figure(seen: Compared, joint: str, title: str = "") -> Figure:
-    """Command, angle, speed, flow and pressures of a joint, of the signals that were measured."""
-    recording, time = seen.recording, seen.recording.time
+def figure(comparison: RecordingComparison, joint: str, title: str = "") -> Figure:
+    """Command, angle, speed, flow and pressures of a joint, if they were measured."""
+    recording, time = comparison.recording, comparison.recording.time
     panels = [
-        _panel(label, names, seen)
-        for label, signals in SIGNALS[joint].items()
-        if (names := {signal: name for signal, name in signals.items() if signal in seen.measured})
+        _panel(label, measured, comparison)
+        for label, curves in SIGNALS[joint].items()
+        if (measured := {n: curve for n, curve in curves.items() if n in comparison.measured})
     ]
     return draw_traces(
         panels,
@@ -150,52 +163,52 @@ def figure(seen: Compared, joint: str, title: str = "") -> Figure:
     )
 
 
-def _panel(label: str, names: Mapping[str, str], seen: Compared) -> TracePanel:
-    """Signals of one quantity; their errors as numbers at the right. What is given, a command, has none."""
-    time, unit = seen.recording.time, display_unit(seen.units[next(iter(names))])
-    lines, errors, remarks = list[TraceLine](), list[TraceLine](), list[tuple[str, str]]()
-    for place, (signal, name) in enumerate(names.items()):
-        light, dark = PALETTE.pair(place)
-        measured = seen.measured[signal]
-        if signal not in seen.predicted:
+def _panel(label: str, curves: Mapping[str, str], comparison: RecordingComparison) -> TracePanel:
+    """Signals of one quantity with their residuals and NRMSE; a command is an input and has none."""
+    time, unit = comparison.recording.time, display_unit(comparison.units[next(iter(curves))])
+    lines, residuals, remarks = list[TraceLine](), list[TraceLine](), list[tuple[str, str]]()
+    for index, (signal, curve) in enumerate(curves.items()):
+        light, dark = PALETTE.pair(index)
+        measured = comparison.measured[signal]
+        if signal not in comparison.predicted:
             lines.append(TraceLine(time, unit.factor * measured, {"color": dark, "linewidth": 1.2}))
             continue
-        predicted = seen.predicted[signal]
+        predicted = comparison.predicted[signal]
         lines.append(TraceLine(time, unit.factor * measured, {"color": light, "linewidth": 2.6}))
         lines.append(TraceLine(time, unit.factor * predicted, {**SIMULATION, "color": dark}))
-        errors.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}))
-        if (error := relative_error(measured, predicted)) is not None:
-            remarks.append((f"{name}\nNRMSE {percentage(error, 2)}".strip(), dark))
+        residuals.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}))
+        if (error := nrmse(measured, predicted)) is not None:
+            remarks.append((f"{curve}\nNRMSE {percentage(error, 2)}".strip(), dark))
     return TracePanel(
         unit.display,
         lines,
         label,
-        errors=errors,
+        errors=residuals,
         error_label="residual",
         error_unit=unit.display,
         remarks=remarks,
-        heights=(2.7 if errors else 1.6, 1.2),
+        heights=(2.7 if residuals else 1.6, 1.2),
     )
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A figure with its caption."""
+class CaptionedFigure:
+    """A figure with title and caption."""
 
     title: str
     figure: Figure
     caption: str
 
 
-def picture(seen: Compared, joint: str) -> Picture:
+def captioned_figure(comparison: RecordingComparison, joint: str) -> CaptionedFigure:
     """The figure of a joint with its caption, for the page."""
-    recording = seen.recording
+    recording = comparison.recording
     held_out = "not used for fitting" if recording.use == "test" else "used for fitting"
-    text = sentences(
+    caption = sentences(
         f"Measured and predicted signals of the {joint} over {recording.title}, {held_out}",
         origin([recording.kind]),
         counterpart(FIGURES[joint]),
         f"Speeds: both angles differentiated by one filter, {1000 * WINDOW:.0f} ms wide",
         "Flows in the dead zone of the meter are left out",
     )
-    return Picture(joint.capitalize(), figure(seen, joint), text)
+    return CaptionedFigure(joint.capitalize(), figure(comparison, joint), caption)

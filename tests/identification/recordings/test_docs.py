@@ -4,9 +4,10 @@ import re
 from pathlib import Path
 
 from fmus.identification import recordings
-from fmus.identification.machine import signals as names
-from fmus.identification.pipeline import CONDITIONS, OF_MACHINE, PROCEDURES
+from fmus.identification.machine import signal_names as names
+from fmus.identification.pipeline import PROCEDURES
 from fmus.identification.procedures import momentum_balance
+from fmus.identification.recording_names import CONDITIONS, MACHINE_SIGNALS
 from fmus.identification.recordings.reading import PROCEDURES as KNOWN
 from fmus.identification.recordings.reading import read
 
@@ -37,7 +38,7 @@ def test_the_table_of_experiments_is_that_of_the_code():
         assert all(
             name in rows[procedure] for name in conditions if name not in ("length", "diameter", "density")
         )
-        if procedure not in OF_MACHINE:
+        if procedure not in MACHINE_SIGNALS:
             assert all(f"`{name}`" in rows[procedure] for name in PROCEDURES[procedure].SIGNALS)
     told = set(re.findall(r"`((?:swing|boom_stick|manipulator)\.\w+)`", TEXT)) - {"manipulator.boom_angel"}
     assert told <= set(names().values())

@@ -10,7 +10,7 @@ import pytest
 
 from fmus.contract import quantities
 from fmus.identification import machine
-from fmus.identification.machine import nominal, parameters, signals
+from fmus.identification.machine import nominal, parameter_names, signal_names
 from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.machine.one_block import HARVESTER
@@ -43,7 +43,7 @@ def _recording() -> Recording:
     columns = np.column_stack([inputs[n] for n in model.inputs])
     start = model.start(model.p0, columns[0])[0]
     y = model.segment(start, model.p0, time, columns, False).y
-    shown = signals()
+    shown = signal_names()
     read = {shown[n]: u for n, u in inputs.items() if n != "tank_pressure"}
     for k, (name, sensor) in enumerate(SENSORS.items()):
         flowing = np.where(np.abs(y[:, k]) < sensor.dead_zone, 0.0, y[:, k])
@@ -96,9 +96,9 @@ def test_errors_by_model_and_by_segments_agree(refined: RefinementResult) -> Non
 
 def test_estimates_are_called_as_parameter_files_call_them(refined: RefinementResult) -> None:
     """Names with a part only where parts mean different things; intervals around the values."""
-    found = {e.name: e for e in refined.estimates(names=parameters())}
+    found = {e.name: e for e in refined.estimates(names=parameter_names())}
     assert {"valve_area", "boom_piston_damping", "head_mass"} <= set(found)
-    assert parameters()["swing_initial_preload"] == "swing.initial_preload"
+    assert parameter_names()["swing_initial_preload"] == "swing.initial_preload"
     assert all(e.low < e.value < e.high and e.sd > 0 for e in found.values())
     assert found["valve_area"].unit == "m2"
     assert "17 parameters on 1 recording" in found["valve_area"].number().note
@@ -106,7 +106,7 @@ def test_estimates_are_called_as_parameter_files_call_them(refined: RefinementRe
 
 def test_signals_are_those_of_the_parts() -> None:
     """Every measured output and input of the one block has its name by part."""
-    names = signals()
+    names = signal_names()
     assert names["supply_pressure"] == "swing.supply_pressure"
     assert names["boom_head_pressure"] == "boom_stick.boom_head_pressure"
     assert names["swing_angle"] == "manipulator.swing_angle"

@@ -10,7 +10,7 @@ import pytest
 from identification.refinement.oscillator import TRUTH, problem, recording, run
 
 from fmus.identification import machine
-from fmus.identification.machine import nominal, signals
+from fmus.identification.machine import nominal, signal_names
 from fmus.identification.recordings.reading import window
 from fmus.identification.refinement.refine import refine
 from orchestrator.base.errors import Problem
@@ -21,7 +21,7 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 
 def still(*outputs: str, use: str = "train", **more: float) -> Recording:
     """A second in which nothing moves, seen by sensors of some outputs."""
-    names, noise = signals(), np.random.default_rng(0)
+    names, noise = signal_names(), np.random.default_rng(0)
     read = {names[n]: np.zeros(200) for n in COMMANDS}
     read |= {names[n]: 1e6 + 1e4 * noise.standard_normal(200) for n in outputs}
     read |= {names[n]: np.full(200, value) for n, value in more.items()}
@@ -58,7 +58,7 @@ def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
 @pytest.mark.parametrize(
     ("recordings", "told"),
     [
-        ([still()], "train.csv: nothing to compare is measured, expected one of swing.swing_pressure_a, "),
+        ([still()], "train.csv: measured signals: expected one of swing.swing_pressure_a, "),
         ([still("swing_pressure_a", use="test")], "expected a recording of the machine to train with"),
     ],
 )
@@ -71,6 +71,6 @@ def test_what_says_nothing_is_told(recordings: list[Recording], told: str) -> No
 def test_a_command_has_to_be_recorded() -> None:
     """A drive without its command would be taken to stand still; the line says which one."""
     read = still("swing_pressure_a")
-    less = {n: s for n, s in read.signals.items() if n != signals()["boom_command"]}
+    less = {n: s for n, s in read.signals.items() if n != signal_names()["boom_command"]}
     with pytest.raises(Problem, match=r"boom_stick\.boom_command is missing"):
         machine.problem([replace(read, signals=less)], nominal())

@@ -83,7 +83,7 @@ def page(**more: object) -> IdentificationPage:
         "title": "Identification",
         "source": "recordings",
         "kinds": ("simulation",),
-        "findings": (finding(),),
+        "results": (finding(),),
         "parameters": (IdentifiedParameter(AREA, "hose_resistance", 4e-5, "assumed", "Area of <all> edges"),),
         "qualities": (quality("a.csv", (channel("flow", "m3/s", "1 sample clipped."),)),),
         "refinement": joint,

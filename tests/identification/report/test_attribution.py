@@ -11,12 +11,12 @@ from properties import examples
 from fmus.identification.report.attribution import (
     EFFECTS,
     LEAST,
-    changes,
+    effect_changes,
     explain,
-    explained,
-    shapley,
-    slopes,
-    without,
+    explained_squares,
+    orthogonal_part,
+    sensitivities,
+    shapley_values,
 )
 from fmus.identification.report.prediction import COMMANDS, Excitation
 from fmus.machine.work_cycle import Move
@@ -47,7 +47,7 @@ def effects(drive):
         effect: {
             name: y for name, y in change.items() if name.rsplit("_", 1)[-1] in shown or name.endswith(shown)
         }
-        for effect, change in changes(drive, {}).items()
+        for effect, change in effect_changes(drive, {}).items()
     }
 
 
@@ -114,7 +114,7 @@ def test_a_small_residual_needs_no_effect(effects):
 def test_what_parameters_can_take_is_no_effect(drive, effects):
     """A wrong damping is a wrong damping: its residual goes to the parameters."""
     given_ = {DAMPING: 300.0}
-    slope = slopes(drive, given_, [DAMPING])
+    slope = sensitivities(drive, given_, [DAMPING])
     found = explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
     assert found.effect == ""
     # noise is a hundredth of the power, and the damping explains the rest
@@ -123,7 +123,7 @@ def test_what_parameters_can_take_is_no_effect(drive, effects):
 
 def test_an_effect_is_named_beside_the_parameters(drive, effects):
     """Dry friction looks like damping in part; what is left of it still shows."""
-    slope = slopes(drive, {DAMPING: 300.0}, [DAMPING])
+    slope = sensitivities(drive, {DAMPING: 300.0}, [DAMPING])
     residual = noisy(effects["dry friction"], 0.2)
     found = explain(residual, effects, step=STEP, absorbed=slope)
     assert found.effect == "dry friction"
@@ -151,10 +151,10 @@ def test_shares_add_up(case):
     count, seed, scale = case
     rng = np.random.default_rng(seed)
     d, r = rng.standard_normal((60, count)), rng.standard_normal(60)
-    part = explained(d, r)
+    part = explained_squares(d, r)
     # exact identity: rounding only
-    assert sum(shapley(part, count)) == pytest.approx(part[-1], abs=1e-9)
-    np.testing.assert_allclose(explained(scale * d, r), part, atol=1e-9 * float(r @ r))
+    assert sum(shapley_values(part, count)) == pytest.approx(part[-1], abs=1e-9)
+    np.testing.assert_allclose(explained_squares(scale * d, r), part, atol=1e-9 * float(r @ r))
 
 
 def test_two_equal_effects_share(effects):
@@ -172,7 +172,7 @@ def test_columns_without_others_are_orthogonal_to_them():
     rng = np.random.default_rng(3)
     slope = rng.standard_normal((50, 3))
     slope = np.column_stack([slope, slope[:, 0] - slope[:, 1], np.zeros(50)])
-    left = without(slope, rng.standard_normal(50))
+    left = orthogonal_part(rng.standard_normal(50), slope)
     # exact identity: rounding only
     np.testing.assert_allclose(slope.T @ left, 0, atol=1e-12)
 

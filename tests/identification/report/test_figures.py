@@ -16,8 +16,8 @@ from matplotlib.image import imread
 
 from fmus.identification.procedure_result import Curve, Panel
 from fmus.identification.report import report_texts
-from fmus.identification.report.finding_figures import draw_finding, draw_matrix
-from fmus.identification.report.recording_comparison import SIGNALS, Compared, figure, relative_error
+from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure
+from fmus.identification.report.recording_comparison import SIGNALS, RecordingComparison, figure, nrmse
 from orchestrator.base import plotting
 from orchestrator.base.text import typeset
 from orchestrator.base.units import pretty
@@ -28,7 +28,7 @@ TIME = np.arange(0.0, 5.0, 0.005)
 
 def drawn(*panels, **more):
     """The axes of a figure with these panels, residuals among them."""
-    return draw_finding(finding(panels=panels, **more), ["simulation"])
+    return draw_procedure(finding(panels=panels, **more), ["simulation"])
 
 
 def test_a_residual_lies_below_its_panel_over_the_same_axis():
@@ -112,9 +112,9 @@ def test_a_large_cloud_keeps_the_page_small():
 
 def test_figures_are_reproducible_and_crisp():
     """The same finding gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
-    one, other = (plotting.svg(draw_finding(finding())) for _ in range(2))
+    one, other = (plotting.svg(draw_procedure(finding())) for _ in range(2))
     assert one == other
-    assert imread(io.BytesIO(plotting.png(draw_finding(finding())))).shape[1] > 1000
+    assert imread(io.BytesIO(plotting.png(draw_procedure(finding())))).shape[1] > 1000
 
 
 def test_nothing_is_cut_off():
@@ -180,7 +180,7 @@ def seen(measured, predicted):
     units |= {"swing.swing_flow_a": "m3/s", "manipulator.swing_speed": "rad/s"}
     about = {"title": "A", "procedure": "machine", "use": "test", "kind": "simulation"}
     recording = Recording(Path("a.csv"), TIME, measured, units, **about)
-    return Compared(recording, measured, predicted, units)
+    return RecordingComparison(recording, measured, predicted, units)
 
 
 def test_traces_have_their_residual_below():
@@ -212,9 +212,9 @@ def test_the_error_is_over_the_range():
     """NRMSE is the root mean square residual over the range of what was measured, gaps left out."""
     measured = np.array([0.0, 1.0, 2.0, np.nan, 4.0])
     # exact identity: every residual is 0.4, the range is 4
-    assert relative_error(measured, measured + 0.4) == pytest.approx(0.1)
-    assert relative_error(np.ones(5), np.zeros(5)) is None
-    assert relative_error(np.full(5, np.nan), np.zeros(5)) is None
+    assert nrmse(measured, measured + 0.4) == pytest.approx(0.1)
+    assert nrmse(np.ones(5), np.zeros(5)) is None
+    assert nrmse(np.full(5, np.nan), np.zeros(5)) is None
 
 
 def test_rows_show_what_was_measured():
@@ -232,7 +232,7 @@ def test_rows_show_what_was_measured():
 def test_correlations_stand_below_the_diagonal():
     """Each pair is told once, with its number if it is large."""
     names = ["a", "b", "c"]
-    figure = draw_matrix(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]))
+    figure = draw_correlation(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]))
     axes = figure.axes[0]
     assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]

@@ -14,15 +14,15 @@ from lxml import html
 
 from fmus.identification.estimate import Estimate
 from fmus.identification.report import report_texts
-from fmus.identification.report.finding_figures import draw_finding
 from fmus.identification.report.identification_page import render, write_page
-from fmus.identification.report.recording_comparison import Picture
+from fmus.identification.report.procedure_figures import draw_procedure
+from fmus.identification.report.recording_comparison import CaptionedFigure
 
 
 @pytest.fixture(scope="module")
 def text():
     """A page with everything on it."""
-    return render(page(pictures=(Picture("Swing", draw_finding(finding()), "A caption."),)))
+    return render(page(figures=(CaptionedFigure("Swing", draw_procedure(finding()), "A caption."),)))
 
 
 def test_the_page_needs_no_network(text):
@@ -106,7 +106,7 @@ def test_one_parameter_has_no_correlation():
 
 def test_numbers_are_written_in_si(tmp_path):
     """The JSON holds what the page shows, in SI units, and nothing that JSON does not know."""
-    shown = page(explanation=None, findings=(finding(estimates=(), others=(AREA,)),))
+    shown = page(explanation=None, results=(finding(estimates=(), others=(AREA,)),))
     written, data = write_page(tmp_path / "new", shown)
     assert (written.name, data.name) == ("identification.html", "identification.json")
     found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
@@ -121,7 +121,7 @@ def test_numbers_are_written_in_si(tmp_path):
 def test_what_is_not_finite_is_null(tmp_path):
     """An open interval is null, not Infinity, which is no JSON."""
     endless = Estimate("a", 1.0, "1", np.inf, -np.inf, np.inf, "")
-    _, data = write_page(tmp_path, page(findings=(finding(estimates=(endless,)),)))
+    _, data = write_page(tmp_path, page(results=(finding(estimates=(endless,)),)))
     found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert found["findings"][0]["estimates"][0]["high"] is None
 
@@ -160,9 +160,9 @@ def test_units_of_parameters_are_shown_as_readers_know_them():
     assert report_texts.value(AREA) == "40.10"
     assert report_texts.unit("m2") == "mm²"
     assert report_texts.unit("1") == ""
-    assert report_texts.spread(AREA) == "± 0.50 %"
+    assert report_texts.half_width(AREA) == "± 0.50 %"
     wide = Estimate("a", 10.0, "1", 10.0, 2.0, 32.0, "")
-    assert report_texts.spread(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
+    assert report_texts.half_width(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
     assert report_texts.change(1.1, 1.0) == "+10 %"
     assert report_texts.change(1.1, None) == report_texts.DASH
-    assert report_texts.chance(1e-9) == "< 0.001"
+    assert report_texts.probability(1e-9) == "< 0.001"

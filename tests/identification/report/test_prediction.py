@@ -12,8 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from fmus.identification.report.attribution import shown, slopes
-from fmus.identification.report.prediction import COMMANDS, STRAIGHT, Excitation, drive, predict, straight
+from fmus.identification.report.attribution import candidate_effects, sensitivities
+from fmus.identification.report.prediction import (
+    COMMAND_TOLERANCE,
+    COMMANDS,
+    Excitation,
+    excitation,
+    predict,
+    simplify,
+)
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.work_cycle import Move
 from orchestrator.base.errors import Problem
@@ -62,7 +69,7 @@ def test_a_number_of_one_part_counts_more_than_that_of_all():
 
 def test_an_unknown_number_is_refused():
     """A misspelt parameter is not lost."""
-    with pytest.raises(Problem, match="valve_aera is given, expected a parameter of the machine"):
+    with pytest.raises(Problem, match="expected parameters of the machine, got valve_aera"):
         predict(a_drive(), {"valve_aera": 1e-5})
 
 
@@ -81,7 +88,7 @@ def test_a_recording_drives_the_machine():
     supply = {"swing.supply_pressure": 2e7 + 1e4 * rng.standard_normal(time.size)}
     signals = {**angles, **commands, **supply}
     recording = Recording(Path("x.csv"), time, signals, {}, procedure="machine", use="test")
-    found = drive(recording)
+    found = excitation(recording)
     # measurement noise: mean of 100 samples, five standard deviations
     assert found.pose == pytest.approx(POSE, abs=5e-5)
     # the lines through the smoothed pressure may be 0.5 bar off
@@ -100,13 +107,13 @@ def test_gaps_of_a_command_are_bridged_or_refused():
     signals = {**angles, **dict.fromkeys(COMMANDS.values(), lost["short"])}
     recording = Recording(Path("x.csv"), time, signals, {}, procedure="machine", use="test")
     # straight lines through the samples may be off by this
-    np.testing.assert_allclose(drive(recording).commands["boom_command"], ramp, atol=STRAIGHT)
+    np.testing.assert_allclose(excitation(recording).commands["boom_command"], ramp, atol=COMMAND_TOLERANCE)
     long = replace(recording, signals={**signals, COMMANDS["boom_command"]: lost["long"]})
     with pytest.raises(Problem, match=r"boom_command: expected gaps of .* got one from 1 s to 1\.495 s"):
-        drive(long)
+        excitation(long)
     unseen = np.where(time < 1.0, np.nan, 0.0)
-    with pytest.raises(Problem, match="swing_angle has no sample in its first"):
-        drive(replace(recording, signals={**signals, "manipulator.swing_angle": unseen}))
+    with pytest.raises(Problem, match="swing_angle: expected a sample in the first"):
+        excitation(replace(recording, signals={**signals, "manipulator.swing_angle": unseen}))
 
 
 def test_a_measured_supply_pressure_drives_the_machine():
@@ -114,19 +121,19 @@ def test_a_measured_supply_pressure_drives_the_machine():
     weak = replace(a_drive(), supply_pressure=np.full(a_drive().time.size, 8e6))
     name = "manipulator.boom_angle"
     assert np.ptp(predict(weak, {})[name]) < 0.8 * np.ptp(predict(a_drive(), {})[name])
-    assert set(shown(a_drive())) - set(shown(weak)) == {"pump and engine"}
+    assert set(candidate_effects(a_drive())) - set(candidate_effects(weak)) == {"pump and engine"}
 
 
 def test_slopes_move_all_numbers_of_a_name():
     """A name without a part moves the numbers of all parts; one that nobody has is refused."""
     given_ = {"swing.valve_area": 4e-5, "boom_stick.valve_area": 4e-5}
-    both, own = (slopes(a_drive(0.8), given_, [n])[n] for n in ("valve_area", "boom_stick.valve_area"))
+    both, own = (sensitivities(a_drive(0.8), given_, [n])[n] for n in ("valve_area", "boom_stick.valve_area"))
     signal = "manipulator.boom_angle"
     assert np.ptp(both[signal]) > 0
     # same numerics: the swing stands still
     np.testing.assert_allclose(both[signal], own[signal], atol=1e-3 * np.ptp(both[signal]))
     with pytest.raises(Problem, match="valve_aera"):
-        slopes(a_drive(0.8), given_, ["valve_aera"])
+        sensitivities(a_drive(0.8), given_, ["valve_aera"])
 
 
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=40), st.floats(0, 1))
@@ -135,7 +142,7 @@ def test_straight_lines_stay_within_the_tolerance(values, tolerance):
     """No sample moves by more than the tolerance, ends not at all."""
     samples = np.array(values)[:, None]
     time = np.arange(len(values)) * 0.005
-    found = straight(time, samples, tolerance)
+    found = simplify(time, samples, tolerance)
     # exact identity: rounding only
     assert np.abs(found - samples).max() <= tolerance + 1e-12
     np.testing.assert_array_equal(found[[0, -1]], samples[[0, -1]])
@@ -145,7 +152,7 @@ def test_rounding_makes_no_corners():
     """A ramp written with six digits becomes one straight line again."""
     time = np.arange(0.0, 4.0, 0.005)
     move = Move("boom", 0.5, 3.3, 0.7, 1.1, 0.6).sample(time)
-    found = straight(time, np.round(move, 5)[:, None])[:, 0]
+    found = simplify(time, np.round(move, 5)[:, None])[:, 0]
     bends = np.abs(np.diff(found, 2)) > 1e-9
     assert bends.sum() <= 8  # four corners, each between two samples at most
-    assert np.abs(found - move).max() < STRAIGHT
+    assert np.abs(found - move).max() < COMMAND_TOLERANCE
