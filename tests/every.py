@@ -12,7 +12,7 @@ from driver import Driver, driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
-from fmus.export.ls_ref import STEP, data_file
+from fmus.export.ls_ref import COMMUNICATION_STEP, data_file
 from fmus.export.python.build import build_python
 from fmus.machine.parts import FAMILIES
 from fmus.operator_input.model import OPERATOR
@@ -54,9 +54,9 @@ def row(sub: Subsystem, k: int) -> dict[str, float]:
 def at_work(path, sub: Subsystem, until: float, kind: str = "cs") -> Iterator[Driver]:
     """The FMU after `until` seconds of work."""
     with driving(path, kind, **row(sub, 0)) as fmu:
-        for k in range(round(until / STEP)):
+        for k in range(round(until / COMMUNICATION_STEP)):
             fmu.set(**row(sub, k))
-            fmu.step(STEP)
+            fmu.step(COMMUNICATION_STEP)
         yield fmu
 
 

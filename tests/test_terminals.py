@@ -76,5 +76,5 @@ def test_member_that_is_no_port_is_refused():
     from fmus.components.ports import lever
 
     sub = replace(ALL["swing"], terminals=(lever("grapple"),))
-    with pytest.raises(Problem, match="grapple_lever has the variable grapple_command, expected an input"):
+    with pytest.raises(Problem, match="grapple_lever: grapple_command is not an input or output"):
         terminals(sub, interface_of(sub, values(sub)))

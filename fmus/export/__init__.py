@@ -1,1 +1,1 @@
-"""Any `Subsystem` as an .fmu file: `build` for FMI 2.0 and 3.0 in C, `python` for FMI 2.0 in Python."""
+"""Export of a `Subsystem` as an FMU: FMI 2.0 and 3.0 in C (`build`), FMI 2.0 in Python (`python.build`)."""

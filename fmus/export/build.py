@@ -1,4 +1,7 @@
-"""Builds .fmu files: generate, compile, pack. The same subsystem gives the same bytes."""
+"""Builds FMUs with C code: generates the files, compiles them, writes the archives.
+
+Equal subsystems with equal values give equal bytes.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,18 @@ def build(
     out_dir: Path,
     step: float = 1e-3,
     stop: float = 10.0,
-    numbers: Values | None = None,
+    values: Values | None = None,
     fmi: int = 2,
     platforms: Sequence[str] | None = None,
 ) -> Path:
     """Write `<sub.name>.fmu` to `out_dir` and return its path.
 
     step, stop   default experiment [s]
-    numbers      parameters and start values; by default those of the subsystem's parameters.toml
+    values       parameter and start values; default: those of the subsystem's parameters.toml
     fmi          2 or 3
-    platforms    names of `compile.PLATFORMS`; by default the one this runs on
+    platforms    names of `compile.PLATFORMS`; default: the platform that this program runs on
     """
-    return _write([(Path(out_dir), package(sub, fmi, step, stop, numbers))], platforms)[0]
+    return _write([(Path(out_dir), package(sub, fmi, step, stop, values))], platforms)[0]
 
 
 def build_all(
@@ -39,35 +42,35 @@ def build_all(
     step: float = 1e-3,
     stop: float = 10.0,
     platforms: Sequence[str] | None = None,
-    under: Mapping[str, str] | None = None,
+    subfolders: Mapping[str, str] | None = None,
 ) -> dict[int, list[Path]]:
-    """Build several FMUs, those of FMI version 2 into folders[2] and of 3 into folders[3]; their paths.
+    """Build several FMUs of one or both FMI versions; returns version -> paths, in the order of `subs`.
 
-    All compilers run side by side, and nothing is written before the last one is done.
+    All FMUs are compiled in parallel; no file is written before all are compiled.
 
-    under   name of a subsystem -> folder in that folder
+    folders      FMI version -> output folder
+    subfolders   name of a subsystem -> folder inside the output folder
     """
-    below = under or {}
-    orders = [
-        (Path(out) / below.get(sub.name, ""), package(sub, fmi, step, stop))
-        for fmi, out in folders.items()
+    targets = [
+        (Path(folder) / (subfolders or {}).get(sub.name, ""), package(sub, fmi, step, stop))
+        for fmi, folder in folders.items()
         for sub in subs
     ]
-    paths = iter(_write(orders, platforms))
+    paths = iter(_write(targets, platforms))
     return {fmi: [next(paths) for _ in subs] for fmi in folders}
 
 
-def _write(orders: Sequence[tuple[Path, Package]], platforms: Sequence[str] | None) -> list[Path]:
-    """Compile for all platforms, then write each FMU to its folder; a build that fails writes none."""
+def _write(targets: Sequence[tuple[Path, Package]], platforms: Sequence[str] | None) -> list[Path]:
+    """Compile packages for all platforms, then write each to its folder; no file is written if one fails."""
     names = tuple(platforms or (host(),))
-    jobs = [(p, name) for _, p in orders for name in names]
+    jobs = [(p, name) for _, p in targets for name in names]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         libraries = iter(list(pool.map(lambda job: _library(*job), jobs)))
     paths = []
-    for folder, p in orders:
-        built = {name: next(libraries) for name in names}
+    for folder, p in targets:
+        by_platform = {name: next(libraries) for name in names}
         paths.append(folder / f"{p.name}.fmu")
-        write_zip(paths[-1], {**p.files, **binaries(p.name, p.fmi, built)})
+        write_zip(paths[-1], {**p.files, **binaries(p.name, p.fmi, by_platform)})
     return paths
 
 

@@ -1,8 +1,8 @@
-"""The generated C of one model: sizes.h, model.c, adjoint.c for FMI 3, and one file that includes all.
+"""Generated C code of a model: sizes.h, model.c, adjoint.c (FMI 3), and one file that includes all C files.
 
-The equations become the C functions of native/model.h: values, and derivatives both ways. CasADi's own
-generator tests every argument for null and hides the names of the variables; here the operations of a CasADi
-function are written one per line, inputs by name, results as they are used.
+The equations become the C functions of native/model.h: values, directional and adjoint derivatives. The
+generator of CasADi would test every argument for null and omit the names of the variables. This one writes
+one operation of a CasADi function per line, with the names of the inputs as comments.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from itertools import accumulate
 
 import casadi as ca
 
-from fmus.contract import Symbolic
+from fmus.contract import Symbolic, column
 from fmus.export.elimination import eliminate
 from fmus.export.interface import Interface, Variable
 from orchestrator.base.errors import Problem
@@ -43,6 +43,10 @@ _BINARY = {
     ca.OP_HYPOT: "hypot({}, {})",
     ca.OP_IF_ELSE_ZERO: "{} != 0.0 ? {} : 0.0",
 }
+_FUNCTIONS = (
+    *("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),
+    *("asinh", "acosh", "atanh", "floor", "ceil", "fabs", "erf", "log1p", "expm1"),
+)
 _UNARY = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_NEG: "-{0}",
@@ -51,87 +55,81 @@ _UNARY = {
     ca.OP_INV: "1.0 / {0}",
     ca.OP_NOT: "{0} == 0.0",
     ca.OP_SIGN: "({0} > 0.0) - ({0} < 0.0)",
-} | {
-    getattr(ca, f"OP_{name.upper()}"): f"{name}({{0}})"
-    for name in (
-        *("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),
-        *("asinh", "acosh", "atanh", "floor", "ceil", "fabs", "erf", "log1p", "expm1"),
-    )
+    **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{0}})" for name in _FUNCTIONS},
 }
 
 
 @dataclass(frozen=True)
 class Routine:
-    """A C function: named input vectors to named output vectors.
+    """A C function from named input vectors to named output vectors.
 
-    wide   inputs and outputs whose entries are not numbers but of the C type `Columns`, as are all between
+    vectorised   inputs and outputs of type `Columns` instead of double; then intermediate values are too
     """
 
     name: str
     inputs: Mapping[str, ca.SX]
     outputs: Mapping[str, ca.SX]
-    wide: frozenset[str] = frozenset()
+    vectorised: frozenset[str] = frozenset()
 
 
-def routine(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
-    """The C text of a routine; `names` gives what the entries of an input vector are called."""
+def c_function(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
+    """The C code of a routine; names: input vector -> names of its entries, for comments."""
     function = ca.Function("f", list(r.inputs.values()), list(r.outputs.values()), {"cse": True})
-    kinds = {name: "Columns" if name in r.wide else "double" for name in (*r.inputs, *r.outputs)}
-    arguments = [f"const {kinds[name]} *{name}" for name in r.inputs]
-    arguments += [f"{kinds[name]} *{name}" for name in r.outputs]
-    used = {function.instruction_input(k)[0] for k in _of(function, ca.OP_INPUT)}
+    types = {name: "Columns" if name in r.vectorised else "double" for name in (*r.inputs, *r.outputs)}
+    arguments = [f"const {types[name]} *{name}" for name in r.inputs]
+    arguments += [f"{types[name]} *{name}" for name in r.outputs]
+    used = {
+        function.instruction_input(k)[0]
+        for k in range(function.n_instructions())
+        if function.instruction_id(k) == ca.OP_INPUT
+    }
     unused = [f"(void){name};" for i, name in enumerate(r.inputs) if i not in used]
     unused += [f"(void){name};" for name, value in r.outputs.items() if value.numel() == 0]
     body = [*unused, *_statements(function, list(r.inputs), list(r.outputs), names)]
-    if r.wide:
+    if r.vectorised:
         body = [line.replace("const double v", "const Columns v", 1) for line in body]
     text = "".join(f"    {line}\n" for line in body)
     return f"LOCAL void {r.name}({', '.join(arguments)}) {{\n{text}}}\n"
 
 
-def _of(function: ca.Function, operation: int) -> list[int]:
-    return [k for k in range(function.n_instructions()) if function.instruction_id(k) == operation]
-
-
 def _statements(
     function: ca.Function, inputs: list[str], outputs: list[str], names: Mapping[str, Sequence[str]]
 ) -> Iterator[str]:
-    place: dict[int, str] = {}  # work index of CasADi -> the C expression it holds now
+    work: dict[int, str] = {}  # index in the work vector of CasADi -> C expression of its current value
     written: set[tuple[int, int]] = set()
     for k in range(function.n_instructions()):
-        operation, o, i = (
-            function.instruction_id(k),
-            function.instruction_output(k),
-            function.instruction_input(k),
-        )
+        operation = function.instruction_id(k)
+        o, i = function.instruction_output(k), function.instruction_input(k)
         if operation == ca.OP_OUTPUT:
             written.add((o[0], o[1]))
-            yield f"{outputs[o[0]]}[{o[1]}] = {place[i[0]]};"
+            yield f"{outputs[o[0]]}[{o[1]}] = {work[i[0]]};"
         elif operation == ca.OP_CONST:
-            place[o[0]] = number(function.instruction_constant(k))
+            work[o[0]] = number(function.instruction_constant(k))
         else:
-            named = operation == ca.OP_INPUT and inputs[i[0]] in names
-            meaning = f" /* {names[inputs[i[0]]][i[1]]} */" if named else ""
-            yield f"const double v{k} = {_expression(operation, i, inputs, place)};{meaning}"
-            place[o[0]] = f"v{k}"
+            has_name = operation == ca.OP_INPUT and inputs[i[0]] in names
+            comment = f" /* {names[inputs[i[0]]][i[1]]} */" if has_name else ""
+            yield f"const double v{k} = {_expression(operation, i, inputs, work)};{comment}"
+            work[o[0]] = f"v{k}"
     for n, name in enumerate(outputs):
         for j in range(function.numel_out(n)):
             if (n, j) not in written:
                 yield f"{name}[{j}] = 0.0;"
 
 
-def _expression(operation: int, i: Sequence[int], inputs: list[str], place: Mapping[int, str]) -> str:
+def _expression(operation: int, i: Sequence[int], inputs: list[str], work: Mapping[int, str]) -> str:
     if operation == ca.OP_INPUT:
         return f"{inputs[i[0]]}[{i[1]}]"
     if operation in _UNARY:
-        return str(_UNARY[operation].format(place[i[0]]))
+        return str(_UNARY[operation].format(work[i[0]]))
     if operation in _BINARY:
-        return str(_BINARY[operation].format(place[i[0]], place[i[1]]))
-    raise Problem(f"operation {operation} of CasADi has no C here, expected elementary functions")
+        return str(_BINARY[operation].format(work[i[0]], work[i[1]]))
+    raise Problem(
+        f"operation {operation} of CasADi is not supported in C code, expected elementary functions"
+    )
 
 
 def number(value: float) -> str:
-    """A C literal that reads back as the same double; negative ones in parentheses."""
+    """A C literal of exactly this double; negative ones are in parentheses."""
     if value != value or value in (float("inf"), float("-inf")):
         return {"nan": "NAN", "inf": "INFINITY", "-inf": "(-INFINITY)"}[str(float(value))]
     text = repr(float(value))
@@ -140,14 +138,14 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Equations:
-    """C functions, those for adjoint derivatives apart, and the lengths of the vectors between them."""
+    """The C functions of a model, those for adjoint derivatives separately, and lengths of their vectors."""
 
     routines: Sequence[Routine]
     adjoint: Sequence[Routine]
     lengths: Mapping[str, int]
 
 
-# name of a C function -> vectors it writes, and what it reads besides states, inputs and parameters
+# name of a C function -> its outputs, and its inputs except states, inputs and parameters of the model
 _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "model_start": (["x0"], []),
     "model_dynamics": (["dx"], []),
@@ -163,49 +161,49 @@ _ADJOINT: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
 }
 
 
-def write_out(interface: Interface) -> Equations:
-    """All functions of native/model.h for a model."""
+def model_equations(interface: Interface) -> Equations:
+    """The C functions of native/model.h for a model."""
     sym = interface.equations
     system = eliminate(ca.jacobian(sym.dx, sym.x))
-    # directions v of states, inputs and parameters, slopes of inputs, weights w of results
-    sizes = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u, "wx0": sym.x, "wdx": sym.x}
-    given = {name: ca.SX.sym(name, v.numel()) for name, v in (sizes | {"wy": interface.y}).items()}
+    # directions v of states, inputs, parameters; time derivatives du of inputs; weights w of results
+    like = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u, "wx0": sym.x, "wdx": sym.x}
+    arguments = {name: ca.SX.sym(name, v.numel()) for name, v in (like | {"wy": interface.y}).items()}
     values = {
         "x0": sym.start,
         "dx": sym.dx,
         "jac": system.entries,
-        "ft": ca.jtimes(sym.dx, sym.u, given["du"]),
+        "ft": ca.jtimes(sym.dx, sym.u, arguments["du"]),
         "y": interface.y,
         "require": sym.require,
         "delay": sym.next_event,
-        **_directional(sym, interface.y, given),
-        **_adjoint(sym, interface.y, given),
+        **_directional(sym, interface.y, arguments),
+        **_adjoint(sym, interface.y, arguments),
     }
     values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
     model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
-    written, adjoint = (
+    main, adjoint = (
         [
-            Routine(name, model | {i: given[i] for i in inputs}, {o: values[o] for o in outputs})
+            Routine(name, model | {i: arguments[i] for i in inputs}, {o: values[o] for o in outputs})
             for name, (outputs, inputs) in table.items()
         ]
         for table in (_ROUTINES, _ADJOINT)
     )
     matrix = {"diagonal": system.diagonal, "jac": system.jac}
-    first = [
+    others = [
         Routine("model_prepare", {"p": sym.p}, {"c": prepared}),
         Routine("model_factorise", matrix, {"lu": system.factors, "accurate": system.accurate}),
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
     ]
     lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
-    return Equations([*first, *written], adjoint, lengths)
+    return Equations([*others, *main], adjoint, lengths)
 
 
 def _directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-    """Directional derivatives while the model runs, and at the start through the start equations."""
+    """Directional derivatives; those at the start (vx0, vdx0, vy0) go through the initial states."""
 
     def along(value: ca.SX, *direction: ca.SX) -> ca.SX:
-        known = (sym.x, sym.u, sym.p)[: len(direction)]
-        return ca.jtimes(value, ca.vertcat(*known), ca.vertcat(*direction))
+        variables = (sym.x, sym.u, sym.p)[: len(direction)]
+        return ca.jtimes(value, ca.vertcat(*variables), ca.vertcat(*direction))
 
     vx0 = along(sym.start, d["vx"], d["vu"], d["vp"])
     return {
@@ -218,102 +216,98 @@ def _directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, c
 
 
 def _adjoint(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
-    """Adjoint derivatives, likewise."""
+    """Adjoint derivatives; those at the start (..._start) go through the initial states."""
 
-    def against(value: ca.SX, weights: ca.SX, *known: ca.SX) -> list[ca.SX]:
-        return _split(ca.jtimes(value, ca.vertcat(*known), weights, True), known)
+    def adjoint(value: ca.SX, weights: ca.SX, *variables: ca.SX) -> list[ca.SX]:
+        return _split(ca.jtimes(value, ca.vertcat(*variables), weights, True), variables)
 
     results, weights = ca.vertcat(sym.dx, y), ca.vertcat(d["wdx"], d["wy"])
-    wx, wu = against(results, weights, sym.x, sym.u)
-    on_x, on_u, on_p = against(results, weights, sym.x, sym.u, sym.p)
-    start_x, start_u, start_p = against(sym.start, d["wx0"] + on_x, sym.x, sym.u, sym.p)
+    wx, wu = adjoint(results, weights, sym.x, sym.u)
+    direct_x, direct_u, direct_p = adjoint(results, weights, sym.x, sym.u, sym.p)
+    start_x, start_u, start_p = adjoint(sym.start, d["wx0"] + direct_x, sym.x, sym.u, sym.p)
     return {
         "wx": wx,
         "wu": wu,
         "wx_start": start_x,
-        "wu_start": on_u + start_u,
-        "wp_start": on_p + start_p,
+        "wu_start": direct_u + start_u,
+        "wp_start": direct_p + start_p,
     }
 
 
-def _split(column: ca.SX, like: Iterable[ca.SX]) -> list[ca.SX]:
-    """Parts of a column, as long as these."""
-    return list(ca.vertsplit(ca.densify(column), [0, *accumulate(part.numel() for part in like)]))
+def _split(values: ca.SX, like: Iterable[ca.SX]) -> list[ca.SX]:
+    """The column split into parts with the lengths of `like`."""
+    return list(ca.vertsplit(ca.densify(values), [0, *accumulate(part.numel() for part in like)]))
 
 
-def hoist(wanted: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
-    """Replaces what depends on the parameters alone by symbols c; also returns c and what it stands for.
+def hoist(expressions: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
+    """Replaces subexpressions that depend on the parameters alone by symbols c.
 
-    wanted   dense columns
+    Returns the new expressions, c, and the subexpressions.
+
+    expressions   dense columns
     """
-    everything = ca.cse(ca.vertcat(*wanted.values()))
-    reduced, symbols, meanings = ca.extract_parametric(everything, p)
-    c = ca.vertcat(*symbols) if symbols else ca.SX(0, 1)
-    prepared = ca.vertcat(*meanings) if meanings else ca.SX(0, 1)
-    return dict(zip(wanted, _split(reduced, wanted.values()), strict=True)), c, prepared
+    all_rows = ca.cse(ca.vertcat(*expressions.values()))
+    reduced, symbols, subexpressions = ca.extract_parametric(all_rows, p)
+    c, prepared = column(*symbols), column(*subexpressions)
+    return dict(zip(expressions, _split(reduced, expressions.values()), strict=True)), c, prepared
 
 
 # ---- files -----------------------------------------------------------------------------------------
 
-DEFAULT_TOLERANCE = 1e-6
+DEFAULT_TOLERANCE = 1e-6  # relative, of the solver
 
 
-_ORDER = (  # the others follow
-    *("model", "adjoint", "motion", "rosenbrock", "kutta", "solver"),
-    *("core", "snapshot", "instance"),
-)
+# order in which the C files are included; all others follow in alphabetical order
+_ORDER = ["model", "adjoint", "motion", "rosenbrock", "kutta", "solver", "core", "snapshot", "instance"]
 
 
 def native_sources(fmi: int) -> dict[str, str]:
-    """The hand-written C files by name: what both FMI versions share, and what is of this one."""
+    """The hand-written C files by name: those that both FMI versions share, and those of this version."""
     folder = files("fmus.export") / "native"
-    other = f"fmi{5 - fmi}"
+    other_version = f"fmi{5 - fmi}"
     return {
         f.name: f.read_text(encoding="utf-8")
         for f in folder.iterdir()
-        if f.name.endswith((".c", ".h")) and not f.name.startswith(other)
+        if f.name.endswith((".c", ".h")) and not f.name.startswith(other_version)
     }
 
 
 def sources(interface: Interface, guid: str, fmi: int) -> dict[str, str]:
-    """File name -> text of all C files of an FMU; only that of `main_source` is to be compiled."""
+    """All C files of an FMU, name -> content; only `main_source` is to be compiled."""
     code = native_sources(fmi) | generated(interface, guid, fmi)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
-    return code | {main_source(interface.name): _all(interface, names, fmi)}
+    head = [
+        f"/* {interface.name}: the one file to compile. Generated.",
+        f"   To link it statically with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={interface.name}_ */",
+        "",
+    ]
+    includes = [f'#include "{name}"' for name in names]
+    return code | {main_source(interface.name): "\n".join([*head, *includes, ""])}
 
 
 def main_source(model: str) -> str:
-    """The file to compile: named after the model, so that the objects of several FMUs differ by name."""
+    """The file to compile, named after the model, so that object files of several FMUs differ in name."""
     return f"{model}_fmu.c"
-
-
-def _all(interface: Interface, names: Sequence[str], fmi: int) -> str:
-    return "\n".join(
-        [
-            f"/* {interface.name}: the one file to compile. Generated.",
-            f"   To link it statically with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={interface.name}_ */",
-            "",
-            *(f'#include "{name}"' for name in names),
-            "",
-        ]
-    )
 
 
 def generated(interface: Interface, guid: str, fmi: int) -> dict[str, str]:
     """The generated files by name: sizes.h, model.c, and adjoint.c for FMI 3."""
-    equations = write_out(interface)
+    equations = model_equations(interface)
     names = {
         "x": [v.name for v in interface.states],
         "u": [v.name for v in interface.inputs],
         "p": [v.name for v in interface.parameters],
     }
-    model = "\n".join(routine(r, names) for r in equations.routines)
-    code = {"sizes.h": _sizes(interface, equations.lengths, guid), "model.c": f"{_table(interface)}\n{model}"}
+    model = "\n".join(c_function(r, names) for r in equations.routines)
+    code = {
+        "sizes.h": _sizes(interface, equations.lengths, guid),
+        "model.c": f"{_tables(interface)}\n{model}",
+    }
     if fmi == 3:
-        head = f"/* {interface.name}: derivatives in reverse. Generated. */"
-        includes = '#include <math.h>\n\n#include "model.h"\n'
-        code["adjoint.c"] = "\n".join([head, "", includes, *(routine(r, names) for r in equations.adjoint)])
+        head = f"/* {interface.name}: adjoint derivatives. Generated. */\n\n#include <math.h>\n"
+        head += '\n#include "model.h"\n'
+        code["adjoint.c"] = "\n".join([head, *(c_function(r, names) for r in equations.adjoint)])
     return code
 
 
@@ -327,11 +321,11 @@ def _sizes(interface: Interface, lengths: Mapping[str, int], guid: str) -> str:
         "NJ": (lengths["NJ"], "entries of df/dx that are not constant"),
         "NLU": (lengths["NLU"], "entries of the factors that are not constant"),
         "NREQUIRE": (len(interface.equations.statements), "requirements"),
-        "EXPLICIT_FIRST": (int(not interface.stiff), "1: the explicit method is tried first"),
-        "NWATCHED": (len(_watched(interface)), "inputs and outputs with a limit that is watched"),
+        "EXPLICIT_FIRST": (int(not interface.stiff), "1 if the explicit method is tried first"),
+        "NWATCHED": (len(_watched(interface)), "inputs and outputs with a warning limit"),
     }
     lines = [
-        f"/* {interface.name}: {_comment(interface.text)}. Generated. */",
+        f"/* {interface.name}: {_comment(interface.description)}. Generated. */",
         "",
         "#ifndef SIZES_H",
         "#define SIZES_H",
@@ -345,7 +339,10 @@ def _sizes(interface: Interface, lengths: Mapping[str, int], guid: str) -> str:
         "",
         "/* Value references. */",
         "enum {",
-        *(f"    VR_{v.name} = {v.reference}, /* {_meaning(v)} */" for v in interface.variables),
+        *(
+            f"    VR_{v.name} = {v.reference}, /* [{v.quantity.unit}] {_comment(v.quantity.text)} */"
+            for v in interface.variables
+        ),
         "};" if interface.variables else "    NO_VARIABLES\n};",
         "",
         "#endif",
@@ -355,22 +352,19 @@ def _sizes(interface: Interface, lengths: Mapping[str, int], guid: str) -> str:
 
 
 def _comment(text: str) -> str:
+    """The text without the start and end of a C comment."""
     return text.replace("*/", "* /").replace("/*", "/ *")
 
 
-def _meaning(v: Variable) -> str:
-    return f"[{v.quantity.unit}] {_comment(v.quantity.text)}"
-
-
-def _table(interface: Interface) -> str:
-    """The table of variables and the texts of the requirements."""
+def _tables(interface: Interface) -> str:
+    """The tables of model.c: variables, watched variables, descriptions of the requirements."""
     inputs = [v.name for v in interface.inputs]
     rows = [_row(v, inputs) for v in interface.variables] or ["    {0},"]
     watched = [f"    {v.reference}, /* {v.name} */" for v in _watched(interface)] or ["    0,"]
     statements = [f"    {string(text)}," for text in interface.equations.statements] or ["    0,"]
     return "\n".join(
         [
-            f"/* {interface.name}: {_comment(interface.text)}. Generated. */",
+            f"/* {interface.name}: {_comment(interface.description)}. Generated. */",
             "",
             "#include <math.h>",
             "",
@@ -394,13 +388,14 @@ def _table(interface: Interface) -> str:
 
 
 def _watched(interface: Interface) -> list[Variable]:
+    """The variables with a warning limit."""
     return [v for v in interface.variables if _limit(v) < math.inf]
 
 
 def _limit(v: Variable) -> float:
-    """Magnitude above which an input or output is warned of."""
-    above = v.quantity.warn_above
-    return math.inf if above is None or not (v.output or v.kind == "INPUT") else above
+    """Magnitude above which a warning is logged; infinite for variables that are not inputs or outputs."""
+    limit = v.quantity.warn_above
+    return math.inf if limit is None or not (v.output or v.kind == "INPUT") else limit
 
 
 def _row(v: Variable, inputs: Sequence[str]) -> str:
@@ -408,9 +403,9 @@ def _row(v: Variable, inputs: Sequence[str]) -> str:
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    sizes = (v.start or 0.0, low, high, q.nominal, q.absolute_scale, _limit(v))
-    numbers = ", ".join(number(n) for n in sizes)
-    return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {numbers}, {rate}}},"
+    values = (v.start or 0.0, low, high, q.nominal, q.absolute_scale, _limit(v))
+    literals = ", ".join(number(value) for value in values)
+    return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}}},"
 
 
 def string(text: str) -> str:

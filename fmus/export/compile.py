@@ -1,4 +1,4 @@
-"""Shared libraries of an FMU: the platforms, the place of each in the FMU, and the compiler's options."""
+"""Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from orchestrator.base.errors import Problem
 
 @dataclass(frozen=True)
 class Platform:
-    """One kind of machine.
+    """Processor and operating system.
 
-    name      FMI 3.0's platform tuple
-    folders   FMI 2.0's folders, with the tuple where 2.0 has no name of its own (FMI 2.0.5, section 2.3)
-    target    the compiler's name, with the oldest system library that will do
-    suffix    of a shared library
+    name      platform tuple of FMI 3.0
+    folders   folders of FMI 2.0; the platform tuple if FMI 2.0 defines none (FMI 2.0.5, section 2.3)
+    target    target of the compiler, with the oldest supported C library
+    suffix    suffix of shared libraries
     """
 
     name: str
@@ -36,7 +36,7 @@ _ALL = (
     Platform("aarch64-linux", ("aarch64-linux",), "aarch64-linux-gnu.2.17", ".so"),
     Platform("x86_64-windows", ("win64",), "x86_64-windows-gnu", ".dll"),
     Platform("x86_64-darwin", ("darwin64",), "x86_64-macos.11.0", ".dylib"),
-    # tools look for a Mac's library in darwin64, whatever its processor; the standard says aarch64-darwin
+    # the standard defines aarch64-darwin, but tools look in darwin64 for any processor
     Platform("aarch64-darwin", ("darwin64", "aarch64-darwin"), "aarch64-macos.11.0", ".dylib"),
 )
 PLATFORMS: Mapping[str, Platform] = {p.name: p for p in _ALL}
@@ -45,16 +45,16 @@ _PROCESSORS = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm
 
 
 def host() -> str:
-    """Name of the platform this runs on."""
+    """Name of the platform that this program runs on."""
     system, processor = platform.system(), platform.machine()
     name = f"{_PROCESSORS.get(processor.lower())}-{_SYSTEMS.get(system)}"
     if name not in PLATFORMS:
-        raise Problem(f"no platform for {system} {processor}, expected one of {', '.join(PLATFORMS)}")
+        raise Problem(f"{system} on {processor} is not supported, expected one of {', '.join(PLATFORMS)}")
     return name
 
 
 def select(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of platforms from words of a user: host, all, or names."""
+    """Names of platforms from options of a user: host, all, or names."""
     chosen: list[str] = []
     for name in names:
         if name not in ("host", "all", *PLATFORMS):
@@ -64,24 +64,24 @@ def select(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def binaries(model: str, fmi: int, libraries: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Shared libraries by platform -> files of the FMU by path."""
+    """Files of the FMU, path -> content, from shared libraries by platform."""
     slices: dict[str, list[bytes]] = {}
     for name, library in libraries.items():
         for folder in PLATFORMS[name].folders if fmi == 2 else (name,):
             slices.setdefault(f"binaries/{folder}/{model}{PLATFORMS[name].suffix}", []).append(library)
-    return {path: parts[0] if len(parts) == 1 else universal(parts) for path, parts in slices.items()}
+    return {path: libs[0] if len(libs) == 1 else universal(libs) for path, libs in slices.items()}
 
 
 def universal(slices: Sequence[bytes]) -> bytes:
-    """A macOS library for several processors: a big-endian table, then one library each, on pages."""
-    page = 14  # 16 KiB, of arm64
+    """A macOS library for several processors: a big-endian table, then the libraries, aligned to pages."""
+    page = 14  # log2 of the page size of arm64
     table = struct.pack(">II", 0xCAFEBABE, len(slices))
     body, start = b"", 1 << page
-    for part in slices:
-        processor = struct.unpack_from("<II", part, 4)  # type and subtype, from the library's own header
+    for library in slices:
+        processor = struct.unpack_from("<II", library, 4)  # type and subtype
         offset = start + len(body)
-        table += struct.pack(">IIIII", *processor, offset, len(part), page)
-        body += part + b"\0" * (-len(part) % (1 << page))
+        table += struct.pack(">IIIII", *processor, offset, len(library), page)
+        body += library + b"\0" * (-len(library) % (1 << page))
     return table.ljust(start, b"\0") + body
 
 
@@ -90,7 +90,7 @@ FLAGS = (
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
 )
-HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h, fmi3*.h: the standard keeps them out of FMUs
+HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h and fmi3*.h, which FMUs must not contain
 
 
 def shared_library(
@@ -100,26 +100,22 @@ def shared_library(
     platform: str,
     libraries: Sequence[str] = ("-lm",),
 ) -> bytes:
-    """The library of a model.
+    """The shared library of a model.
 
     code        the files under sources/ by name
-    compiled    those that the FMU tells an importer to compile
+    compiled    names of the files to compile
     platform    a name of `PLATFORMS`
-    libraries   of the system that it needs on Linux
+    libraries   linker options for system libraries, except on Windows and macOS
     """
     target = PLATFORMS[platform]
     library = f"{model}{target.suffix}"
     arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS), *compiled]
-    arguments += _link(library, target.suffix, libraries)
+    if target.suffix == ".dylib":
+        arguments += ["-install_name", f"@rpath/{library}"]  # else the path in the build folder is stored
+    elif target.suffix == ".so":
+        arguments += libraries
     headers = (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
     try:
         return compiler.shared_library(library, code, arguments, headers).read_bytes()
     except CompilerError as error:
         raise Problem(f"{model}, {platform}: {error}") from None
-
-
-def _link(library: str, suffix: str, libraries: Sequence[str]) -> list[str]:
-    """What the linker needs to know on each system."""
-    if suffix == ".dylib":
-        return ["-install_name", f"@rpath/{library}"]  # else its path in the folder of the build
-    return [] if suffix == ".dll" else [*libraries]

@@ -1,7 +1,7 @@
-"""documentation/index.html of an FMU: what it is, its ports and numbers, its equations, in one file.
+"""documentation/index.html of an FMU: description, equations, ports and parameter values on one page.
 
-The text is the subsystem's README with the sections of other documents that it links to; the tables show its
-variables.
+The text is the README of the subsystem, with the sections of other documents that it links to. The tables
+contain the variables.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)
 _HEADING = re.compile(r"^(#+) +(.*)$", re.MULTILINE)
 
 
-def shipped(name: str) -> Path | None:
-    """A file by its path in a checkout, such as data/x.csv; an installed package has a copy inside."""
+def project_file(name: str) -> Path | None:
+    """A file by its path in a checkout, such as data/x.csv; an installed package contains a copy."""
     package = Path(__file__).parents[1]
     return next((folder / name for folder in (package.parent, package) if (folder / name).is_file()), None)
 
 
-# ---- text ------------------------------------------------------------------------------------------
+# ---- README ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ class LinkedSection:
 
     @property
     def short(self) -> str:
-        """The title without its number and what follows a comma."""
+        """The title without its section number and without the part after a comma."""
         return re.sub(r"^[\d.]+ ", "", self.title).partition(",")[0]
 
 
 def prose(readme: Path, variant: str = "") -> tuple[Markup, list[LinkedSection]]:
     """A README without its title as HTML, and the sections of other documents that it links to.
 
-    Of the sections about variants, whose headings are plain lower-case names, only that of `variant` stays.
+    Sections about other variants are left out; the heading of such a section is the name of the variant.
     """
     if not readme.is_file():
         return Markup(), []
@@ -71,33 +71,33 @@ def prose(readme: Path, variant: str = "") -> tuple[Markup, list[LinkedSection]]
             title, body = section.split("\n", 1)
             linked[anchor] = LinkedSection(anchor, title.lstrip("# "), _html(_LINK.sub(r"\1", body)))
 
-    def inside(match: re.Match[str]) -> str:
-        """A link as it works in the one page: to a section in it, to the web, else only its words."""
-        words, target = match[1], match[2]
+    def page_link(match: re.Match[str]) -> str:
+        """The link to a section of the page or to the web; for other targets only its text."""
+        text, target = match[1], match[2]
         anchor = target.partition("#")[2]
         if anchor in linked:
-            return f"[{words}](#{anchor})"
-        return match[0] if target.startswith(("http://", "https://")) else words
+            return f"[{text}](#{anchor})"
+        return match[0] if target.startswith(("http://", "https://")) else text
 
-    return _html(_LINK.sub(inside, text)), list(linked.values())
+    return _html(_LINK.sub(page_link, text)), list(linked.values())
 
 
 def _section(readme: Path, file: str, anchor: str) -> str | None:
-    """The section of a Markdown file with this anchor, from its heading to the next of the same rank."""
+    """The section of a Markdown file with this anchor, up to the next heading of its level or above."""
     path = readme.parent / file
     if not path.is_file():  # installed without the folder of the documents
-        path = shipped(file.lstrip("./")) or path
+        path = project_file(file.lstrip("./")) or path
     text = path.read_text(encoding="utf-8") if path.is_file() else ""
     headings = list(_HEADING.finditer(text))
     for i, heading in enumerate(headings):
         if slug(heading[2]) == anchor:
-            after = (h.start() for h in headings[i + 1 :] if len(h[1]) <= len(heading[1]))
-            return text[heading.start() : next(after, len(text))]
+            ends = (h.start() for h in headings[i + 1 :] if len(h[1]) <= len(heading[1]))
+            return text[heading.start() : next(ends, len(text))]
     return None
 
 
 def slug(heading: str) -> str:
-    """The anchor that forges give a heading: "4. Swing, eq. (8)" is 4-swing-eq-8."""
+    """The anchor of a heading as on GitHub: "4. Swing, eq. (8)" becomes 4-swing-eq-8."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 
@@ -110,47 +110,55 @@ def _html(text: str) -> Markup:
 
 @dataclass(frozen=True)
 class DocumentedVariable:
-    """One variable, as text."""
+    """Texts of one variable for the tables.
+
+    direction   "in", "out" or empty
+    value       start value; "calculated" if the model calculates it
+    display_unit, display_value   if tools use another unit than the SI unit for display
+    number      source of the value, if known
+    """
 
     name: str
-    direction: str  # in, out or empty
-    text: str
+    direction: str
+    description: str
     unit: str
-    value: str  # start value, empty where the model calculates it
-    display: str  # the unit that tools show it in, if another one
-    shown: str  # the value in that unit
+    value: str
+    display_unit: str
+    display_value: str
     bounds: str
     remarks: Sequence[str]
-    number: Number | None  # where the value comes from
+    number: Number | None
 
 
 @dataclass(frozen=True)
 class VariableGroup:
-    """Rows under a heading."""
+    """Rows of a table with a heading; `terminal` is the name of a terminal."""
 
     title: str
     rows: Sequence[DocumentedVariable]
-    name: str = ""  # of the terminal
+    terminal: str = ""
 
 
 def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
     q, number = v.quantity, sources.get(v.name)
     if number is not None and number.value != v.start:
-        number = None  # built with another value than that of the file
+        number = None  # the FMU is built with another value
     value = "calculated" if v.kind == "CALCULATED_STATE" else ""
     if v.start is not None:
         value = printed(v.start) + (f" ± {printed(number.sd)}" if number and number.sd else "")
-    customary, shown = display_conversion(q.unit), ""
-    if customary and v.start is not None:
-        shown = f"{printed(float(f'{v.start * customary[1]:.4g}'))} {pretty(customary[0])}"
+    display_unit, display_value = "", ""
+    if customary := display_conversion(q.unit):
+        display_unit = pretty(customary[0])
+        if v.start is not None:
+            display_value = f"{printed(float(f'{v.start * customary[1]:.4g}'))} {display_unit}"
     return DocumentedVariable(
         name=v.name,
         direction="in" if v.kind == "INPUT" else "out" if v.output else "",
-        text=q.text,
+        description=q.text,
         unit=pretty(q.unit),
         value=value,
-        display=pretty(customary[0]) if customary else "",
-        shown=shown,
+        display_unit=display_unit,
+        display_value=display_value,
         bounds=_bounds(q.minimum, q.maximum),
         remarks=list(_remarks(v)),
         number=number,
@@ -158,11 +166,11 @@ def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
 
 
 def _remarks(v: Variable) -> Iterable[str]:
-    """What the words of the declaration do not say."""
+    """Remarks that follow the description of a variable."""
     if v.kind == "TUNABLE":
         yield "tunable"
     if v.quantity.rate:
-        yield f"moves with {v.quantity.rate} inside a step"
+        yield f"changes at the rate {v.quantity.rate} inside a step"
     if v.quantity.warn_above is not None:
         yield f"warning above {printed(v.quantity.warn_above)} {pretty(v.quantity.unit)}"
 
@@ -174,19 +182,19 @@ def _bounds(low: float | None, high: float | None) -> str:
 
 
 def printed(value: float) -> str:
-    """A number as in a data sheet: 1.6·10⁹ for 1600000000.0, with a true minus."""
+    """A number as in a data sheet: 1.6·10⁹ for 1600000000.0, with the minus sign of typesetting."""
     return typeset(f"{value:.6g}")
 
 
 def _ports(sub: Subsystem, rows: Mapping[str, DocumentedVariable]) -> list[VariableGroup]:
-    """Inputs and outputs by terminal, then the rest."""
-    rest = {name: row for name, row in rows.items() if row.direction}
+    """Inputs and outputs by terminal, then those without a terminal."""
+    ports = {name: row for name, row in rows.items() if row.direction}
     groups = []
     for terminal in sub.terminals:
-        members = [rest.pop(m.variable) for m in terminal.members if m.variable in rest]
+        members = [ports.pop(m.variable) for m in terminal.members if m.variable in ports]
         groups.append(VariableGroup(terminal.text, members, terminal.name))
     for direction, title in (("in", "Other inputs"), ("out", "Other outputs")):
-        groups.append(VariableGroup(title, [row for row in rest.values() if row.direction == direction]))
+        groups.append(VariableGroup(title, [row for row in ports.values() if row.direction == direction]))
     return [group for group in groups if group.rows]
 
 
@@ -209,13 +217,13 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
     parameters: dict[str, list[DocumentedVariable]] = {}
     for v in interface.parameters:
         parameters.setdefault(v.quantity.group, []).append(rows[v.name])
-    start = [  # of states and inputs: what has a source, or may be set
+    start = [  # states and inputs whose start value has a source or may be set
         rows[v.name]
         for v in (*interface.states, *interface.inputs)
         if v.start is not None and (v.name in sources or v.kind == "STATE")
     ]
-    listed = [rows[v.name] for v in interface.parameters] + start
-    used = {row.number.source for row in listed if row.number}
+    with_value = [*(rows[v.name] for v in interface.parameters), *start]
+    used_sources = {row.number.source for row in with_value if row.number}
     return environment.get_template("page.html.j2").render(
         sub=sub,
         fmi=fmi,
@@ -232,10 +240,8 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         ports=_ports(sub, rows),
         parameters=[VariableGroup(title, group) for title, group in parameters.items()],
         start=[VariableGroup("", start)] if start else [],
-        hidden=[
-            rows[v.name] for v in interface.states if not v.output
-        ],  # of derivatives nobody wants a table
-        sources={word: meaning for word, meaning in SOURCES.items() if word in used},
+        local_states=[rows[v.name] for v in interface.states if not v.output],
+        sources={source: meaning for source, meaning in SOURCES.items() if source in used_sources},
         categories=LOG_CATEGORIES,
-        proof=PAGE.rpartition("/")[2] if ls_ref_files(sub) else "",
+        experiment_page=PAGE.rpartition("/")[2] if ls_ref_files(sub) else "",
     )

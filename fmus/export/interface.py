@@ -1,7 +1,7 @@
-"""What an FMU shows of a subsystem: its variables, and which of them depend on which.
+"""FMI interface of a subsystem: its variables with value references, and the dependencies between them.
 
-Value references are consecutive: parameters, inputs, states, derivatives, outputs; native/model.h
-relies on that order. An output that is a state is one variable, with the state's reference.
+Value references are consecutive: parameters, inputs, states, derivatives, outputs. native/model.h relies on
+this order. An output that is a state is one variable, with the value reference of the state.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ Kind = Literal["FIXED", "TUNABLE", "INPUT", "STATE", "CALCULATED_STATE", "DERIVA
 
 @dataclass(frozen=True)
 class Variable:
-    """One scalar variable; `start` is None where the model calculates it."""
+    """One scalar variable; `start` is None if the model calculates its initial value."""
 
     name: str
     kind: Kind
     quantity: Quantity
     start: float | None
     reference: int = 0
-    output: bool = False  # shown with causality output
+    output: bool = False  # whether its causality is output
 
 
 @dataclass(frozen=True)
 class Interface:
-    """The variables by group, and the equations they belong to."""
+    """The variables by group, and the equations of the model."""
 
     name: str
-    text: str
+    description: str
     parameters: Sequence[Variable]
     inputs: Sequence[Variable]
     states: Sequence[Variable]
     derivatives: Sequence[Variable]
-    outputs: Sequence[Variable]  # without those that are states
+    outputs: Sequence[Variable]  # except those that are states
     equations: Symbolic
-    y: ca.SX  # of `outputs`, shape (n, 1)
-    stiff: bool = True  # as in the subsystem
+    y: ca.SX  # expressions of `outputs`, shape (n, 1)
+    stiff: bool = True  # see `Subsystem`
 
     @property
     def groups(self) -> tuple[Sequence[Variable], ...]:
@@ -63,8 +63,8 @@ class Interface:
 
 
 def interface_of(sub: Subsystem, values: Values) -> Interface:
-    """The variables of a subsystem with start values; refuses names and numbers that cannot be in an FMU."""
-    sym, parameters = _by_heading(symbolic(sub), quantities(sub.parameters))
+    """The interface of a subsystem with these values; Problem for a name or value that FMI forbids."""
+    sym, parameters = _sorted_by_heading(symbolic(sub), quantities(sub.parameters))
     states, outputs = quantities(sub.states), quantities(sub.outputs)
     for i, name in enumerate(outputs):
         if name in states and not ca.is_equal(sym.y[i], sym.x[list(states).index(name)]):
@@ -72,20 +72,22 @@ def interface_of(sub: Subsystem, values: Values) -> Interface:
                 f"{sub.name}: output {name} is also a state, expected observe() to return that state"
             )
     groups = variable_groups((parameters, quantities(sub.inputs), states, outputs), values, sym.calculated)
-    own = [i for i, name in enumerate(outputs) if name not in states]
-    return replace(assembled(sub.name, sub.text, groups, sym, _pick(sym.y, own)), stiff=sub.stiff)
+    rows = [i for i, name in enumerate(outputs) if name not in states]
+    return replace(make_interface(sub.name, sub.text, groups, sym, _select(sym.y, rows)), stiff=sub.stiff)
 
 
-def _by_heading(sym: Symbolic, declared: Mapping[str, Quantity]) -> tuple[Symbolic, dict[str, Quantity]]:
-    """Parameters of one heading together, headings as they come first; without one before all others."""
+def _sorted_by_heading(
+    sym: Symbolic, declared: Mapping[str, Quantity]
+) -> tuple[Symbolic, dict[str, Quantity]]:
+    """Parameters sorted by heading, headings by first use; parameters without a heading come first."""
     headings = ["", *dict.fromkeys(q.group for q in declared.values())]
     names = sorted(declared, key=lambda name: headings.index(declared[name].group))
     rows = [list(declared).index(name) for name in names]
-    return replace(sym, p=_pick(sym.p, rows)), {name: declared[name] for name in names}
+    return replace(sym, p=_select(sym.p, rows)), {name: declared[name] for name in names}
 
 
-def _pick(column: ca.SX, rows: Sequence[int]) -> ca.SX:
-    """Some entries of a column, shape (n, 1); CasADi's own indexing gives (1, 0) for none of one."""
+def _select(column: ca.SX, rows: Sequence[int]) -> ca.SX:
+    """Some entries of a column, shape (n, 1), even if n = 0: CasADi's indexing may return (1, 0)."""
     return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
 
 
@@ -95,10 +97,11 @@ def variable_groups(
     calculated: Collection[str],
     derivatives: bool = True,
 ) -> list[list[Variable]]:
-    """The variables, with a group of derivatives where there are any.
+    """The groups of an `Interface`, without value references.
 
     declared     parameters, inputs, states and outputs; an output named like a state is that state
-    calculated   states whose start value the model calculates
+    calculated   states whose initial value the model calculates
+    derivatives  whether the states have derivatives
     """
     parameters, inputs, states, outputs = declared
 
@@ -123,22 +126,25 @@ def variable_groups(
     ]
 
 
-def assembled(
-    name: str, text: str, groups: Sequence[Sequence[Variable]], equations: Symbolic, y: ca.SX
+def make_interface(
+    name: str, description: str, groups: Sequence[Sequence[Variable]], equations: Symbolic, y: ca.SX
 ) -> Interface:
-    """An interface of parameters, inputs, states, derivatives and outputs, numbered and checked."""
+    """An interface with value references for the variables of `groups`, checked.
+
+    groups   parameters, inputs, states, derivatives and outputs
+    """
     references = count()
-    p, u, x, dx, own = ([replace(v, reference=next(references)) for v in group] for group in groups)
-    result = Interface(name, text, p, u, x, dx, own, equations, y)
-    _check_names(result)
-    _check_numbers(result)
-    return result
+    p, u, x, dx, out = ([replace(v, reference=next(references)) for v in group] for group in groups)
+    interface = Interface(name, description, p, u, x, dx, out, equations, y)
+    _check_names(interface)
+    _check_values(interface)
+    return interface
 
 
 def _check_names(interface: Interface) -> None:
     name, seen = interface.name, set[str]()
     if not re.fullmatch(_IDENTIFIER, name):
-        raise Problem(f'"{name}" is not an identifier of letters, digits and _, expected of a model')
+        raise Problem(f'model name "{name}" is not an identifier of letters, digits and _')
     for v in interface.variables:
         if not re.fullmatch(_IDENTIFIER, v.name):
             raise Problem(f'{name}: variable "{v.name}" is not an identifier of letters, digits and _')
@@ -151,7 +157,7 @@ def _check_names(interface: Interface) -> None:
             raise Problem(f"{name}: rate of input {v.name} is {v.quantity.rate}, expected an input")
 
 
-def _check_numbers(interface: Interface) -> None:
+def _check_values(interface: Interface) -> None:
     for v in interface.variables:
         if not 0 < v.quantity.nominal < math.inf:
             raise Problem(f"{interface.name}: nominal of {v.name} is {v.quantity.nominal:g}, expected > 0")
@@ -165,7 +171,7 @@ def _check_numbers(interface: Interface) -> None:
 
 # ---- dependencies ----------------------------------------------------------------------------------
 
-_STEPS = {
+_DISCONTINUOUS = {
     *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR, ca.OP_IF_ELSE_ZERO),
     *(ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_SIGN, ca.OP_COPYSIGN),
 }
@@ -173,29 +179,31 @@ Dependencies = Mapping[str, list[tuple[Variable, str]]]
 
 
 def dependencies(interface: Interface) -> Dependencies:
-    """Inputs and states on which derivatives and outputs depend, with FMI's kind of each dependency."""
+    """Derivatives and outputs -> inputs and states that they depend on, each with its dependenciesKind."""
     sym = interface.equations
     known = ca.vertcat(sym.x, sym.u)
     variables = [*interface.states, *interface.inputs]
     unknown = ca.vertcat(sym.dx, interface.y)
-    table = _table([*interface.derivatives, *interface.outputs], unknown, known, variables, interface)
+    table = _dependency_table(
+        [*interface.derivatives, *interface.outputs], unknown, known, variables, interface
+    )
     for v in interface.states:
         table[v.name] = [(v, "constant")]
     return table
 
 
 def initial_dependencies(interface: Interface) -> Dependencies:
-    """Parameters, inputs and start values on which states, derivatives and outputs depend at the start."""
+    """Initial states, derivatives, outputs -> parameters, inputs, start values that they depend on."""
     sym = interface.equations
     known = ca.vertcat(sym.p, sym.u, sym.x)
     variables = [*interface.parameters, *interface.inputs, *interface.states]
     at_start = ca.substitute(ca.vertcat(sym.x, sym.dx, interface.y), sym.x, sym.start)
-    return _table(
+    return _dependency_table(
         [*interface.states, *interface.derivatives, *interface.outputs], at_start, known, variables, None
     )
 
 
-def _table(
+def _dependency_table(
     rows: Sequence[Variable],
     unknown: ca.SX,
     known: ca.SX,
@@ -203,30 +211,30 @@ def _table(
     interface: Interface | None,
 ) -> dict[str, list[tuple[Variable, str]]]:
     jacobian = ca.jacobian(unknown, known)
-    kinds = _kinds(jacobian, interface) if interface else ["dependent"] * jacobian.nnz()
-    stepwise = [_has_steps(unknown[i], known) for i in range(unknown.numel())]
+    kinds = _dependency_kinds(jacobian, interface) if interface else ["dependent"] * jacobian.nnz()
+    discontinuous = [_is_discontinuous(unknown[i], known) for i in range(unknown.numel())]
     table: dict[str, list[tuple[Variable, str]]] = {v.name: [] for v in rows}
     for row, column, kind in zip(*jacobian.sparsity().get_triplet(), kinds, strict=True):
-        table[rows[row].name].append((columns[column], "dependent" if stepwise[row] else kind))
+        table[rows[row].name].append((columns[column], "dependent" if discontinuous[row] else kind))
     return table
 
 
-def _has_steps(value: ca.SX, known: ca.SX) -> bool:
-    """Is there a comparison or the like, whose derivative says nothing of the dependency on it?"""
+def _is_discontinuous(value: ca.SX, known: ca.SX) -> bool:
+    """Whether the expression contains a comparison or a similar operation, whose derivative is zero."""
     function = ca.Function("f", [known], [value], {"allow_free": True})
-    return any(function.instruction_id(k) in _STEPS for k in range(function.n_instructions()))
+    return any(function.instruction_id(k) in _DISCONTINUOUS for k in range(function.n_instructions()))
 
 
-def _kinds(jacobian: ca.SX, interface: Interface) -> list[str]:
-    """constant, fixed, tunable or dependent: what the factor of each dependency itself depends on."""
+def _dependency_kinds(jacobian: ca.SX, interface: Interface) -> list[str]:
+    """The dependenciesKind of each nonzero: constant, fixed, tunable or dependent, by what it depends on."""
     sym = interface.equations
     entries = ca.SX(jacobian.nz[:])
     tunable = [i for i, v in enumerate(interface.parameters) if v.kind == "TUNABLE"]
     fixed = [i for i, v in enumerate(interface.parameters) if v.kind == "FIXED"]
     kinds = ["constant"] * jacobian.nnz()
     for kind, symbols in (
-        ("fixed", _pick(sym.p, fixed)),
-        ("tunable", _pick(sym.p, tunable)),
+        ("fixed", _select(sym.p, fixed)),
+        ("tunable", _select(sym.p, tunable)),
         ("dependent", ca.vertcat(sym.x, sym.u)),
     ):
         for row in set(ca.jacobian_sparsity(entries, symbols).get_triplet()[0]):

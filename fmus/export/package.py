@@ -1,4 +1,4 @@
-"""The content of an FMU except its binaries."""
+"""Content of an FMU with C code, except its binaries; and the files that FMUs in Python have as well."""
 
 from __future__ import annotations
 
@@ -6,23 +6,27 @@ import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from fmus import parameters
 from fmus.contract import Subsystem
 from fmus.export.c_code import main_source, sources
-from fmus.export.documentation import page, shipped
+from fmus.export.documentation import page, project_file
 from fmus.export.interface import Interface, interface_of
 from fmus.export.ls_ref import ls_ref_files
 from fmus.export.model_description import build_description, model_description, terminals
-from fmus.parameters import Values, document, values
-from fmus.parameters import numbers as numbers_of
+from fmus.parameters import Values
 
-PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
+PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"  # replaced by the GUID
 VERSIONS = (2, 3)  # of FMI
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "harvester-cosim")
 
 
 @dataclass(frozen=True)
 class Package:
-    """An FMU without binaries: its files by path in the archive, and which of the sources to compile."""
+    """An FMU without binaries.
+
+    files      path in the archive -> content
+    compiled   names of the source files to compile
+    """
 
     name: str
     fmi: int
@@ -37,47 +41,46 @@ class Package:
         }
 
 
-def package(sub: Subsystem, fmi: int, step: float, stop: float, numbers: Values | None = None) -> Package:
+def package(sub: Subsystem, fmi: int, step: float, stop: float, values: Values | None = None) -> Package:
     """The files of an FMU of version 2 or 3; step and stop are the default experiment [s]."""
-    interface = interface_of(sub, numbers or values(sub, derive=False))
+    interface = interface_of(sub, values or parameters.values(sub, derive=False))
     compiled = [main_source(sub.name)]
-    drafts = {version: dict[str, str]() for version in VERSIONS}  # the files that the GUID depends on
-    for version, draft in drafts.items():
+    drafts: dict[int, dict[str, str]] = {}  # both versions have one GUID, which depends on these files
+    for version in VERSIONS:
         code = sources(interface, PLACEHOLDER, version)
-        about = model_description(interface, version, PLACEHOLDER, step, stop, compiled)
-        draft |= {f"sources/{name}": text for name, text in code.items()}
-        draft["modelDescription.xml"] = about.decode()
-    token = fingerprint_of(drafts.values())
-    content = {path: text.replace(PLACEHOLDER, token).encode() for path, text in drafts[fmi].items()}
+        description = model_description(interface, version, PLACEHOLDER, step, stop, compiled)
+        drafts[version] = {f"sources/{name}": text for name, text in code.items()}
+        drafts[version]["modelDescription.xml"] = description.decode()
+    guid = guid_of(drafts.values())
+    content = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in drafts[fmi].items()}
     if fmi == 3:
         content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
         content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)
-    content |= readable_files(sub, interface, fmi, step, stop)
+    content |= common_files(sub, interface, fmi, step, stop)
     return Package(sub.name, fmi, content, compiled)
 
 
-def fingerprint_of(drafts: Iterable[Mapping[str, str]]) -> str:
-    """The GUID of all versions of an FMU: another one for another description or other code."""
+def guid_of(drafts: Iterable[Mapping[str, str]]) -> str:
+    """The GUID of an FMU with these files, by path; different content gives a different GUID."""
     text = "\n".join(files[path] for files in drafts for path in sorted(files))
     return f"{{{uuid.uuid5(_NAMESPACE, text)}}}"
 
 
-def readable_files(
+def common_files(
     sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float
 ) -> dict[str, bytes]:
-    """Icon, documentation, licence, numbers with their sources, what the view shows, reference experiment."""
-    picture, licence = sub.folder / "icon.png", shipped("LICENSE")
-    icon = picture.read_bytes() if picture.is_file() else None
+    """Documentation, icon, licence, parameter values with sources, view.toml, reference experiment."""
+    icon_file, licence, view = sub.folder / "icon.png", project_file("LICENSE"), sub.folder / "view.toml"
+    icon = icon_file.read_bytes() if icon_file.is_file() else None
     content = {"documentation/index.html": page(sub, interface, fmi, step, stop, icon).encode()}
     if icon is not None:
         content["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
     if licence is not None:
         content["documentation/licenses/license.txt"] = licence.read_bytes()
-    seen = sub.folder / "view.toml"
-    if seen.is_file():
-        content["resources/view.toml"] = seen.read_bytes()
+    if view.is_file():
+        content["resources/view.toml"] = view.read_bytes()
     if sub.numbers is not None:
-        content["resources/parameters.toml"] = document(sub.numbers).encode()
+        content["resources/parameters.toml"] = parameters.document(sub.numbers).encode()
     elif sub.values is None or sub.values.is_file():
-        content["resources/parameters.toml"] = document(numbers_of(sub)).encode()
+        content["resources/parameters.toml"] = parameters.document(parameters.numbers(sub)).encode()
     return content | ls_ref_files(sub)

@@ -12,7 +12,7 @@ from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER, controller
 from fmus.controller.values import GAINS
 from fmus.export.build import build_all
-from fmus.export.documentation import shipped
+from fmus.export.documentation import project_file
 from fmus.machine.one_block import whole
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
@@ -30,7 +30,7 @@ VARIANTS = "variants"  # the folder in it with every variant of every part, as p
 
 def data(name: str) -> Path:
     """A file of the project's data."""
-    path = shipped(f"data/{name}")
+    path = project_file(f"data/{name}")
     if path is None:
         raise Problem(f"data/{name} is missing, expected beside or inside the package fmus")
     return path

@@ -15,9 +15,9 @@ from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
 from fmus.export.ls_ref import (
-    BOUND,
+    FOLDER,
+    NRMSE_LIMIT,
     PAGE,
-    PLACE,
     TOLERANCE,
     data_file,
     ls_ref_files,
@@ -69,18 +69,18 @@ def test_each_fmu_meets_the_experiment_it_carries(request, tmp_path, name, major
     assert result.problems == []
     assert result.failure == ""
     # a thousand times the tolerance of the experiment: errors over 8 s and in second derivatives
-    assert max(result.errors.values()) < BOUND, result.errors
+    assert max(result.errors.values()) < NRMSE_LIMIT, result.errors
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_another_importer_reproduces_the_result(fmu_dir, name):
     """FMPy sets the inputs of the file at each communication point and holds them: the result comes out."""
     path = built(fmu_dir, name)
-    with zipfile.ZipFile(path) as archive, archive.open(f"{PLACE}/result.csv") as file:
+    with zipfile.ZipFile(path) as archive, archive.open(f"{FOLDER}/result.csv") as file:
         result = np.genfromtxt(file, delimiter=",", names=True)
         members = archive.namelist()
     inputs = data_file(SUBSYSTEMS[name], "input.csv")
-    assert inputs.is_file() == (f"{PLACE}/input.csv" in members)
+    assert inputs.is_file() == (f"{FOLDER}/input.csv" in members)
     found = fmpy.simulate_fmu(
         str(path),
         fmi_type="CoSimulation",
@@ -95,7 +95,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
     rows = found[np.searchsorted(found["time"], result["time"] - 1e-6)]
     for signal in result.dtype.names[1:]:
         deviation = np.sqrt(np.mean((rows[signal] - result[signal]) ** 2)) / np.ptp(result[signal])
-        assert deviation < BOUND, f"{signal}: {deviation:.2g} of range"
+        assert deviation < NRMSE_LIMIT, f"{signal}: {deviation:.2g} of range"
 
 
 def test_the_committed_experiments_are_those_of_the_equations():
@@ -138,9 +138,9 @@ def test_an_fmu_with_other_numbers_carries_and_meets_the_same_experiment(tmp_pat
     """The parameter set brings the numbers of the experiment, whatever the FMU was built with."""
     v = values(SWING)
     other = replace(v, p={**v.p, "initial_preload": 3e6, "gear_ratio": 1.1 * v.p["gear_ratio"]})
-    path = build(SWING, tmp_path, numbers=other)
+    path = build(SWING, tmp_path, values=other)
     result = compared(path, tmp_path / "swing")
-    assert max(result.errors.values()) < BOUND
+    assert max(result.errors.values()) < NRMSE_LIMIT
 
 
 def test_a_subsystem_without_reference_carries_none(tmp_path):
@@ -156,8 +156,8 @@ def test_a_subsystem_with_other_variables_does_not_carry_the_wrong_experiment():
 def test_an_experiment_without_inputs_has_no_stimuli():
     """The levers have no inputs: no file, and none in the experiment."""
     files = ls_ref_files(OPERATOR)
-    assert f"{PLACE}/input.csv" not in files
-    assert b"Stimuli" not in files[f"{PLACE}/experiment.exp"]
+    assert f"{FOLDER}/input.csv" not in files
+    assert b"Stimuli" not in files[f"{FOLDER}/experiment.exp"]
     assert b"There are no inputs" in files[PAGE]
 
 
@@ -166,7 +166,7 @@ def test_the_parameter_set_keeps_the_schema(name):
     """Valid against the SSP 1.0 schema for parameter sets that FMPy ships."""
     file = Path(fmpy.__file__).parent / "ssp" / "schema" / "SystemStructureParameterValues.xsd"
     schema = etree.XMLSchema(etree.parse(str(file)))
-    schema.assertValid(etree.fromstring(ls_ref_files(SUBSYSTEMS[name])[f"{PLACE}/parameters.ssv"]))
+    schema.assertValid(etree.fromstring(ls_ref_files(SUBSYSTEMS[name])[f"{FOLDER}/parameters.ssv"]))
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)

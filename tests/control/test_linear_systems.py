@@ -22,7 +22,7 @@ def fmus(request, tmp_path_factory):
     """Folder with the FMUs of the toys, of either version."""
     folder = tmp_path_factory.mktemp(f"toys{request.param}")
     for sub in (MASS, SPRING, LAG):
-        build(sub, folder, numbers=values(sub), fmi=request.param)
+        build(sub, folder, values=values(sub), fmi=request.param)
     return folder
 
 

@@ -167,7 +167,7 @@ def toy_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with an FMU of every toy."""
     folder = tmp_path_factory.mktemp("toys")
     for name, sub in TOYS.items():
-        build(sub, folder, step=0.01, stop=1.0, numbers=NUMBERS[name])
+        build(sub, folder, step=0.01, stop=1.0, values=NUMBERS[name])
     return folder
 
 

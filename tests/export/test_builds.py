@@ -24,7 +24,7 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
         monkeypatch.setattr(
             "orchestrator.base.compiler.cache_folder", lambda place=place: tmp_path / place / "store"
         )
-        built.append(build(sub, tmp_path / place, numbers=numbers, platforms=tuple(PLATFORMS)).read_bytes())
+        built.append(build(sub, tmp_path / place, values=numbers, platforms=tuple(PLATFORMS)).read_bytes())
         assert not list(scratch.iterdir())  # nothing is left of the compilers' files
     assert built[0] == built[1]
 
@@ -33,20 +33,20 @@ def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
     """The same code, flags and platform: the library is the one that was kept."""
     monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "store")
     sub, numbers = toys["gain"]
-    first = build(sub, tmp_path / "first", numbers=numbers).read_bytes()
-    assert build(sub, tmp_path / "other", numbers=numbers, step=0.5).read_bytes() != first
+    first = build(sub, tmp_path / "first", values=numbers).read_bytes()
+    assert build(sub, tmp_path / "other", values=numbers, step=0.5).read_bytes() != first
 
     def compiler(*_, **__):
         raise AssertionError("the compiler was called")
 
     monkeypatch.setattr("orchestrator.base.compiler.subprocess.run", compiler)
-    assert build(sub, tmp_path / "second", numbers=numbers).read_bytes() == first
+    assert build(sub, tmp_path / "second", values=numbers).read_bytes() == first
     for other in ({"fmi": 3}, {"platforms": ("aarch64-linux",)}):
         with pytest.raises(AssertionError, match="compiler was called"):
-            build(sub, tmp_path / "third", numbers=numbers, **other)
+            build(sub, tmp_path / "third", values=numbers, **other)
     monkeypatch.setattr("fmus.export.compile.FLAGS", ("-O1", *FLAGS))
     with pytest.raises(AssertionError, match="compiler was called"):
-        build(sub, tmp_path / "third", numbers=numbers)
+        build(sub, tmp_path / "third", values=numbers)
 
 
 def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):
@@ -54,17 +54,17 @@ def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypat
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "file" / "store")
     sub, numbers = toys["gain"]
-    assert build(sub, tmp_path, numbers=numbers).is_file()
+    assert build(sub, tmp_path, values=numbers).is_file()
 
 
 def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
     """A compiler that fails for one platform: no new file, no half file, the old one untouched."""
     sub, numbers = toys["gain"]
-    old = build(sub, tmp_path, numbers=numbers)
+    old = build(sub, tmp_path, values=numbers)
     before = old.read_bytes()
     monkeypatch.setattr("fmus.export.compile.FLAGS", ("-fno-such-flag",))
     with pytest.raises(Problem, match="gain, x86_64-linux: the C compiler failed"):
-        build(sub, tmp_path, step=0.5, numbers=numbers, platforms=("x86_64-linux", "x86_64-windows"))
+        build(sub, tmp_path, step=0.5, values=numbers, platforms=("x86_64-linux", "x86_64-windows"))
     assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
     assert old.read_bytes() == before
 
@@ -72,7 +72,7 @@ def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
 def test_interrupted_writing_leaves_what_was_there(toys, tmp_path, monkeypatch):
     """An interrupt in the middle of the zip file leaves the old FMU and nothing else."""
     sub, numbers = toys["gain"]
-    old = build(sub, tmp_path, numbers=numbers)
+    old = build(sub, tmp_path, values=numbers)
     before = old.read_bytes()
 
     def interrupted(*_):
@@ -80,7 +80,7 @@ def test_interrupted_writing_leaves_what_was_there(toys, tmp_path, monkeypatch):
 
     monkeypatch.setattr(zipfile.ZipFile, "writestr", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        build(sub, tmp_path, step=0.5, numbers=numbers)
+        build(sub, tmp_path, step=0.5, values=numbers)
     assert [p.name for p in tmp_path.iterdir()] == ["gain.fmu"]
     assert old.read_bytes() == before
 

@@ -113,14 +113,14 @@ def test_archive_holds_sources_and_documentation(toy_dir):
 def test_building_twice_gives_the_same_bytes(toys, toy_dir, tmp_path):
     """Nothing in an FMU depends on when or where it was built."""
     sub, numbers = toys["chamber"]
-    again = build(sub, tmp_path / "elsewhere", step=0.01, stop=1.0, numbers=numbers)
+    again = build(sub, tmp_path / "elsewhere", step=0.01, stop=1.0, values=numbers)
     assert again.read_bytes() == (toy_dir / "chamber.fmu").read_bytes()
 
 
 def test_guid_changes_with_the_numbers(toys, toy_dir, tmp_path):
     """A model with another parameter value has another GUID."""
     sub, numbers = toys["gain"]
-    other = build(sub, tmp_path, step=0.01, stop=1.0, numbers=Values({"factor": 3.0}, numbers.u, numbers.x))
+    other = build(sub, tmp_path, step=0.01, stop=1.0, values=Values({"factor": 3.0}, numbers.u, numbers.x))
     guids = {fmpy.read_model_description(str(f)).guid for f in (other, toy_dir / "gain.fmu")}
     assert len(guids) == 2
 
@@ -183,7 +183,7 @@ def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
         lambda _x, u, _p: {"product": u.left},
     )
     with pytest.raises(Problem, match="left is declared twice"):
-        build(sub, tmp_path, numbers=Values({"left": 1.0}, numbers.u, {}))
+        build(sub, tmp_path, values=Values({"left": 1.0}, numbers.u, {}))
 
 
 def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
@@ -194,4 +194,4 @@ def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
         Problem,
         match=r"^gain, [a-z0-9_-]+: the C compiler failed with exit status 1: gain_fmu.c:1:2: error: broken$",
     ):
-        build(sub, tmp_path, numbers=numbers)
+        build(sub, tmp_path, values=numbers)

@@ -11,7 +11,7 @@ from lxml import etree, html
 
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
-from fmus.export.documentation import printed, prose, shipped, slug
+from fmus.export.documentation import printed, project_file, prose, slug
 from fmus.export.interface import interface_of
 from fmus.export.package import package
 from fmus.machine.one_block import HARVESTER
@@ -47,7 +47,7 @@ def test_icon_and_licence_are_where_the_standard_has_them(content, name, fmi):
     assert icon.startswith(b"\x89PNG\r\n\x1a\n")
     width, height = struct.unpack_from(">II", icon, 16)
     assert width == height >= 128
-    assert files["documentation/licenses/license.txt"] == shipped("LICENSE").read_bytes()
+    assert files["documentation/licenses/license.txt"] == project_file("LICENSE").read_bytes()
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)

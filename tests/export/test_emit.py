@@ -7,7 +7,7 @@ import pytest
 
 from fmus.contract import Quantity
 from fmus.export.build import build
-from fmus.export.c_code import Routine, number, routine
+from fmus.export.c_code import Routine, c_function, number
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 
@@ -42,7 +42,7 @@ def operations(make_toy, tmp_path_factory):
         lambda _x, u, p: {name: f(u.a, u.b) * ca.cos(p.scale) for name, f in OPERATIONS.items()},
     )
     numbers = Values({"scale": 0.3}, {"a": 0.0, "b": 1.0}, {})
-    return build(sub, tmp_path_factory.mktemp("operations"), numbers=numbers)
+    return build(sub, tmp_path_factory.mktemp("operations"), values=numbers)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.7, 1.3), (-1.2, 0.4), (0.4, -2.5), (2.0, 2.0), (-0.3, -0.3)])
@@ -61,7 +61,7 @@ def test_compiled_operations_equal_casadi(operations, a, b):
 def test_c_text_names_the_variables():
     """A reader of the C finds the names of the variables beside their use."""
     x = ca.SX.sym("x", 2)
-    text = routine(Routine("f", {"x": x}, {"y": x[0] * x[1]}), {"x": ["pressure", "flow"]})
+    text = c_function(Routine("f", {"x": x}, {"y": x[0] * x[1]}), {"x": ["pressure", "flow"]})
     assert text.startswith("LOCAL void f(const double *x, double *y) {")
     assert "/* pressure */" in text
     assert "y[0] = v" in text
@@ -70,8 +70,8 @@ def test_c_text_names_the_variables():
 def test_operation_without_c_is_refused():
     """An operation that has no C is an error when building, not in the compiler."""
     x = ca.SX.sym("x")
-    with pytest.raises(Problem, match="has no C here"):
-        routine(Routine("f", {"x": x}, {"y": ca.erfinv(x)}), {})
+    with pytest.raises(Problem, match="is not supported in C code"):
+        c_function(Routine("f", {"x": x}, {"y": ca.erfinv(x)}), {})
 
 
 def test_negative_zero_keeps_its_sign_and_its_parentheses():
@@ -83,4 +83,4 @@ def test_text_of_a_declaration_ends_no_comment(make_toy, tmp_path):
     """Marks of a C comment in a description are broken up, or the sources would not compile."""
     q = Quantity("1", "a /* b */ c")
     sub = make_toy("comments", {}, {}, {"u": q}, {"y": q}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
-    assert build(sub, tmp_path, numbers=Values({}, {"u": 0.0}, {})).is_file()
+    assert build(sub, tmp_path, values=Values({}, {"u": 0.0}, {})).is_file()

@@ -87,7 +87,7 @@ def chamber(request, open_fmu, toys, tmp_path) -> Iterator[Callable[[], Chamber]
         yield old
         return
     sub, numbers = toys["chamber"]
-    path = build(sub, Path(tmp_path), numbers=numbers, fmi=3)
+    path = build(sub, Path(tmp_path), values=numbers, fmi=3)
     folder = fmpy.extract(str(path), str(tmp_path / "unpacked"))
     description = fmpy.read_model_description(folder)
     made = []

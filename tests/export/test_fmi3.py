@@ -57,7 +57,7 @@ def folders(toys, tmp_path_factory) -> dict[str, Path]:
     out = tmp_path_factory.mktemp("toys3")
     result = {}
     for name, (sub, numbers) in toys.items():
-        fmu = build(sub, out, step=0.01, stop=1.0, numbers=numbers, fmi=3)
+        fmu = build(sub, out, step=0.01, stop=1.0, values=numbers, fmi=3)
         result[name] = Path(fmpy.extract(str(fmu), str(out / name)))
     return result
 

@@ -94,7 +94,9 @@ def test_unknown_host_is_told(monkeypatch):
     """A machine that is not among the platforms gives one line with those that are."""
     monkeypatch.setattr(platform, "system", lambda: "FreeBSD")
     monkeypatch.setattr(platform, "machine", lambda: "riscv64")
-    with pytest.raises(Problem, match=r"^no platform for FreeBSD riscv64, expected one of x86_64-linux, .*$"):
+    with pytest.raises(
+        Problem, match=r"^FreeBSD on riscv64 is not supported, expected one of x86_64-linux, "
+    ):
         host()
 
 

@@ -178,7 +178,7 @@ SCHEMAS = {"ssd": "Description", "ssv": "ParameterValues", "ssb": "SignalDiction
 def test_version_2_is_valid_against_its_schema(toys, tmp_path):
     """With FMUs of FMI 3.0 and the types of that version."""
     sub, numbers = toys["decay"]
-    decay = build(sub, tmp_path, numbers=numbers, fmi=3)
+    decay = build(sub, tmp_path, values=numbers, fmi=3)
     system = write_ssp(
         assemble({"first": decay, "second": decay}, WIRES[:1], start={"first.level": 0.5}, name="chain"),
         tmp_path / "chain.ssp",

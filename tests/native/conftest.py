@@ -120,4 +120,4 @@ def wild(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Path]:
         {"level": 1.0, "root": 1.0, "settled": 0.0, "position": 2.0, "velocity": 0.0},
     )
     folder = tmp_path_factory.mktemp("wild")
-    return {v: build(WILD, folder / str(v), numbers=numbers, fmi=v) for v in (2, 3)}
+    return {v: build(WILD, folder / str(v), values=numbers, fmi=v) for v in (2, 3)}

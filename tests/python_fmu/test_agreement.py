@@ -14,7 +14,7 @@ from fmpy.validation import validate_fmu
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.export.build import build
-from fmus.export.ls_ref import STEP, data_file
+from fmus.export.ls_ref import COMMUNICATION_STEP, data_file
 from fmus.export.python.build import build_python
 from fmus.export.python.instance import Refused, of_subsystem
 from fmus.machine.parts import FAMILIES
@@ -32,9 +32,9 @@ Run = dict[str, Array]
 
 def inputs(sub: Subsystem) -> list[dict[str, float]]:
     """The inputs of the part in the work cycle, one row for each step."""
-    path, count = data_file(sub, "input.csv"), round(STOP / STEP)
+    path, count = data_file(sub, "input.csv"), round(STOP / COMMUNICATION_STEP)
     if not path.is_file():
-        table = stimulus(sub, np.arange(count) * STEP)
+        table = stimulus(sub, np.arange(count) * COMMUNICATION_STEP)
         return [{n: float(v[k]) for n, v in table.items()} for k in range(count)]
     names = path.read_text(encoding="utf-8").splitlines()[0].split(",")[1:]
     rows = np.loadtxt(path, delimiter=",", skiprows=1)[:count, 1:]
@@ -48,7 +48,7 @@ def of_fmu(path: Path, sub: Subsystem) -> Run:
         found = [fmu.get(*names)]
         for row in rows:
             fmu.set(**row)
-            found.append(fmu.step(STEP).get(*names))
+            found.append(fmu.step(COMMUNICATION_STEP).get(*names))
     return dict(zip(names, np.array(found).T, strict=True))
 
 
@@ -60,8 +60,8 @@ def in_python(sub: Subsystem) -> Run:
     time = 0.0
     for row in rows:
         run.assign(**row)
-        run.step(time, STEP)  # the master's time, as above
-        time += STEP
+        run.step(time, COMMUNICATION_STEP)  # the master's time, as above
+        time += COMMUNICATION_STEP
         found.append([run[n] for n in names])
     return dict(zip(names, np.array(found).T, strict=True))
 
@@ -107,7 +107,7 @@ def test_two_builds_are_equal(tmp_path, name):
     numbers = values(sub)
     first = next(iter(numbers.p))
     other = replace(numbers, p={**numbers.p, first: 1.01 * numbers.p[first]})
-    three = build_python(sub, tmp_path / "three", numbers=other)
+    three = build_python(sub, tmp_path / "three", values=other)
     assert read_model_description(str(one)).guid != read_model_description(str(three)).guid
 
 

@@ -76,10 +76,10 @@ def test_foreign_and_damaged_states_are_refused(tmp_path, capsys):
     ):
         data = bytes(one.fmu.serializeFMUState(one.fmu.getFMUState()))
         for fmu, bad, why in (
-            (two, data, "the saved state is of another model"),
+            (two, data, "the saved state belongs to another model"),
             (one, data[:-8], f"the saved state has {len(data) - 8} bytes, expected {len(data)}"),
             (one, data[:-1] + b"\x01", "the saved state is damaged"),
-            (one, b"", "the saved state is of another model"),
+            (one, b"", "the saved state belongs to another model"),
         ):
             with pytest.raises(Exception, match="status 3"):
                 fmu.fmu.deSerializeFMUstate(bad)

@@ -76,31 +76,34 @@ def test_the_description_is_complete(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (('"z": ["w"]', '"z": []'), "z changes with w, which depends['z'] does not name"),
-        (('"z": ["w"]', '"z": ["v"]'), "depends['z'] names 'v', expected a list of inputs"),
-        (('"z": ["w"]', '"x": []'), "depends names x, expected an output or a computed state"),
-        (('start = {"u"', 'start = {"v"'), "start names v, expected inputs"),
-        (fault(STEP, "self.last = h"), "lag.py:41: self.last = ... keeps a value beside State"),
+        (('"z": ["w"]', '"z": []'), "z changes with w, which is missing in depends['z']"),
+        (('"z": ["w"]', '"z": ["v"]'), "depends['z']: expected a list of inputs, got 'v'"),
+        (('"z": ["w"]', '"x": []'), "depends: x is not an output or a state that initial() computes"),
+        (('start = {"u"', 'start = {"v"'), "start: v is not an input"),
+        (fault(STEP, "self.last = h"), "lag.py:41: self.last = ... stores a value outside State"),
         (fault(STEP, "LOG.append(h)", "h = h * len(LOG)"), "NameError: name 'LOG' is not defined"),
         (fault(OBSERVE, "raise RuntimeError('no oil')"), "lag.py:44: RuntimeError: no oil"),
-        ((STEP, "return {'y': 1.0}"), "step() gave dict, expected State"),
+        ((STEP, "return {'y': 1.0}"), "step() returned dict, expected State"),
         ((STEP, "return State(x=1.0)"), "lag.py:41: TypeError: State.__init__() got an unexpected keyword"),
-        ((STEP, "return State(y='a')"), "step() gave y = 'a', expected a number"),
+        ((STEP, "return State(y='a')"), "step() returned y = 'a', expected a number"),
         ((STEP, "return State(y=1e400 * 0)"), "y is nan at t = 0.001 s, expected a finite number"),
-        ((OBSERVE, "return Outputs(y=2.0, z=0.0)"), "observe() gave y = 2, which as a state is 0"),
-        (("class Lag(Model)", "class Lag"), "lag.py defines none, expected one class of Model"),
+        (
+            (OBSERVE, "return Outputs(y=2.0, z=0.0)"),
+            "observe() returned y = 2, expected the value of the state, 0",
+        ),
+        (("class Lag(Model)", "class Lag"), "lag.py: expected one subclass of Model, got none"),
         (('Quantity("N", "Force", ', 'Quantity("dyn", "Force", '), "dyn"),
         (
             ('w: Annotated[float, Quantity("1", "Share")]', "w: float"),
             "a field of Inputs is not declared as Annotated",
         ),
         (("def step(self", "def step(self:"), "lag.py:40: SyntaxError"),
-        (("GAIN = 1.0", "import other\nGAIN = 1.0"), "lag.py:8: imports other, a module beside the file"),
-        (("GAIN = 1.0", "from .other import GAIN"), "lag.py:8: imports .other, a module beside the file"),
+        (("GAIN = 1.0", "import other\nGAIN = 1.0"), "lag.py:8: imports other, a module in the same folder"),
+        (("GAIN = 1.0", "from .other import GAIN"), "lag.py:8: imports .other, a module in the same folder"),
         (("GAIN = 1.0", "import sys; sys.exit(3)"), "lag.py:8: SystemExit: 3"),
         (
             ('start = {"u"', 'files = tuple(f"{n}.csv" for n in "a")\n    start = {"u"'),
-            "lag.py: files is no plain list, expected one such as",
+            "lag.py: files is not a plain list, expected one such as",
         ),
         (("GAIN = 1.0", "import not_there"), "lag.py:8: ModuleNotFoundError: No module named 'not_there'"),
     ],
@@ -118,7 +121,7 @@ def test_the_build_refuses(tmp_path, change, said):
 def test_a_state_hidden_in_a_list_is_found(tmp_path):
     """What is kept outside State cannot be saved: repeated steps differ, and the build says so."""
     hidden = ("GAIN = 1.0", "GAIN, LOG = 1.0, []"), fault(STEP, "LOG.append(h)", "h = h * len(LOG)")
-    with pytest.raises(Problem, match="steps repeated from a saved state give other values"):
+    with pytest.raises(Problem, match="steps repeated from a saved state give different values"):
         built(tmp_path, *hidden)
 
 
@@ -200,8 +203,8 @@ def said(path: Path, capsys: pytest.CaptureFixture[str], **inputs: float) -> str
             "lag.py:41: KeyError: '100 % of ##1'",
         ),  # FMPy leaves FMI's ## as it is
         (["if u.w == 2: return State(y=float('nan'))"], "y is nan at t = 0.001 s, expected a finite number"),
-        (["if u.w == 2: return None"], "lag: step() gave NoneType, expected State"),
-        (["if u.w == 2: self.seen = 1"], "lag.py:41: self.seen = ... keeps a value beside State"),
+        (["if u.w == 2: return None"], "lag: step() returned NoneType, expected State"),
+        (["if u.w == 2: self.seen = 1"], "lag.py:41: self.seen = ... stores a value outside State"),
         (
             ["import numpy as np", "if u.w == 2: np.float64(1.0) / 0.0"],
             "lag.py:42: RuntimeWarning: divide by zero",  # pytest makes errors of warnings

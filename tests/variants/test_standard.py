@@ -9,7 +9,7 @@ from every import EVERY, at_work, native, outputs, python, row, work
 from fmpy.validation import validate_fmu
 
 from fmus.contract import quantities
-from fmus.export.ls_ref import STEP
+from fmus.export.ls_ref import COMMUNICATION_STEP
 from orchestrator.base.units import parse
 
 NAMES = tuple(EVERY)
@@ -71,9 +71,9 @@ def test_a_restored_state_repeats_the_steps_bit_for_bit(case):
 
     def work_on(fmu: Driver) -> bytes:
         found = []
-        for k in range(round(WORKING / STEP), round(WORKING / STEP) + 5):
+        for k in range(round(WORKING / COMMUNICATION_STEP), round(WORKING / COMMUNICATION_STEP) + 5):
             fmu.set(**row(sub, k))
-            found.append(fmu.step(STEP).get(*names))
+            found.append(fmu.step(COMMUNICATION_STEP).get(*names))
         return np.array(found).tobytes()
 
     with at_work(path, sub, WORKING) as fmu, at_work(path, sub, 0.05) as other:

@@ -1,11 +1,12 @@
-"""The slave in an FMU whose code is Python, and the FMI functions as the FMU's library calls them.
+"""Slave classes of FMUs in Python, and the dispatcher through which the FMU's library calls them.
 
-The script of an FMU defines one class from `SubsystemSlave` or `UserSlave`; what their methods do is in
-`instance`. Our own library (native/python_fmu.c) calls it through a `Dispatcher`: names and bytes in, bytes
-out. PythonFMU's library can call it, too, within what that one offers.
+The script of an FMU defines a subclass of `SubsystemSlave` or `UserSlave`, whose methods call an `Instance`.
+The library (native/python_fmu.c) calls a `Dispatcher` with the name of an FMI function and its arguments as
+bytes; the result is a status, messages and a value as bytes. The library of PythonFMU can call the slave as
+well, with the functions that it supports.
 
-No exception leaves the dispatcher but an interrupt by the user, which the library hands on to the program. An
-answer is a status, messages and a value. Statuses and log categories are those of the native FMUs.
+The dispatcher raises no exception except KeyboardInterrupt, which the library passes on to the program.
+Statuses and log categories are those of FMUs with C code.
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 from orchestrator.ssp.xml_writing import package_version
 
-MODEL_FILE = "model.json"  # in resources/: what the FMU was built from
+MODEL_FILE = "model.json"  # in resources/: origin or file of the model, values, version, GUID
 
 
 class PythonSlave(Fmi2Slave):  # type: ignore[misc]
-    """One instance; methods raise, but `do_step` logs what went wrong and returns False."""
+    """One instance. Methods raise an exception if they fail; `do_step` logs the message and returns False."""
 
     log_categories: ClassVar[dict[str, str]] = LOG_CATEGORIES
 
-    def __init__(self, **given: Any) -> None:
-        super().__init__(**given)
+    def __init__(self, **arguments: Any) -> None:
+        super().__init__(**arguments)
         self.folder = Path(self.resources)
         self.built = json.loads((self.folder / MODEL_FILE).read_text(encoding="utf-8"))
         self.guid = self.built["guid"]
@@ -59,17 +60,17 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
         """The model."""
 
     def _check_version(self) -> None:
-        name, built, here = self.built["name"], self.built["version"], package_version()
-        if built != here:
+        name, built, installed = self.built["name"], self.built["version"], package_version()
+        if built != installed:
             raise Problem(
-                f"{name}: built with harvester-cosim {built}, the one in {sys.prefix} is {here}: "
+                f"{name}: built with harvester-cosim {built}, the one in {sys.prefix} is {installed}: "
                 f"install {built}, or build the FMU again"
             )
 
     def _warn(self, text: str) -> None:
         self.log(text, Fmi2Status.warning)
 
-    # ---- PythonFMU's names
+    # ---- methods that PythonFMU defines
 
     def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
         """See `Instance.setup`."""
@@ -84,7 +85,7 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
         self.instance.exit()
 
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """See `Instance.step`; false after a message when it failed."""
+        """See `Instance.step`; logs a message and returns False if it failed."""
         try:
             self.instance.step(current_time, step_size)
         except Exception as problem:
@@ -111,16 +112,15 @@ class PythonSlave(Fmi2Slave):  # type: ignore[misc]
         self.instance.restore(bytes.fromhex(state["state"]))
 
 
-_SHARED: dict[
-    str, SubsystemFunctions
-] = {}  # by the text of model.json: all instances of an FMU share the functions
+# by the text of model.json: all instances of an FMU share the functions
+_SHARED: dict[str, SubsystemFunctions] = {}
 
 
 class SubsystemSlave(PythonSlave):
-    """A slave of a `Subsystem` of an installed package."""
+    """A slave whose model is a `Subsystem` of an installed package."""
 
     def model(self) -> RunnableModel:
-        """The subsystem that the FMU was built from, with the numbers it was built with."""
+        """The subsystem from which the FMU was built, with the values of the build."""
         return SubsystemModel(self._functions)
 
     @cached_property
@@ -128,7 +128,7 @@ class SubsystemSlave(PythonSlave):
         key = json.dumps(self.built)
         if key not in _SHARED:
             sub = subsystem(self.built["origin"])
-            interface = interface_of(sub, Values(**self.built["numbers"]))
+            interface = interface_of(sub, Values(**self.built["values"]))
             if fingerprint(interface) != self.built["fingerprint"]:
                 raise Problem(
                     f"{self.built['name']}: {self.built['origin']} in {sys.prefix} has other equations or "
@@ -139,32 +139,32 @@ class SubsystemSlave(PythonSlave):
 
 
 class UserSlave(PythonSlave):
-    """A slave of a model that a user wrote, in a file beside the script."""
+    """A slave whose model is a user's, in a file next to the script."""
 
     def model(self) -> RunnableModel:
         """The model in the user's file."""
         return UserModel(load(self.folder / self.built["file"]))
 
 
-# ---- calls of the library ---------------------------------------------------------------------------
+# ---- dispatcher ---------------------------------------------------------------------------
 
 OK, WARNING, DISCARD, ERROR = range(4)
-CATEGORIES = dict(zip((OK, WARNING, DISCARD, ERROR), LOG_CATEGORIES, strict=False))  # logAll is all of them
-ALWAYS = {WARNING, ERROR}  # logged without debug logging, too
+CATEGORIES = dict(zip((OK, WARNING, DISCARD, ERROR), LOG_CATEGORIES, strict=False))  # without logAll
+ALWAYS_LOGGED = {WARNING, ERROR}  # even if debug logging is off
 
 
 class NotAvailable(Problem):
-    """What was asked for is not there; nothing else is wrong."""
+    """The requested value does not exist; the status is fmi2Discard."""
 
 
 class Failed(Exception):
-    """The message is in the log already."""
+    """A call that failed and has logged its message."""
 
 
 def connect(
     model: Callable[..., PythonSlave], name: str, guid: str, folder: Path, logging: bool
 ) -> tuple[int, bytes, Dispatcher | None]:
-    """What answers the calls of a new instance, or why there is none."""
+    """Status, messages and dispatcher of a new instance; None if it cannot be created."""
     try:
         if not name.strip():
             raise Problem("the instance name is empty")
@@ -175,45 +175,45 @@ def connect(
         raise
     except BaseException as problem:
         return ERROR, _record(ERROR, "fmi2Instantiate", message(problem, folder)), None
-    return OK, b"", Dispatcher(slave, set(CATEGORIES) if logging else set(ALWAYS))
+    return OK, b"", Dispatcher(slave, set(CATEGORIES) if logging else set(ALWAYS_LOGGED))
 
 
-def _record(kind: int, function: str, text: str) -> bytes:
-    """A message as native/python_fmu.c reads it; "%" and "#" mean something to loggers."""
+def _record(status: int, function: str, text: str) -> bytes:
+    """A message as native/python_fmu.c reads it; "%" and "#" are doubled because loggers interpret them."""
     line = f"{function}: {text}".replace("%", "%%").replace("#", "##").replace("\0", " ")
-    return f"{kind}{CATEGORIES[kind]}\0{line}\0".encode("utf-8", "replace")
+    return f"{status}{CATEGORIES[status]}\0{line}\0".encode("utf-8", "replace")
 
 
 class Dispatcher:
-    """One instance as the library sees it; `logged` are the kinds of messages that go out."""
+    """Calls the slave for the library; logged: the statuses whose messages are returned."""
 
     def __init__(self, slave: PythonSlave, logged: set[int]) -> None:
         self.slave, self.instance, self.logged = slave, slave.instance, logged
 
-    def __call__(self, name: bytes, *given: bytes) -> tuple[int, bytes, bytes]:
-        """The answer to an FMI function."""
+    def __call__(self, name: bytes, *arguments: bytes) -> tuple[int, bytes, bytes]:
+        """Status, messages and value of an FMI function; arrays of C as bytes."""
         function, status, value = name.decode(), OK, b""
         events = [(OK, f"t = {self.instance.state.time:.9g} s")]
         problems: list[tuple[int, str]] = []
         try:
-            value = CALLS[function](self, *given) or b""
+            value = CALLS[function](self, *arguments) or b""
         except Failed:
             status = ERROR
         except KeyboardInterrupt:
             raise
-        except BaseException as problem:  # one that went on into the library would end the program
+        except BaseException as problem:  # the library could not handle it
             status = DISCARD if isinstance(problem, NotAvailable) else ERROR
             problems = [(status, message(problem, self.slave.folder))]
         messages = [*events, *self._queued(), *problems]
-        return status, b"".join(_record(k, function, text) for k, text in messages if k in self.logged), value
+        return status, b"".join(_record(s, function, text) for s, text in messages if s in self.logged), value
 
     def _queued(self) -> list[tuple[int, str]]:
-        taken = [(int(m.status), m.msg) for m in self.slave.log_queue]
+        messages = [(int(m.status), m.msg) for m in self.slave.log_queue]
         self.slave.log_queue.clear()
-        return taken
+        return messages
 
 
-# ---- FMI functions: bytes are arrays of C
+# ---- FMI functions
 
 
 def _doubles(data: bytes) -> list[float]:
@@ -232,33 +232,33 @@ def _packed(values: list[float]) -> bytes:
     return np.array(values, dtype=np.float64).tobytes()
 
 
-def _setup(calls: Dispatcher, numbers: bytes) -> None:
-    has_tolerance, tolerance, start, has_stop, stop = _doubles(numbers)
+def _setup(calls: Dispatcher, values: bytes) -> None:
+    has_tolerance, tolerance, start, has_stop, stop = _doubles(values)
     calls.slave.setup_experiment(start, stop if has_stop else None, tolerance if has_tolerance else None)
 
 
-def _step(calls: Dispatcher, numbers: bytes) -> None:
-    if not calls.slave.do_step(*_doubles(numbers)):
+def _step(calls: Dispatcher, values: bytes) -> None:
+    if not calls.slave.do_step(*_doubles(values)):
         raise Failed
 
 
 def _log(calls: Dispatcher, on: bytes, names: bytes) -> None:
-    wanted, switch = set[int](), _integers(on)[0]
-    kinds = {category: {kind} for kind, category in CATEGORIES.items()} | {"logAll": set(CATEGORIES)}
+    selected, logging_on = set[int](), _integers(on)[0]
+    statuses = {category: {status} for status, category in CATEGORIES.items()} | {"logAll": set(CATEGORIES)}
     for name in names.decode().splitlines():
-        if name not in kinds:
+        if name not in statuses:
             raise Problem(f'log category "{name}" is unknown')
-        wanted |= kinds[name]
-    if not names:  # everything is meant; warnings and errors can be silenced only by name
-        wanted = set(CATEGORIES) if switch else set(CATEGORIES) - ALWAYS
-    calls.logged = calls.logged | wanted if switch else calls.logged - wanted
+        selected |= statuses[name]
+    if not names:  # all categories are meant; warnings and errors can be switched off only by name
+        selected = set(CATEGORIES) if logging_on else set(CATEGORIES) - ALWAYS_LOGGED
+    calls.logged = calls.logged | selected if logging_on else calls.logged - selected
 
 
-def _readable(calls: Dispatcher, data: bytes) -> None:
-    calls.instance.readable(data)
+def _check_state(calls: Dispatcher, data: bytes) -> None:
+    calls.instance.read_state(data)
 
 
-def _none(_: Dispatcher, references: bytes) -> None:
+def _no_variables(_: Dispatcher, references: bytes) -> None:
     if references:
         raise Problem("the model has Real variables only")
 
@@ -267,19 +267,19 @@ def _cancel(_: Dispatcher) -> None:
     raise Problem("no step is in progress: fmi2DoStep returns when it is done")
 
 
-def _status(kind: int, answer: Callable[[Dispatcher], bytes]) -> Callable[[Dispatcher, bytes], bytes]:
-    """A function for the status of this kind; there is no other."""
+def _status(kind: int, value: Callable[[Dispatcher], bytes]) -> Callable[[Dispatcher, bytes], bytes]:
+    """An FMI function that returns the status of this fmi2StatusKind and refuses all others."""
 
-    def give(calls: Dispatcher, asked: bytes) -> bytes:
+    def get_status(calls: Dispatcher, requested: bytes) -> bytes:
         calls.instance.allowed(ANY & ~INSTANTIATED)
-        if _integers(asked)[0] != kind:
+        if _integers(requested)[0] != kind:
             raise NotAvailable("there is no such status")
-        return answer(calls)
+        return value(calls)
 
-    return give
+    return get_status
 
 
-def _failed(calls: Dispatcher) -> bytes:
+def _step_status(calls: Dispatcher) -> bytes:
     failed = int(calls.instance.state.phase) == STEP_FAILED
     return np.array([ERROR if failed else OK], dtype=np.int32).tobytes()
 
@@ -295,7 +295,11 @@ CALLS: Mapping[str, Callable[..., bytes | None]] = {
     "fmi2CancelStep": _cancel,
     "fmi2GetReal": lambda calls, vr: _packed(calls.slave.get_real(_references(vr))),
     "fmi2SetReal": lambda calls, vr, v: calls.slave.set_real(_references(vr), _doubles(v)),
-    **{f"fmi2{verb}{kind}": _none for verb in ("Get", "Set") for kind in ("Integer", "Boolean", "String")},
+    **{
+        f"fmi2{verb}{type_}": _no_variables
+        for verb in ("Get", "Set")
+        for type_ in ("Integer", "Boolean", "String")
+    },
     "fmi2SetRealInputDerivatives": lambda calls, vr, orders, v: calls.instance.set_input_derivatives(
         _references(vr), _integers(orders), _doubles(v)
     ),
@@ -307,8 +311,8 @@ CALLS: Mapping[str, Callable[..., bytes | None]] = {
     ),
     "fmi2GetFMUstate": lambda calls: calls.instance.save(),
     "fmi2SetFMUstate": lambda calls, data: calls.instance.restore(data),
-    "fmi2DeSerializeFMUstate": _readable,
-    "fmi2GetStatus": _status(0, _failed),
+    "fmi2DeSerializeFMUstate": _check_state,
+    "fmi2GetStatus": _status(0, _step_status),
     "fmi2GetRealStatus": _status(2, lambda calls: _packed([calls.instance.state.time])),
     "fmi2GetBooleanStatus": _status(3, lambda _: np.zeros(1, dtype=np.int32).tobytes()),
     "fmi2GetIntegerStatus": _status(-1, lambda _: b""),

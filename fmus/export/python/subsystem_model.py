@@ -1,9 +1,10 @@
-"""A `Subsystem` as an instance in Python runs it, and how it is found again on another machine.
+"""The model of an `Instance`: a protocol, its implementation for a `Subsystem`, and the origin of that.
 
-The functions are those of the declaration, evaluated by CasADi's virtual machine: nothing is compiled, and
-nothing of the code for C is used (its parameters are hoisted, its elimination is written out).
+The functions of the subsystem are evaluated by CasADi's virtual machine. Nothing is compiled, and nothing of
+the C printer is used: neither the hoisted parameter expressions nor the symbolic elimination.
 
-An origin is "module:name", or "module:name.key" for an entry of a mapping such as VARIANTS.
+The origin of a subsystem, from which an FMU imports it, is "module:name", or "module:name.key" for an entry
+of a mapping such as VARIANTS.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ class RunnableModel(Protocol):
     """A model that an `Instance` runs; x states, u inputs, p parameters, t time [s].
 
     interface    the variables
-    statements   what `observe` gives numbers for that must stay positive
-    start        states at the start, from their start values
-    rate         their time derivatives, if it has any
-    observe      outputs that are not states, and the numbers for the statements
+    statements   descriptions of the requirements, whose values must be positive
+    start        initial states, from their start values
+    rate         time derivatives of the states; empty if the model has none
+    observe      outputs that are not states, and the values of the requirements
     advance      states after `length` seconds, and the memory of the solver
-    forward      derivatives along directions of p, u and x: of x (at the start, else the direction),
-                 of dx/dt and of the outputs
+    forward      directional derivatives of x, dx/dt and the outputs, along directions of (p, u, x);
+                 with `initial`: through the initial states
     """
 
     @property
@@ -55,43 +56,46 @@ class RunnableModel(Protocol):
         memory: Array,
     ) -> tuple[Array, Array]: ...
     def forward(
-        self, x: Array, u: Array, p: Array, along: tuple[Array, Array, Array], initial: bool
+        self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]: ...
 
 
 class SubsystemFunctions:
-    """The functions of a subsystem; made once, used by all its instances."""
+    """The CasADi functions of a subsystem, which all its instances share."""
 
     def __init__(self, interface: Interface) -> None:
         self.interface, sym = interface, interface.equations
-        known = [sym.x, sym.u, sym.p]
-        vp, vu, vx, du = (ca.SX.sym(n, v.numel()) for n, v in zip("puxd", (*known[::-1], sym.u), strict=True))
-        running, directions = ca.vertcat(sym.x, sym.u), ca.vertcat(vx, vu)
-        starting, all_directions = ca.vertcat(sym.x, sym.u, sym.p), ca.vertcat(vx, vu, vp)
-        vx0 = ca.jtimes(sym.start, starting, all_directions)
-        through = ca.vertcat(vx0, vu, vp)
-        after = ca.vertcat(sym.dx, interface.y)
-        self.rate = _function(known, [sym.dx])
-        self.linearised = _function(
-            [*known, du], [sym.dx, ca.jacobian(sym.dx, sym.x), ca.jtimes(sym.dx, sym.u, du)]
+        arguments = [sym.x, sym.u, sym.p]
+        vp, vu, vx, du = (
+            ca.SX.sym(n, v.numel()) for n, v in zip("puxd", (*arguments[::-1], sym.u), strict=True)
         )
-        self.start = _function(known, [sym.start])
-        self.observe = _function(known, [interface.y, sym.require])
-        self.forward = _function([*known, vp, vu, vx], [vx, ca.jtimes(after, running, directions)])
-        self.start_forward = _function([*known, vp, vu, vx], [vx0, ca.jtimes(after, starting, through)])
+        xu, v_xu = ca.vertcat(sym.x, sym.u), ca.vertcat(vx, vu)
+        xup, v_xup = ca.vertcat(sym.x, sym.u, sym.p), ca.vertcat(vx, vu, vp)
+        vx0 = ca.jtimes(sym.start, xup, v_xup)
+        results = ca.vertcat(sym.dx, interface.y)
+        self.rate = _function(arguments, [sym.dx])
+        self.linearised = _function(
+            [*arguments, du], [sym.dx, ca.jacobian(sym.dx, sym.x), ca.jtimes(sym.dx, sym.u, du)]
+        )
+        self.start = _function(arguments, [sym.start])
+        self.observe = _function(arguments, [interface.y, sym.require])
+        self.forward = _function([*arguments, vp, vu, vx], [vx, ca.jtimes(results, xu, v_xu)])
+        self.start_forward = _function(
+            [*arguments, vp, vu, vx], [vx0, ca.jtimes(results, xup, ca.vertcat(vx0, vu, vp))]
+        )
 
 
 def _function(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
     return ca.Function("f", list(inputs), [ca.densify(value) for value in outputs], {"cse": True})
 
 
-class _Bound:
-    """A CasADi function on arrays of its own: no objects are made in a call."""
+class _BoundFunction:
+    """A CasADi function bound to fixed arrays, so that a call creates no objects."""
 
     def __init__(self, function: ca.Function) -> None:
         buffer: Any
         buffer, self._run = function.buffer()
-        self._buffer = buffer  # it has to live as long as the call
+        self._buffer = buffer  # must exist as long as self._run
         self._arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
         # CasADi stores matrices by columns
         shapes = [function.size_out(i) for i in range(function.n_out())]
@@ -103,14 +107,14 @@ class _Bound:
 
     def __call__(self, *arguments: Array) -> list[Any]:
         """Results in arrays that the next call overwrites."""
-        for own, given in zip(self._arguments, arguments, strict=True):
-            own[:] = given
+        for array, values in zip(self._arguments, arguments, strict=True):
+            array[:] = values
         self._run()
         return self._results
 
 
 class SubsystemModel:
-    """A subsystem as an instance runs it: the exact Jacobian, and the solver of `fmus.solver`."""
+    """A subsystem as `RunnableModel`, with the exact Jacobian and the solver of `fmus.solver`."""
 
     def __init__(self, functions: SubsystemFunctions) -> None:
         self.interface = interface = functions.interface
@@ -119,12 +123,15 @@ class SubsystemModel:
         self.absolute = np.array([v.quantity.absolute_scale for v in interface.states])
         self.stiff = interface.stiff
         self._p = np.zeros(len(interface.parameters))
-        self._rate, self._linearised = _Bound(functions.rate), _Bound(functions.linearised)
-        self._start, self._observe = _Bound(functions.start), _Bound(functions.observe)
-        self._forward, self._start_forward = _Bound(functions.forward), _Bound(functions.start_forward)
+        self._rate, self._linearised = _BoundFunction(functions.rate), _BoundFunction(functions.linearised)
+        self._start, self._observe = _BoundFunction(functions.start), _BoundFunction(functions.observe)
+        self._forward, self._start_forward = (
+            _BoundFunction(functions.forward),
+            _BoundFunction(functions.start_forward),
+        )
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
-        """See `RunnableModel`; of the copies, what is calculated there may be overwritten."""
+        """See `RunnableModel`."""
         return self._start(x, u, p)[0].copy()  # type: ignore[no-any-return]
 
     def rate(self, x: Array, u: Array, p: Array | None = None) -> Array:
@@ -158,37 +165,42 @@ class SubsystemModel:
         return solve(self, x, motion, length, tolerance, memory)
 
     def forward(
-        self, x: Array, u: Array, p: Array, along: tuple[Array, Array, Array], initial: bool
+        self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]:
         """See `RunnableModel`."""
         function = self._start_forward if initial else self._forward
-        vx, after = function(x, u, p, *along)
-        return vx.copy(), after[: x.size].copy(), after[x.size :].copy()
+        vx, results = function(x, u, p, *direction)
+        return vx.copy(), results[: x.size].copy(), results[x.size :].copy()
 
 
 # ---- origin ----------------------------------------------------------------------------------------
 
 
 def origin(sub: Subsystem) -> str:
-    """Under which name a loaded module has the subsystem: its own package if possible."""
-    own = str(getattr(sub.dynamics, "__module__", "")) + "."
-    places = [
-        (not own.startswith(f"{module}."), module.split(".")[0] != own.split(".")[0], len(place), place)
+    """The shortest origin of a subsystem, preferably in the package that defines it."""
+    defining = str(getattr(sub.dynamics, "__module__", "")) + "."
+    origins = [
+        (
+            not defining.startswith(f"{module}."),
+            module.split(".")[0] != defining.split(".")[0],
+            len(name),
+            name,
+        )
         for module in list(sys.modules)
         if module != "__main__"
-        for place, value in _named(module)
+        for name, value in _subsystems(module)
         if value is sub
     ]
-    if not places:
+    if not origins:
         raise Problem(
-            f"{sub.name}: no module has this subsystem under a name, expected one such as "
-            '"package.module:NAME" to find it again where the FMU runs'
+            f"{sub.name}: no module has a name for this subsystem, expected one such as "
+            '"package.module:NAME", from which the FMU imports it'
         )
-    return min(places)[-1]
+    return min(origins)[-1]
 
 
-def _named(module: str) -> Iterator[tuple[str, Any]]:
-    """The subsystems of a module, also those in its mappings, each with its origin."""
+def _subsystems(module: str) -> Iterator[tuple[str, Any]]:
+    """Origin and subsystem for all subsystems of a module, including those in its mappings."""
     for name, value in list(getattr(sys.modules[module], "__dict__", {}).items()):
         if isinstance(value, Subsystem):
             yield f"{module}:{name}", value
@@ -196,28 +208,28 @@ def _named(module: str) -> Iterator[tuple[str, Any]]:
             yield from ((f"{module}:{name}.{key}", v) for key, v in value.items())
 
 
-def subsystem(where: str) -> Subsystem:
+def subsystem(origin: str) -> Subsystem:
     """The subsystem with this origin."""
-    module, _, path = where.partition(":")
+    module, _, path = origin.partition(":")
     name, _, key = path.partition(".")
     if not name:
-        raise Problem(f'"{where}" is no name of a subsystem, expected one such as "package.module:NAME"')
+        raise Problem(f'"{origin}" does not name a subsystem, expected a name such as "package.module:NAME"')
     try:
         sub = getattr(importlib.import_module(module), name)
         sub = sub[key] if key else sub
     except (ImportError, AttributeError, KeyError, TypeError) as problem:
         raise Problem(
-            f"{where} is not in the Python of {sys.prefix}: {type(problem).__name__}: {problem}"
+            f"{origin} is not in the Python of {sys.prefix}: {type(problem).__name__}: {problem}"
         ) from None
     if not isinstance(sub, Subsystem):
-        raise Problem(f"{where} is {type(sub).__name__}, expected a Subsystem")
+        raise Problem(f"{origin} is of type {type(sub).__name__}, expected Subsystem")
     return sub
 
 
 def fingerprint(interface: Interface) -> str:
-    """Another one for other variables or equations, whatever the numbers are.
+    """A hash of variables and equations, which does not depend on parameter and start values.
 
-    Constants count to twelve digits: a mathematical library may differ in the last ones.
+    Constants enter with twelve digits, because mathematical libraries differ in the last ones.
     """
     digest = hashlib.sha256()
     for v in interface.variables:
@@ -225,9 +237,9 @@ def fingerprint(interface: Interface) -> str:
     sym = interface.equations
     f = ca.Function("f", [sym.x, sym.u, sym.p], [sym.dx, interface.y, sym.start, sym.require])
     for k in range(f.n_instructions()):
-        step: tuple[Any, ...] = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
-        if step[0] == ca.OP_CONST:
-            step = (*step, f"{f.instruction_constant(k):.12g}")
-        digest.update(repr(step).encode())
+        instruction: tuple[Any, ...] = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
+        if instruction[0] == ca.OP_CONST:
+            instruction = (*instruction, f"{f.instruction_constant(k):.12g}")
+        digest.update(repr(instruction).encode())
     digest.update(repr((sym.statements, interface.stiff)).encode())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""The file of a user with a `Model`: loaded, refused if it cannot work elsewhere, checked by a few steps."""
+"""Loads and checks the file of a user with a `Model`: its imports, its dependencies, a few steps."""
 
 from __future__ import annotations
 
@@ -22,37 +22,38 @@ from orchestrator.base.errors import Problem
 
 
 def message(problem: BaseException, folder: Path) -> str:
-    """The text of a Problem; of another exception also its kind, file and line.
+    """The text of a Problem; for another exception also its class, file and line.
 
-    The place is the last one in `folder`, where the FMU's own scripts are, else the last one of all.
+    The line is the innermost one in a file of `folder`, which contains the scripts of the FMU, else in any
+    file.
     """
     text = " ".join(str(problem.msg if isinstance(problem, SyntaxError) else problem).split())
     if isinstance(problem, Problem):
         return text
-    kind, place = type(problem).__name__, _place(problem, folder)
-    return f"{place}{kind}: {text}" if text else f"{place}{kind}"
+    start = f"{_location(problem, folder)}{type(problem).__name__}"
+    return f"{start}: {text}" if text else start
 
 
-def _place(problem: BaseException, folder: Path) -> str:
-    """File and line of an exception, as "file.py:12: "; empty when it has none."""
+def _location(problem: BaseException, folder: Path) -> str:
+    """File and line of an exception, as "file.py:12: "; empty if they are unknown."""
     if isinstance(problem, SyntaxError) and problem.filename:
         return f"{Path(problem.filename).name}:{problem.lineno}: "
     frames = traceback.extract_tb(problem.__traceback__)
-    own = [f for f in frames if Path(f.filename).parent == folder]
-    return "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in (own or frames)[-1:])
+    in_folder = [f for f in frames if Path(f.filename).parent == folder]
+    return "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in (in_folder or frames)[-1:])
 
 
 PACKAGE = __name__.partition(".")[0]
 
 
 def load(path: Path) -> Model:
-    """The model in a file, as a module under a name of its own: another file may have the same name."""
-    place = str(path.resolve())
-    name = f"{path.stem}_{hashlib.sha256(place.encode() + path.read_bytes()).hexdigest()[:16]}"
+    """The model in a file; the module gets a unique name, because another file may have the same name."""
+    location = str(path.resolve())
+    name = f"{path.stem}_{hashlib.sha256(location.encode() + path.read_bytes()).hexdigest()[:16]}"
     if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, place)
+        spec = importlib.util.spec_from_file_location(name, location)
         if spec is None or spec.loader is None:
-            raise Problem(f"{path.name} is no Python file")
+            raise Problem(f"{path.name} is not a Python file")
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         try:
@@ -67,7 +68,7 @@ def load(path: Path) -> Model:
     ]
     if len(models) != 1:
         names = ", ".join(c.__name__ for c in models) or "none"
-        raise Problem(f"{path.name} defines {names}, expected one class of Model")
+        raise Problem(f"{path.name}: expected one subclass of Model, got {names}")
     if not models[0].name:
         models[0].name = path.stem
     return sealed(models[0]())
@@ -75,7 +76,7 @@ def load(path: Path) -> Model:
 
 def _read(path: Path) -> ast.Module:
     if not path.is_file():
-        raise Problem(f"{path}: there is no such file")
+        raise Problem(f"{path}: the file does not exist")
     try:
         return ast.parse(path.read_text(encoding="utf-8"), path.name)
     except (OSError, ValueError, SyntaxError) as problem:
@@ -83,7 +84,7 @@ def _read(path: Path) -> ast.Module:
 
 
 def refuse_neighbours(path: Path) -> None:
-    """Refuse imports of files beside the user's: they would be missing, or those of another FMU."""
+    """Refuse imports of modules in the same folder: an FMU would miss them or find those of another FMU."""
     for node in ast.walk(_read(path)):
         names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):
@@ -91,17 +92,17 @@ def refuse_neighbours(path: Path) -> None:
         for name in names:
             top = name.partition(".")[0]
             if top == PACKAGE:
-                continue  # a file in the root of a checkout has the package itself beside it
+                continue  # the file may be in the root of a checkout, next to the package
             neighbours = [path.parent / f"{top}.py", path.parent / top / "__init__.py"]
             if name.startswith(".") or any(p.is_file() for p in neighbours):
                 raise Problem(
-                    f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name}, a module beside the file, "
-                    "which would collide with that of another FMU: put it into the file or into a package"
+                    f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name}, a module in the same folder, "
+                    "which could collide with that of another FMU: move it into the file or into a package"
                 )
 
 
 def declared_files(path: Path) -> list[str]:
-    """What `files` of the class says, before the file can be run: it may read them when it is imported."""
+    """The value of `files` in the class, from the source: importing the module may read these files."""
     classes = (node for node in ast.walk(_read(path)) if isinstance(node, ast.ClassDef))
     for node in (statement for definition in classes for statement in definition.body):
         target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
@@ -118,34 +119,36 @@ def declared_files(path: Path) -> list[str]:
 
 
 def structure(user: UserModel) -> Unknowns:
-    """Outputs and what is calculated at the start, each with what it depends on, as declared."""
+    """Outputs and InitialUnknowns with the dependencies that the model declares."""
     model, interface = user.model, user.interface
     inputs = {v.name: v for v in interface.inputs}
-    known = {
+    unknowns = {
         v.name for v in (*interface.states, *interface.outputs) if v.output or v.kind == "CALCULATED_STATE"
     }
-    for name, on in model.depends.items():
-        if name not in known:
-            raise Problem(f"{model.name}: depends names {name}, expected an output or a computed state")
-        if isinstance(on, str) or not set(on) <= set(inputs):
-            wrong = on if isinstance(on, str) else min(set(on) - set(inputs))
-            raise Problem(f"{model.name}: depends[{name!r}] names {wrong!r}, expected a list of inputs")
+    for name, dependencies in model.depends.items():
+        if name not in unknowns:
+            raise Problem(
+                f"{model.name}: depends: {name} is not an output or a state that initial() computes"
+            )
+        if isinstance(dependencies, str) or not set(dependencies) <= set(inputs):
+            wrong = dependencies if isinstance(dependencies, str) else min(set(dependencies) - set(inputs))
+            raise Problem(f"{model.name}: depends[{name!r}]: expected a list of inputs, got {wrong!r}")
 
     def declared(name: str) -> list[str]:
         return list(model.depends.get(name, inputs))
 
-    def listed(names: Sequence[str], *more: Variable) -> list[tuple[Variable, str]]:
-        return [(v, "dependent") for v in (*(inputs[n] for n in sorted(set(names))), *more)]
+    def knowns(names: Sequence[str], *others: Variable) -> list[tuple[Variable, str]]:
+        return [(v, "dependent") for v in (*(inputs[n] for n in sorted(set(names))), *others)]
 
     calculated = [v for v in interface.states if v.kind == "CALCULATED_STATE"]
-    through = [n for v in calculated for n in declared(v.name)]
+    via_states = [n for v in calculated for n in declared(v.name)]
     start = [*interface.parameters, *(v for v in interface.states if v.kind == "STATE")]
-    shown = [v for v in interface.variables if v.output]
+    outputs = [v for v in interface.variables if v.output]
     return {
-        "Outputs": [(v, [] if v.kind != "OUTPUT" else listed(declared(v.name))) for v in shown],
+        "Outputs": [(v, [] if v.kind != "OUTPUT" else knowns(declared(v.name))) for v in outputs],
         "InitialUnknowns": [
-            (v, listed(declared(v.name) + (through if v.kind == "OUTPUT" else []), *start))
-            for v in sorted(shown, key=lambda v: v.reference)
+            (v, knowns(declared(v.name) + (via_states if v.kind == "OUTPUT" else []), *start))
+            for v in sorted(outputs, key=lambda v: v.reference)
             if v.kind != "STATE"
         ],
     }
@@ -153,28 +156,28 @@ def structure(user: UserModel) -> Unknowns:
 
 # ---- checks ----------------------------------------------------------------------------------------
 
-SHARE = 0.01  # of the nominal value, by which inputs are moved
-POINTS, STEPS = 8, 3
+CHANGE = 0.01  # of an input, relative to its nominal value
+POINTS, STEPS = 8, 3  # number of random points and of steps
 
 
 def checked(path: Path, step: float) -> UserModel:
-    """The model in a file, after a few steps: it runs, hides no state, depends on what it declares."""
+    """The model in a file. A few steps show that it runs, hides no state and declares its dependencies."""
     try:
         model = UserModel(load(path))
         structure(model)
-        run = Instance(model).initialise()
-        _check_dependencies(model, run)
+        instance = Instance(model).initialise()
+        _check_dependencies(model, instance)
         for _ in range(STEPS):
-            run.advance(step)
-        _check_replay(model.model.name, run, step)
-        _check_dependencies(model, run)
+            instance.advance(step)
+        _check_replay(model.model.name, instance, step)
+        _check_dependencies(model, instance)
     except (Exception, SystemExit) as problem:
         raise Problem(message(problem, path.parent)) from None
     return model
 
 
 def _check_replay(name: str, instance: Instance, step: float) -> None:
-    """Steps from a saved state, repeated, give the same bits."""
+    """Steps from a saved state must give the same bits when they are repeated."""
     saved = instance.save()
     ends = []
     for _ in range(2):
@@ -184,13 +187,13 @@ def _check_replay(name: str, instance: Instance, step: float) -> None:
         ends.append((instance.save(), instance.get([v.reference for v in instance.variables])))
     if ends[0] != ends[1]:
         raise Problem(
-            f"{name}: steps repeated from a saved state give other values: something is kept "
-            "beside State (in a list, a global, a random number)"
+            f"{name}: steps repeated from a saved state give different values: the model stores something "
+            "outside State (in a list, a global variable, a random number generator)"
         )
 
 
-def _check_dependencies(user: UserModel, run: Instance) -> None:
-    """No output and no computed state moves with an input that it is declared not to depend on."""
+def _check_dependencies(user: UserModel, instance: Instance) -> None:
+    """Outputs and computed states must not change with inputs that `depends` does not list for them."""
     model, interface = user.model, user.interface
     p = np.array([v.start or 0.0 for v in interface.parameters])
     states = [i for i, v in enumerate(interface.states) if v.kind == "CALCULATED_STATE"]
@@ -200,25 +203,25 @@ def _check_dependencies(user: UserModel, run: Instance) -> None:
     ]
     inputs = [v.name for v in interface.inputs]
     for (x, u), (names, function), (i, v) in product(
-        list(_points(run, interface)), functions, list(enumerate(interface.inputs))
+        list(_points(instance, interface)), functions, list(enumerate(interface.inputs))
     ):
-        moved = u.copy()
-        moved[i] += SHARE * v.quantity.nominal
+        changed_u = u.copy()
+        changed_u[i] += CHANGE * v.quantity.nominal
         try:
-            before, after = function(x, u), function(x, moved)
-        except Exception:  # a point where the model does not work says nothing
+            before, after = function(x, u), function(x, changed_u)
+        except Exception:  # the model may be undefined at a random point
             continue
         changed = (before != after) & np.isfinite(before) & np.isfinite(after)
         for name in (n for n, c in zip(names, changed, strict=True) if c):
             if v.name not in model.depends.get(name, inputs):
                 raise Problem(
-                    f"{model.name}: {name} changes with {v.name}, which depends[{name!r}] does not name"
+                    f"{model.name}: {name} changes with {v.name}, which is missing in depends[{name!r}]"
                 )
 
 
-def _points(run: Instance, interface: Interface) -> Iterator[tuple[Array, Array]]:
-    """States and inputs around where the model starts."""
-    rng, s = np.random.default_rng(0), run.state
+def _points(instance: Instance, interface: Interface) -> Iterator[tuple[Array, Array]]:
+    """States and inputs: the initial ones, and random ones close to these."""
+    rng, s = np.random.default_rng(0), instance.state
     nominal = [np.array([v.quantity.nominal for v in g]) for g in (interface.states, interface.inputs)]
     yield s.x, s.u
     for _ in range(POINTS):

@@ -1,4 +1,4 @@
-"""The class that a user writes to make an FMU by hand: what goes in and out, and one step.
+"""`Model`, the base class of an FMU written by hand in Python: its variables, one step, its outputs.
 
     class Lag(Model):
         "First-order lag"
@@ -10,9 +10,9 @@
         def observe(self, x, u, p, t):
             return LagOutputs(y=x.y)
 
-The groups are frozen dataclasses of `Annotated[float, Quantity(unit, text)]`, as of any subsystem; a default
-of a field is its start value. `some` takes them from another group. `examples/my_subsystem` is one to start
-from. `UserModel` is what an instance runs: the model with its variables, and every answer checked.
+The groups are frozen dataclasses with fields `Annotated[float, Quantity(unit, text)]`; the default of a field
+is the start value. `some` selects fields of another group. `examples/my_subsystem` is an example. An instance
+runs a `UserModel`: the model with its FMI interface, and with checks of all that its methods return.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 
 from fmus.contract import Quantity, Symbolic, quantities
-from fmus.export.interface import Interface, assembled, variable_groups
+from fmus.export.interface import Interface, make_interface, variable_groups
 from fmus.parameters import Values
 from fmus.solver import Array, InputPolynomials
 from orchestrator.base.errors import Problem
@@ -37,29 +37,29 @@ from orchestrator.base.errors import Problem
 
 @dataclass(frozen=True)
 class Nothing:
-    """A group without variables."""
+    """The group without variables."""
 
 
 def some(name: str, group: type[Any], *variables: str) -> type[Any]:
-    """A group made of some variables of another, such as the outputs of the part that a model stands for."""
-    known = quantities(group)
+    """A group of some variables of another one, such as outputs of the component that the model replaces."""
+    declared = quantities(group)
     for variable in variables:
-        if variable not in known:
-            there = ", ".join(get_close_matches(variable, known)) or ", ".join(known)
-            raise Problem(f"{name}: {group.__name__} has no {variable}, expected one such as {there}")
-    return make_dataclass(name, [(v, Annotated[float, known[v]]) for v in variables], frozen=True)
+        if variable not in declared:
+            names = ", ".join(get_close_matches(variable, declared)) or ", ".join(declared)
+            raise Problem(f"{name}: {group.__name__} has no {variable}, expected a name such as {names}")
+    return make_dataclass(name, [(v, Annotated[float, declared[v]]) for v in variables], frozen=True)
 
 
 class Model:
-    """Base class of models by hand. What changes while they run is in `State`, and nowhere else.
+    """Base class of models by hand. All values that change during a simulation must be in `State`.
 
-    name         identifier: name of the FMU; by default that of the file
+    name         identifier: name of the FMU; default: name of the file
     Parameters, State, Inputs, Outputs   the variables; an output named like a state is that state
-    start        start values of inputs (else the defaults of the fields, else 0)
-    depends      output -> inputs that change it at the same instant, and of a state those that `initial`
-                 makes it from; what is not named depends on all inputs
-    files        files beside the user's that it reads: they go into the FMU
-    inner_step   longest step [s] that `step` is called with
+    start        start values of inputs; default: the defaults of the fields, else 0
+    depends      output -> inputs that it depends on directly; state that `initial` computes -> inputs that it
+                 is computed from; outputs and states that are missing here depend on all inputs
+    files        names of files in the same folder that the model reads; the FMU contains them
+    inner_step   longest step [s] with which `step` is called
     """
 
     name: ClassVar[str] = ""
@@ -73,41 +73,41 @@ class Model:
     inner_step: ClassVar[float] = math.inf
 
     def initial(self, x: Any, u: Any, p: Any) -> Mapping[str, float]:
-        """States that are computed at the start, from their start values x, inputs and parameters."""
+        """Initial values of the states that are not their start values; x: start values."""
         return {}
 
     def step(self, x: Any, u: Any, p: Any, t: float, h: float) -> Any:
-        """The state at t + h from that at t; u are the inputs in the middle of the step."""
+        """The state at t + h from the state x at t; u: the inputs in the middle of the step."""
         return x
 
     def observe(self, x: Any, u: Any, p: Any, t: float) -> Any:
         """The outputs at t."""
-        raise NotImplementedError("observe(x, u, p, t) is missing, expected a method that gives Outputs")
+        raise NotImplementedError("observe(x, u, p, t) is missing, expected a method that returns Outputs")
 
     def require(self, x: Any, u: Any, p: Any) -> Mapping[str, float]:
-        """What must hold at the start and after every step: statement -> a number > 0."""
+        """Requirements at the start and after every step: description -> value, which must be > 0."""
         return {}
 
     def __setattr__(self, name: str, value: object) -> None:
         if "_sealed" in self.__dict__:
             raise Problem(
-                f"{_caller()}self.{name} = ... keeps a value beside State, where a saved state misses it: "
-                "declare it in State and give it back from step()"
+                f"{_caller()}self.{name} = ... stores a value outside State, so saved states do not "
+                "contain it: declare it in State and return it from step()"
             )
         object.__setattr__(self, name, value)
 
     def __delattr__(self, name: str) -> None:
-        raise Problem(f"{_caller()}del self.{name}: a model does not change while it runs")
+        raise Problem(f"{_caller()}del self.{name}: a model must not change during a simulation")
 
 
 def _caller() -> str:
-    """File and line of the user's code that called a method of `Model`."""
+    """File and line of the user's code that changes an attribute of a `Model`."""
     frame = sys._getframe(2)
     return f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}: "
 
 
 def sealed(model: Model) -> Model:
-    """From now on nothing of the model can be assigned, and its arrays cannot be written to."""
+    """The model, after its attributes were made read-only, and the elements of its arrays."""
     for value in vars(model).values():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
@@ -120,12 +120,12 @@ _NO_EQUATIONS = Symbolic(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, (), _NONE, ()
 
 
 def _interface(model: Model) -> Interface:
-    """The variables with their start values; refuses what cannot be in an FMU."""
+    """The FMI interface with start values; Problem for declarations that are not possible."""
     groups = {name: getattr(model, name) for name in ("Parameters", "Inputs", "State", "Outputs")}
     declared = {name: _declared(model, name, group) for name, group in groups.items()}
     unknown = set(model.start) - set(declared["Inputs"])
     if unknown:
-        raise Problem(f"{model.name}: start names {min(unknown)}, expected inputs")
+        raise Problem(f"{model.name}: start: {min(unknown)} is not an input")
     start = {
         name: dict.fromkeys(declared[name], 0.0)
         | {f.name: float(f.default) for f in fields(group) if f.default is not MISSING}
@@ -134,10 +134,10 @@ def _interface(model: Model) -> Interface:
     start["Inputs"] |= {name: float(value) for name, value in model.start.items()}
     values = Values(p=start["Parameters"], u=start["Inputs"], x=start["State"])
     x, u, p = (groups[name](**start[name]) for name in ("State", "Inputs", "Parameters"))
-    calculated = _computed(model, model.initial(x, u, p), declared["State"])
+    calculated = _initial_states(model, model.initial(x, u, p), declared["State"])
     text = (type(model).__doc__ or model.name).strip().partition("\n")[0].rstrip(".")
     variables = variable_groups([*declared.values()], values, calculated, derivatives=False)
-    return assembled(model.name, text, variables, _NO_EQUATIONS, _NONE)
+    return make_interface(model.name, text, variables, _NO_EQUATIONS, _NONE)
 
 
 def _declared(model: Model, name: str, group: object) -> Mapping[str, Quantity]:
@@ -152,13 +152,13 @@ def _declared(model: Model, name: str, group: object) -> Mapping[str, Quantity]:
         ) from None
 
 
-def _computed(model: Model, values: object, allowed: Collection[str]) -> Mapping[str, float]:
-    """What `initial` returned, if that names states."""
+def _initial_states(model: Model, values: object, states: Collection[str]) -> Mapping[str, float]:
+    """The result of `initial`, checked: names of states."""
     if not isinstance(values, Mapping):
-        raise Problem(f"{model.name}: initial() gave {type(values).__name__}, expected a dictionary")
-    unknown = set(values) - set(allowed)
+        raise Problem(f"{model.name}: initial() returned {type(values).__name__}, expected a dictionary")
+    unknown = set(values) - set(states)
     if unknown:
-        raise Problem(f"{model.name}: initial() gave {min(unknown)}, expected names of states")
+        raise Problem(f"{model.name}: initial() returned {min(unknown)}, expected names of states")
     return values
 
 
@@ -167,15 +167,15 @@ def _group(group: type[Any], values: Sequence[float]) -> Any:
 
 
 class UserModel:
-    """A model by hand as an instance runs it, see `subsystem_model.RunnableModel`."""
+    """A model by hand as `subsystem_model.RunnableModel`."""
 
     def __init__(self, model: Model) -> None:
         self.model, self.interface = model, _interface(model)
         self._outputs = [f.name for f in fields(model.Outputs)]
         states = [v.name for v in self.interface.states]
         self._calculated = [v.name for v in self.interface.states if v.kind == "CALCULATED_STATE"]
-        self._own = [i for i, n in enumerate(self._outputs) if n not in states]
-        self._merged = [(i, states.index(n)) for i, n in enumerate(self._outputs) if n in states]
+        self._only_outputs = [i for i, n in enumerate(self._outputs) if n not in states]
+        self._state_outputs = [(i, states.index(n)) for i, n in enumerate(self._outputs) if n in states]
         groups = (self.interface.states, self.interface.inputs, self.interface.parameters)
         x, u, p = (np.array([v.start or 0.0 for v in group]) for group in groups)
         self.statements = tuple(self._require(self.start(x, u, p), u, p))
@@ -190,34 +190,35 @@ class UserModel:
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
         """See `RunnableModel`."""
-        computed = _computed(self.model, self.model.initial(*self._groups(x, u, p)), self._calculated)
-        if set(computed) != set(self._calculated):
-            raise Problem(f"{self.model.name}: initial() gave other states than at the build")
-        given = zip(self.interface.states, x, strict=True)
-        return np.array([self._number("initial", v.name, computed.get(v.name, old)) for v, old in given])
+        result = self.model.initial(*self._groups(x, u, p))
+        initial = _initial_states(self.model, result, self._calculated)
+        if set(initial) != set(self._calculated):
+            raise Problem(f"{self.model.name}: initial() returned other states than at the build")
+        pairs = zip(self.interface.states, x, strict=True)
+        return np.array([self._number("initial", v.name, initial.get(v.name, start)) for v, start in pairs])
 
     def rate(self, x: Array, u: Array, p: Array) -> Array:
-        """There are no derivatives."""
+        """See `RunnableModel`; there are no derivatives."""
         return np.zeros(0)
 
     def observe(self, x: Array, u: Array, p: Array, t: float) -> tuple[Array, Array]:
         """See `RunnableModel`."""
         y = self._values("observe", self.model.observe(*self._groups(x, u, p), t), self.model.Outputs)
-        for i, state in self._merged:
+        for i, state in self._state_outputs:
             if y[i] != x[state] and not (math.isnan(y[i]) and math.isnan(x[state])):
                 raise Problem(
-                    f"{self.model.name}: observe() gave {self._outputs[i]} = {y[i]:.9g}, which as a state is "
-                    f"{x[state]:.9g}"
+                    f"{self.model.name}: observe() returned {self._outputs[i]} = {y[i]:.9g}, expected "
+                    f"the value of the state, {x[state]:.9g}"
                 )
         require = self._require(x, u, p)
-        return y[self._own], np.array([require[statement] for statement in self.statements])
+        return y[self._only_outputs], np.array([require[statement] for statement in self.statements])
 
     def _require(self, x: Array, u: Array, p: Array) -> dict[str, float]:
         values = self.model.require(*self._groups(x, u, p))
-        first = "statements" not in vars(self)
-        if not isinstance(values, Mapping) or not (first or set(values) == set(self.statements)):
+        first_call = "statements" not in vars(self)
+        if not isinstance(values, Mapping) or not (first_call or set(values) == set(self.statements)):
             raise Problem(
-                f"{self.model.name}: require() gave {values!r}, expected always the same statements"
+                f"{self.model.name}: require() returned {values!r}, expected always the same requirements"
             )
         return {statement: self._number("require", statement, n) for statement, n in values.items()}
 
@@ -241,20 +242,20 @@ class UserModel:
         return x, memory
 
     def forward(
-        self, x: Array, u: Array, p: Array, along: tuple[Array, Array, Array], initial: bool
+        self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool
     ) -> tuple[Array, Array, Array]:
-        """A model by hand has no derivatives."""
-        raise Problem("a model written by hand offers no derivatives")
+        """See `RunnableModel`; refused."""
+        raise Problem("a model written by hand has no directional derivatives")
 
     def _values(self, method: str, result: object, group: type[Any]) -> Array:
         if not isinstance(result, group):
             raise Problem(
-                f"{self.model.name}: {method}() gave {type(result).__name__}, expected {group.__name__}"
+                f"{self.model.name}: {method}() returned {type(result).__name__}, expected {group.__name__}"
             )
         return np.array([self._number(method, f.name, getattr(result, f.name)) for f in fields(group)])
 
     def _number(self, method: str, name: str, value: Any) -> float:
-        problem = Problem(f"{self.model.name}: {method}() gave {name} = {value!r}, expected a number")
+        problem = Problem(f"{self.model.name}: {method}() returned {name} = {value!r}, expected a number")
         if isinstance(value, str | bytes | bool) or np.ndim(value) != 0:
             raise problem
         try:

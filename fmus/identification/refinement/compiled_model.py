@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import Quantity, Subsystem
-from fmus.export.c_code import generated, native_sources, routine
-from fmus.export.interface import Interface, Kind, Variable, assembled
+from fmus.export.c_code import c_function, generated, native_sources
+from fmus.export.interface import Interface, Kind, Variable, make_interface
 from fmus.identification.refinement.model_reduction import ReducedModel, reduce_model
 from fmus.identification.refinement.sensitivity_equations import sensitivity_code
 from fmus.identification.refinement.simulation import SegmentSolution, SimulationFailed
@@ -184,7 +184,7 @@ def sources(model: ReducedModel) -> dict[str, str]:
     lengths = {**code.lengths, "WIDTH": WIDTH}
     return generated(_interface(model), "", 2) | {
         "sens.h": SENS_H.format(lengths="\n".join(f"    {name} = {n}," for name, n in lengths.items())),
-        "sens.c": "\n".join([SENS_C_HEAD, *tables, *(routine(r, names) for r in code.routines)]),
+        "sens.c": "\n".join([SENS_C_HEAD, *tables, *(c_function(r, names) for r in code.routines)]),
     }
 
 
@@ -205,7 +205,7 @@ def _interface(model: ReducedModel) -> Interface:
     ]
     equations = replace(model.equations, y=ca.SX(0, 1))
     # declared stiff by default, so that only the implicit method is used; only that one has sensitivities
-    return assembled("refined", "A model for output error", groups, equations, ca.SX(0, 1))
+    return make_interface("refined", "A model for output error", groups, equations, ca.SX(0, 1))
 
 
 def library(generated_files: Mapping[str, str]) -> ctypes.CDLL:
