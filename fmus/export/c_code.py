@@ -258,7 +258,7 @@ DEFAULT_TOLERANCE = 1e-6  # relative, of the solver
 
 
 # order in which the C files are included; all others follow in alphabetical order
-_ORDER = ["model", "adjoint", "motion", "rosenbrock", "kutta", "solver", "core", "snapshot", "instance"]
+_ORDER = ["model", "adjoint", "inputs", "rosenbrock", "kutta", "solver", "core", "snapshot", "instance"]
 
 
 def native_sources(fmi: int) -> dict[str, str]:

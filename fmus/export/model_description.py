@@ -122,7 +122,9 @@ def model_description(
     for name, text in LOG_CATEGORIES.items():
         etree.SubElement(categories, "Category", name=name, description=text)
     times = {"startTime": 0.0, "stopTime": stop, "tolerance": DEFAULT_TOLERANCE, "stepSize": step}
-    etree.SubElement(root, "DefaultExperiment", {name: shortest_decimal(value) for name, value in times.items()})
+    etree.SubElement(
+        root, "DefaultExperiment", {name: shortest_decimal(value) for name, value in times.items()}
+    )
     if fmi == 2:
         _input_derivatives(root, interface)
     _variables(root, interface, fmi)

@@ -164,7 +164,7 @@ def test_the_command_line_overwrites_no_native_fmu(tmp_path, capsys):
     assert capsys.readouterr().out == f"{native.parent / 'python' / 'swing.fmu'}\n"
     assert native.read_text(encoding="utf-8") == "native"
     assert main([*command, "--fmi", "3"]) == 2
-    assert "--fmi 3: expected 2, an FMU whose code is Python is one of FMI 2.0" in capsys.readouterr().err
+    assert "--fmi 3: expected 2, because an FMU whose code is Python uses FMI 2.0" in capsys.readouterr().err
 
 
 def test_ports_are_taken_from_the_part_that_a_model_stands_for():

@@ -201,18 +201,18 @@ LOCAL double core_input_derivative(const Core *core, int input) {
 }
 
 /* Taylor polynomials of the inputs around `tau` [s] after the start of the step; u: their values there. */
-static void plan_inputs(const State *s, const double *u, double tau, Motion *motion) {
-    motion->origin = tau;
-    motion->count = 0;
-    memcpy(motion->start, u, NU * sizeof *u);
+static void plan_inputs(const State *s, const double *u, double tau, InputPolynomials *inputs) {
+    inputs->origin = tau;
+    inputs->count = 0;
+    memcpy(inputs->start, u, NU * sizeof *u);
     for (int i = 0; i < NU; i++) {
         if (!s->has_derivatives[i] && model_variables[FIRST_INPUT + i].rate < 0) continue;
-        double *m = motion->coefficients[i];
+        double *m = inputs->coefficients[i];
         input_derivatives(s, u, i, m);
         if (m[0] == 0.0 && m[1] == 0.0 && m[2] == 0.0) continue;
         m[1] *= 1.0 / 2.0;
         m[2] *= 1.0 / 6.0;
-        motion->moving[motion->count++] = i;
+        inputs->moving[inputs->count++] = i;
     }
 }
 
@@ -282,8 +282,8 @@ static void report_failure(Core *core, const Report *report) {
 static void set_time(Core *core, double begin, double tau) {
     State *s = &core->s;
     s->time = begin + tau;
-    motion_value(&core->motion, tau, s->u);
-    motion_derivative(&core->motion, tau, s->end_derivative);
+    inputs_value(&core->inputs, tau, s->u);
+    inputs_derivative(&core->inputs, tau, s->end_derivative);
     core->start_valid = core->dx_valid = core->y_valid = 0;
 }
 
@@ -299,7 +299,7 @@ static double after_inner_step(void *owner, double tau, double length) {
     set_time(core, context->begin, tau);
     core->inputs_changed = 0;
     const double end = core->intermediate_update(core->owner, context->begin + length) - context->begin;
-    if (core->inputs_changed) plan_inputs(&core->s, core->s.u, tau, &core->motion);
+    if (core->inputs_changed) plan_inputs(&core->s, core->s.u, tau, &core->inputs);
     return end < length ? fmax(tau, end) : length;
 }
 
@@ -310,10 +310,10 @@ LOCAL int core_step(Core *core, double length) {
     const double minimum_step = fmax(1e-14 * length, DBL_MIN); /* a smaller one does not change the time */
     double tau = length;
     prepare(core);
-    plan_inputs(s, s->last_set, 0.0, &core->motion);
+    plan_inputs(s, s->last_set, 0.0, &core->inputs);
     core->start_valid = core->dx_valid = core->y_valid = 0;
     if (NX > 0) {
-        const Report report = solve(s->x, s->p, core->c, &core->motion, length, s->tolerance, minimum_step,
+        const Report report = solve(s->x, s->p, core->c, &core->inputs, length, s->tolerance, minimum_step,
                                     &callback, &s->memory, &core->work);
         s->time = context.begin;
         if (report.outcome != SOLVED) {

@@ -20,7 +20,7 @@ typedef enum { OK, WARNING, DISCARD, ERROR } Status;
 typedef struct {
     double time, start_time, stop_time; /* stop_time is infinite if it is not defined */
     double tolerance;
-    SolverMemory memory;
+    StepMemory memory;
     double x[ROOM(NX)];        /* states */
     double p[ROOM(NP)];        /* parameters */
     double u[ROOM(NU)];        /* inputs at the current time */
@@ -41,8 +41,8 @@ typedef struct Core {
     int c_valid, start_valid, dx_valid, y_valid;
     double c[ROOM(NC)], dx[ROOM(NX)], y[ROOM(NY)], require[ROOM(NREQUIRE)];
     double direction[ROOM(NUMBER_OF_VARIABLES)]; /* seed and result of a derivative, by value reference */
-    Motion motion;
-    int inputs_changed; /* 1 if an input was set inside the step: `motion` must be computed anew */
+    InputPolynomials inputs;
+    int inputs_changed; /* 1 if an input was set inside the step: `inputs` must be computed anew */
     Work work;
     const char *call; /* name of the FMI function that runs, for messages */
     void (*report)(void *owner, Status kind, const char *text);

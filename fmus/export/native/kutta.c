@@ -11,16 +11,16 @@
 
 #include "solver.h"
 
-LOCAL int kutta(const double *x, const double *p, const double *c, const Motion *motion, double tau,
+LOCAL int kutta(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
                 double h, Work *w) {
     const double *k1 = w->f0;
     double change = 0.0, moved = 0.0; /* |k_3 - k_2|^2 and |x_3 - x_2|^2 / h^2, relative to the nominal values */
     double *k2 = w->k[0], *k3 = w->k[1];
     for (int i = 0; i < NX; i++) w->x[i] = x[i] + 0.5 * h * k1[i];
-    motion_update(motion, tau + 0.5 * h, w->u);
+    inputs_update(inputs, tau + 0.5 * h, w->u);
     model_dynamics(w->x, w->u, p, c, k2);
     for (int i = 0; i < NX; i++) w->x[i] = x[i] + h * (2.0 * k2[i] - k1[i]);
-    motion_update(motion, tau + h, w->u);
+    inputs_update(inputs, tau + h, w->u);
     model_dynamics(w->x, w->u, p, c, k3);
     for (int i = 0; i < NX; i++) {
         w->error[i] = h / 6.0 * (k1[i] - 2.0 * k2[i] + k3[i]);

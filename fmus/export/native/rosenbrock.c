@@ -31,7 +31,7 @@ static const double C[STAGES][STAGES - 1] = {
     {8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054},
 };
 
-LOCAL void rosenbrock(const double *x, const double *p, const double *c, const Motion *motion, double tau,
+LOCAL void rosenbrock(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
                       double h, Work *w) {
     for (int s = 0; s < STAGES; s++) {
         if (s == 0) {
@@ -40,14 +40,14 @@ LOCAL void rosenbrock(const double *x, const double *p, const double *c, const M
             for (int i = 0; i < NX; i++) w->x[i] = x[i];
             for (int j = 0; j < s; j++)
                 for (int i = 0; i < NX; i++) w->x[i] += A[s][j] * w->k[j][i];
-            if (s < STAGES - 1) motion_update(motion, tau + ALPHA[s] * h, w->u);
+            if (s < STAGES - 1) inputs_update(inputs, tau + ALPHA[s] * h, w->u);
             model_dynamics(w->x, w->u, p, c, w->b);
             double sum[ROOM(NX)] = {0.0};
             for (int j = 0; j < s; j++)
                 for (int i = 0; i < NX; i++) sum[i] += C[s][j] * w->k[j][i];
             for (int i = 0; i < NX; i++) w->b[i] += sum[i] / h;
         }
-        if (motion->count > 0 && s < 4)
+        if (inputs->count > 0 && s < 4)
             for (int i = 0; i < NX; i++) w->b[i] += G[s] * h * w->ft[i];
         model_solve(w->lu, w->b, w->k[s]);
     }

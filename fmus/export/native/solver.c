@@ -38,13 +38,13 @@ static int not_finite(const double *f) {
 }
 
 /* 1 if the explicit method is to be tried in this inner step. */
-static int try_explicit(SolverMemory *memory) {
+static int explicit_is_due(StepMemory *memory) {
     if (memory->pause <= 0) return 1;
     memory->pause--;
     return 0;
 }
 
-static void update_pause(SolverMemory *memory, int success) {
+static void update_memory(StepMemory *memory, int success) {
     int pause = memory->next_pause;
     if (pause < SHORTEST_PAUSE) pause = SHORTEST_PAUSE;
     if (pause > LONGEST_PAUSE) pause = LONGEST_PAUSE;
@@ -52,8 +52,8 @@ static void update_pause(SolverMemory *memory, int success) {
     memory->next_pause = success ? pause - 1 : 2 * pause;
 }
 
-LOCAL Report solve(double *x, const double *p, const double *c, const Motion *motion, double length,
-                   double tolerance, double minimum_step, const StepCallback *callback, SolverMemory *memory,
+LOCAL Report solve(double *x, const double *p, const double *c, const InputPolynomials *inputs, double length,
+                   double tolerance, double minimum_step, const StepCallback *callback, StepMemory *memory,
                    Work *w) {
     Report report = {SOLVED, 0.0, 0.0, 0, 0.0};
     double tau = 0.0, proposal = memory->step > 0.0 ? memory->step : length;
@@ -70,17 +70,17 @@ LOCAL Report solve(double *x, const double *p, const double *c, const Motion *mo
             return report;
         }
         if (!linearised) {
-            motion_value(motion, tau, w->u);
-            if (EXPLICIT_FIRST && try_explicit(memory)) {
+            inputs_value(inputs, tau, w->u);
+            if (EXPLICIT_FIRST && explicit_is_due(memory)) {
                 model_dynamics(x, w->u, p, c, w->f0);
-                if (kutta(x, p, c, motion, tau, h, w)) error = error_norm(x, w, tolerance, &report);
-                update_pause(memory, error <= 1.0);
+                if (kutta(x, p, c, inputs, tau, h, w)) error = error_norm(x, w, tolerance, &report);
+                update_memory(memory, error <= 1.0);
             }
         }
         if (!(error <= 1.0)) {
             if (!linearised) {
-                motion_update(motion, tau, w->u);
-                motion_derivative(motion, tau, w->du);
+                inputs_update(inputs, tau, w->u);
+                inputs_derivative(inputs, tau, w->du);
                 model_jacobian(x, w->u, p, c, w->du, w->f0, w->jac, w->ft);
                 linearised = 1;
                 if (not_finite(w->f0) >= 0) {
@@ -93,7 +93,7 @@ LOCAL Report solve(double *x, const double *p, const double *c, const Motion *mo
             error = INFINITY;
             model_factorise(&diagonal, w->jac, w->lu, &accurate);
             if (accurate != 0.0) {
-                rosenbrock(x, p, c, motion, tau, h, w);
+                rosenbrock(x, p, c, inputs, tau, h, w);
                 error = error_norm(x, w, tolerance, &report);
             }
         }

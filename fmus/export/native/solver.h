@@ -3,10 +3,10 @@
 #ifndef SOLVER_H
 #define SOLVER_H
 
-#include "motion.h"
+#include "inputs.h"
 
-/* Called after each accepted inner step, with the states at tau. It may change the motion of the inputs from there
-   on. Returns where the integration ends: a value from tau to `length`. */
+/* Called after each accepted inner step, with the states at tau. It may change the polynomials of the inputs
+   from there on. Returns where the integration ends: a value from tau to `length`. */
 typedef struct {
     double (*call)(void *owner, double tau, double length);
     void *owner;
@@ -17,7 +17,7 @@ typedef struct {
     double step;    /* proposal for the next inner step [s], 0 if there is none */
     int pause;      /* inner steps before the explicit method is tried again, after it failed */
     int next_pause; /* length of the pause after its next failure */
-} SolverMemory;
+} StepMemory;
 
 /* Temporary arrays of the solver; they hold nothing between calls. */
 typedef struct {
@@ -44,15 +44,15 @@ typedef struct {
 /* One step of size h from x at tau. Input: the inputs w->u, dx/dt in w->f0 and, for the implicit method, w->lu and
    w->ft. Output: the new states w->x and their estimated error w->error. `kutta` returns 1 if the explicit method
    is stable in this step. */
-LOCAL void rosenbrock(const double *x, const double *p, const double *c, const Motion *motion, double tau,
+LOCAL void rosenbrock(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
                       double h, Work *w);
-LOCAL int kutta(const double *x, const double *p, const double *c, const Motion *motion, double tau,
+LOCAL int kutta(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
                 double h, Work *w);
 
 /* Advances x by `length` [s] or until `callback` ends the integration. A step below `minimum_step` [s] is a
    failure. */
-LOCAL Report solve(double *x, const double *p, const double *c, const Motion *motion, double length,
-                   double tolerance, double minimum_step, const StepCallback *callback, SolverMemory *memory,
+LOCAL Report solve(double *x, const double *p, const double *c, const InputPolynomials *inputs, double length,
+                   double tolerance, double minimum_step, const StepCallback *callback, StepMemory *memory,
                    Work *w);
 
 #endif

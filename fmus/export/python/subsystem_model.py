@@ -49,7 +49,7 @@ class RunnableModel(Protocol):
         self,
         x: Array,
         p: Array,
-        motion: InputPolynomials,
+        inputs: InputPolynomials,
         t: float,
         length: float,
         tolerance: float,
@@ -152,7 +152,7 @@ class SubsystemModel:
         self,
         x: Array,
         p: Array,
-        motion: InputPolynomials,
+        inputs: InputPolynomials,
         t: float,
         length: float,
         tolerance: float,
@@ -162,7 +162,7 @@ class SubsystemModel:
         if not x.size:
             return x, memory
         self._p[:] = p
-        return solve(self, x, motion, length, tolerance, memory)
+        return solve(self, x, inputs, length, tolerance, memory)
 
     def forward(
         self, x: Array, u: Array, p: Array, direction: tuple[Array, Array, Array], initial: bool

@@ -226,7 +226,7 @@ class UserModel:
         self,
         x: Array,
         p: Array,
-        motion: InputPolynomials,
+        inputs: InputPolynomials,
         t: float,
         length: float,
         tolerance: float,
@@ -236,7 +236,7 @@ class UserModel:
         count = max(1, math.ceil(length / self.model.inner_step - 1e-9))
         h = length / count
         for k in range(count):
-            u = motion.value((k + 0.5) * h)
+            u = inputs.value((k + 0.5) * h)
             after = self.model.step(*self._groups(x, u, p), t + k * h, h)
             x = self._values("step", after, self.model.State)
         return x, memory

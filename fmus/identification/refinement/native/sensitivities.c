@@ -28,7 +28,7 @@ enum {
 
 typedef struct {
     const double *p, *d;
-    const Motion *motion;
+    const InputPolynomials *inputs;
     Work work;
     int sensitivities; /* whether to compute them */
     int steps;
@@ -72,8 +72,8 @@ static double after_step(void *owner, double tau, double length) {
     double hessian[ROOM(NHESSIAN)], jac[STAGES][ROOM(NJ)], product[STAGES][ROOM(NPRODUCT)], f_q[ROOM(NF_Q)];
     double u[ROOM(NU)], du[ROOM(NU)], x[ROOM(NX)];
     Work *w = &t->work;
-    motion_derivative(t->motion, t->tau, du);
-    motion_value(t->motion, t->tau, u);
+    inputs_derivative(t->inputs, t->tau, du);
+    inputs_value(t->inputs, t->tau, u);
     sens_hessian(t->x, u, t->p, t->d, hessian);
     for (int s = 0; s < STAGES; s++) {
         double h_du[ROOM(NU)];
@@ -82,7 +82,7 @@ static double after_step(void *owner, double tau, double length) {
             x[i] = t->x[i];
             for (int j = 0; j < s; j++) x[i] += A[s][j] * w->k[j][i];
         }
-        motion_update(t->motion, t->tau + ALPHA[s] * h, u);
+        inputs_update(t->inputs, t->tau + ALPHA[s] * h, u);
         sens_stage(x, u, t->p, t->d, hessian, w->k[s], h_du, jac[s], product[s], f_q);
         for (int e = 0; e < NF_Q; e++) put((double *)t->f_q[s], NX, F_Q[e], f_q[e]);
     }
@@ -130,9 +130,9 @@ static int observe(const Trajectory *t, const double *x, const double *u, double
 EXPORTED int simulate(int n, const double *time, const double *inputs, double *x, const double *p,
                       double tolerance, int sensitivities, double *y, double *dy, double *dx, double *report) {
     double c[ROOM(NC)], d[ROOM(ND)];
-    Motion motion = {.count = 0};
-    Trajectory t = {.p = p, .d = d, .motion = &motion, .sensitivities = sensitivities};
-    SolverMemory memory = {0};
+    InputPolynomials inputs = {.count = 0};
+    Trajectory t = {.p = p, .d = d, .inputs = &inputs, .sensitivities = sensitivities};
+    StepMemory memory = {0};
     const StepCallback callback = {after_step, &t};
     model_prepare(p, c);
     sens_prepare(p, d);
@@ -152,16 +152,16 @@ EXPORTED int simulate(int n, const double *time, const double *inputs, double *x
             return OUTPUT_NOT_FINITE;
         if (k == n - 1) break;
         const double length = time[k + 1] - time[k];
-        motion.count = 0;
+        inputs.count = 0;
         for (int i = 0; i < NU; i++) {
-            motion.start[i] = u[i];
-            motion.coefficients[i][0] = (u[NU + i] - u[i]) / length;
-            if (motion.coefficients[i][0] != 0.0) motion.moving[motion.count++] = i;
+            inputs.start[i] = u[i];
+            inputs.coefficients[i][0] = (u[NU + i] - u[i]) / length;
+            if (inputs.coefficients[i][0] != 0.0) inputs.moving[inputs.count++] = i;
         }
         memcpy(t.x, x, NX * sizeof *x);
         t.tau = 0.0;
         const double smallest = fmax(1e-14 * length, DBL_MIN);
-        const Report solution = solve(x, p, c, &motion, length, tolerance, smallest, &callback, &memory, &t.work);
+        const Report solution = solve(x, p, c, &inputs, length, tolerance, smallest, &callback, &memory, &t.work);
         if (solution.outcome != SOLVED) {
             report[0] += solution.tau;
             report[2] = solution.worst;

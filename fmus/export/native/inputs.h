@@ -1,7 +1,7 @@
 /* Inputs inside a communication step, as polynomials of time. */
 
-#ifndef MOTION_H
-#define MOTION_H
+#ifndef INPUTS_H
+#define INPUTS_H
 
 #include "model.h"
 
@@ -12,10 +12,10 @@ typedef struct {
     int moving[ROOM(NU)]; /* indices of the `count` inputs that are not constant; only these have coefficients */
     int count;
     double origin;
-} Motion;
+} InputPolynomials;
 
-LOCAL void motion_value(const Motion *motion, double tau, double *u);       /* values of all inputs at tau */
-LOCAL void motion_update(const Motion *motion, double tau, double *u);      /* values of the moving inputs only */
-LOCAL void motion_derivative(const Motion *motion, double tau, double *du); /* derivatives of all inputs */
+LOCAL void inputs_value(const InputPolynomials *inputs, double tau, double *u);       /* all values at tau */
+LOCAL void inputs_update(const InputPolynomials *inputs, double tau, double *u);      /* those that move only */
+LOCAL void inputs_derivative(const InputPolynomials *inputs, double tau, double *du); /* all derivatives */
 
 #endif

@@ -30,7 +30,7 @@ def derivative(s: InstanceState, rates: Sequence[int], u: Array, i: int, order: 
     return float(u[rates[i]]) if order == 1 else derivative(s, rates, u, rates[i], order - 1)
 
 
-def motion(s: InstanceState, rates: Sequence[int]) -> InputPolynomials:
+def polynomials(s: InstanceState, rates: Sequence[int]) -> InputPolynomials:
     """The polynomials of all inputs over the next step."""
     terms = (
         [derivative(s, rates, s.last_set, i, order) / factorial for i in range(s.last_set.size)]
