@@ -82,7 +82,7 @@ def timed(study: Path, out: Path, workers: int) -> Cost:
 
 def kept(out: Path) -> int:
     """How many runs are finished."""
-    return sum(pq.read_metadata(f).num_rows for f in out.glob("parts/runs-*.parquet"))
+    return sum(pq.read_metadata(f).num_rows for f in out.glob("parts/batch-*.parquet"))
 
 
 def killed(study: Path, out: Path, runs: int) -> int:

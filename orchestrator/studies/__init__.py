@@ -1,14 +1,15 @@
-"""Many runs: parameter studies, convergence of the masters, path following, the cost of variants.
+"""Many runs: parameter studies, convergence studies, path following, and the cost of variants.
 
-    study, cases, design     what a parameter study is, what it means for its systems, its samples
-    single_run, processes    one run, and the child processes that hold the FMUs
-    pool, store              Dask, and the folder with the results
-    parameter_study          `harvester sweep`; `analysis` and `report` say what its results mean
-    convergence...           `harvester convergence`: error of each master over the communication step
-    path_...                 `harvester track`: how far the tip is from its path
-    variants                 `harvester variants`: what each variant costs and changes
+    study, cases, design     a parameter study as data, resolved against its systems, and its samples
+    single_run, processes    one run, and the child processes that load the FMUs
+    pool, store              tasks of Dask, and the folder with the results
+    parameter_study          `harvester sweep`
+    analysis, report         statistics and sensitivities of its results, and their page
+    convergence              `harvester convergence`: error of each master over the communication step
+    path_...                 `harvester track`: distance of the tip from its path
+    variants                 `harvester variants`: cost of each variant, and its effect on the results
 
-For Python: `from orchestrator.studies import Study, sweep` and the names below.
+In Python: `from orchestrator.studies import Study, sweep` and the names below.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from orchestrator.studies.study import Choice, Factor, Output, Study
     from orchestrator.studies.study import read as read_study
 
-_WHERE = {
+_LOCATIONS = {
     "Choice": "study:Choice",
     "Factor": "study:Factor",
     "Output": "study:Output",
@@ -43,7 +44,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import on first use."""
-    if name not in _WHERE:
+    if name not in _LOCATIONS:
         raise AttributeError(f"module 'orchestrator.studies' has no attribute {name!r}")
-    module, _, attribute = _WHERE[name].partition(":")
+    module, _, attribute = _LOCATIONS[name].partition(":")
     return getattr(import_module(f"orchestrator.studies.{module}"), attribute)

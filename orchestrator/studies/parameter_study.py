@@ -1,11 +1,11 @@
-"""`harvester sweep`: run what is missing of a parameter study, keep it in a folder, summarise it.
+"""`harvester sweep`: run the missing runs of a parameter study, store the results, print a summary.
 
 from orchestrator.studies import Factor, Output, Study, sweep
 
 mass = Factor("manipulator.head_mass", "uniform", {"minimum": 300, "maximum": 400})
 peak = Output("peak", "swing.swing_pressure_a", "maximum")
 study = Study("Head mass", "build/harvester.ssp", runs=50, stop=5.0, factors=(mass,), outputs=(peak,))
-table = sweep(study).table  # of pandas, one row per run
+table = sweep(study).table  # pandas table with one row per run
 """
 
 from __future__ import annotations
@@ -28,28 +28,30 @@ from orchestrator.base.errors import Stopped
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import TextTable, display_unit
 from orchestrator.studies import design, pool, processes, store
-from orchestrator.studies.analysis.results import alike
+from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.cases import resolve
 from orchestrator.studies.single_run import EARLY, FAILED, OK, RunOutcome
 from orchestrator.studies.study import Study, read
 
 FOLDER = Path("build/sweeps")
-TENTHS = 10  # lines of progress where no terminal is
-REASONS = 5  # of failed runs, that are printed
+PROGRESS_LINES = 10  # printed if the output is not a terminal
+REASONS = 5  # of failures that are printed
 
-Watch = Callable[[int, int, Sequence[RunOutcome]], None]  # runs in all, runs done, outcomes of the last batch
+Watch = Callable[
+    [int, int, Sequence[RunOutcome]], None
+]  # all runs, finished runs, outcomes of the last batch
 
 
 @dataclass(frozen=True)
 class PreparedStudy:
-    """A study whose systems are open; samples in the order of their runs."""
+    """A study with its systems loaded; samples in the order of their runs."""
 
     payload: processes.Payload
     table: pd.DataFrame
     samples: Sequence[design.Sample]
 
-    def known(self) -> tuple[pa.Table, dict[str, str]]:
-        """All columns that are known before the runs, and their units."""
+    def inputs(self) -> tuple[pa.Table, dict[str, str]]:
+        """Samples and start values of all runs as columns, and their units."""
         study = self.payload.study
         starts, units = design.starts(study, self.payload.cases, self.samples)
         columns = pa.Table.from_pandas(self.table, preserve_index=False)
@@ -59,7 +61,7 @@ class PreparedStudy:
 
 
 def prepare(study: Study) -> PreparedStudy:
-    """Open the systems of a study and draw its samples; raises a Problem if no run can do what it asks."""
+    """Load the systems of a study and draw its samples; raises a Problem if the study is impossible."""
     resolved, cases = resolve(study)
     table = design.table(resolved)
     return PreparedStudy(processes.payload(resolved, cases), table, design.runs(resolved, table, cases))
@@ -75,40 +77,42 @@ def sweep(
     fresh: bool = False,
     watch: Watch | None = None,
 ) -> store.Results:
-    """Run a study, or what is missing of it in its folder; the results, with a pandas table of all runs.
+    """Run the runs of a study that its folder lacks; returns the results, with a pandas table of all runs.
 
-    study      or the path of its TOML file
-    folder     of the results; default: build/sweeps/ and the name of the file or the title
-    workers    runs at the same time on this machine; default: one per core
-    scheduler  address of a Dask cluster to run on instead, such as tcp://host:8786
-    client     a connection to a Dask cluster, used instead; it stays open
-    fresh      delete what the folder holds of a study
-    watch      called before the first run and after each batch: runs in all, runs done, outcomes of the batch
+    study      a study or the path of its TOML file
+    folder     folder of the results; default: build/sweeps/ and the name of the file or the title
+    workers    number of parallel runs on this machine; default: one per core
+    scheduler  address of a Dask cluster for the runs, such as tcp://host:8786
+    client     a connection to a Dask cluster for the runs; it stays open
+    fresh      delete the results of a study in the folder
+    watch      called before the first run and after each batch: all, finished runs, outcomes of the batch
     """
     study = study if isinstance(study, Study) else read(study)
     folder = Path(folder) if folder else FOLDER / (Path(study.source).stem or study.title or "study")
-    ready = prepare(study)
+    prepared = prepare(study)
     with ExitStack() as stack:
         if scheduler and not client and (fresh or not store.finished(folder)):
-            # before the folder: where no scheduler answers, nothing is begun and nothing is deleted
+            # connect first: if no scheduler answers, nothing is written or deleted
             client = stack.enter_context(pool.client(workers, scheduler))
         stack.enter_context(store.locked(folder))
         if fresh:
             store.clear(folder)
-        kept = store.Store(folder, ready.payload.study, store.fingerprint(ready.payload, ready.table))
+        results = store.Store(
+            folder, prepared.payload.study, store.fingerprint(prepared.payload, prepared.table)
+        )
         if not store.finished(folder):
             connection = nullcontext(client) if client else pool.client(workers)
-            _complete(ready, kept, connection, watch or (lambda *_: None))
-            kept.finish(*ready.known())
+            _run_missing(prepared, results, connection, watch or (lambda *_: None))
+            results.finish(*prepared.inputs())
         return store.read(folder)
 
 
-def _complete(
-    ready: PreparedStudy, kept: store.Store, connection: AbstractContextManager[Client], watch: Watch
+def _run_missing(
+    prepared: PreparedStudy, results: store.Store, connection: AbstractContextManager[Client], watch: Watch
 ) -> None:
-    """Run what is missing."""
-    done, total = kept.done(), len(ready.samples)
-    missing = [s for s in ready.samples if s.run not in done]
+    """Run the samples without stored results."""
+    done, total = results.done(), len(prepared.samples)
+    missing = [s for s in prepared.samples if s.run not in done]
     count = len(done)
     watch(total, count, ())
     if not missing:
@@ -117,15 +121,15 @@ def _complete(
         with (
             connection as client,
             DeferredInterrupts() as interrupts,  # Dask's callbacks would swallow a KeyboardInterrupt
-            closing(pool.outcomes(client, ready.payload, missing, interrupts.check)) as batches,
+            closing(pool.outcomes(client, prepared.payload, missing, interrupts.check)) as batches,
         ):
             for batch in batches:
-                kept.add(batch)
+                results.add(batch)
                 count += len(batch)
                 watch(total, count, batch)
     except KeyboardInterrupt:
-        message = f"{len(kept.done())} of {total} runs are kept in {kept.folder}, the same command goes on"
-        raise Stopped(message) from None
+        stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
+        raise Stopped(f"{stored}, the same command continues") from None
 
 
 # ---- the command line
@@ -139,9 +143,9 @@ def run(
     fresh: bool = False,
     report: bool = True,
 ) -> bool:
-    """Run a study with its progress shown and print a summary; False if no run came to its end.
+    """Run a study with a progress bar and print a summary; False if no run came to its end.
 
-    report  write the page of the analysis too; for the rest see `sweep`
+    report  write the page of the analysis, too; other options: `sweep`
     """
     folder = out or FOLDER / file.stem
     with progress() as watch:
@@ -157,19 +161,19 @@ def run(
 
 
 class StudyProgress:
-    """How far a study is: a bar on a terminal, elsewhere a line for each tenth of the runs."""
+    """Progress of a study: a bar on a terminal, elsewhere a line for each tenth of the runs."""
 
     def __init__(self, stream: TextIO, bar: Progress | None = None) -> None:
         self._stream, self._bar = stream, bar
         self._task = bar.add_task("starting", total=None) if bar else None
-        self._began, self._tenth, self._fresh, self._failed = time.perf_counter(), 0, 0, 0
+        self._began, self._tenth, self._new, self._failed = time.perf_counter(), 0, 0, 0
 
     def __call__(self, total: int, done: int, batch: Sequence[RunOutcome]) -> None:
-        tenth, text = TENTHS * done // total, ""
+        tenth, text = PROGRESS_LINES * done // total, ""
         if batch:
-            self._fresh += len(batch)
+            self._new += len(batch)
             self._failed += sum(r.status == FAILED for r in batch)
-            rate = self._fresh / (time.perf_counter() - self._began)
+            rate = self._new / (time.perf_counter() - self._began)
             text = f"{rate:.1f} runs/s, {(total - done) / rate:.0f} s left"
             text += f", {self._failed} failed" if self._failed else ""
         else:
@@ -178,13 +182,13 @@ class StudyProgress:
             self._bar.update(self._task, total=total, completed=done, description=text)
         elif tenth > self._tenth:
             self._tenth = tenth
-            line = f"{100 * tenth // TENTHS} %: {done} of {total} runs, {text}"
+            line = f"{100 * tenth // PROGRESS_LINES} %: {done} of {total} runs, {text}"
             print(line, file=self._stream, flush=True)
 
 
 @contextmanager
 def progress() -> Iterator[Watch]:
-    """Progress on standard error; a bar goes when it is done."""
+    """Progress on standard error; a bar disappears at the end."""
     console = Console(stderr=True)
     if not console.is_terminal:
         yield StudyProgress(sys.stderr)
@@ -195,9 +199,9 @@ def progress() -> Iterator[Watch]:
 
 
 def summary(results: store.Results) -> str:
-    """How many runs there are of each status, the outputs, and why runs failed."""
+    """Number of runs of each status, range of the outputs, and reasons of failures."""
     counts = results.table["status"].value_counts()
-    kinds = ", ".join(f"{counts[kind]} {kind}" for kind in (OK, EARLY, FAILED) if kind in counts)
+    statuses = ", ".join(f"{counts[status]} {status}" for status in (OK, EARLY, FAILED) if status in counts)
     rows = []
     for output in results.study.outputs:
         column = results.table[output.column]
@@ -205,16 +209,17 @@ def summary(results: store.Results) -> str:
         values = (f"{v * unit.factor:.5g}" for v in (column.min(), column.mean(), column.max()))
         rows.append((output.name, *values, unit.display))
     lines = TextTable(("output", "minimum", "mean", "maximum", "unit"), rows, left=(0, 4)).lines()
-    return "\n".join([f"{len(results.table)} runs: {kinds}", "", *lines, *_reasons(results)])
+    return "\n".join([f"{len(results.table)} runs: {statuses}", "", *lines, *_reasons(results)])
 
 
 def _reasons(results: store.Results) -> list[str]:
-    """Reasons that differ by their numbers alone count as one, shown by the first run that has it."""
+    """Failures by reason; reasons that differ only in their numbers are one, shown by its first run."""
     reasons = results.table.loc[results.table["status"] == FAILED, "reason"]
-    groups = sorted((own for _, own in reasons.groupby(alike(reasons), sort=False)), key=len, reverse=True)
+    same = reasons.groupby(without_numbers(reasons), sort=False)
+    groups = sorted((group for _, group in same), key=len, reverse=True)
     lines = [
-        f"{len(own)} failed{', such as' if own.nunique() > 1 else ''}: {own.iloc[0]}"
-        for own in groups[:REASONS]
+        f"{len(group)} failed{', such as' if group.nunique() > 1 else ''}: {group.iloc[0]}"
+        for group in groups[:REASONS]
     ]
     if len(groups) > REASONS:
         lines.append(f"... and for {len(groups) - REASONS} other reasons")

@@ -1,8 +1,7 @@
-"""Where the runs of a study take place: on the cores of this machine, or on a Dask cluster that exists.
+"""Runs of a study as tasks of Dask, on the cores of this machine or on an existing cluster.
 
-On this machine it is a Dask cluster whose workers are threads of this process, and nothing listens on the
-network. `distributed.LocalCluster` would open a page of the scheduler and one of each worker to the network,
-also without a dashboard.
+On this machine the workers of the cluster are threads of this process, and nothing listens on the network.
+`distributed.LocalCluster` would serve a page of the scheduler and of each worker, also without a dashboard.
 """
 
 from __future__ import annotations
@@ -27,43 +26,45 @@ from orchestrator.studies.processes import Payload, ProcessPool, digest, run_bat
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
 
-PATIENCE = 10.0  # [s] to reach a scheduler, and for its first worker
-LOST = 60.0  # [s] that a cluster may be without workers: time to start others
-POLL = 0.01  # [s] between two looks for a batch that has ended
-KEPT = "what is finished is kept, the same command goes on"
-LENGTH = 1.5  # [s] of a batch: long compared with Dask's 10 ms for it, little to lose by a kill
-MOST, FIRST = 50, 2  # runs of a batch; of the first ones, before it is known how long a run takes
-WAITING = 2  # batches per core: one that runs, one that waits
-# of batches, of what is asked of the scheduler, of a client that has given up
-GONE = (CancelledError, OSError, ClosedClientError)
-QUIET = {
+CONNECT_TIMEOUT = 10.0  # [s], for the scheduler and for its first worker
+WORKER_TIMEOUT = 60.0  # [s] without workers after which the study ends; others can be started until then
+POLL_INTERVAL = 0.01  # [s]
+CONTINUE = "finished runs are stored, the same command continues"
+BATCH_TIME = (
+    1.5  # [s]: long compared with the 10 ms that Dask needs per batch, short enough to lose by a kill
+)
+MOST_RUNS, FIRST_RUNS = 50, 2  # of a batch; of the first batches, before the duration of a run is known
+BATCHES_PER_CORE = 2  # one that runs, one that waits
+# Errors of futures, of calls to the scheduler, and of a client that has given up.
+CONNECTION_ERRORS = (CancelledError, OSError, ClosedClientError)
+NO_MEMORY_LIMITS = {
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
 }
 
 
-class _Private:
-    """Without pages."""
+class _WithoutPages:
+    """Mixin of a Dask server that serves no HTTP pages."""
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Open no port."""
 
 
-class _Scheduler(_Private, Scheduler):  # type: ignore[misc]  # Dask has no types
+class _Scheduler(_WithoutPages, Scheduler):  # type: ignore[misc]  # Dask has no types
     pass
 
 
-class _Worker(_Private, Worker):  # type: ignore[misc]  # Dask has no types
+class _Worker(_WithoutPages, Worker):  # type: ignore[misc]  # Dask has no types
     pass
 
 
 def local(workers: int) -> SpecCluster:
-    """A cluster of so many workers with one thread each, which look after processes of their own."""
-    inside = {"host": None, "protocol": "inproc", "dashboard": False}
-    worker = {"cls": _Worker, "options": {**inside, "nthreads": 1, "memory_limit": 0}}
+    """A cluster with this number of workers in this process, with one thread each."""
+    options = {"host": None, "protocol": "inproc", "dashboard": False}
+    worker = {"cls": _Worker, "options": {**options, "nthreads": 1, "memory_limit": 0}}
     return SpecCluster(
-        scheduler={"cls": _Scheduler, "options": {**inside, "port": 0}},
+        scheduler={"cls": _Scheduler, "options": {**options, "port": 0}},
         workers=dict.fromkeys(range(workers), worker),
         worker=worker,
         silence_logs=False,
@@ -71,18 +72,18 @@ def local(workers: int) -> SpecCluster:
 
 
 class _Client(Client):  # type: ignore[misc]  # Dask has no types
-    """A client that leaves nothing behind where it cannot connect.
+    """A Dask client that is closed if it cannot connect.
 
-    Dask's own is then left half initialised, in a reference cycle, with a running loop. When the garbage
-    collector finds it while another client starts its loop, its destructor waits for the lock of that start.
+    Otherwise it stays half initialised, in a reference cycle, with a running event loop. If the garbage
+    collector deletes it while another client starts its loop, its destructor waits for that start.
     """
 
     def __init__(self, address: Any, **settings: Any) -> None:
         try:
             super().__init__(address, **settings)
         except BaseException:
-            self.close()  # by its status the destructor then has nothing to do
-            self._loop_runner.stop()  # which close leaves out where Dask has closed the connection itself
+            self.close()  # sets the status with which the destructor does nothing
+            self._loop_runner.stop()  # close() does not if Dask has closed the connection before
             raise
 
 
@@ -90,44 +91,44 @@ class _Client(Client):  # type: ignore[misc]  # Dask has no types
 def client(workers: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
     """A connection to a cluster.
 
-    workers     of a cluster of this machine alone, see `local`; default: one per core
-    scheduler   address of a cluster that is there, such as tcp://host:8786
+    workers     number of workers of a cluster in this process; default: one per core
+    scheduler   address of an existing cluster, such as tcp://host:8786
     """
-    with dask.config.set(QUIET), _silence():
+    with dask.config.set(NO_MEMORY_LIMITS), _silence():
         if scheduler is None:
-            with local(workers or available()) as cluster, _Client(cluster) as here:
-                yield here
+            with local(workers or available()) as cluster, _Client(cluster) as connection:
+                yield connection
             return
         try:
-            remote = _Client(scheduler, timeout=PATIENCE)
+            remote = _Client(scheduler, timeout=CONNECT_TIMEOUT)
         except (OSError, ValueError, TimeoutError) as error:
             raise Problem(f"--scheduler {scheduler}: expected a Dask scheduler, got {_line(error)}") from None
         with remote:
             try:
-                remote.wait_for_workers(1, timeout=PATIENCE)
+                remote.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
             except TimeoutError:
-                expected = f"expected workers, got none in {PATIENCE:g} s"
+                expected = f"expected workers, got none within {CONNECT_TIMEOUT:g} s"
                 raise Problem(f"--scheduler {scheduler}: {expected}") from None
             yield remote
 
 
 def available() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def outcomes(
     connection: Client, payload: Payload, samples: Sequence[Sample], poll: Callable[[], None] = lambda: None
 ) -> Generator[list[RunOutcome], None, None]:
-    """Run samples, in batches as they are done: in any order, each sample once.
+    """Run samples; yields the outcomes of each finished batch, in any order, each sample once.
 
-    poll  called all the time while this waits; an exception that it raises ends the runs
+    poll  called repeatedly while batches run; an exception that it raises ends the runs
     """
     data = pickle.dumps(payload, protocol=pickle.HIGHEST_PROTOCOL)
     pool = ProcessPool(f"sweep-{digest(data)[:16]}", data)
     try:
         connection.register_plugin(pool, name=pool.name)
-        yield from Batches(connection, pool.name, payload.study, samples, poll).done()
+        yield from Batches(connection, pool.name, payload.study, samples, poll).outcomes()
     finally:
         with suppress(Exception):  # the cluster may be gone
             connection.unregister_worker_plugin(pool.name)
@@ -146,43 +147,43 @@ class Batches:
     ) -> None:
         self._connection, self._name, self._study, self._poll = connection, name, study, poll
         self._waiting = list(samples)[::-1]
-        self._retried: list[Sample] = []  # of batches whose worker died: one by one
+        self._retried: list[Sample] = []  # samples of batches whose worker died; they are run one by one
         self._running: dict[Future, list[Sample]] = {}
-        self._size = FIRST
+        self._size = FIRST_RUNS
 
-    def done(self) -> Iterator[list[RunOutcome]]:
-        """The outcomes of each batch that is done."""
+    def outcomes(self) -> Iterator[list[RunOutcome]]:
+        """The outcomes of each finished batch."""
         queue = as_completed()
         try:
             self._fill(queue)
             while self._running:
                 self._wait(queue)
                 future = next(queue)
-                found = self._outcomes(future, self._running.pop(future))
+                batch = self._result(future, self._running.pop(future))
                 self._fill(queue)
-                if found:
-                    yield found
-        except GONE:
-            raise Problem(f"the Dask scheduler is gone; {KEPT}") from None
+                if batch:
+                    yield batch
+        except CONNECTION_ERRORS:
+            raise Problem(f"the Dask scheduler is gone; {CONTINUE}") from None
         finally:
             with suppress(Exception):  # the cluster may be gone
                 self._connection.cancel(list(self._running), force=True)
 
     def _wait(self, queue: Any) -> None:
-        """Until a batch is done."""
+        """Wait for a batch."""
         began = time.perf_counter()
         self._poll()
         while not queue.has_ready():
             self._poll()
-            time.sleep(POLL)
-            if time.perf_counter() - began > LOST:
+            time.sleep(POLL_INTERVAL)
+            if time.perf_counter() - began > WORKER_TIMEOUT:
                 if not self._connection.nthreads():
-                    raise Problem(f"no worker is left in the Dask cluster; {KEPT}")
+                    raise Problem(f"the Dask cluster has no workers left; {CONTINUE}")
                 began = time.perf_counter()
 
     def _fill(self, queue: Any) -> None:
-        """Keep all cores busy, and no more than that in memory."""
-        most = WAITING * max(sum(self._connection.nthreads().values()), 1)
+        """Submit as many batches as keep all cores busy, and no more."""
+        most = BATCHES_PER_CORE * max(sum(self._connection.nthreads().values()), 1)
         while len(self._running) < most and (self._waiting or self._retried):
             source, size = (self._retried, 1) if self._retried else (self._waiting, self._size)
             batch = [source.pop() for _ in range(min(size, len(source)))]
@@ -190,15 +191,15 @@ class Batches:
             self._running[future] = batch
             queue.add(future)
 
-    def _outcomes(self, future: Future, batch: list[Sample]) -> list[RunOutcome]:
-        """Those of a batch; one whose worker died is split."""
+    def _result(self, future: Future, batch: list[Sample]) -> list[RunOutcome]:
+        """The outcomes of a batch; empty if its worker died and the samples are run one by one."""
         error = future.exception()
         if error is None:
-            found: list[RunOutcome] = future.result()
-            each = sum(r.wall for r in found) / len(found)
-            if each > 0:
-                self._size = max(1, min(MOST, round(LENGTH / each)))
-            return found
+            outcomes: list[RunOutcome] = future.result()
+            mean_wall = sum(r.wall for r in outcomes) / len(outcomes)
+            if mean_wall > 0:
+                self._size = max(1, min(MOST_RUNS, round(BATCH_TIME / mean_wall)))
+            return outcomes
         if not isinstance(error, KilledWorker):
             raise error if isinstance(error, Problem) else Problem(f"Dask: {_line(error)}")
         if len(batch) > 1:
@@ -213,10 +214,10 @@ def _line(error: BaseException) -> str:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """What Dask logs about its own work, or about a scheduler that is gone, is useless next to a Problem."""
-    # some of them have levels of their own
-    known = [n for n in logging.root.manager.loggerDict if n.startswith("distributed.")]
-    names = ("distributed", *known, "tornado", "asyncio")
+    """Silence the log of Dask: a Problem reports what the user needs."""
+    # Some of these loggers have their own level.
+    children = [n for n in logging.root.manager.loggerDict if n.startswith("distributed.")]
+    names = ("distributed", *children, "tornado", "asyncio")
     loggers = {n: logging.getLogger(n).level for n in names}
     for name in loggers:
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -1,7 +1,7 @@
-"""The processes that run the samples of a study: an FMU that crashes costs no more than its own run.
+"""Child processes that run the samples of a study, so that a crash of an FMU ends only its own run.
 
-A payload is all that such a process needs, in one piece: no file of the study has to exist where it runs.
-Each Dask worker keeps as many processes as it has threads.
+The payload of a process contains the study, its systems and their FMUs: no file of the study has to exist on
+the computer of the process. Each Dask worker keeps as many processes as it has threads.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from orchestrator.studies.study import Study
 from orchestrator.worker.main import Channel
 from orchestrator.worker.process import Worker
 
-# one thread each: there is a process on every core
+# Each process uses one thread, because there is a process on every core.
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
 
 
 def digest(data: bytes) -> str:
-    """The SHA-256 of some bytes."""
+    """SHA-256 digest."""
     return sha256(data).hexdigest()
 
 
@@ -43,7 +43,7 @@ def digest(data: bytes) -> str:
 class Payload:
     """A study, its systems, and their FMUs.
 
-    sources   FMU as the systems name it -> digest of its archive
+    sources   location of an FMU in the systems -> digest of its archive
     archives  digest of an archive -> its bytes
     """
 
@@ -55,9 +55,9 @@ class Payload:
     def unpacked(self, folder: Path) -> tuple[dict[Options, StudyCase], dict[str, str]]:
         """The cases with FMUs that are unpacked in a folder, and unpacked FMU -> original FMU.
 
-        Each component has an FMU of its own there: two instances in one library may share variables.
+        Each component gets its own copy of its FMU: two instances in one library may share variables.
         """
-        places: dict[tuple[str, Location], Location] = {}
+        copies: dict[tuple[str, Location], Location] = {}
         cases = {}
         for options, case in self.cases.items():
             components = dict(case.system.components)
@@ -65,11 +65,11 @@ class Payload:
                 if component.source is None:
                     continue
                 key = name, component.source
-                if key not in places:
-                    places[key] = self._unpack(component.source, folder / str(len(places)))
-                components[name] = replace(component, source=places[key])
+                if key not in copies:
+                    copies[key] = self._unpack(component.source, folder / str(len(copies)))
+                components[name] = replace(component, source=copies[key])
             cases[options] = replace(case, system=replace(case.system, components=components))
-        return cases, {str(place): str(source) for (_, source), place in places.items()}
+        return cases, {str(copy): str(source) for (_, source), copy in copies.items()}
 
     def _unpack(self, source: Location, folder: Path) -> Location:
         folder.mkdir(parents=True)
@@ -93,7 +93,7 @@ def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
 
 
 def _archive(source: Location) -> bytes:
-    """The bytes of an FMU; an unpacked one is packed so that the bytes do not depend on the time."""
+    """The bytes of an FMU; an unpacked FMU is packed, with bytes that do not depend on the time."""
     if not source.is_folder:
         return source.read()
     buffer = io.BytesIO()
@@ -104,26 +104,26 @@ def _archive(source: Location) -> bytes:
 
 
 class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
-    """The processes of a Dask worker, as many as it has threads; they are started when they are needed."""
+    """Plugin of a Dask worker with its child processes, one for each thread, started on demand."""
 
     def __init__(self, name: str, data: bytes) -> None:
-        """name: of the study in this cluster; data: its payload, pickled."""
+        """name: name of the plugin in this cluster; data: pickled payload."""
         self.name, self._data = name, data
         self._idle: queue.SimpleQueue[Worker]
         self._processes: set[Worker]
 
     def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
-        """On the Dask worker."""
+        """Read the study; called on the Dask worker."""
         self._study = pickle.loads(self._data).study
         self._idle, self._processes = queue.SimpleQueue(), set()
 
     def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
-        """End the processes, also the busy ones."""
+        """End all processes, including those that run a sample."""
         for process in tuple(self._processes):
             self._close(process)
 
     def run(self, batch: Sequence[Sample]) -> list[RunOutcome]:
-        """Run samples; where one of them ends the process, another process goes on."""
+        """Run samples; if a sample ends its process, the next one runs in another process."""
         outcomes: list[RunOutcome] = []
         for sample in batch:
             process = self._process()
@@ -142,8 +142,8 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         """An idle process, else a new one that has read the payload."""
         with suppress(queue.Empty):
             return self._idle.get_nowait()
-        one = {f"{name}_NUM_THREADS": "1" for name in THREADS}
-        process = Worker("orchestrator.studies.processes:main", "sweep", environment=one)
+        single_thread = {f"{name}_NUM_THREADS": "1" for name in THREADS}
+        process = Worker("orchestrator.studies.processes:main", "sweep", environment=single_thread)
         process.put(self._data)
         try:
             process.get()
@@ -160,7 +160,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
 
 
 def _ending(process: Worker) -> str:
-    """How the process ended."""
+    """Message about the end of a process."""
     message, last = f"the process ended: {process.ending}", process.last_stderr_line
     return f"{message}: {last}" if last else message
 
@@ -169,12 +169,12 @@ def run_batch(name: str, batch: Sequence[Sample]) -> list[RunOutcome]:
     """The Dask task: run samples in the processes of this Dask worker."""
     pool = get_worker().plugins.get(name)
     if not isinstance(pool, ProcessPool):
-        raise Problem(f"worker {get_worker().address}: has not got the study")
+        raise Problem(f"worker {get_worker().address}: expected the plugin {name}, got none")
     return pool.run(batch)
 
 
 def main(channel: Channel) -> None:
-    """In the process: read a payload, then samples, and answer each with its outcome."""
+    """Child process: read the payload, then samples, and send the outcome of each."""
     simulation_loop.CORES = 1  # there is a process on every core
     study_payload: Payload = channel.get()
     cases, originals = study_payload.unpacked(channel.folder / "fmus")
@@ -184,6 +184,9 @@ def main(channel: Channel) -> None:
         began = time.perf_counter()
         result = outcome(study_payload.study, cases[sample.options], sample)
         reason = result.reason
-        for unpacked, original in originals.items():  # the folder of this process is another one each time
+        for (
+            unpacked,
+            original,
+        ) in originals.items():  # the folder of unpacked FMUs differs from process to process
             reason = reason.replace(unpacked, original)
         channel.put(replace(result, reason=reason, wall=time.perf_counter() - began))

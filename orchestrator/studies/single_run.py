@@ -1,4 +1,4 @@
-"""One run of a study: a sample becomes the numbers and signals that are kept of it."""
+"""One run of a study: a sample is simulated, and its outputs and stored signals are computed."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """What is kept of a run.
+    """The stored results of a run.
 
-    status   ok, early (an FMU asked to end the run), or failed
-    reason   in one line, if the status is not ok
-    outputs  shape (outputs,); NaN of a failed run, and where a window holds no point
-    bands    shape (signals, times), at `band_times`; None of a failed run, or where nothing is kept
+    status   ok, early (an FMU requested the end of the run), or failed
+    reason   why the status is not ok, in one line
+    outputs  shape (outputs,); NaN if the run failed or the window contains no point
+    bands    signals at `band_times`, shape (signals, times); None if the run failed or no signal is stored
     start    time of the first point [s]
-    wall     [s]; not part of the results
+    wall     wall time [s]; not part of the results
     """
 
     run: int
@@ -42,12 +42,12 @@ class RunOutcome:
 
 
 def failed(study: Study, run: int, reason: str) -> RunOutcome:
-    """The outcome of a run that did not come to its end."""
+    """The outcome of a run that failed."""
     return RunOutcome(run, FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
 
 
 def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
-    """Run a sample; an error is its outcome."""
+    """Run a sample; an error becomes its outcome."""
     system = case.system
     try:
         result = run(
@@ -60,7 +60,7 @@ def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
             record_step=study.record_step,
             bonds=(),
         )
-        # outputs of the system have their own name and unit in a trace
+        # In a trace, outputs of the system have the name and unit that the system declares.
         names = {o.signal: o.signal for o in study.outputs if o.signal in system.outputs}
         names |= {o.signal: str(signal(system, o.signal)) for o in study.outputs if o.signal not in names}
         trace, marker = result.trace, "the run ends early: "
@@ -76,12 +76,12 @@ def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
         )
     except Problem as problem:
         return failed(study, sample.run, str(problem))
-    except Exception as defect:  # of this one run; the others go on
+    except Exception as defect:  # a defect ends this run only
         return failed(study, sample.run, f"{type(defect).__name__}: {defect}")
 
 
 def _bands(study: Study, time: Array, signals: list[Array]) -> Array | None:
-    """Signals at the times that are kept, as far as the run came; straight lines between recorded points."""
+    """Signals at `band_times` up to the end of the run, interpolated linearly between recorded points."""
     if not signals:
         return None
     count = int((time[-1] - time[0]) / study.band_step + 1e-6) + 1
@@ -90,17 +90,17 @@ def _bands(study: Study, time: Array, signals: list[Array]) -> Array | None:
 
 
 def band_times(study: Study, start: float, count: int) -> Array:
-    """The times [s] at which signals are kept."""
+    """Times [s] of the stored signals."""
     return np.asarray(start + study.band_step * np.arange(count), np.float64)
 
 
 def measure(output: Output, time: Array, signal: Array) -> float:
-    """The number of an output; shapes (n,), time [s]. NaN where the window holds no point.
+    """The value of an output; shapes (n,), time [s]. NaN if the window contains no point.
 
-    Mean, rms and integral are those of straight lines between the points (rms: between the squares). Of
-    several points with the largest value the first counts.
+    Mean, rms and integral use linear interpolation between the points (rms: between the squares). The time
+    of the maximum is the first of several.
     """
-    rounding = 1e-9 * float(time[-1] - time[0]) if len(time) else 0.0  # of a time that is a sum of steps
+    rounding = 1e-9 * float(time[-1] - time[0]) if len(time) else 0.0  # in a time that is a sum of steps
     begin = 0 if output.start is None else int(np.searchsorted(time, output.start - rounding, "left"))
     end = len(time) if output.stop is None else int(np.searchsorted(time, output.stop + rounding, "right"))
     t, x = time[begin:end], signal[begin:end]

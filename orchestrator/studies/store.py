@@ -1,14 +1,14 @@
-"""The folder of a study: what was run, what is finished, the results, and what determines them.
+"""Folder of a study: its definition, finished runs, results, and digests of all that determines them.
 
-    study.toml     the file of the study, as it was read
-    study.json     the study as it was understood, and digests of all that determines its results
-    parts/         while it runs: finished batches
-    bands.parquet  the signals that are kept: run, time [s], and a column for each signal
-    runs.parquet   one row per run: run, status, reason, then columns named as in `study`
-    log.csv        run, status, and the seconds that it took; not part of the results, and not the same twice
+    study.toml     copy of the TOML file of the study
+    study.json     the resolved study, and digests of all that determines its results
+    parts/         finished batches while the study runs
+    bands.parquet  stored signals: run, time [s], and a column for each signal
+    runs.parquet   one row per run: run, status, reason, then columns with the names of `study`
+    log.csv        run, status and wall time [s]; not part of the results
 
-Each file is written as a whole or not at all. The results are written when all runs are done, and do not
-depend on how often the study was started.
+Each file is written completely or not at all. The results are written after the last run, and do not depend
+on how often the study was started.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from orchestrator.studies.study import Choice, Factor, Output, Study
 
 NAMES = ("runs.parquet", "bands.parquet", "report.html", "analysis.json", "log.csv")
 LOG = "run,status,seconds\n"  # first line of log.csv
-GROUP = 64  # runs in a row group of the signals: few megabytes
-OPEN = 8  # part files in memory while the signals of all runs are put in order
-HALF = ".half"  # of a file that is being written
-LONG = 120  # characters of two lists that are shown as a whole
-INNER = ("numbers", "options")  # keys that the file of a study does not have
-DECIDES = ("distribution", "signal", "measure")  # keys that the rest of an item follows from
-BAND = "band:"  # of a column of a part: the samples of a signal, one list per run
+GROUP = 64  # runs per row group of bands.parquet, a few megabytes
+CACHED = 8  # part files in memory while the signals are sorted by run
+PARTIAL = ".half"  # suffix of a file that is being written
+LONG = 120  # characters above which two lists are not shown completely
+ATTRIBUTES = ("numbers", "options")  # keys of study.json without a table in study.toml
+DECISIVE = ("distribution", "signal", "measure")  # keys whose change explains the other changes of an item
+BAND = "band:"  # prefix of the columns of a part with the samples of a signal, one list per run
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Results:
     """A finished study.
 
     table  one row per run
-    bands  the signals that are kept; None if none are
+    bands  stored signals; None if there are none
     units  column of the table, or signal -> unit
     """
 
@@ -65,34 +65,34 @@ def read(folder: str | Path) -> Results:
     folder = Path(folder)
     if not finished(folder):
         raise Problem(f"{folder}: expected a finished study, runs.parquet is missing")
-    known = _json(folder / "study.json")
+    stored = _read_study_json(folder / "study.json")
     runs, bands = pq.read_table(folder / "runs.parquet"), None
     units = _units(runs.schema)
     if (folder / "bands.parquet").exists():
         bands = pq.read_table(folder / "bands.parquet")
         units |= _units(bands.schema)
-    study = from_json(known["study"], known["title"])
+    study = from_json(stored["study"], stored["title"])
     return Results(study, runs.to_pandas(), None if bands is None else bands.to_pandas(), units)
 
 
 def finished(folder: Path) -> bool:
-    """All runs of a study are done, and the results are written."""
+    """Whether all runs are done and the results are written."""
     return (folder / "runs.parquet").exists()
 
 
 def clear(folder: Path) -> None:
-    """Remove all that a study left in its folder; nothing where there was none."""
+    """Remove the files of a study from its folder; nothing if it contains no study."""
     if not (folder / "study.json").exists():
         return
     files = [folder / name for name in NAMES]
-    # study.json last, as it says whose the rest is: after a kill nothing passes for another study's
+    # study.json is removed last, as it identifies the other files if this process is killed
     for file in [*(folder / "parts").glob("*"), *files, folder / "study.json"]:
         file.unlink(missing_ok=True)
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """The folder for this process alone, until it ends in whatever way."""
+    """Lock the folder for this process, until the process ends in any way."""
     lock = locket.lock_file(str(folder / "lock"), timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -108,34 +108,34 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 class Store:
-    """The folder of a study that is being run: finished batches, and at the end the results.
+    """The folder of a running study: finished batches, and at the end the results.
 
-    A batch is one file in parts/, a row for each run; a signal that is kept is a column of lists there.
+    A batch is one file in parts/ with a row for each run; a stored signal is a column of lists there.
     """
 
     def __init__(self, folder: Path, study: Study, prints: Mapping[str, Any]) -> None:
-        """prints: the fingerprint of the study. Refuses a folder with runs of another study."""
+        """prints: fingerprint of the study. Refuses a folder with runs of another study."""
         self.folder, self.study, self._parts = folder, study, folder / "parts"
         file = folder / "study.json"
         if not file.exists() and (others := [name for name in NAMES if (folder / name).exists()]):
             raise Problem(f"{folder}: expected a folder for this study alone, got {others[0]} too")
-        if file.exists() and (changed := changes(_json(file), prints)):
+        if file.exists() and (changed := changes(_read_study_json(file), prints)):
             raise Problem(f"{folder}: holds runs of another study: {changed}; --fresh deletes them")
-        # first study.json, which says whose the rest is
+        # study.json is written first, as it identifies the other files
         text = json.dumps({"title": study.title, **prints}, indent=1)
-        put(file, lambda half: half.write_text(text, encoding="utf-8"))
+        put(file, lambda partial: partial.write_text(text, encoding="utf-8"))
         if study.source:
             data = Path(study.source).read_bytes()
-            put(folder / "study.toml", lambda half: half.write_bytes(data))
-        for half in self._parts.glob(f"*{HALF}"):
-            half.unlink()
+            put(folder / "study.toml", lambda partial: partial.write_bytes(data))
+        for partial in self._parts.glob(f"*{PARTIAL}"):
+            partial.unlink()
 
     def done(self) -> set[int]:
         """The numbers of the runs that are done."""
         return {n for file in self._files() for n in _read(file, ["run"])["run"].to_pylist()}
 
     def add(self, batch: Sequence[RunOutcome]) -> None:
-        """Keep the outcomes of a batch."""
+        """Store the outcomes of a batch."""
         self._parts.mkdir(exist_ok=True)
         batch = sorted(batch, key=lambda r: r.run)
         columns = {
@@ -156,14 +156,14 @@ class Store:
                 log.write(LOG)
             log.writelines(f"{r.run},{r.status},{r.wall:.6f}\n" for r in batch)
 
-    def finish(self, known: pa.Table, units: Mapping[str, str]) -> None:
-        """Write the results; `known`: all that is known before a run, in the order of the runs."""
+    def finish(self, inputs: pa.Table, units: Mapping[str, str]) -> None:
+        """Write the results; `inputs`: columns with samples and start values, in the order of the runs."""
         if self.study.bands:
             put(self.folder / "bands.parquet", self._write_bands)
         names = ["run", "status", "reason", *(o.column for o in self.study.outputs)]
         runs = pa.concat_tables([_read(file, names) for file in self._files()]).sort_by("run")
-        for column in known.column_names:
-            runs = runs.append_column(column, known[column])
+        for column in inputs.column_names:
+            runs = runs.append_column(column, inputs[column])
         units = {**units, **{o.column: o.unit for o in self.study.outputs}}
         put(self.folder / "runs.parquet", lambda file: pq.write_table(_with(runs, units), file))
         for file in self._parts.glob("*"):
@@ -171,16 +171,16 @@ class Store:
         self._parts.rmdir()
 
     def _write_bands(self, file: Path) -> None:
-        """The signals of one run after the other, in the order of their numbers."""
-        where = {n: part for part in self._files() for n in _read(part, ["run"])["run"].to_pylist()}
+        """Write the signals of all runs, in the order of the runs."""
+        part_of = {n: part for part in self._files() for n in _read(part, ["run"])["run"].to_pylist()}
         names, units = self.study.bands, {o.signal: o.signal_unit for o in self.study.outputs} | {"time": "s"}
         columns = [("run", pa.int64()), ("time", pa.float64()), *((name, pa.float64()) for name in names)]
         schema = _with(pa.schema(columns).empty_table(), units).schema
-        load = lru_cache(maxsize=OPEN)(_by_run)
-        runs = sorted(where)
+        load = lru_cache(maxsize=CACHED)(_by_run)
+        runs = sorted(part_of)
         with pq.ParquetWriter(file, schema) as writer:
             for first in range(0, len(runs), GROUP):
-                rows = [load(where[run])[run] for run in runs[first : first + GROUP]]
+                rows = [load(part_of[run])[run] for run in runs[first : first + GROUP]]
                 writer.write_table(pa.concat_tables([self._long(row) for row in rows]).cast(schema))
 
     def _long(self, row: pa.Table) -> pa.Table:
@@ -196,13 +196,13 @@ class Store:
 
 
 def put(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file so that it is never there in part, whenever the process or the machine stops."""
-    half = path.with_name(path.name + HALF)
+    """Write a file completely or not at all, whenever the process or the computer stops."""
+    partial = path.with_name(path.name + PARTIAL)
     try:
-        write(half)
-        with half.open("rb+") as file:
+        write(partial)
+        with partial.open("rb+") as file:
             os.fsync(file.fileno())
-        half.replace(path)
+        partial.replace(path)
     except OSError as error:
         raise Problem(f"{path}: cannot be written: {error.strerror or error}") from None
 
@@ -212,9 +212,7 @@ def _read(file: Path, columns: list[str] | None = None) -> pa.Table:
         return pq.read_table(file, columns=columns)
     except (OSError, pa.ArrowException) as error:
         message = " ".join(str(error).split())
-        raise Problem(
-            f"{file}: cannot be read ({message}); without this file its runs are run again"
-        ) from None
+        raise Problem(f"{file}: cannot be read ({message}); delete it to repeat its runs") from None
 
 
 def _by_run(file: Path) -> dict[int, pa.Table]:
@@ -236,35 +234,35 @@ def _units(schema: pa.Schema) -> dict[str, str]:
 
 
 def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
-    """The study, and digests of the files that it names and of its samples; for JSON."""
+    """The study, and digests of its files and samples, for study.json."""
     study, files = payload.study, dict[str, str]()
     for options, case in payload.cases.items():
         chosen = {c.name: f" {o}" for c, o in zip(study.choices, options, strict=True)}
         each = ", ".join(f"{c.name}={o}" for c, o in zip(study.choices, options, strict=True))
-        among = f" with {each}" if each else ""
+        combination = f" with {each}" if each else ""
         for name, component in case.system.components.items():
             if component.source is not None:
                 files[f"the FMU of {name}{chosen.get(name, '')}"] = payload.sources[component.source]
             starts = repr(sorted(component.start.items())).encode()
-            files[f"the start values of {name}{among}"] = digest(starts)
+            files[f"the start values of {name}{combination}"] = digest(starts)
         if case.scenario is not None:
             signals = (np.ascontiguousarray(v).tobytes() for v in case.scenario.signals.values())
             names = "\n".join(case.scenario.signals).encode()
             data = names + case.scenario.time.tobytes() + b"".join(signals)
             files[f"the scenario{chosen.get('scenario', '')}"] = digest(data)
-        wires = repr((case.system.connections, case.system.coupling, case.system.step)).encode()
-        files[f"the connections{among}"] = digest(wires)
+        connections = repr((case.system.connections, case.system.coupling, case.system.step)).encode()
+        files[f"the connections{combination}"] = digest(connections)
     samples = digest(table.to_csv(float_format="%.17g").encode())
     return {"study": to_json(study), "files": {**files, "the samples": samples}}
 
 
 def to_json(study: Study) -> dict[str, Any]:
-    """A study for JSON, without what does not change its results."""
+    """A study for JSON, without the fields that have no effect on its results."""
     fields = asdict(study)
     for name in ("folder", "source", "title"):
         del fields[name]
-    plain: dict[str, Any] = json.loads(json.dumps(fields))
-    return plain
+    json_types: dict[str, Any] = json.loads(json.dumps(fields))
+    return json_types
 
 
 def from_json(fields: Mapping[str, Any], title: str) -> Study:
@@ -280,17 +278,19 @@ def from_json(fields: Mapping[str, Any], title: str) -> Study:
     return Study(title=title, **{**fields, **items})
 
 
-def _json(file: Path) -> dict[str, Any]:
+def _read_study_json(file: Path) -> dict[str, Any]:
     try:
-        known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        known["study"], known["files"], known["title"]
+        stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        stored["study"], stored["files"], stored["title"]
     except (ValueError, TypeError, KeyError):
-        raise Problem(f"{file}: expected that of a study, got something else; --fresh deletes it") from None
-    return known
+        raise Problem(
+            f"{file}: expected the file of a study, got something else; --fresh deletes it"
+        ) from None
+    return stored
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """The first difference of two fingerprints and how many others there are; empty if there is none."""
+    """The first difference of two fingerprints, and the number of others; empty if there is none."""
     differences = list(_differences("", old["study"], new["study"]))
     if not differences:
         files = dict.fromkeys([*old["files"], *new["files"]])
@@ -300,7 +300,7 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
 
 
 def _differences(where: str, old: Any, new: Any, unit: str = "") -> Iterator[str]:
-    """In the order of the study; where: what is compared, such as `factors."supply.pressure_setting"`."""
+    """Differences in the order of the study; where: key, such as `factors."supply.pressure_setting"`."""
     before, after = _items(old), _items(new)
     if before is None or after is None:
         yield _difference(where, old, new, unit)
@@ -308,21 +308,21 @@ def _differences(where: str, old: Any, new: Any, unit: str = "") -> Iterator[str
     for key in dict.fromkeys([*before, *after]):
         if before.get(key) == after.get(key):
             continue
-        inner = where if key in INNER else f"{where}.{quote_key(key)}".lstrip(".")
+        inner = where if key in ATTRIBUTES else f"{where}.{quote_key(key)}".lstrip(".")
         if key not in after:
             yield f"{inner} is no longer there"
         elif key not in before:
             yield f"{inner} is new"
         else:
             yield from _differences(inner, before[key], after[key], unit or _unit(key, before, after))
-        if key in DECIDES:
+        if key in DECISIVE:
             return
     if list(before) != list(after) and set(before) == set(after):
         yield f"the order of {where} was {', '.join(before)}, is {', '.join(after)}"
 
 
 def _items(value: Any) -> Mapping[str, Any] | None:
-    """A table, or a list of named items by their names; none of what has no parts with a name."""
+    """A table, or a list of items with names as a mapping; None for other values."""
     if isinstance(value, Mapping):
         return value
     if isinstance(value, list) and all(isinstance(item, Mapping) and "name" in item for item in value):
@@ -331,17 +331,17 @@ def _items(value: Any) -> Mapping[str, Any] | None:
 
 
 def _unit(key: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Of the numbers of a factor; shares have none."""
-    plain = key == "numbers" and not new["relative"] and old["unit"] == new["unit"]
-    return str(new["unit"]) if plain else ""
+    """Unit of the numbers of a factor; empty if they are relative, and for other keys."""
+    has_unit = key == "numbers" and not new["relative"] and old["unit"] == new["unit"]
+    return str(new["unit"]) if has_unit else ""
 
 
 def _difference(where: str, old: Any, new: Any, unit: str) -> str:
-    """Two values; of a long list the first item that differs."""
+    """Both values; for a long list the first item that differs."""
     if isinstance(old, list) and isinstance(new, list) and len(json.dumps([old, new])) > LONG:
         if len(old) != len(new):
             return f"{where} had {len(old)} items, has {len(new)}"
-        place = next(i for i, pair in enumerate(zip(old, new, strict=True)) if pair[0] != pair[1])
-        return _difference(f"{where}[{place}]", old[place], new[place], unit)
-    was, now = (f"{json.dumps(value).removesuffix('.0')} {unit}".rstrip() for value in (old, new))
-    return f"{where} was {was}, is {now}"
+        index = next(i for i, pair in enumerate(zip(old, new, strict=True)) if pair[0] != pair[1])
+        return _difference(f"{where}[{index}]", old[index], new[index], unit)
+    before, after = (f"{json.dumps(value).removesuffix('.0')} {unit}".rstrip() for value in (old, new))
+    return f"{where} was {before}, is {after}"

@@ -1,10 +1,10 @@
-"""What each variant of a component costs and changes (`harvester variants`).
+"""`harvester variants`: cost of each variant of a component, and its effect on the results.
 
-The cost is the time that a run spends inside an FMU: from setting its inputs to the end of its fmi2DoStep or
-fmi3DoStep, as the loop in C measures it. Of several runs the least disturbed counts. Computers differ and are
-noisy: compare figures of one sitting only.
+The cost is the time inside an FMU: from setting its inputs to the end of its fmi2DoStep or fmi3DoStep, as
+measured by the simulation loop in C. The minimum of several runs counts, as it is the least disturbed.
+Compare only times that were measured on one computer in one session.
 
-Every combination of variants is run once: whether it comes to the end, what it costs, what it changes.
+Every combination of variants is run once. Its row contains the time reached, cost and change.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from orchestrator.ssp.system import System
 
 
 def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[dict[str, float]]:
-    """Of each system: component -> mean time per step inside it [us]; `options` go to `run`.
+    """For each system: component -> mean time per step inside its FMU [us]; `options` go to `run`.
 
-    The systems take turns, so that what disturbs the machine for a while disturbs all of them.
+    The systems take turns, so that a temporary disturbance of the computer affects all of them.
     """
     least: list[dict[str, float]] = [{} for _ in systems]
     for _ in range(repeats):
-        for system, best in zip(systems, least, strict=True):
+        for system, times in zip(systems, least, strict=True):
             card = run(system, **options).card
             for name, spent in card.inside.items():
-                best[name] = min(best.get(name, float("inf")), spent / card.steps * 1e6)
+                times[name] = min(times.get(name, float("inf")), spent / card.steps * 1e6)
     return least
 
 
@@ -48,12 +48,12 @@ class Combination:
     """The run of one combination of variants.
 
     reached    simulated time [s]
-    failure    why it ended there; empty when it came to the end
-    inside     time in the steps of all FMUs [us] for each millisecond simulated
-    factor     times real time, all included
-    residual   largest energy error of the coupling at a power bond, share of the energy exchanged there
-    change     largest RMS difference of a watched signal from the first combination, share of its range
-    warnings   of the FMUs
+    failure    why the run ended early; empty if it did not
+    inside     time in the steps of all FMUs [us] per simulated millisecond
+    factor     real-time factor of the whole run
+    residual   largest energy error of the coupling at a power bond, relative to the energy exchanged there
+    change     largest RMS difference of a watched signal from the first combination, relative to its range
+    warnings   number of warnings of the FMUs
     """
 
     variants: Mapping[str, str]
@@ -73,12 +73,12 @@ def combinations(
     first = None
     for names in product(*variants.values()):
         chosen = dict(zip(variants, names, strict=True))
-        whole, failure = with_swaps(system, chosen), ""
+        swapped, failure = with_swaps(system, chosen), ""
         try:
-            result = run(whole, **options)
+            result = run(swapped, **options)
         except RunFailed as failed:
             result, failure = failed.result, str(failed)
-        except Problem as problem:  # before the first step: the next combination may come further
+        except Problem as problem:  # before the first step; the next combination may run
             yield Combination(chosen, failure=str(problem))
             continue
         first, card = first or result.trace, result.card
@@ -95,7 +95,7 @@ def combinations(
 
 
 def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
-    """Over the time that both have."""
+    """Largest RMS difference of a watched signal over the common time, relative to its range."""
     count = min(len(trace.time), len(first.time))
     changes = [0.0]
     for name in watch if count else ():
@@ -110,20 +110,20 @@ COLUMNS = (
     "reached [s]",
     "inside all FMUs [us per ms]",
     "times real time",
-    "residual [share]",
-    "change [share]",
+    "residual [1]",
+    "change [1]",
     "warnings",
 )
 
 
-def figures(row: Combination) -> tuple[str, ...]:
-    """The figures of a run as plain numbers, empty where there are none."""
+def csv_cells(row: Combination) -> tuple[str, ...]:
+    """The values of a row of the CSV file; empty if undefined."""
     numbers = (row.reached, row.inside, row.factor, row.residual, row.change, row.warnings)
     return tuple("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
 
 
 def cells(row: Combination) -> tuple[str, ...]:
-    """The figures of a run as text."""
+    """The values of a row of the printed table."""
     return (
         f"{row.reached:.6g}",
         f"{row.inside:.2f}",
@@ -135,22 +135,22 @@ def cells(row: Combination) -> tuple[str, ...]:
 
 
 STEP = 1e-3  # communication step [s]
-LENGTH, REPEATS = 4.0, 2  # of the runs that measure what a variant costs [s]
-RUN = {"step": STEP, "record_step": 0.02}  # of each combination [s]
+LENGTH, REPEATS = 4.0, 2  # duration [s] and number of the runs that measure the cost of a variant
+RUN = {"step": STEP, "record_step": 0.02}  # options of all runs [s]
 
 
 def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, str], float]:
-    """(component, variant) -> time [us] per step inside its FMU, with the usual variants around it."""
-    whole = load(system)
-    machines = [with_swaps(whole, {part: variant}) for part, variant in variants]
+    """(component, variant) -> time [us] per step inside its FMU, with the default variants of the others."""
+    default = load(system)
+    machines = [with_swaps(default, {part: variant}) for part, variant in variants]
     spent = inside(machines, REPEATS, stop=LENGTH, **RUN)
     return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
 
 
 def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[str], out: Path) -> bool:
-    """Run every combination, print a table and write it to `out`; True when all came to the end.
+    """Run every combination, print a table and write it to `out`; True if all came to the end.
 
-    The file is complete after each row, also when the user ends it early.
+    Each row is written at once, so the file contains all finished rows if the user interrupts.
     """
     if not system.exists():
         raise Problem(f"{system}: no such file; make it with: harvester build")
@@ -166,10 +166,10 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
         try:
             for done, row in enumerate(combinations(load(system), variants, watch, **RUN), 1):
                 chosen = list(row.variants.values())
-                named = "  ".join(n.ljust(w) for n, w in zip(chosen, widths, strict=True))
-                place = f"{done}/{total}".rjust(count)
-                print(place, named, *(f"{cell:>12}" for cell in cells(row)), row.failure, flush=True)
-                writer.writerow([*chosen, *figures(row), row.failure])
+                padded = "  ".join(n.ljust(w) for n, w in zip(chosen, widths, strict=True))
+                index = f"{done}/{total}".rjust(count)
+                print(index, padded, *(f"{cell:>12}" for cell in cells(row)), row.failure, flush=True)
+                writer.writerow([*chosen, *csv_cells(row), row.failure])
                 file.flush()
                 complete = complete and not row.failure
         except KeyboardInterrupt:
@@ -177,6 +177,6 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
             raise
     print(
         f"\n{out}: change is that of {', '.join(watch)} against the first row, RMS over range;"
-        " us per ms is the sum over the steps of all FMUs, calls from Python included"
+        " us per ms is the time in the steps of all FMUs, calls from Python included"
     )
     return complete

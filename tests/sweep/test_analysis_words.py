@@ -46,7 +46,7 @@ def test_a_small_sample_of_a_bent_function_is_refused() -> None:
     found = finding(results(ishigami, ISHIGAMI, "latin", 60))
     assert found.sensitivity is not None
     assert not found.sensitivity.reliable
-    assert sentences(found)[0].startswith("What moves peak most cannot be found from 60 samples")
+    assert sentences(found)[0].startswith("The largest effect on peak cannot be found from 60 samples")
 
 
 def test_the_sentence_names_the_factor_its_share_and_the_direction() -> None:
@@ -68,13 +68,13 @@ def test_two_that_cannot_be_told_apart_are_named_together() -> None:
     """Two leaders with intervals that overlap: neither is called the first."""
     said = sentences(finding(results(lambda x: x["x1"] + 1.02 * x["x2"], UNIT, "saltelli", 64)))
     assert said[0].startswith("peak moves most with x")
-    assert said[0].endswith("these runs do not show which of them moves it more.")
+    assert said[0].endswith("these runs do not show which of them has the larger effect.")
 
 
 def test_what_acts_together_is_told() -> None:
     """A product of centred factors moves its output by nothing else than their being together."""
     found = results(lambda x: (x["x1"] - 0.5) * (x["x2"] - 0.5), UNIT, "saltelli", 256)
-    assert any("acting together" in sentence for sentence in sentences(finding(found)))
+    assert any("interactions" in sentence for sentence in sentences(finding(found)))
 
 
 @pytest.mark.parametrize("method", ["saltelli", "latin", "morris"])
@@ -83,7 +83,8 @@ def test_a_constant_output_is_moved_by_nothing(method: str) -> None:
     found = finding(results(lambda x: 2e7 + 1e-6 * x["x1"], UNIT, method, 64))
     assert found.sensitivity is None
     assert sentences(found) == [
-        f"peak is 200 bar in all {found.spread.runs if found.spread else 0} runs: nothing moves it."
+        f"peak is 200 bar in all {found.spread.runs if found.spread else 0} runs:"
+        " no factor has an effect on it."
     ]
 
 

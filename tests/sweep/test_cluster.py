@@ -80,7 +80,7 @@ def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
 @pytest.mark.parametrize("url", ["tcp://127.0.0.1:1", "nowhere", "foo://127.0.0.1:1"])
 def test_a_scheduler_that_is_not_there_is_told(url, monkeypatch):
     """In one line, with what was expected."""
-    monkeypatch.setattr(pool, "PATIENCE", 0.5)
+    monkeypatch.setattr(pool, "CONNECT_TIMEOUT", 0.5)
     with (
         pytest.raises(Problem, match=rf"^--scheduler {url}: expected a Dask scheduler, got [^\n]+$"),
         pool.client(scheduler=url),
@@ -100,7 +100,7 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
         start(runner)
 
     monkeypatch.setattr(LoopRunner, "_start_unlocked", with_garbage)
-    monkeypatch.setattr(pool, "PATIENCE", 0.02)
+    monkeypatch.setattr(pool, "CONNECT_TIMEOUT", 0.02)
     threads = threading.active_count()
     gc.freeze()  # what is there already need not be looked at 200 times
     for n in range(200):
@@ -115,7 +115,7 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
 @pytest.mark.parametrize("kept", [False, True])
 def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp_path, monkeypatch):
     """No folder where there was none, also none above it; with --fresh what is there stays."""
-    monkeypatch.setattr(pool, "PATIENCE", 0.5)
+    monkeypatch.setattr(pool, "CONNECT_TIMEOUT", 0.5)
     file, out = study(tmp_path, GAIN, gain), tmp_path / "deep" / "out"
     before = content(out) if kept and run(file, one, "deep/out") else {}
     with pytest.raises(Problem, match=r"^--scheduler tcp://127.0.0.1:1: expected a Dask scheduler"):
@@ -158,9 +158,9 @@ class Nothing(list):
 def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
     monkeypatch.setattr(pool, "as_completed", Nothing)
-    monkeypatch.setattr(pool, "LOST", 0.0)
+    monkeypatch.setattr(pool, "WORKER_TIMEOUT", 0.0)
     batches = pool.Batches(Deserted(), "study", None, [Sample(0, (), {})], lambda: None)
     with pytest.raises(
-        Problem, match=r"^no worker is left in the Dask cluster; what is finished is kept, the"
+        Problem, match=r"^the Dask cluster has no workers left; finished runs are stored, the"
     ):
-        next(batches.done())
+        next(batches.outcomes())

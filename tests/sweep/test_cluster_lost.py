@@ -15,7 +15,7 @@ from distributed import Client
 from sweep.studies import GAIN, content, run, study
 
 RUNS = 240
-PATIENCE = 600  # s; only bounds a failure, on a computer that does much else
+CONNECT_TIMEOUT = 600  # s; only bounds a failure, on a computer that does much else
 LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 20")
 # the command line, which kills the scheduler itself when its first batch is kept: in the middle, however slow
 # or fast this computer is
@@ -52,8 +52,8 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
             time.sleep(0.05)
         worker = _dask("worker", address, "--nthreads", "1", "--no-nanny")
         ends.callback(_end, worker)
-        with Client(address, timeout=PATIENCE) as client:
-            client.wait_for_workers(1, timeout=PATIENCE)
+        with Client(address, timeout=CONNECT_TIMEOUT) as client:
+            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
         yield address, process
 
 
@@ -80,11 +80,13 @@ def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, one, scheduler, tm
         capture_output=True,
         text=True,
         check=False,
-        timeout=PATIENCE,
+        timeout=CONNECT_TIMEOUT,
     )
     told, wrong = sweep.stdout, sweep.stderr
     *progress, last = wrong.splitlines()
-    assert last == "harvester: the Dask scheduler is gone; what is finished is kept, the same command goes on"
+    assert (
+        last == "harvester: the Dask scheduler is gone; finished runs are stored, the same command continues"
+    )
     assert all(f" of {RUNS} runs, " in line for line in progress), wrong
     assert (told, sweep.returncode) == ("", 2)
     _, fresh = run(file, one)

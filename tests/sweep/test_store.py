@@ -12,7 +12,7 @@ from orchestrator import Problem
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
 from orchestrator.studies.pool import outcomes
-from orchestrator.studies.store import HALF
+from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
 
@@ -39,7 +39,7 @@ def test_only_missing_runs_take_place(file, one):
     out, ready = file.parent / "out", store_of(file, file.parent / "out")
     rows = [rows_of(file, one)[n] for n in (7, 2, 3)]
     ready.add(rows)
-    (out / "parts" / f"batch-000000000.parquet{HALF}").write_bytes(b"half a file")
+    (out / "parts" / f"batch-000000000.parquet{PARTIAL}").write_bytes(b"half a file")
     _, runs = run(file, one)
     assert runs == [0, 1, 4, 5, 6, 8, 9, 10, 11]
     assert content(out) == content(file.parent / "whole")
@@ -137,7 +137,7 @@ def test_a_broken_part_is_named_and_its_runs_are_run_again_without_it(file, one)
     broken = out / "parts" / "batch-000000000.parquet"
     broken.write_bytes(broken.read_bytes()[:100])
     with pytest.raises(
-        Problem, match=r"batch-000000000.parquet: cannot be read [^\n]+; without this file its"
+        Problem, match=r"batch-000000000.parquet: cannot be read [^\n]+; delete it to repeat its"
     ):
         run(file, one)
     broken.unlink()
@@ -151,7 +151,9 @@ def test_a_folder_that_is_not_understood_is_refused(file, one, text):
     """Its study.json is not one of a study; --fresh deletes it."""
     run(file, one)
     (file.parent / "out" / "study.json").write_text(text)
-    with pytest.raises(Problem, match=r"study.json: expected that of a study, got something else; --fresh"):
+    with pytest.raises(
+        Problem, match=r"study.json: expected the file of a study, got something else; --fresh"
+    ):
         run(file, one)
     assert run(file, one, fresh=True)[1] == list(range(12))
 

@@ -103,7 +103,8 @@ def test_an_interrupt_keeps_what_is_finished(long):
     assert told == ""
     *progress, last = wrong.splitlines()
     assert last == (
-        f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are kept in {out}, the same command goes on"
+        f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are stored in {out},"
+        " the same command continues"
     )
     assert all(f" of {RUNS} runs, " in line for line in progress)
 
@@ -124,7 +125,7 @@ def test_an_interrupt_while_the_processes_start(long, tmp_path):
         shutil.rmtree(tmp_path)
         tmp_path.mkdir()
     assert process.returncode == 130, wrong
-    assert wrong.splitlines()[-1].startswith(f"harvester: interrupted; 0 of {RUNS} runs are kept")
+    assert wrong.splitlines()[-1].startswith(f"harvester: interrupted; 0 of {RUNS} runs are stored")
 
 
 def test_one_worker_and_two_have_the_same_content(long, one):

@@ -10,7 +10,7 @@ import pytest
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.results import alike
+from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.parameter_study import summary
 from orchestrator.studies.report.study_page import PAGE, write
 from orchestrator.studies.store import Results
@@ -78,4 +78,4 @@ def test_the_page_groups_them_too(tmp_path: Path) -> None:
 )
 def test_names_are_no_numbers(one: str, other: str, same: bool) -> None:
     """Digits in a name tell of what it is the name."""
-    assert (alike(pd.Series([one, other])).nunique() == 1) is same
+    assert (without_numbers(pd.Series([one, other])).nunique() == 1) is same

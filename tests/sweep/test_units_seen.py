@@ -15,7 +15,7 @@ from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.parameter_study import summary
 from orchestrator.studies.report.study_figures import scatter
-from orchestrator.studies.report.study_page import NUMBERS, PAGE, factor_words, write
+from orchestrator.studies.report.study_page import NUMBERS, PAGE, distribution_text, write
 
 SPACE = (uniform("x1", 0.0, 1.0), uniform("x2", 0.0, 1.0))
 
@@ -49,7 +49,7 @@ def test_a_small_length_is_told_in_mm_everywhere(method: str, tmp_path: Path) ->
     assert re.search(r"the median is 4\.\d+ mm", said)
     write(tmp_path, found, analyse(found))
     page = (tmp_path / PAGE).read_text("utf-8")
-    assert "In numbers, in mm" in page
+    assert "Statistics, in mm" in page
     assert not re.search(r"0\.00\d+ m\b", page)
     spread = json.loads((tmp_path / NUMBERS).read_text("utf-8"))["findings"][0]["spread"]
     assert 0.004 <= spread["median"] <= 0.0051
@@ -64,8 +64,8 @@ def test_one_large_number_keeps_all_in_metres() -> None:
 
 def test_a_factor_is_told_in_one_unit_too() -> None:
     """By the largest number of its distribution."""
-    assert factor_words(uniform("bore", 0.001, 0.05)) == "1 to 50 mm"
-    assert factor_words(uniform("bore", 0.001, 0.5)) == "0.001 to 0.5 m"
+    assert distribution_text(uniform("bore", 0.001, 0.05)) == "1 to 50 mm"
+    assert distribution_text(uniform("bore", 0.001, 0.5)) == "0.001 to 0.5 m"
 
 
 def test_the_command_line_prints_bar() -> None:

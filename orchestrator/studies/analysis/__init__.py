@@ -1,1 +1,1 @@
-"""What the runs of a study say: summary of each output, failed runs, which factors move what."""
+"""Analysis of a study: distribution of each output, failed runs, and sensitivities to factors and choices."""

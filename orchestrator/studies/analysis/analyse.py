@@ -1,4 +1,4 @@
-"""The analysis of a study: how each output spreads, which runs failed, what moves the output."""
+"""Analysis of a study: distribution and sensitivity of each output, and reasons of failed runs."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from orchestrator.studies.analysis.results import (
     OutputSamples,
     Sensitivity,
     Spread,
-    alike,
     done,
     samples,
+    without_numbers,
 )
 from orchestrator.studies.single_run import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Output, Study
 
-FEW = 5  # failed runs below which nothing is said about where they lie
-EXAMPLES = 5  # numbers of failed runs that are shown for each reason
-LEVEL = 0.01  # of the test for where runs fail, over all factors
-CONSTANT = 1e-9  # spread over size of an output that counts as constant: a solver's tolerance is larger
+FEWEST_FAILURES = 5  # failed runs below which their factors are not tested
+EXAMPLES = 5  # run numbers shown for each reason
+SIGNIFICANCE = 0.01  # of the tests of all factors together
+CONSTANT = 1e-9  # range over magnitude of a constant output; tolerances of solvers are larger
 NOTES = {
-    "morris": "summaries are over the points of the Morris design, where the ends of each range count more",
-    "grid": "summaries are over the points of the grid, each as likely",
+    "morris": "statistics are over the points of the Morris design: ends of ranges have more weight",
+    "grid": "statistics are over the points of the grid, with equal weights",
 }
 
 
 def analyse(results: Results) -> Analysis:
-    """Everything that the runs of a study support: a finding for each output, and why runs failed."""
+    """Analyse all outputs of a study and its failed runs."""
     study = results.study
     notes = [*_missing_factors(results), *_where_failed(results)]
     if study.method in NOTES:
@@ -53,108 +53,110 @@ def analyse(results: Results) -> Analysis:
 
 def spread(values: Array) -> Spread | None:
     """Distribution of the finite values; None if there are none."""
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return None
-    low, median, high = np.quantile(known, (0.05, 0.5, 0.95)).tolist()
-    mean, sd = float(known.mean()), float(known.std(ddof=1)) if known.size > 1 else 0.0
-    return Spread(known.size, mean, sd, low, median, high, float(known.min()), float(known.max()))
+    low, median, high = np.quantile(finite, (0.05, 0.5, 0.95)).tolist()
+    mean, sd = float(finite.mean()), float(finite.std(ddof=1)) if finite.size > 1 else 0.0
+    return Spread(finite.size, mean, sd, low, median, high, float(finite.min()), float(finite.max()))
 
 
 def failures(results: Results) -> tuple[Failure, ...]:
-    """Failed runs by reason, whatever the numbers in it, the most frequent first."""
+    """Failed runs by reason, the most frequent first; reasons that differ only in numbers are one."""
     failed = results.table[results.table["status"] != OK].sort_values("run")
     reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
     found = []
-    for _, group in failed.groupby(alike(reasons), sort=True):
-        own, counts = reasons[group.index], {}
+    for _, group in failed.groupby(without_numbers(reasons), sort=True):
+        in_group, counts = reasons[group.index], {}
         for choice in results.study.compared:
-            seen = group[choice.column].astype(str).value_counts()
-            counts[choice.name] = {option: int(seen.get(option, 0)) for option in choice.options}
+            occurrences = group[choice.column].astype(str).value_counts()
+            counts[choice.name] = {option: int(occurrences.get(option, 0)) for option in choice.options}
         examples = tuple(int(run) for run in group["run"].head(EXAMPLES))
-        found.append(Failure(str(own.iloc[0]), len(group), examples, counts, own.nunique() > 1))
+        found.append(Failure(str(in_group.iloc[0]), len(group), examples, counts, in_group.nunique() > 1))
     return tuple(sorted(found, key=lambda failure: (-failure.count, failure.reason)))
 
 
 def _missing_factors(results: Results) -> list[str]:
-    """Factors that some options do not have: there they move nothing."""
+    """Notes on factors that some options lack."""
     notes = []
     for factor in results.study.factors:
-        column = START + factor.name  # missing for a name that stands for several variables
+        column = START + factor.name  # missing if the name sets several variables
         for choice in results.study.choices if column in results.table else ():
-            known = results.table.groupby(choice.column)[column].count()
-            lacking = [o for o in choice.options if known.get(o, 0) == 0]
+            values = results.table.groupby(choice.column)[column].count()
+            lacking = [o for o in choice.options if values.get(o, 0) == 0]
             if lacking and len(lacking) < len(choice.options):
                 where = f"{choice.name} {', '.join(lacking)}"
-                notes.append(f"{factor.name} is not in {where}: there it moves nothing")
+                notes.append(f"{where} has no variable {factor.name}, so the factor has no effect there")
     return notes
 
 
 def _where_failed(results: Results) -> list[str]:
-    """Factors whose values differ between failed and other runs, by the Mann-Whitney test at 1 % in all."""
+    """Notes on factors that differ between failed and other runs, by Mann-Whitney tests."""
     failed = (results.table["status"] != OK).to_numpy()
     notes: list[str] = []
-    if min(failed.sum(), (~failed).sum()) < FEW:
+    if min(failed.sum(), (~failed).sum()) < FEWEST_FAILURES:
         return notes
     for factor in results.study.factors:
         values = results.table[factor.column].to_numpy(float)
-        bad, good = values[failed], values[~failed]
-        test = mannwhitneyu(bad, good)
-        if test.pvalue < LEVEL / len(results.study.factors):
-            larger = test.statistic > 0.5 * bad.size * good.size
+        of_failed, of_others = values[failed], values[~failed]
+        test = mannwhitneyu(of_failed, of_others)
+        if test.pvalue < SIGNIFICANCE / len(results.study.factors):
+            larger = test.statistic > 0.5 * of_failed.size * of_others.size
             notes.append(f"runs fail more often at {'large' if larger else 'small'} {factor.name}")
     return notes
 
 
 def _finding(results: Results, output: Output) -> OutputAnalysis:
-    study, ended = results.study, done(results)
-    values = ended[output.column].to_numpy(float)
-    whole, missing = spread(values), int(np.isnan(values).sum())
+    study, completed = results.study, done(results)
+    values = completed[output.column].to_numpy(float)
+    overall, missing = spread(values), int(np.isnan(values).sum())
     by_choice = {}
     for choice in study.compared:
-        column = ended[choice.column].astype(str)
-        own = {o: spread(ended.loc[column == o, output.column].to_numpy(float)) for o in choice.options}
-        by_choice[choice.name] = {option: value for option, value in own.items() if value is not None}
+        column = completed[choice.column].astype(str)
+        spreads = {
+            o: spread(completed.loc[column == o, output.column].to_numpy(float)) for o in choice.options
+        }
+        by_choice[choice.name] = {option: value for option, value in spreads.items() if value is not None}
     constant = False
-    found: Sensitivity | str = "no run has this output"
-    if whole is not None:
-        size = max(abs(whole.maximum), abs(whole.minimum))
-        constant = whole.maximum - whole.minimum <= CONSTANT * size
+    result: Sensitivity | str = "no run has this output"
+    if overall is not None:
+        magnitude = max(abs(overall.maximum), abs(overall.minimum))
+        constant = overall.maximum - overall.minimum <= CONSTANT * magnitude
         if constant:
-            found = "the output is the same in all runs: nothing moves it"
+            result = "the output is the same in all runs"
         elif not study.factors and not study.compared:
-            found = "nothing was varied"
+            result = "nothing was varied"
         else:
-            found = _sensitivity(study, samples(results, output))
-    notes = [found] if isinstance(found, str) else []
-    if missing and whole is not None:
-        notes.append(f"{missing} runs came to their end without this output; they count as failed here")
+            result = _sensitivity(study, samples(results, output))
+    notes = [result] if isinstance(result, str) else []
+    if missing and overall is not None:
+        notes.append(f"{missing} runs came to their end without this output; here they count as failed")
     return OutputAnalysis(
         output.name,
         output.signal,
         output.measure,
         (output.start, output.stop),
         output.unit,
-        whole,
+        overall,
         by_choice,
         constant,
-        None if isinstance(found, str) else found,
+        None if isinstance(result, str) else result,
         tuple(notes),
     )
 
 
-def _sensitivity(study: Study, found: OutputSamples) -> Sensitivity | str:
-    """By the method that the design allows; a reason if there is none."""
+def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
+    """Sensitivity by the method for the design; a reason if it cannot be estimated."""
     if study.method == "grid":
-        result = sensitivity.main_effects(found)
+        result = sensitivity.main_effects(data)
     elif study.method == "morris":
-        result = morris_sobol.elementary_effects(found)
+        result = morris_sobol.elementary_effects(data)
     elif study.method != "saltelli":
-        result = sensitivity.from_sample(found)
-    elif morris_sobol.whole_enough(found):
-        result = morris_sobol.sobol_indices(found)
+        result = sensitivity.from_sample(data)
+    elif morris_sobol.enough_base_samples(data):
+        result = morris_sobol.sobol_indices(data)
     else:
-        result = _from_independent_rows(found)
+        result = _from_independent_rows(data)
     if isinstance(result, str):
         return result
     options = {choice.name: choice.options for choice in study.choices}
@@ -162,17 +164,17 @@ def _sensitivity(study: Study, found: OutputSamples) -> Sensitivity | str:
     return replace(result, effects=effects)
 
 
-def _from_independent_rows(found: OutputSamples) -> Sensitivity | str:
-    """Too many runs of a Saltelli design failed, or it is small: its independent rows are a plain sample."""
-    width = len(found.names) + 2
-    design, count = found.blocks(width)
+def _from_independent_rows(data: OutputSamples) -> Sensitivity | str:
+    """Use the independent rows of a Saltelli design as a plain sample, if it is small or many runs failed."""
+    width = len(data.names) + 2
+    design, count = data.blocks(width)
     kept = len(design.y) // width
     size = f"only {kept} of {count} base samples are complete" if kept < count else f"{count} base samples"
-    result = sensitivity.from_sample(morris_sobol.independent(found))
+    result = sensitivity.from_sample(morris_sobol.independent(data))
     if isinstance(result, str):
-        return f"{size}, too few for a Saltelli design, and {result}"
-    why = (
-        f"{size}, too few for the estimators of a Saltelli design; this is from those of its rows that are"
+        return f"{size}, too few for a Saltelli design; {result}"
+    note = (
+        f"{size}, too few for the estimators of a Saltelli design; the estimates use only its rows that are"
         " independent of each other"
     )
-    return replace(result, notes=(why, *result.notes))
+    return replace(result, notes=(note, *result.notes))

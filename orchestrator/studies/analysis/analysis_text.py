@@ -1,4 +1,4 @@
-"""The results of an analysis in sentences, which claim only what the intervals support."""
+"""Sentences about the results of an analysis; they claim only what the intervals support."""
 
 from __future__ import annotations
 
@@ -25,92 +25,95 @@ MEASURES = {
     "integral": "integral",
     "time_of_maximum": "time of the maximum",
 }
-SHARES = {FIRST: "of its variance by itself", TOTAL: "of its variance", REGRESSION: "of its variance"}
-NOTICEABLE = 0.05  # share of the variance, or of the largest mu*, below which a factor is not mentioned
-TOGETHER = 0.1  # share that factors must move together before it is reported
-CLEAR = 0.3  # rank correlation above which a direction is reported
-MANY = 3  # factors that cannot be distinguished from the first; with more of them none stands out
+FRACTIONS = {FIRST: "of its variance by itself", TOTAL: "of its variance", REGRESSION: "of its variance"}
+NOTICEABLE = 0.05  # fraction of the variance, or of the largest mu*, from which a factor is mentioned
+INTERACTION = 0.1  # fraction of the variance from which interactions are mentioned
+CLEAR = 0.3  # rank correlation from which a direction is mentioned
+MOST_LEADERS = 3  # with more factors that cannot be distinguished from the first none stands out
 
 
-def what(finding: OutputAnalysis) -> str:
-    """What the output is, such as `maximum of swing.swing_pressure_a from 1 to 3 s`."""
+def output_description(finding: OutputAnalysis) -> str:
+    """Description of an output, such as `maximum of swing.swing_pressure_a from 1 to 3 s`."""
     start, stop = finding.window
-    ends = ""
+    window = ""
     if start is not None or stop is not None:
-        ends = f" from {start or 0:g} s" + (f" to {stop:g} s" if stop is not None else " on")
-    return f"{MEASURES[finding.measure]} of {finding.signal}{ends}"
+        window = f" from {start or 0:g} s" + (f" to {stop:g} s" if stop is not None else " on")
+    return f"{MEASURES[finding.measure]} of {finding.signal}{window}"
 
 
 def sentences(finding: OutputAnalysis) -> list[str]:
-    """The output in some sentences, the first of them the answer."""
+    """Sentences about an output; the first one answers which factors affect it most."""
     if finding.spread is None:
         return [f"No run has {finding.name}."]
     spread = finding.spread
     if finding.constant:
         value = finding.display.text(spread.median)
-        return [f"{finding.name} is {value} in all {spread.runs} runs: nothing moves it."]
+        return [f"{finding.name} is {value} in all {spread.runs} runs: no factor has an effect on it."]
     ends = f"{finding.display.text(spread.low)} and {finding.display.text(spread.high)}"
-    where = f"Nine of ten runs lie between {ends}; the median is {finding.display.text(spread.median)}."
+    distribution = (
+        f"Nine of ten runs lie between {ends}; the median is {finding.display.text(spread.median)}."
+    )
     if finding.sensitivity is None:
-        return [f"What moves {finding.name} cannot be found: {'; '.join(finding.notes)}.", where]
-    return [*_answer(finding, finding.sensitivity), where]
+        notes = "; ".join(finding.notes)
+        return [f"The sensitivities of {finding.name} cannot be estimated: {notes}.", distribution]
+    return [*_answer(finding, finding.sensitivity), distribution]
 
 
 def _answer(finding: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
     if not sensitivity.reliable:
         fit = 100 * sensitivity.quality.get("r_squared", 0.0)
         return [
-            f"What moves {finding.name} most cannot be found from {sensitivity.samples} samples: a linear"
-            f" model explains {fit:.0f} % of its variance."
+            f"The largest effect on {finding.name} cannot be found from {sensitivity.samples} samples: a"
+            f" linear model explains {fit:.0f} % of its variance."
         ]
     effects, measure = sensitivity.effects, sensitivity.measure
     if len(effects) == 1:
         return [f"{effects[0].label} is the only thing that was varied{_direction(finding, effects[0])}."]
     leaders = _leaders(effects, measure)
     answer = [_first(finding, effects, leaders, measure)]
-    rest = [e for e in effects if e not in leaders and _counts(e, effects[0], measure)]
-    if rest and len(leaders) <= MANY:
-        sizes = [f"{e.label} {size(e.estimates[measure], measure, finding.display)}" for e in rest[:4]]
+    followers = [e for e in effects if e not in leaders and _noticeable(e, effects[0], measure)]
+    if followers and len(leaders) <= MOST_LEADERS:
+        sizes = [f"{e.label} {size(e.estimates[measure], measure, finding.display)}" for e in followers[:4]]
         answer.append(f"Next: {', '.join(sizes)}.")
-    together = _together(sensitivity)
-    return [*answer, together] if together else answer
+    interaction = _interaction(sensitivity)
+    return [*answer, interaction] if interaction else answer
 
 
 def _leaders(effects: tuple[Effect, ...], measure: str) -> list[Effect]:
-    """The first, and those whose intervals reach into that of the first."""
+    """The largest effect, and those whose intervals overlap with its interval."""
     first = effects[0].estimates[measure]
     return [e for e in effects if e.estimates[measure].ceiling >= first.floor]
 
 
 def _first(finding: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
-    """Who leads, if anybody does."""
-    top, share = effects[0], SHARES.get(measure, "over its range")
+    """Sentence about the leading factors, or about their absence."""
+    top, fraction = effects[0], FRACTIONS.get(measure, "over its range")
     if _none_stands_out(effects, leaders, measure):
         others = len(leaders) - 1
         alike = f"; {others} more cannot be distinguished from it" if others else ""
         largest = size(top.estimates[measure], measure, finding.display)
-        lead = f"the largest is {top.label} with {largest} {share}"
+        lead = f"the largest is {top.label} with {largest} {fraction}"
         return f"No factor stands out for {finding.name}: {lead}{alike}."
     names = [e.label for e in leaders]
     sizes = [size(e.estimates[measure], measure, finding.display) for e in leaders]
     ending = _direction(finding, top)
     if len(leaders) > 1:
-        ending = "; these runs do not show which of them moves it more"
-    return f"{finding.name} moves most with {join_words(names)}: {join_words(sizes)} {share}{ending}."
+        ending = "; these runs do not show which of them has the larger effect"
+    return f"{finding.name} moves most with {join_words(names)}: {join_words(sizes)} {fraction}{ending}."
 
 
 def _none_stands_out(effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> bool:
-    """Many cannot be distinguished from the first, or the first not from nothing."""
+    """Whether the largest effect is not significant, or cannot be distinguished from many others."""
     top = effects[0].estimates[measure]
-    nothing = 0.0 if measure == MU_STAR else NOTICEABLE
-    return top.floor <= nothing or len(leaders) > MANY or len(leaders) == len(effects)
+    threshold = 0.0 if measure == MU_STAR else NOTICEABLE
+    return top.floor <= threshold or len(leaders) > MOST_LEADERS or len(leaders) == len(effects)
 
 
-def _counts(effect: Effect, top: Effect, measure: str) -> bool:
-    """Whether a factor is worth a word."""
-    whole = top.estimates[measure].value if measure == MU_STAR else 1.0
+def _noticeable(effect: Effect, top: Effect, measure: str) -> bool:
+    """Whether an effect is large enough to be mentioned."""
+    scale = top.estimates[measure].value if measure == MU_STAR else 1.0
     estimate = effect.estimates[measure]
-    return estimate.value >= NOTICEABLE * whole and estimate.floor > 0
+    return estimate.value >= NOTICEABLE * scale and estimate.floor > 0
 
 
 def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
@@ -121,32 +124,33 @@ def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
             return text
         ends = (unit.text(end, with_unit=False) for end in (max(0.0, estimate.floor), estimate.ceiling))
         return f"{text} ({' to '.join(ends)})"
-    # a share lies between 0 and 1, an estimate of it need not
+    # A fraction is between 0 and 1, but its estimate can be outside.
     limited = (min(1.0, max(0.0, v)) for v in (estimate.value, estimate.floor, estimate.ceiling))
     percent, least, most = (f"{100 * v:.0f}" for v in limited)
     return f"{percent} %" if estimate.low is None else f"{percent} % ({least} to {most})"
 
 
 def _direction(finding: OutputAnalysis, effect: Effect) -> str:
-    """Whether the output rises or falls with a factor; of a choice its medians."""
+    """Direction of the effect of a factor, or the medians of the options of a choice."""
     if effect.kind == "choice":
         options = finding.by_choice[effect.name]
         medians = [
-            f"{finding.display.text(own.median)} with {short(option)}" for option, own in options.items()
+            f"{finding.display.text(spread.median)} with {short(option)}"
+            for option, spread in options.items()
         ]
-        return f"; its median is {join_words(medians)}" if len(medians) <= MANY else ""
+        return f"; its median is {join_words(medians)}" if len(medians) <= MOST_LEADERS else ""
     direction = effect.direction or 0.0
     if abs(direction) < CLEAR:
-        return ", in no one direction"
+        return ", without a clear direction"
     return "; it rises with it" if direction > 0 else "; it falls with it"
 
 
-def _together(sensitivity: Sensitivity) -> str:
-    """What factors move only together, if totals and first orders show it."""
+def _interaction(sensitivity: Sensitivity) -> str:
+    """Sentence about interactions, if first-order and total indices show them."""
     if any(FIRST not in e.estimates or TOTAL not in e.estimates for e in sensitivity.effects):
         return ""
     alone = [e.estimates[FIRST] for e in sensitivity.effects]
-    rest, least = 1.0 - sum(e.value for e in alone), 1.0 - sum(e.ceiling for e in alone)
-    if rest < TOGETHER or least <= 0.0:
+    remainder, least = 1.0 - sum(e.value for e in alone), 1.0 - sum(e.ceiling for e in alone)
+    if remainder < INTERACTION or least <= 0.0:
         return ""
-    return f"{100 * rest:.0f} % of its variance comes from things acting together, not one by one."
+    return f"{100 * remainder:.0f} % of its variance comes from interactions."

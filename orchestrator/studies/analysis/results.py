@@ -1,4 +1,4 @@
-"""The results of an analysis as data; all numbers are in the unit of the output, or shares of a variance."""
+"""Results of an analysis as data; all values are in the unit of the output, or fractions of its variance."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from orchestrator.studies.single_run import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
 
-# a number that stands alone: those inside a name, such as swing_1_rise, tell what the name is of
+# A number that is not part of a name, such as swing_1_rise.
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
-def alike(reasons: pd.Series) -> pd.Series:
-    """Each reason with its numbers masked: equal ones differ by their numbers alone."""
+def without_numbers(reasons: pd.Series) -> pd.Series:
+    """Each reason with # for its numbers: equal ones differ only in their numbers."""
     return reasons.astype(str).map(lambda reason: _NUMBER.sub("#", reason))
 
 
-# Names of measures: how much an output moves with a factor.
-FIRST = "first_order"  # share of the variance that the factor moves by itself, 0..1
-TOTAL = "total"  # the same with all it does together with others
-REGRESSION = "squared_regression"  # squared standardised coefficient of a linear model, as a share
+# Names of sensitivity measures.
+FIRST = "first_order"  # first-order index: fraction of the variance due to the factor alone
+TOTAL = "total"  # total-effect index: the same with all interactions of the factor
+REGRESSION = "squared_regression"  # squared standardised coefficient of a linear model
 MU_STAR = "mu_star"  # mean of the absolute elementary effects, in the unit of the output
 
-LONGEST = 44  # characters of a label
+LONGEST_LABEL = 44  # characters
 
 
 @dataclass(frozen=True)
 class IntervalEstimate:
-    """A number with its 95 % interval; none where nothing was sampled."""
+    """An estimate with its 95 % interval; no interval if nothing was sampled."""
 
     value: float
     low: float | None = None
@@ -47,24 +47,24 @@ class IntervalEstimate:
 
     @property
     def floor(self) -> float:
-        """Lower end of the interval, the number itself where there is none."""
+        """Lower end of the interval; the value itself if there is no interval."""
         return self.value if self.low is None else self.low
 
     @property
     def ceiling(self) -> float:
-        """Upper end of the interval, the number itself where there is none."""
+        """Upper end of the interval; the value itself if there is no interval."""
         return self.value if self.high is None else self.high
 
 
 @dataclass(frozen=True)
 class Effect:
-    """What one factor or choice does to one output.
+    """Effect of one factor or choice on one output.
 
     kind        factor or choice
-    estimates   by the names of measures above
-    more        further numbers of the method, such as sigma of Morris
-    direction   Spearman's rank correlation of factor and output, -1..1; none for choices
-    options     of a choice
+    estimates   sensitivity measure -> estimate
+    more        further values of the method, such as sigma of Morris
+    direction   Spearman's rank correlation of factor and output, -1..1; None for choices
+    options     options of a choice
     """
 
     name: str
@@ -76,27 +76,28 @@ class Effect:
 
     @property
     def label(self) -> str:
-        """The name, of a choice with its options where they are short."""
+        """The name, with the options of a choice if they are short."""
         text = f"{self.name} ({' or '.join(map(short, self.options))})"
-        return text if self.options and len(text) <= LONGEST else self.name
+        return text if self.options and len(text) <= LONGEST_LABEL else self.name
 
 
 def short(option: str) -> str:
-    """An option of a choice as a reader knows it: of a file its name alone."""
+    """An option of a choice for a reader: the stem of a file, or the option itself."""
     return PurePath(option).stem if option.endswith((".csv", ".parquet", ".ssv", ".fmu")) else option
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How an output depends on factors and choices.
+    """Sensitivity of an output to factors and choices.
 
-    method    in words
-    measure   the one that orders the effects; they stand in that order, the largest first
-    samples   independent samples that it rests on
-    variance  of the output [unit squared], over factors and choices
-    reliable  whether the order means anything; false where a linear model does not hold
+    method    description of the method
+    measure   sensitivity measure by which the effects are sorted, the largest first
+    samples   number of independent samples
+    variance  variance of the output [unit squared], over factors and choices
     apart     effects of the factors in each combination of choices
-    notes     what to know before the numbers are read
+    quality   goodness of fit of the linear models
+    notes     remarks on the estimates
+    reliable  whether the effects can be ranked; false if a linear model does not fit
     """
 
     method: str
@@ -126,11 +127,11 @@ class Spread:
 
 @dataclass(frozen=True)
 class OutputAnalysis:
-    """Everything about one output.
+    """Analysis of one output.
 
-    spread     over all runs that have it; none if there is no such run
-    by_choice  the same for each option: "swing" -> "lumped" -> spread
-    constant   all runs gave the same number
+    spread     distribution over all runs that have the output; None if there is no such run
+    by_choice  distribution for each option: "swing" -> "lumped" -> spread
+    constant   whether all runs have the same value
     """
 
     name: str
@@ -146,16 +147,16 @@ class OutputAnalysis:
 
     @property
     def display(self) -> DisplayUnit:
-        """The unit for a reader, of all numbers alike."""
+        """The display unit of all values."""
         largest = max(abs(self.spread.minimum), abs(self.spread.maximum)) if self.spread else math.inf
         return display_unit(self.unit, largest)
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Failed runs with one reason; examples are numbers of runs.
+    """Failed runs with one reason; examples are run numbers.
 
-    various   the numbers in the reason differ: it is that of the first example
+    various   the numbers in the reasons differ; `reason` is that of the first example
     """
 
     reason: str
@@ -167,7 +168,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Analysis:
-    """A study's results."""
+    """Analysis of a study."""
 
     title: str
     method: str
@@ -183,12 +184,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OutputSamples:
-    """One output, sample by sample.
+    """Values of one output by sample.
 
     dimensions   factors and sampled choices
-    x            their values, shape (n, k); of a choice the place of the option
-    y            the output, shape (n, c): a column per combination of crossed choices; NaN where none
-    crossed      the other choices; the product of their options, the last fastest, are the columns of y
+    x            values of the dimensions, shape (n, k); for a choice the index of the option
+    y            output, shape (n, c), a column per combination of crossed choices; NaN if it is missing
+    crossed      the other choices; the columns of y are the product of their options, the last varies fastest
     """
 
     dimensions: tuple[Factor | Choice, ...]
@@ -198,42 +199,42 @@ class OutputSamples:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the dimensions."""
+        """Names of the dimensions."""
         return tuple(dimension.name for dimension in self.dimensions)
 
     @property
     def combinations(self) -> tuple[str, ...]:
         """A name for each column of y."""
-        return tuple(", ".join(found) for found in itertools.product(*(c.options for c in self.crossed)))
+        return tuple(", ".join(options) for options in itertools.product(*(c.options for c in self.crossed)))
 
     @property
     def complete(self) -> NDArray[np.bool_]:
-        """Which samples have the output in every combination, shape (n,)."""
+        """Whether each sample has the output in every combination, shape (n,)."""
         return np.asarray(np.isfinite(self.y).all(axis=1))
 
     def blocks(self, width: int) -> tuple[OutputSamples, int]:
-        """The blocks of `width` samples that all have the output, and the number of all blocks."""
+        """The samples of all complete blocks of `width` samples, and the number of all blocks."""
         count = len(self.y) // width
         complete = self.complete[: count * width].reshape(count, width).all(axis=1)
-        kept = np.flatnonzero(complete)[:, None] * width + np.arange(width)
-        return self.at(kept.ravel()), count
+        rows = np.flatnonzero(complete)[:, None] * width + np.arange(width)
+        return self.at(rows.ravel()), count
 
     def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> OutputSamples:
-        """Some of the samples."""
+        """The samples of these rows."""
         return replace(self, x=self.x[rows], y=self.y[rows])
 
     def alone(self, column: int) -> OutputSamples:
-        """One combination of choices."""
+        """The samples of one combination of choices."""
         return replace(self, y=self.y[:, [column]], crossed=())
 
 
 def done(results: Results) -> pd.DataFrame:
-    """The runs that came to their end: only they count, the others are reported with their reasons."""
+    """The runs that came to their end; others are left out of all statistics and reported with reasons."""
     return results.table[results.table["status"] == OK]
 
 
 def samples(results: Results, output: Output) -> OutputSamples:
-    """The runs of a study; each sample was run in each combination of crossed choices, in the same order."""
+    """Values of an output; each sample was run in each combination of crossed choices, in the same order."""
     study, runs = results.study, results.table.sort_values("run", kind="stable")
     values = runs[output.column].where(runs["status"] == OK)
     blocks = [runs.index]
@@ -244,7 +245,7 @@ def samples(results: Results, output: Output) -> OutputSamples:
     if len(count) != 1:
         raise Problem(
             f"results of study {study.title!r}: {min(count)} to {max(count)} runs for each combination of"
-            " choices, expected as many for all; is the sweep finished?"
+            " choices, expected an equal number; is the study finished?"
         )
     x = np.empty((count.pop(), len(study.dimensions)))
     for i, dimension in enumerate(study.dimensions):

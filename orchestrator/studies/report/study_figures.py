@@ -1,9 +1,9 @@
-"""The figures of a study, for a column of its page.
+"""Figures of the report of a study, each as wide as a column of the page.
 
-scatter     an output over its top factors: a dot per run, and the median in bins
-histogram   how an output spreads over the runs
+scatter     an output over the factors with the largest effects: a dot per run, and the median in bins
+histogram   distribution of an output over the runs
 bands       quantiles of a signal over time
-tornado     what moves an output, the largest on top, each bar with its 95 % interval
+tornado     sensitivities of an output, the largest on top, each bar with its 95 % interval
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from orchestrator.studies.analysis.results import (
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
 
-WIDTH = 6.2  # in; a column of the page, text stays readable where it is 500 pixels wide
+WIDTH = 6.2  # [in], a column of the page; text is readable down to 500 pixels
 LIGHT, DARK = zip(*PALETTE.pairs[:3], strict=True)
 
 
 def column_figure(height: float) -> Figure:
-    """A figure as wide as a column; what is drawn as pixels is fine enough for two of them per point."""
-    made = new_figure(WIDTH, height, h_pad=0.05, w_pad=0.05)
-    made.set_dpi(144)
-    return made
+    """A figure as wide as a column; parts that are drawn as pixels have two pixels per point."""
+    figure = new_figure(WIDTH, height, h_pad=0.05, w_pad=0.05)
+    figure.set_dpi(144)
+    return figure
 
 
 def label(name: str, unit: DisplayUnit) -> str:
@@ -50,18 +50,18 @@ def label(name: str, unit: DisplayUnit) -> str:
     return name_with_unit(name, unit.display)
 
 
-PANELS = 4  # six where the tornado next to them is long
-DOTS = 1500  # per panel; more only cover each other
-FEW = 300  # runs up to which dots are drawn larger
+PANELS = 4  # of a scatter figure; two more if the tornado next to it is long
+MOST_DOTS = 1500  # per panel; more would overlap
+LARGE_DOTS = 300  # number of runs up to which dots are larger
 BINS = 12
-# Between the light and the dark of the palette: pixels do not follow the page's theme.
+# Between light and dark colours of the palette, as pixels do not follow the theme of the page.
 COLOURS = ("#3f7fb0", "#c47a1f", "#2f8f6f")
 
 
 def scatter(
     results: Results, output: Output, finding: OutputAnalysis, sensitivity: Sensitivity
 ) -> Figure | None:
-    """Small multiples in the order of the tornado; none where no factor was varied."""
+    """Small multiples in the order of the tornado; None if no factor was varied."""
     by_name = {f.name: f for f in results.study.factors}
     top = [by_name[e.name] for e in sensitivity.effects if e.name in by_name]
     top = top[: PANELS if len(sensitivity.effects) <= 8 else PANELS + 2]
@@ -69,8 +69,8 @@ def scatter(
         return None
     runs = done(results).dropna(subset=[output.column])
     rows = (len(top) + 1) // 2
-    made = column_figure(0.4 + 2.15 * rows)
-    panels = made.subplots(rows, min(2, len(top)), sharey=True, squeeze=False)
+    figure = column_figure(0.4 + 2.15 * rows)
+    panels = figure.subplots(rows, min(2, len(top)), sharey=True, squeeze=False)
     choice = colouring(results, sensitivity)
     for axes, factor in zip(panels.ravel(), top, strict=False):
         unit = factor_unit(factor)
@@ -78,7 +78,7 @@ def scatter(
         x = unit.factor * runs[factor.column].to_numpy(float)
         y = finding.display.factor * runs[output.column].to_numpy(float)
         _dots(axes, x, y, choice, runs)
-        if has_line(results):
+        if shows_medians(results):
             axes.plot(*medians(x, y), color=PALETTE.ink, linewidth=1.8)
         limit_ticks(axes.xaxis, 4)
     for axes in panels.ravel()[len(top) :]:
@@ -88,21 +88,21 @@ def scatter(
         limit_ticks(axes.yaxis, 4)
     if choice:
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        legend(made, handles=handles, labels=labels, markerscale=3)
-    return made
+        legend(figure, handles=handles, labels=labels, markerscale=3)
+    return figure
 
 
 def _dots(axes: Axes, x: Array, y: Array, choice: Choice | None, runs: pd.DataFrame) -> None:
-    """Some of the runs, in the colours of the options."""
-    drawn = slice(None, None, max(1, -(-len(runs) // DOTS)))
-    size, alpha = (5, 0.45) if len(runs) > FEW else (12, 0.7)
+    """Draw up to MOST_DOTS runs, in the colours of the options."""
+    shown = slice(None, None, max(1, -(-len(runs) // MOST_DOTS)))
+    size, alpha = (5, 0.45) if len(runs) > LARGE_DOTS else (12, 0.7)
     for (name, rows), colour in zip(_groups(runs, choice), COLOURS, strict=False):
         style: dict[str, Any] = {"s": size, "alpha": alpha, "linewidths": 0, "rasterized": True}
-        axes.scatter(x[drawn][rows[drawn]], y[drawn][rows[drawn]], color=colour, label=name, **style)
+        axes.scatter(x[shown][rows[shown]], y[shown][rows[shown]], color=colour, label=name, **style)
 
 
 def _groups(runs: pd.DataFrame, choice: Choice | None) -> list[tuple[str, Array]]:
-    """Each option with the rows that have it; without a choice all rows."""
+    """Each option with a mask of its rows; all rows if there is no choice."""
     if choice is None:
         return [("", np.ones(len(runs), dtype=bool))]
     column = runs[choice.column].astype(str).to_numpy()
@@ -110,26 +110,26 @@ def _groups(runs: pd.DataFrame, choice: Choice | None) -> list[tuple[str, Array]
 
 
 def colouring(results: Results, sensitivity: Sensitivity | None) -> Choice | None:
-    """The choice that moves the output most, if its options can have colours of their own."""
+    """The choice with the largest effect, of those with at most as many options as there are colours."""
     by_name = {c.name: c for c in results.study.compared if len(c.options) <= len(COLOURS)}
     names = [e.name for e in sensitivity.effects] if sensitivity else list(by_name)
     return next((by_name[name] for name in names if name in by_name), None)
 
 
-def has_line(results: Results) -> bool:
-    """Whether medians say something: not at the four levels of Morris, at each of which the others differ."""
+def shows_medians(results: Results) -> bool:
+    """Whether medians are drawn: not for Morris, where the other factors differ between the four levels."""
     return results.study.method != "morris"
 
 
 def factor_unit(factor: Factor) -> DisplayUnit:
-    """The unit of what is drawn: samples of a relative factor are shares."""
+    """Display unit of the samples of a factor; none if they are relative."""
     if factor.relative:
         return DisplayUnit("", "")
     return display_unit(factor.unit, float(np.max([np.max(np.abs(n)) for n in factor.numbers.values()])))
 
 
 def medians(x: Array, y: Array) -> tuple[Array, Array]:
-    """Median of y in bins of equal count of x, or at each value where there are few."""
+    """Median of y in bins of x with equal counts, or at each value of x if there are few."""
     values = np.unique(x)
     if len(values) <= BINS:
         return values, np.array([np.median(y[x == value]) for value in values])
@@ -138,9 +138,9 @@ def medians(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def histogram(results: Results, output: Output, finding: OutputAnalysis, choice: Choice | None) -> Figure:
-    """Runs over the output, options stacked; lines at 5, 50 and 95 %."""
-    made = column_figure(2.5)
-    axes = made.subplots()
+    """Histogram of an output, options stacked, with lines at the 5, 50 and 95 % quantiles."""
+    figure = column_figure(2.5)
+    axes = figure.subplots()
     style_axes(axes, label(output.name, finding.display), "runs")
     scale = finding.display.factor
     runs = done(results).dropna(subset=[output.column])
@@ -155,8 +155,8 @@ def histogram(results: Results, output: Output, finding: OutputAnalysis, choice:
             axes.axvline(value * scale, color=PALETTE.ink, linewidth=1.0, linestyle=(0, (4, 2)))
     limit_ticks(axes.xaxis, 6)
     if choice:
-        legend(made)
-    return made
+        legend(figure)
+    return figure
 
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -164,87 +164,86 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | None) -> Figure:
     """Median, 5 to 95 % and extremes over the runs at each time; a colour per option."""
-    made = column_figure(2.7)
-    axes = made.subplots()
+    figure = column_figure(2.7)
+    axes = figure.subplots()
     style_axes(axes, "time [s]", label(signal, unit))
     runs = done(results)
-    assert results.bands is not None  # asked for only where signals are kept
+    assert results.bands is not None  # called only if signals are stored
     groups = _groups(runs, choice)[: len(DARK)]
-    for place, (name, rows) in enumerate(groups):
-        kept = results.bands[results.bands["run"].isin(runs["run"][rows])]
-        if kept.empty:
+    for i, (name, rows) in enumerate(groups):
+        samples = results.bands[results.bands["run"].isin(runs["run"][rows])]
+        if samples.empty:
             continue
-        time, found = quantiles(kept, signal)
-        low, five, median, ninety_five, high = unit.factor * found
-        axes.fill_between(time, five, ninety_five, color=LIGHT[place], alpha=0.55, linewidth=0)
-        axes.plot(time, median, color=DARK[place], linewidth=1.6, label=name or "median, 5 to 95 %")
+        time, values = quantiles(samples, signal)
+        low, five, median, ninety_five, high = unit.factor * values
+        axes.fill_between(time, five, ninety_five, color=LIGHT[i], alpha=0.55, linewidth=0)
+        axes.plot(time, median, color=DARK[i], linewidth=1.6, label=name or "median, 5 to 95 %")
         if choice is None:
-            style = {"color": DARK[place], "linewidth": 0.9, "linestyle": (0, (2, 2))}
-            axes.plot(time, low, label="least and largest", **style)
+            style = {"color": DARK[i], "linewidth": 0.9, "linestyle": (0, (2, 2))}
+            axes.plot(time, low, label="smallest and largest", **style)
             axes.plot(time, high, **style)
     limit_ticks(axes.yaxis)
     axes.margins(x=0)
     legend(axes)
-    return made
+    return figure
 
 
-def quantiles(kept: pd.DataFrame, signal: str) -> tuple[Array, Array]:
+def quantiles(samples: pd.DataFrame, signal: str) -> tuple[Array, Array]:
     """Time (n,) and QUANTILES over runs, shape (5, n), in the unit of the signal."""
-    table = kept.pivot(index="time", columns="run", values=signal)
-    found = np.nanquantile(table.to_numpy(float), QUANTILES, axis=1)
-    return table.index.to_numpy(float), found
+    table = samples.pivot(index="time", columns="run", values=signal)
+    return table.index.to_numpy(float), np.nanquantile(table.to_numpy(float), QUANTILES, axis=1)
 
 
-MOST = 12  # bars; what is below them is in the table
-DOTTED = 12  # combinations whose dots can be distinguished
+MOST_BARS = 12  # the table contains all effects
+MOST_COMBINATIONS = 12  # of choices that are drawn as dots
 LABELS = {
     MU_STAR: "change over the factor's range, μ*",
-    TOTAL: "share of the variance",
-    FIRST: "share of the variance, first order",
+    TOTAL: "fraction of the variance",
+    FIRST: "fraction of the variance, first order",
 }
 
 
 def tornado(finding: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
-    """Bars from the measure that orders them; the first order within a total; dots for each combination."""
-    effects, measure = sensitivity.effects[:MOST], sensitivity.measure
+    """Bars of the sensitivity measure, first-order bars within total ones, and dots for each combination."""
+    effects, measure = sensitivity.effects[:MOST_BARS], sensitivity.measure
     unit = finding.display if measure == MU_STAR else DisplayUnit("1", "%")
-    made = column_figure(1.25 + 0.27 * len(effects))
-    axes = made.subplots()
-    style_axes(axes, label(LABELS.get(measure, "share of the variance"), unit))
+    figure = column_figure(1.25 + 0.27 * len(effects))
+    axes = figure.subplots()
+    style_axes(axes, label(LABELS.get(measure, "fraction of the variance"), unit))
     axes.grid(False, axis="y")
-    for place, effect in enumerate(effects):
-        _bar(axes, place, effect, measure, unit.factor)
-    dotted = 0 < len(sensitivity.apart) <= DOTTED
+    for row, effect in enumerate(effects):
+        _bar(axes, row, effect, measure, unit.factor)
+    dotted = 0 < len(sensitivity.apart) <= MOST_COMBINATIONS
     if dotted and sensitivity.variance > 0:
         _combinations(axes, effects, sensitivity.apart, measure, unit.factor)
     names = [effect.label.replace(" (", "\n(") for effect in effects]
     axes.set_yticks(range(len(effects)), names, color=PALETTE.ink)
     axes.set_ylim(len(effects) - 0.4, -0.6)
     right = axes.get_xlim()[1]
-    axes.set_xlim(0, right if measure == MU_STAR else min(right, 103.0))  # no share is more than 100 %
+    axes.set_xlim(0, right if measure == MU_STAR else min(right, 103.0))  # a fraction is at most 100 %
     limit_ticks(axes.xaxis)
     if marks := _marks(effects, measure, dotted):
-        legend(made, handles=marks, ncols=len(marks), handlelength=1.2, columnspacing=1.2)
-    return made
+        legend(figure, handles=marks, ncols=len(marks), handlelength=1.2, columnspacing=1.2)
+    return figure
 
 
-def _bar(axes: Axes, place: int, effect: Effect, measure: str, scale: float) -> None:
-    """Light: all that it does; dark: what it does by itself; a line for the interval."""
+def _bar(axes: Axes, row: int, effect: Effect, measure: str, scale: float) -> None:
+    """Draw an effect. Light: total; dark: first order; line: interval."""
     light, dark = PALETTE.pair(1 if effect.kind == "choice" else 0)
-    whole = effect.estimates[measure]
-    axes.barh(place, _drawn(whole.value, measure, scale), height=0.72, color=light, linewidth=0)
+    estimate = effect.estimates[measure]
+    axes.barh(row, _drawn(estimate.value, measure, scale), height=0.72, color=light, linewidth=0)
     if measure == TOTAL:
-        alone = _drawn(effect.estimates[FIRST].value, measure, scale)
-        axes.barh(place, alone, height=0.34, color=dark, linewidth=0)
+        first = _drawn(effect.estimates[FIRST].value, measure, scale)
+        axes.barh(row, first, height=0.34, color=dark, linewidth=0)
     if "sigma" in effect.more:
-        axes.plot(effect.more["sigma"] * scale, place, marker="|", markersize=11, color=PALETTE.bad)
-    if whole.low is not None:
-        ends = [_drawn(end, measure, scale) for end in (whole.floor, whole.ceiling)]
-        axes.plot(ends, [place, place], color=PALETTE.ink, linewidth=1.2, marker="|", markersize=7)
+        axes.plot(effect.more["sigma"] * scale, row, marker="|", markersize=11, color=PALETTE.bad)
+    if estimate.low is not None:
+        ends = [_drawn(end, measure, scale) for end in (estimate.floor, estimate.ceiling)]
+        axes.plot(ends, [row, row], color=PALETTE.ink, linewidth=1.2, marker="|", markersize=7)
 
 
 def _drawn(value: float, measure: str, scale: float) -> float:
-    """Where a number lies on the axis: a share lies between 0 and 100 %, an estimate of it need not."""
+    """Position of an estimate on the axis; a fraction is limited to 0..1, as its estimate can be outside."""
     return max(0.0, value if measure == MU_STAR else min(1.0, value)) * scale
 
 
@@ -255,19 +254,19 @@ def _combinations(
     measure: str,
     scale: float,
 ) -> None:
-    """The same in each combination of choices; shares there are of the variance of that combination."""
-    places = {effect.name: place for place, effect in enumerate(effects)}
-    found = [effect for combination in apart.values() for effect in combination if effect.name in places]
-    x = [_drawn(effect.estimates[measure].value, measure, scale) for effect in found]
-    y = [places[effect.name] + 0.24 for effect in found]
+    """Draw dots for each combination of choices; fractions refer to the variance of the combination."""
+    rows = {effect.name: row for row, effect in enumerate(effects)}
+    shown = [effect for combination in apart.values() for effect in combination if effect.name in rows]
+    x = [_drawn(effect.estimates[measure].value, measure, scale) for effect in shown]
+    y = [rows[effect.name] + 0.24 for effect in shown]
     axes.plot(x, y, "o", markersize=3, markerfacecolor="none", color=PALETTE.faint, alpha=0.9)
 
 
 def _marks(effects: tuple[Effect, ...], measure: str, dotted: bool) -> list[Patch | Line2D]:
-    """What the marks of a tornado mean."""
+    """Legend entries of a tornado."""
     marks: list[Patch | Line2D] = []
     if measure == TOTAL:
-        marks += [Patch(color=LIGHT[0], label="total"), Patch(color=DARK[0], label="by itself")]
+        marks += [Patch(color=LIGHT[0], label="total"), Patch(color=DARK[0], label="first order")]
     if any(effect.kind == "choice" for effect in effects):
         marks.append(Patch(color=LIGHT[1], label="choice"))
     if any(effect.estimates[measure].low is not None for effect in effects):

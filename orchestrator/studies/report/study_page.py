@@ -1,6 +1,6 @@
-"""The report of a study: report.html and analysis.json next to its results.
+"""Report of a study: report.html and analysis.json in the folder of its results.
 
-The page is one file that needs no network; the JSON holds the same numbers in the units of the FMUs.
+The page is one file that needs no network. The JSON file contains the same values in the units of the FMUs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from orchestrator.base.html_page import json_values
 from orchestrator.base.plotting import embed
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
 from orchestrator.studies.analysis.analyse import analyse
-from orchestrator.studies.analysis.analysis_text import MEASURES, sentences, size, what
+from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,
@@ -32,13 +32,13 @@ from orchestrator.studies.analysis.results import (
     short,
 )
 from orchestrator.studies.report.study_figures import (
-    MOST,
+    MOST_BARS,
     bands,
     colouring,
     factor_unit,
-    has_line,
     histogram,
     scatter,
+    shows_medians,
     tornado,
 )
 from orchestrator.studies.store import Results, read
@@ -46,7 +46,7 @@ from orchestrator.studies.study import START, Factor, Output
 
 PAGE, NUMBERS = "report.html", "analysis.json"
 TEMPLATE = Path(__file__).parent / "templates" / "study.html.j2"
-Picture = tuple[str, Markup, str]  # title, figure, caption
+CaptionedFigure = tuple[str, Markup, str]  # title, figure, caption
 METHODS = {
     "latin": "Latin hypercube",
     "sobol": "Sobol' points",
@@ -54,9 +54,9 @@ METHODS = {
     "saltelli": "Saltelli design",
     "morris": "Morris trajectories",
 }
-HEADS = {
+COLUMNS = {
     TOTAL: "total",
-    FIRST: "by itself",
+    FIRST: "first order",
     REGRESSION: "linear model, squared",
     MU_STAR: "μ*",
     "mu": "μ",
@@ -64,7 +64,7 @@ HEADS = {
     "regression": "coefficient",
     "rank_regression": "coefficient of ranks",
 }
-BARS = 16
+BINS = 16  # of the small histograms
 PURE = DisplayUnit("", "")
 
 
@@ -76,16 +76,16 @@ def report(folder: Path) -> Path:
 
 
 def write(folder: Path, results: Results, analysis: Analysis) -> None:
-    """Both files; equal results give equal bytes."""
+    """Write both files; equal results give equal bytes."""
     study: dict[str, Any] = json_values(results.study)
-    study.pop("folder")  # where the study lies is no result
-    said = {finding.name: sentences(finding) for finding in analysis.findings}
-    html_page.write_json(folder / NUMBERS, {"study": study, **json_values(analysis), "sentences": said})
+    study.pop("folder")  # the location of the study is not a result
+    texts = {finding.name: sentences(finding) for finding in analysis.findings}
+    html_page.write_json(folder / NUMBERS, {"study": study, **json_values(analysis), "sentences": texts})
     html_page.write_text(folder / PAGE, render(results, analysis))
 
 
 def render(results: Results, analysis: Analysis) -> str:
-    """The HTML text."""
+    """The page as HTML."""
     study = results.study
     outputs = {output.name: output for output in study.outputs}
     return html_page.render(
@@ -98,62 +98,67 @@ def render(results: Results, analysis: Analysis) -> str:
         short=short,
         answers=[(k, f.name, sentences(f)) for k, f in enumerate(analysis.findings)],
         tiles=[_tile(finding) for finding in analysis.findings],
-        varied=[(own, factor_words(own), _heights(results.table[own.column])) for own in study.factors],
+        varied=[(f, distribution_text(f), _bar_heights(results.table[f.column])) for f in study.factors],
         sections=[_section(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)],
         bands=_bands(results),
         fixed=[_fixed(results, *item) for item in study.fixed.items()],
     )
 
 
-def factor_words(factor: Factor) -> str:
-    """The numbers of a distribution with their unit, such as `0.5 to 3 bar`."""
+def distribution_text(factor: Factor) -> str:
+    """The distribution of a factor as text, such as `0.5 to 3 bar`."""
     unit = factor_unit(factor)
-    ending = " times its value" if factor.relative else f" {unit.name}".rstrip()
+    suffix = " times its value" if factor.relative else f" {unit.name}".rstrip()
     text = {
         name: ", ".join(unit.text(float(value), 4, with_unit=False) for value in np.atleast_1d(values))
         for name, values in factor.numbers.items()
     }
     if factor.distribution == "values":
-        return text["values"] + ending
+        return text["values"] + suffix
     if factor.distribution in ("normal", "lognormal"):
-        return f"mean {text['mean']}, standard deviation {text['sd']}{ending}"
+        return f"mean {text['mean']}, standard deviation {text['sd']}{suffix}"
     mode = f", most often {text['mode']}" if factor.distribution == "triangular" else ""
-    return f"{text['minimum']} to {text['maximum']}{ending}{mode}"
+    return f"{text['minimum']} to {text['maximum']}{suffix}{mode}"
 
 
-def _heights(column: pd.Series) -> list[float]:
-    """Heights of a histogram of what was drawn, the highest 1."""
+def _bar_heights(column: pd.Series) -> list[float]:
+    """Heights of the bars of a histogram of samples, the highest 1."""
     values = column.to_numpy(float)
     if not len(values) or np.ptp(values) == 0:
         return [1.0]
-    counts, _ = np.histogram(values, bins=BARS)
+    counts, _ = np.histogram(values, bins=BINS)
     return [round(float(count / counts.max()), 3) for count in counts]
 
 
 def _fixed(results: Results, name: str, value: float) -> tuple[str, str]:
-    """A number of all runs with its unit, where the name is that of one variable."""
+    """A fixed value with its unit; without unit if the name sets several variables."""
     return name, display_unit(results.units.get(f"{START}{name}", ""), value).text(value, 6)
 
 
 def _tile(finding: OutputAnalysis) -> dict[str, Any]:
-    """An output in one line."""
-    value, ends, spread, unit = NO_VALUE, "no run has it", finding.spread, finding.display
+    """Tile with the median and range of an output."""
+    value, range_text, spread, unit = NO_VALUE, "no run has it", finding.spread, finding.display
     if spread is not None:
         value = unit.text(spread.median)
         low, high = unit.text(spread.low, with_unit=False), unit.text(spread.high)
-        ends = f"median; {low} to {high} in nine of ten runs"
-        ends = f"in all {spread.runs} runs" if finding.constant else ends
-    return {"name": finding.name, "value": value, "range": ends, "what": what(finding)}
+        range_text = f"median; {low} to {high} in nine of ten runs"
+        range_text = f"in all {spread.runs} runs" if finding.constant else range_text
+    return {
+        "name": finding.name,
+        "value": value,
+        "range": range_text,
+        "description": output_description(finding),
+    }
 
 
-def _section(results: Results, output: Output, finding: OutputAnalysis, place: int) -> dict[str, Any]:
-    """An output: figures and tables."""
+def _section(results: Results, output: Output, finding: OutputAnalysis, index: int) -> dict[str, Any]:
+    """Figures and tables of an output."""
     sensitivity = finding.sensitivity
     return {
         "finding": finding,
-        "what": what(finding),
+        "description": output_description(finding),
         "sentences": sentences(finding),
-        "columns": _columns(results, output, finding, place),
+        "columns": _columns(results, output, finding, index),
         "spreads": _spreads(finding),
         "effects": sensitivity and _effects(sensitivity, finding.display).html(),
         "apart": sensitivity and sensitivity.apart and _apart(sensitivity, finding.display).html(),
@@ -161,7 +166,7 @@ def _section(results: Results, output: Output, finding: OutputAnalysis, place: i
 
 
 def _spreads(finding: OutputAnalysis) -> Markup | None:
-    """A row for all runs, then one for each option."""
+    """Table of distributions, a row for all runs, then one for each option."""
     spreads = [(Markup("all"), finding.spread)] if finding.spread else []
     for choice, options in finding.by_choice.items():
         name = Markup('<span class="soft">{}</span> {}')
@@ -177,9 +182,9 @@ def _spreads(finding: OutputAnalysis) -> Markup | None:
 
 
 def _effects(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
-    """A row per effect, in the order of the tornado, and a column for each measure that any effect has."""
-    known = {key for effect in sensitivity.effects for key in (*effect.estimates, *effect.more)}
-    columns = {key: words for key, words in HEADS.items() if key in known}
+    """A row per effect, in the order of the tornado, and a column for each measure that an effect has."""
+    measures = {key for effect in sensitivity.effects for key in (*effect.estimates, *effect.more)}
+    columns = {key: head for key, head in COLUMNS.items() if key in measures}
     rows = []
     for effect in sensitivity.effects:
         trend = "" if effect.direction is None else f"{effect.direction:+.2f}".replace("-", MINUS)
@@ -200,56 +205,58 @@ def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
 
 
 def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
-    """The ordering measure of each factor in each combination of choices."""
+    """The sensitivity measure of each factor in each combination of choices."""
     measure = sensitivity.measure
     combinations = [{e.name: e.estimates[measure] for e in found} for found in sensitivity.apart.values()]
     rows = [
         [_code(effect.name)]
-        + [size(own[effect.name], measure, unit) if effect.name in own else NO_VALUE for own in combinations]
+        + [size(c[effect.name], measure, unit) if effect.name in c else NO_VALUE for c in combinations]
         for effect in sensitivity.effects
         if effect.kind == "factor"
     ]
     return TextTable(["factor", *sensitivity.apart], rows)
 
 
-def _columns(results: Results, output: Output, finding: OutputAnalysis, place: int) -> list[list[Picture]]:
+def _columns(
+    results: Results, output: Output, finding: OutputAnalysis, index: int
+) -> list[list[CaptionedFigure]]:
     """The figures of an output in two columns of about the same height."""
-    sensitivity, left, right = finding.sensitivity, list[Picture](), list[Picture]()
+    sensitivity, left, right = finding.sensitivity, list[CaptionedFigure](), list[CaptionedFigure]()
     if sensitivity is not None:
-        drawn = embed(tornado(finding, sensitivity), f"t{place}-", "tornado")
-        left.append(("What moves it", drawn, left_out(sensitivity, finding.display)))
+        drawn = embed(tornado(finding, sensitivity), f"t{index}-", "tornado")
+        left.append(("Sensitivities", drawn, _hidden_effects(sensitivity, finding.display)))
         dots = scatter(results, output, finding, sensitivity)
         if dots is not None:
-            words = "A dot for each run" + ("; the line is the median." if has_line(results) else ".")
-            right.append(("The top factors", embed(dots, f"s{place}-", "scatter"), words))
+            caption = "A dot for each run" + ("; the line is the median." if shows_medians(results) else ".")
+            right.append(("Factors with the largest effect", embed(dots, f"s{index}-", "scatter"), caption))
     if finding.spread is not None and not finding.constant:
         figure = histogram(results, output, finding, colouring(results, sensitivity))
-        drawn = embed(figure, f"h{place}-", "histogram")
-        left.append(("How it spreads", drawn, "Dashed: 5, 50 and 95 % of the runs lie below."))
+        drawn = embed(figure, f"h{index}-", "histogram")
+        left.append(("Distribution", drawn, "Dashed: 5, 50 and 95 % quantiles."))
     return [column for column in (left, right) if column]
 
 
-def left_out(sensitivity: Sensitivity, unit: DisplayUnit) -> str:
-    """What a tornado does not show."""
-    rest = sensitivity.effects[MOST:]
-    if not rest:
+def _hidden_effects(sensitivity: Sensitivity, unit: DisplayUnit) -> str:
+    """Caption about the effects that a tornado does not show."""
+    hidden = sensitivity.effects[MOST_BARS:]
+    if not hidden:
         return ""
-    largest = max(rest[0].estimates[sensitivity.measure].value, 0.0)
+    largest = max(hidden[0].estimates[sensitivity.measure].value, 0.0)
     bound = unit.text(largest) if sensitivity.measure == MU_STAR else f"{math.ceil(100 * largest)} %"
-    return f"Not shown: {len(rest)} more, none with more than {bound}."
+    return f"Not shown: {len(hidden)} more, none with more than {bound}."
 
 
 def _bands(results: Results) -> list[tuple[str, list[tuple[str, Markup]]]]:
-    """Each kept signal: all runs, then a figure per choice."""
+    """Figures of each stored signal: all runs, then one figure per choice."""
     if results.bands is None or results.bands.empty or done(results).empty:
         return []
-    found = []
-    for place, signal in enumerate(results.study.bands):
+    figures_by_signal = []
+    for index, signal in enumerate(results.study.bands):
         unit = display_unit(results.units.get(signal, ""), float(results.bands[signal].abs().max()))
-        pictures = [("all runs", embed(bands(results, signal, unit, None), f"b{place}-", signal))]
+        figures = [("all runs", embed(bands(results, signal, unit, None), f"b{index}-", signal))]
         for k, choice in enumerate(results.study.compared):
             title = f"by {choice.name}"
             drawn = bands(results, signal, unit, choice)
-            pictures.append((title, embed(drawn, f"b{place}-{k}-", f"{signal} {title}")))
-        found.append((signal, pictures))
-    return found
+            figures.append((title, embed(drawn, f"b{index}-{k}-", f"{signal} {title}")))
+        figures_by_signal.append((signal, figures))
+    return figures_by_signal
