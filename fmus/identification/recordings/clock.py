@@ -1,6 +1,6 @@
-"""A recording on a uniform clock: at its own rate, at one that a simulation can follow, at any other.
+"""Resampling of recordings to a uniform clock: at the same rate, at a lower one for simulation, at any rate.
 
-A missing sample stays missing: it is a gap (NaN) of the new clock, never closed by interpolation.
+A missing sample becomes a gap (NaN) of the new clock; it is not interpolated.
 """
 
 from __future__ import annotations
@@ -16,58 +16,58 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
-UNEVEN = 0.05  # of a period: how far a stamp may be off a uniform clock; more is jitter that derivatives see
-MISSED = 1.5  # periods from one sample to the next, from which on one is missing
-ROUNDING = 1e-6  # of a period: of time stamps
-CUTOFF = 0.8  # of half the new rate: -6 dB of the filter before going down; -34 dB at half the new rate
-ORDER = 8
-FASTEST = 500.0  # Hz: ten times what oil does in the longest hose; more only takes time to simulate
+UNIFORM = 0.05  # periods; largest deviation of a time stamp on a uniform clock; more would disturb derivatives
+GAP = 1.5  # periods; in a longer interval a sample is missing
+ROUNDING = 1e-6  # periods; rounding of time stamps
+CUTOFF = 0.8  # -6 dB of the anti-aliasing filter, over half the new rate, where it has -34 dB
+ORDER = 8  # of the anti-aliasing filter
+MAX_RATE = 500.0  # Hz; ten times the frequency of oil in the longest hose; more only costs simulation time
 
 
 def period(time: Array) -> float:
-    """The usual interval of a clock [s], whatever is missing."""
+    """Sampling period of a clock [s]: the median interval, which missing samples do not change."""
     return float(np.median(np.diff(time)))
 
 
-def periods_off(time: Array) -> Array:
-    """How far each stamp is off a uniform clock, in periods."""
+def clock_error(time: Array) -> Array:
+    """Deviation of each time stamp from a uniform clock, in periods."""
     step = (time[-1] - time[0]) / (len(time) - 1)
     return np.asarray(np.abs(time - (time[0] + step * np.arange(len(time)))) / step)
 
 
 def uniform_rate(recording: Recording) -> float:
-    """Samples per second [Hz]; refuses a clock that is not uniform, which `resample` makes uniform."""
+    """Samples per second [Hz]; raises Problem if the clock is not uniform (see `resample`)."""
     time = recording.time
     if len(time) < 2:
         raise Problem(f"{recording.source}: expected two or more samples, got {len(time)}")
-    off = periods_off(time)
-    worst = int(np.argmax(off))
-    if off[worst] > UNEVEN:
+    error = clock_error(time)
+    worst = int(np.argmax(error))
+    if error[worst] > UNIFORM:
         raise Problem(
-            f"{recording.source}: time {time[worst]:g} s is {100 * off[worst]:.0f} % of a period off"
-            f" a uniform clock, expected at most {100 * UNEVEN:.0f} %: resample the recording first"
+            f"{recording.source}: time {time[worst]:g} s is {100 * error[worst]:.0f} % of a period off"
+            f" a uniform clock, expected at most {100 * UNIFORM:.0f} %: resample the recording first"
         )
     return float((len(time) - 1) / (time[-1] - time[0]))
 
 
-def evenly(recording: Recording) -> Recording:
-    """The recording on a uniform clock at its own rate, itself if it has one; what is missing becomes a gap.
+def resample_uniformly(recording: Recording) -> Recording:
+    """The recording on a uniform clock at the same rate; unchanged if its clock is uniform.
 
-    Commands are interpolated as all else is: a simulation draws straight lines between its samples, and
-    holding the sample before would make half of them a period late.
+    Commands are interpolated linearly like all signals, as in a simulation. If they were held, half of them
+    would be a period late.
     """
     time = recording.time
-    if len(time) < 2 or np.max(periods_off(time)) <= UNEVEN:
+    if len(time) < 2 or np.max(clock_error(time)) <= UNIFORM:
         return recording
     return resample(recording, 1 / period(time))
 
 
-def thinned(recording: Recording, fastest: float = FASTEST) -> Recording:
-    """The recording at a rate of at most `fastest` [Hz]; commands are held, all else is filtered before."""
-    if len(recording.time) < 2 or period(recording.time) > 0.99 / fastest:
+def downsample(recording: Recording, max_rate: float = MAX_RATE) -> Recording:
+    """The recording at a rate of at most `max_rate` [Hz]; commands are held, other signals are filtered."""
+    if len(recording.time) < 2 or period(recording.time) > 0.99 / max_rate:
         return recording
-    held = [name for name in recording.signals if name.endswith("command")]
-    return resample(recording, fastest, hold=held)
+    commands = [name for name in recording.signals if name.endswith("command")]
+    return resample(recording, max_rate, hold=commands)
 
 
 def resample(
@@ -75,21 +75,21 @@ def resample(
 ) -> Recording:
     """The recording on a uniform clock of `rate` [Hz] that starts with its first sample.
 
-    Signals are interpolated linearly. When the rate goes down, they pass a zero-phase filter first, and what
-    is not good (clipped, in the dead zone) becomes a gap, which a filtered sample would hide. The standard
-    deviation of the sensor is that of what the filter leaves.
+    Signals are interpolated linearly. For a lower rate they pass a zero-phase filter first. Samples that are not
+    good (clipped, in the dead zone) then become gaps, because the filter would hide them, and the noise of the
+    sensor is reduced as by the filter.
 
-    hold     signals that keep their value from sample to sample, such as commands: not filtered
+    hold     signals that keep their value from sample to sample, such as commands; they are not filtered
     bridge   longest interval to interpolate over [s]; None: a missing sample is a gap
     """
     time = recording.time
     if rate <= 0 or len(time) < 2:
-        found = f"{rate:g} Hz and {len(time)} samples"
-        raise Problem(f"{recording.source}: expected a rate above 0 and two or more samples, got {found}")
+        got = f"{rate:g} Hz and {len(time)} samples"
+        raise Problem(f"{recording.source}: expected a rate above 0 and two or more samples, got {got}")
     old = 1 / period(time)
     duration = time[-1] - time[0]
     clock = time[0] + np.arange(1 + int(duration * rate * (1 + 1e-12) + 1e-9)) / rate
-    longest = MISSED / old if bridge is None else bridge
+    longest = GAP / old if bridge is None else bridge
     down = rate < old * (1 - 1e-6)
     signals, sensors = {}, dict(recording.sensors)
     for name, values in recording.signals.items():
@@ -99,15 +99,15 @@ def resample(
             filtered = _filtered(_interpolated(finer, time, usable, longest), rate / old)
             signals[name] = _interpolated(clock, finer, filtered, longest)
             if name in sensors:
-                sensors[name] = _quieter(sensors[name], rate / old)
+                sensors[name] = _filtered_sensor(sensors[name], rate / old)
         else:
             signals[name] = _interpolated(clock, time, values, longest, name in hold)
     return replace(recording, time=clock, signals=signals, sensors=sensors)
 
 
 def _interpolated(clock: Array, time: Array, values: Array, longest: float, hold: bool = False) -> Array:
-    """A signal at other times, linear or the sample before; NaN next to a gap and in too long an interval."""
-    rounding = ROUNDING * period(time)  # a new sample that close to an old one has its value
+    """A signal at other times, linear or held; NaN next to a gap and in an interval that is too long."""
+    rounding = ROUNDING * period(time)  # a new sample this close to an old one gets its value
     if hold:
         before = np.searchsorted(time, clock + rounding, side="right") - 1
         result = values[np.clip(before, 0, len(time) - 1)]
@@ -119,27 +119,27 @@ def _interpolated(clock: Array, time: Array, values: Array, longest: float, hold
 
 
 def _filtered(values: Array, ratio: float) -> Array:
-    """Each stretch without a gap through a Butterworth filter, forwards and back."""
+    """A signal filtered forwards and backwards by a Butterworth filter, in each interval without gaps."""
     sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
     result = np.full_like(values, np.nan)
     for part in true_intervals(np.isfinite(values)):
-        # a line passes the filter as it is; without the one through the ends these are zero and ring little
+        # subtracting the line through both ends, which passes the filter unchanged, reduces ringing there
         line = np.linspace(values[part.start], values[part.stop - 1], part.stop - part.start)
         pad = min(int(10 / ratio), len(line) - 1)
         result[part] = line + scipy.signal.sosfiltfilt(sections, values[part] - line, padlen=pad)
     return result
 
 
-def _quieter(sensor: Sensor, ratio: float) -> Sensor:
-    """The sensor behind the filter: white noise keeps the share that passes.
+def _filtered_sensor(sensor: Sensor, ratio: float) -> Sensor:
+    """The sensor after the filter, which reduces white noise.
 
-    A converter's error is white only where noise of half a step moves the signal from step to step. An
-    encoder that hardly moves has the same error in all samples that the filter averages, and keeps it.
+    The quantisation error is white only if noise of half a step or more moves the signal from step to step.
+    Otherwise all samples that the filter averages may have the same error, and the resolution is kept.
     """
     sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
     _, response = scipy.signal.sosfreqz(sections, worN=4096)
-    # forwards and back is |H|^2, so the power is |H|^4
-    passed = float(np.sqrt(np.mean(np.abs(response) ** 4)))
+    # forwards and backwards is |H|^2, so that the power is |H|^4
+    gain = float(np.sqrt(np.mean(np.abs(response) ** 4)))
     if sensor.noise < sensor.resolution / 2:
-        return replace(sensor, noise=sensor.noise * passed)
-    return replace(sensor, noise=sensor.sd * passed, resolution=0.0)
+        return replace(sensor, noise=sensor.noise * gain)
+    return replace(sensor, noise=sensor.sd * gain, resolution=0.0)

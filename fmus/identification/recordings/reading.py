@@ -1,8 +1,8 @@
-"""Recordings for identification: one, a folder of experiments, a file of plain numbers; and parts of them.
+"""Readers of recordings for identification: one recording, a folder of experiments, a file without description.
 
 A recording is a data file and the TOML file of the same name that describes it, see docs/recordings.md and
-`orchestrator.data.recording`. `read_series` needs no description: it reads somebody else's data set. `take`,
-`window`, `split`, `add` and `blank` change samples; all else (units, sensors, conditions) stays.
+`orchestrator.data.recording`. `read_series` reads a foreign data set without a description. `take`, `window`,
+`split`, `add` and `blank` change the samples of a recording, but not its units, sensors and conditions.
 """
 
 from __future__ import annotations
@@ -23,50 +23,50 @@ from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
 PROCEDURES = ("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping", "machine")
-FIRST = 50  # lines that are looked at before a file is read
-COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
+FIRST_LINES = 50  # of a text file, from which its format is detected
+DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
 
 
 def read(path: Path | str) -> Recording:
-    """The part of a recording that counts, by its data file or its description."""
-    whole = read_recording(path)
-    if whole.procedure not in ("", *PROCEDURES):
+    """The samples of a recording inside its time window; `path` is its data file or its description."""
+    recording = read_recording(path)
+    if recording.procedure not in ("", *PROCEDURES):
         expected = f"one of {', '.join(PROCEDURES)}"
-        raise Problem(f"{whole.source}: experiment: procedure: expected {expected}, got {whole.procedure!r}")
-    inside = (whole.time >= whole.start) & (whole.time <= whole.stop)
+        raise Problem(f"{recording.source}: experiment: procedure: expected {expected}, got {recording.procedure!r}")
+    inside = (recording.time >= recording.start) & (recording.time <= recording.stop)
     if inside.sum() < 2:
         raise Problem(
-            f"{whole.source}: expected samples from {whole.start:g} s to {whole.stop:g} s,"
-            f" got {whole.time[0]:g} s to {whole.time[-1]:g} s"
+            f"{recording.source}: expected samples from {recording.start:g} s to {recording.stop:g} s,"
+            f" got {recording.time[0]:g} s to {recording.time[-1]:g} s"
         )
-    return whole if inside.all() else take(whole, inside)
+    return recording if inside.all() else take(recording, inside)
 
 
 def read_folder(folder: Path | str) -> list[Recording]:
     """The recordings of a folder whose description has a table [experiment], sorted by file name."""
     folder = Path(folder)
     if not folder.is_dir():
-        found = "a file" if folder.is_file() else "no such file or folder"
-        raise Problem(f"{folder}: expected a folder of recordings, got {found}")
-    described = sorted(folder.glob("*.toml"))
-    experiments = [path for path in described if "experiment" in toml.read(path, path.read_bytes()).data]
+        got = "a file" if folder.is_file() else "no such file or folder"
+        raise Problem(f"{folder}: expected a folder of recordings, got {got}")
+    descriptions = sorted(folder.glob("*.toml"))
+    experiments = [path for path in descriptions if "experiment" in toml.read(path, path.read_bytes()).data]
     if not experiments:
         others = ", ".join(path.name for path in _data_files(folder)[:3])
-        found = f"none, only {others}" if others else "none"
-        raise Problem(f"{folder}: expected .toml files with a table [experiment], got {found}")
+        got = f"none, only {others}" if others else "none"
+        raise Problem(f"{folder}: expected .toml files with a table [experiment], got {got}")
     return [read(path) for path in experiments]
 
 
-def left_out(folder: Path, recordings: Sequence[Recording]) -> list[str]:
-    """Sentences on the data files of a folder that none of its recordings is of."""
+def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:
+    """A sentence for each data file of a folder that belongs to none of its recordings."""
     used = {recording.source.name for recording in recordings}
     sentences = []
     for path in _data_files(folder):
-        described = path.with_suffix(".toml")
-        lacks = "has no table [experiment]" if described.is_file() else ""
-        reason = f"{described.name} {lacks}" if lacks else f"there is no {described.name}"
         if path.name not in used:
-            sentences.append(f"{path.name}: left out, {reason}.")
+            toml_file = path.with_suffix(".toml")
+            described = toml_file.is_file()
+            lack = f"{toml_file.name} has no table [experiment]" if described else f"there is no {toml_file.name}"
+            sentences.append(f"{path.name}: left out, {lack}.")
     return sentences
 
 
@@ -75,17 +75,20 @@ def _data_files(folder: Path) -> list[Path]:
 
 
 def require(recording: Recording, signals: Mapping[str, str]) -> None:
-    """Refuse a recording that lacks one of the signals, or has it as another quantity than its SI unit."""
-    for name, wanted in signals.items():
+    """Raise Problem if a recording lacks one of the signals, or if its unit is of another quantity.
+
+    signals   signal -> its SI unit
+    """
+    for name, unit in signals.items():
         recording[name]
-        if parse(recording.units[name]).exponents != parse(wanted).exponents:
+        if parse(recording.units[name]).exponents != parse(unit).exponents:
             raise Problem(
-                f"{recording.source}: signal {name} is in {recording.unit_label(name)}, expected {wanted}"
+                f"{recording.source}: signal {name} is in {recording.unit_label(name)}, expected {unit}"
             )
 
 
 def take(recording: Recording, samples: slice | Mask | NDArray[np.int64]) -> Recording:
-    """Some samples of a recording, by a slice, a mask or their numbers."""
+    """Samples of a recording selected by a slice, a mask or indices."""
     signals = {name: values[samples] for name, values in recording.signals.items()}
     return replace(recording, time=recording.time[samples], signals=signals)
 
@@ -94,38 +97,35 @@ def window(recording: Recording, start: float = -np.inf, stop: float = np.inf) -
     """The samples from `start` to before `stop` [s]."""
     part = take(recording, (recording.time >= start) & (recording.time < stop))
     if not len(part.time):
-        there = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
-        raise Problem(f"{recording.source}: no samples from {start:g} s to {stop:g} s, got {there}")
+        got = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
+        raise Problem(f"{recording.source}: expected samples from {start:g} s to {stop:g} s, got {got}")
     return part
 
 
 def split(recording: Recording, at: float) -> tuple[Recording, Recording]:
-    """Two recordings, before and from the time `at` [s]: one to fit, one to hold out."""
+    """The recording before and from the time `at` [s], such as one part to fit and one to hold out."""
     return window(recording, stop=at), window(recording, start=at)
 
 
 def add(recording: Recording, name: str, values: Array, unit: str, sensor: Sensor | None = None) -> Recording:
-    """The recording with one signal more (or another one in its place), such as a speed from an angle.
-
-    unit   SI
-    """
+    """The recording with a signal added or replaced, such as a speed from an angle; `unit` is SI."""
     if values.shape != recording.time.shape:
         raise Problem(
             f"{recording.source}: signal {name}: expected shape {recording.time.shape}, got {values.shape}"
         )
-    sensors = {key: known for key, known in recording.sensors.items() if key != name}
+    sensors = {key: s for key, s in recording.sensors.items() if key != name}
     return replace(
         recording,
         signals={**recording.signals, name: values},
         units={**recording.units, name: unit},
-        file_units={key: own for key, own in recording.file_units.items() if key != name},
+        file_units={key: u for key, u in recording.file_units.items() if key != name},
         sensors=sensors if sensor is None else {**sensors, name: sensor},
     )
 
 
-def blank(recording: Recording, name: str, bad: Mask) -> Recording:
-    """The recording with gaps (NaN) in one signal where `bad`."""
-    values = np.where(bad, np.nan, recording[name])
+def blank(recording: Recording, name: str, mask: Mask) -> Recording:
+    """The recording with the samples of a signal under `mask` replaced by gaps (NaN)."""
+    values = np.where(mask, np.nan, recording[name])
     return replace(recording, signals={**recording.signals, name: values})
 
 
@@ -140,56 +140,56 @@ def read_series(
     skip_lines: int = 0,
     title: str = "",
 ) -> Recording:
-    """A file of plain numbers without a description, such as somebody else's data set.
+    """A recording from a file of numbers without a description, such as a foreign data set.
 
-    columns     our name -> place from 0 in a text file without names, or name of a column or MATLAB variable
-    rate        samples per second [Hz]
-    units       unit of each column; "1" if there is none
-    delimiter, decimal   of a text file; None: found in its first lines
+    columns              signal -> index from 0 in a text file without names, or name of a column or variable
+    rate                 samples per second [Hz]
+    units                unit of each signal, "1" by default
+    delimiter, decimal   of a text file; None: detected from its first lines
     """
     path, units = Path(path), units or {}
-    stray = [name for name in units if name not in columns]
-    if stray or not columns or rate <= 0:
-        found = f"a unit of {stray[0]}" if stray else f"{len(columns)} columns and a rate of {rate:g} Hz"
-        raise Problem(f"{path}: expected columns, their units and a rate above 0, got {found}")
+    unknown = [name for name in units if name not in columns]
+    if unknown or not columns or rate <= 0:
+        got = f"a unit of {unknown[0]}" if unknown else f"{len(columns)} columns and a rate of {rate:g} Hz"
+        raise Problem(f"{path}: expected columns, their units and a rate above 0, got {got}")
     scales = {name: parse(units.get(name, "1"), f"{path}: {name}") for name in columns}
-    by_place = [place for place in columns.values() if isinstance(place, int)]
+    indices = [column for column in columns.values() if isinstance(column, int)]
     plain_text = path.suffix.lower() not in (".mat", ".parquet")
-    if by_place and (len(by_place) < len(columns) or not plain_text):
-        raise Problem(f"{path}: expected the names of columns, got place {by_place[0]}")
-    form = _detected(path, delimiter, decimal, skip_lines, bool(by_place)) if plain_text else None
-    found_columns = read_columns(path, {str(place) for place in columns.values()}, form, named=not by_place)
-    raw = {name: found_columns.values[str(place)] for name, place in columns.items()}
+    if indices and (len(indices) < len(columns) or not plain_text):
+        raise Problem(f"{path}: expected the names of columns, got index {indices[0]}")
+    text_format = _text_format(path, delimiter, decimal, skip_lines, not indices) if plain_text else None
+    table = read_columns(path, {str(column) for column in columns.values()}, text_format, named=not indices)
+    raw = {name: table.values[str(column)] for name, column in columns.items()}
     return Recording(
         source=path,
-        time=np.arange(len(found_columns.rows)) / rate,
+        time=np.arange(len(table.rows)) / rate,
         signals={name: scales[name].factor * values + scales[name].offset for name, values in raw.items()},
         units={name: si_unit(units.get(name, "1")) for name in columns},
         title=title or path.stem,
     )
 
 
-def _detected(
-    path: Path, delimiter: str | None, decimal: str | None, skip_lines: int, by_place: bool
+def _text_format(
+    path: Path, delimiter: str | None, decimal: str | None, skip_lines: int, named: bool
 ) -> TextFormat:
-    """How a text file is written, from its first lines where nobody says.
+    """Format of a text file, detected from its first lines unless it is given.
 
     A comma between digits is decimal if something else separates the cells.
     """
     if not path.is_file():
-        found = "a folder" if path.is_dir() else "no such file"
-        raise Problem(f"{path}: expected a file of numbers, got {found}")
+        got = "a folder" if path.is_dir() else "no such file"
+        raise Problem(f"{path}: expected a file of numbers, got {got}")
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = [line.strip() for line in islice(file, skip_lines, skip_lines + FIRST)]
+        lines = [line.strip() for line in islice(file, skip_lines, skip_lines + FIRST_LINES)]
     rows = [re.split(r"[;\s]+", line.strip(" ;")) for line in lines]
-    comma = any(len(r) > 1 and any("," in cell for cell in r) and all(map(COMMA.fullmatch, r)) for r in rows)
+    comma = any(len(r) > 1 and any("," in cell for cell in r) and all(map(DECIMAL_COMMA.fullmatch, r)) for r in rows)
     point = decimal or ("," if comma and delimiter != "," else ".")
     first = lines[0] if lines else ""
     mark = delimiter or next((mark for mark in ";," if mark in first and mark != point), r"\s+")
     cells = [cell.strip(' "') for cell in re.split(mark if len(mark) > 1 else re.escape(mark), first)]
-    if by_place and all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAP_MARKS for cell in cells):
+    if not named and all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAP_MARKS for cell in cells):
         raise Problem(
-            f"{path}: line {skip_lines + 1}: expected numbers, got names: give those of the columns, "
-            f"such as {cells[0]!r}, not their places"
+            f"{path}: line {skip_lines + 1}: expected numbers, got names: select columns by name, "
+            f"such as {cells[0]!r}, not by index"
         )
     return TextFormat(delimiter=mark, decimal=point, skip_lines=skip_lines)

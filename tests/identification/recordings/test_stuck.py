@@ -88,7 +88,7 @@ def test_noise_told_far_too_large_is_told():
     assert good(recording, "pressure").all()
     text = remarks(recording)
     assert "stuck" not in text
-    assert "stated noise of 100, much larger than what is seen" in text
+    assert "stated noise of 100, much larger than that of the samples" in text
     small = made(replace(GAUGE, noise=0.001), gauge(1.0))
     assert "stated 0.001" in remarks(small)
     assert good(small, "pressure").all()
