@@ -10,8 +10,8 @@ from fmus.identification.machine import FREE
 from fmus.identification.outcome import page_content, prediction, worst_signals
 from fmus.identification.pipeline import MACHINE, identify
 from fmus.identification.procedure_result import ProcedureResult
-from fmus.identification.recordings.clock import evenly, thinned
-from fmus.identification.recordings.reading import left_out, read_folder
+from fmus.identification.recordings.clock import downsample, resample_uniformly
+from fmus.identification.recordings.reading import read_folder, unused_files
 from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import faults, quality, write_page
 from fmus.parameters import write
@@ -43,9 +43,10 @@ def run(
     qualities = [quality(r) for r in recordings]
     seconds = sum(float(r.time[-1] - r.time[0]) for r in recordings)
     print(f"{folder}: {len(recordings)} recordings, {seconds:.0f} s")
-    for line in (*faults(qualities), *left_out(folder, recordings)):
+    for line in (*faults(qualities), *unused_files(folder, recordings)):
         print(f"  {line}")
-    recordings = [thinned(evenly(r)) if r.procedure == MACHINE else evenly(r) for r in recordings]
+    recordings = [resample_uniformly(r) for r in recordings]
+    recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
     identified = identify(
         recordings, joint=joint, inertial=inertial, names=names, starts=starts, report=print, show=_show
     )

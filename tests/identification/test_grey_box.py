@@ -156,8 +156,8 @@ def test_a_model_that_does_not_fit_says_so(folder, told):
         (
             "names.csv",
             "Stellsignal;Druck\n1;2\n3;4\n",
-            "line 1: expected numbers, got names: give those of the columns, such as 'Stellsignal', "
-            "not their places",
+            "line 1: expected numbers, got names: select columns by name, such as 'Stellsignal', "
+            "not by index",
         ),
         ("still.txt", "0 1\n0 2\n0 3\n", "command: expected a varying signal, got only zeros and gaps"),
     ],

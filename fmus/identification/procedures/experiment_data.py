@@ -12,7 +12,7 @@ from scipy.stats import median_abs_deviation
 
 from fmus.identification.procedure_result import BAR
 from fmus.identification.procedures.regression import SIGNIFICANT
-from fmus.identification.recordings.clock import evenly
+from fmus.identification.recordings.clock import resample_uniformly
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import averages, dead, good, noise
 from fmus.identification.recordings.reading import require
@@ -45,7 +45,7 @@ def training_recordings(
         raise Problem(f"{procedure}: expected a recording of this procedure to train with, got {procedures}")
     for recording in selected:
         require(recording, signals)
-    return tuple(map(evenly, selected))
+    return tuple(map(resample_uniformly, selected))
 
 
 def condition(recording: Recording, name: str, choices: Collection[str]) -> str:

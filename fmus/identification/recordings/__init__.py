@@ -1,1 +1,1 @@
-"""Preparation of recordings for identification: reading, usable samples, uniform clocks, derivatives, quality."""
+"""Recordings prepared for identification: reading, usable samples, uniform clocks, derivatives, quality."""

@@ -16,7 +16,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
-UNIFORM = 0.05  # periods; largest deviation of a time stamp on a uniform clock; more would disturb derivatives
+UNIFORM = 0.05  # periods; largest deviation of a time stamp on a uniform clock; derivatives are sensitive
 GAP = 1.5  # periods; in a longer interval a sample is missing
 ROUNDING = 1e-6  # periods; rounding of time stamps
 CUTOFF = 0.8  # -6 dB of the anti-aliasing filter, over half the new rate, where it has -34 dB
@@ -75,9 +75,9 @@ def resample(
 ) -> Recording:
     """The recording on a uniform clock of `rate` [Hz] that starts with its first sample.
 
-    Signals are interpolated linearly. For a lower rate they pass a zero-phase filter first. Samples that are not
-    good (clipped, in the dead zone) then become gaps, because the filter would hide them, and the noise of the
-    sensor is reduced as by the filter.
+    Signals are interpolated linearly. For a lower rate they pass a zero-phase filter first. Samples that are
+    not good (clipped, in the dead zone) then become gaps, because the filter would hide them. The noise of
+    the sensor is that after the filter.
 
     hold     signals that keep their value from sample to sample, such as commands; they are not filtered
     bridge   longest interval to interpolate over [s]; None: a missing sample is a gap

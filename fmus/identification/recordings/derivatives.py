@@ -1,9 +1,9 @@
 """Derivatives of sampled signals, and delays between signals.
 
-Derivatives come from the filter of Savitzky and Golay, Analytical Chemistry 36 (1964). A polynomial is fitted to
-the samples of a window by least squares; its value, slope and curvature in the middle are the filtered signal
-and its derivatives. All signals of an equation have to pass the same filter. The filter adds no delay, because
-its window is symmetric.
+Derivatives come from the filter of Savitzky and Golay, Analytical Chemistry 36 (1964). A polynomial is fitted
+to the samples of a window by least squares; its value, slope and curvature in the middle are the filtered
+signal and its derivatives. All signals of an equation have to pass the same filter. The filter adds no delay,
+because its window is symmetric.
 
 `delay` estimates the delay between two signals, `shift` removes it.
 """
@@ -177,7 +177,7 @@ def _lag(x: Array, y: Array, most: int) -> int:
 
 
 def _spline(values: Array) -> tuple[scipy.interpolate.CubicSpline, Mask]:
-    """A spline through the finite samples, and the mask of the samples at which it is valid, away from gaps."""
+    """A spline through the finite samples, and the mask of the samples at which it is valid."""
     finite = np.isfinite(values)
     index = np.arange(len(values))
     usable = np.zeros(len(values), dtype=bool)

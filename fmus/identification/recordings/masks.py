@@ -25,7 +25,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, Sensor
 from orchestrator.data.table import Array
 
-ORDER = 6  # order of the difference: passes white noise, and 1e-3 of an oscillation at a twentieth of the rate
+ORDER = 6  # of the difference; passes white noise, and 1e-3 of an oscillation at a twentieth of the rate
 MEDIAN_TO_SD = 0.6744897501960817  # median of |x| over the standard deviation of a normal x
 MIN_LEVELS = 8  # with fewer different values no quantisation step is estimated
 MIN_CHANGES = 0.02  # fraction of samples that differ from the one before; below it the steps are of a command
@@ -52,9 +52,9 @@ def noise(values: Array, sensor: Sensor | None = None) -> float:
 
 
 def noise_in_motion(values: Array, sensor: Sensor | None = None, order: int = ORDER) -> float:
-    """The noise of samples that differ from their neighbours, which a stuck signal or an encoder at rest has not.
+    """The noise of samples that differ from their neighbours; NaN if there are too few of them.
 
-    NaN if there are too few such samples.
+    It leaves out intervals without noise, in which a signal is stuck or an encoder at rest.
     """
     return _noise_by_difference(values, sensor, order, moving=True)
 
@@ -132,7 +132,7 @@ def equal_by_chance(values: Array, sensor: Sensor) -> float:
 
 
 def step_and_noise(values: Array, sensor: Sensor) -> tuple[float, float]:
-    """Step of the converter and noise before it, as stated or else estimated from the samples; 0 if unknown."""
+    """Step of the converter and noise before it, as stated or else estimated; 0 if unknown."""
     width = sensor.resolution or step(values)
     total = noise(values, sensor)
     estimate = math.sqrt(max(total**2 - width**2 / 12, 0.0)) if total > 0 else 0.0
@@ -218,7 +218,8 @@ def steady(
     while start < len(values):
         stop = start + _steady_size(values[start:], width)
         first = max(int(np.searchsorted(time, time[start] + settle - ROUNDING)), start)
-        if first < stop and time[stop - 1] - time[first] >= shortest - ROUNDING and np.isfinite(values[start]):
+        long_enough = first < stop and time[stop - 1] - time[first] >= shortest - ROUNDING
+        if long_enough and np.isfinite(values[start]):
             result.append(slice(first, stop))
         start = stop
     return result
@@ -279,8 +280,8 @@ def _average(values: Array, usable: Mask, resolution: float) -> tuple[float, flo
 def standard_error(values: Array, resolution: float = 0.0) -> float:
     """Standard error of a mean of samples that may be correlated.
 
-    var(mean) = s^2 / n (1 + 2 sum_k rho_k). If a signal stays within one step of its converter, averaging does
-    not reduce the quantisation error, and the standard error is at least step / sqrt(12).
+    var(mean) = s^2 / n (1 + 2 sum_k rho_k). If a signal stays within one step of its converter, averaging
+    does not reduce the quantisation error, and the standard error is at least step / sqrt(12).
     """
     n = len(values)
     spread = float(values.std(ddof=1)) if n > 1 else math.nan

@@ -1,7 +1,7 @@
 """Quality of a recording: `examine` checks its clock and its signals against their description.
 
-`Quality.remarks` reports faults in sentences, `Quality.table` lists all signals. Faulty samples come from `masks`.
-A magnitude that no machine reaches indicates a wrong unit.
+`Quality.remarks` reports faults in sentences, `Quality.table` lists all signals. Faulty samples come from
+`masks`. A magnitude that no machine reaches indicates a wrong unit.
 """
 
 from __future__ import annotations
@@ -258,10 +258,10 @@ class SignalQuality:
         largest = max(abs(self.lowest), abs(self.highest))
         low, high = PLAUSIBLE.get(self.unit, (0.0, math.inf))
         if largest > 0 and not low <= largest <= high:
-            expected = f"{self._display(low)} to {self._display(high)}" if low else f"up to {self._display(high)}"
+            limits = f"{self._display(low)} to" if low else "up to"
             yield (
                 f"{self.name}: from {self._display(self.lowest)} to {self._display(self.highest)},"
-                f" expected a largest magnitude of {expected}: is its unit right?"
+                f" expected a largest magnitude of {limits} {self._display(high)}: is its unit right?"
             )
         yield from self._differences()
 
@@ -274,8 +274,8 @@ class SignalQuality:
             yield f"{self.name}: noise of {self._display(self.noise)}, stated {self._display(sensor.noise)}."
         if self.overstated:
             yield (
-                f"{self.name}: stated noise of {self._display(sensor.noise)}, much larger than that of the samples,"
-                f" {self._display(self.noise_in_motion)}: the weight of the signal is too small."
+                f"{self.name}: stated noise of {self._display(sensor.noise)}, much larger than that of the"
+                f" samples, {self._display(self.noise_in_motion)}: the weight of the signal is too small."
             )
         step, resolution = self._display(self.step), self._display(sensor.resolution)
         if sensor.resolution > 0 and self.step > COARSE * sensor.resolution:
@@ -339,7 +339,7 @@ class Quality:
         return [*remarks, f"One value throughout: {', '.join(constant)}."] if constant else remarks
 
     def table(self) -> str:
-        """One line for each signal: fractions of faulty samples, step and noise as estimated (and as stated)."""
+        """One line for each signal: fractions of faulty samples, estimated (and stated) step and noise."""
         head = ("signal", "gaps", "clipped", "stuck", "dead zone", "step (stated)", "noise (stated)")
         lines = TextTable(head, [signal.row() for signal in self.signals], left=range(len(head))).lines()
         clock = f"{self.clock.rate:.6g} Hz, jitter {1e3 * self.clock.jitter:.2g} ms"

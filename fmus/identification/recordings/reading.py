@@ -1,4 +1,4 @@
-"""Readers of recordings for identification: one recording, a folder of experiments, a file without description.
+"""Readers of recordings for identification: one recording, a folder of them, a file without description.
 
 A recording is a data file and the TOML file of the same name that describes it, see docs/recordings.md and
 `orchestrator.data.recording`. `read_series` reads a foreign data set without a description. `take`, `window`,
@@ -31,8 +31,8 @@ def read(path: Path | str) -> Recording:
     """The samples of a recording inside its time window; `path` is its data file or its description."""
     recording = read_recording(path)
     if recording.procedure not in ("", *PROCEDURES):
-        expected = f"one of {', '.join(PROCEDURES)}"
-        raise Problem(f"{recording.source}: experiment: procedure: expected {expected}, got {recording.procedure!r}")
+        expected = f"expected one of {', '.join(PROCEDURES)}, got {recording.procedure!r}"
+        raise Problem(f"{recording.source}: experiment: procedure: {expected}")
     inside = (recording.time >= recording.start) & (recording.time <= recording.stop)
     if inside.sum() < 2:
         raise Problem(
@@ -65,8 +65,8 @@ def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:
         if path.name not in used:
             toml_file = path.with_suffix(".toml")
             described = toml_file.is_file()
-            lack = f"{toml_file.name} has no table [experiment]" if described else f"there is no {toml_file.name}"
-            sentences.append(f"{path.name}: left out, {lack}.")
+            lack = "has no table [experiment]" if described else "is missing"
+            sentences.append(f"{path.name}: left out, {toml_file.name} {lack}.")
     return sentences
 
 
@@ -182,7 +182,7 @@ def _text_format(
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         lines = [line.strip() for line in islice(file, skip_lines, skip_lines + FIRST_LINES)]
     rows = [re.split(r"[;\s]+", line.strip(" ;")) for line in lines]
-    comma = any(len(r) > 1 and any("," in cell for cell in r) and all(map(DECIMAL_COMMA.fullmatch, r)) for r in rows)
+    comma = any(len(r) > 1 and "," in "".join(r) and all(map(DECIMAL_COMMA.fullmatch, r)) for r in rows)
     point = decimal or ("," if comma and delimiter != "," else ".")
     first = lines[0] if lines else ""
     mark = delimiter or next((mark for mark in ";," if mark in first and mark != point), r"\s+")

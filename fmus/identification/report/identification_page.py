@@ -15,7 +15,7 @@ import numpy as np
 
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import ProcedureResult
-from fmus.identification.recordings.clock import FASTEST, evenly
+from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
 from fmus.identification.refinement.multistart import MultistartResult
 from fmus.identification.refinement.refine import RefinementResult, advice
@@ -214,10 +214,10 @@ def quality(recording: Recording) -> dict[str, Any]:
     """
     report = examine(recording)
     rate, remarks = report.clock.rate, list(report.clock.remarks())
-    if evenly(recording) is not recording:
+    if resample_uniformly(recording) is not recording:
         remarks.append(f"The clock: all signals are interpolated at {rate:.6g} Hz; gaps stay gaps.")
-    if rate > 1.01 * FASTEST and recording.procedure == "machine":
-        remarks.append(f"The clock: {rate:.6g} Hz, filtered to {FASTEST:g} Hz to be fitted together.")
+    if rate > 1.01 * MAX_RATE and recording.procedure == "machine":
+        remarks.append(f"The clock: {rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together.")
     channels: list[dict[str, Any]] = [
         {
             "signal": signal.name,
@@ -227,7 +227,7 @@ def quality(recording: Recording) -> dict[str, Any]:
             "noise": signal.noise,
             "sensor": signal.sensor.text,
             "remarks": [text.removeprefix(f"{signal.name}: ") for text in signal.faults()],
-            "dead": signal.dead.share,
+            "dead": signal.dead.fraction,
         }
         for signal in report.signals
     ]

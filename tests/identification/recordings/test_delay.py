@@ -76,5 +76,5 @@ def test_shift_of_a_command_is_a_shift_of_its_steps(recording):
 def test_no_delay_where_nothing_moves(recording):
     """A constant signal has no delay."""
     made = add(recording(a=np.zeros(100)), "b", np.arange(100.0), "1")
-    with pytest.raises(Problem, match=r"memory\.csv: no delay of b behind a: expected signals that move"):
+    with pytest.raises(Problem, match=r"memory\.csv: delay of b behind a: expected signals that vary"):
         delay(made, "a", "b", 0.1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmus.identification.recordings.clock import evenly, thinned, uniform_rate
+from fmus.identification.recordings.clock import downsample, resample_uniformly, uniform_rate
 from fmus.identification.recordings.reading import take
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor, fill_gaps
@@ -35,14 +35,14 @@ def test_a_long_gap_is_refused_with_its_time(recording):
 def test_a_uniform_clock_is_left_alone(recording):
     """Nothing is interpolated where nothing has to be."""
     made = recording(u=np.arange(10.0))
-    assert evenly(made) is made
+    assert resample_uniformly(made) is made
 
 
 def test_lost_rows_become_gaps(recording):
     """Half a second of rows that the logger lost: a uniform clock, no value inside, the others unchanged."""
     made = recording(u=np.arange(400.0))
     rows = np.r_[0:100, 200:400]
-    found = evenly(take(made, rows))
+    found = resample_uniformly(take(made, rows))
     assert uniform_rate(found) == pytest.approx(200.0, rel=1e-9)  # rounding of stamps
     missing = np.isnan(found["u"])
     assert list(np.flatnonzero(missing)) == list(range(100, 200))
@@ -54,7 +54,7 @@ def test_jitter_is_taken_off(recording):
     made = recording(u=np.zeros(400))
     late = np.random.default_rng(2).uniform(0, 0.2, 400) / 200
     time = made.time + late
-    found = evenly(replace(made, time=time, signals={"u": 3 * time}))
+    found = resample_uniformly(replace(made, time=time, signals={"u": 3 * time}))
     assert uniform_rate(found) > 0
     np.testing.assert_allclose(found["u"], 3 * found.time, atol=1e-12)  # interpolation of a line: rounding
 
@@ -66,14 +66,14 @@ def test_a_fast_recording_is_thinned(recording):
     noisy = np.sin(2 * np.pi * t) + rng.normal(0, 0.1, t.size)
     steps = np.where(t < 2, 0.0, 3.0)
     made = recording(rate=5000.0, sensors={"x": Sensor(noise=0.1)}, x=noisy, boom_command=steps)
-    found = thinned(made, 500.0)
+    found = downsample(made, 500.0)
     assert uniform_rate(found) == pytest.approx(500.0)  # rounding of stamps
     assert set(found["boom_command"]) == {0.0, 3.0}
     error = (found["x"] - np.sin(2 * np.pi * found.time))[50:-50]
     # the standard error of a standard deviation of 1900 samples that the filter correlates a little: 3 %
     assert error.std() == pytest.approx(found.sensor("x").sd, rel=0.1)
     assert found.sensor("x").sd < 0.04
-    assert thinned(found, 500.0) is found
+    assert downsample(found, 500.0) is found
 
 
 def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
@@ -81,7 +81,7 @@ def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
     t = np.arange(20_000) / 5000
     true = 5.0 * t
     made = recording(rate=5000.0, sensors={"x": Sensor(resolution=1.0)}, x=np.round(true))
-    found = thinned(made, 500.0)
+    found = downsample(made, 500.0)
     error = (found["x"] - 5.0 * found.time)[50:-50]
     # a saw tooth of 20 periods, whose corners the filter rounds a little
     assert error.std() == pytest.approx(found.sensor("x").sd, rel=0.05)

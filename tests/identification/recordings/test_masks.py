@@ -63,10 +63,10 @@ def test_averages_of_good_samples_over_stretches(recording):
     made = recording(x=values, sensors={"x": Sensor(high=900.0)})
     found = averages(made, ["x"], [slice(0, 100), slice(100, 200), slice(180, 200)])
     assert found.mean["x"].tolist() == pytest.approx([1.0, np.nan, 3.0], nan_ok=True)
-    assert found.share["x"].tolist() == [0.7, 0.4, 1.0]
+    assert found.fraction["x"].tolist() == [0.7, 0.4, 1.0]
     # the middle of samples 0 to 99 at 200 Hz; exact but for rounding
     assert found.time[0] == pytest.approx(49.5 / 200)
-    with pytest.raises(Problem, match="expected stretches to average over, found none"):
+    with pytest.raises(Problem, match="expected intervals to average over, got none"):
         averages(made, ["x"], [])
 
 
@@ -100,7 +100,7 @@ def test_parts_of_a_recording_keep_everything_else(recording):
     more = add(made, "v", np.zeros(100), "m/s")
     assert (more.units["v"], more.sensor("v"), more.sensor("x")) == ("m/s", Sensor(), sensor)
     assert add(made, "x", np.zeros(100), "m").sensor("x") == Sensor()
-    with pytest.raises(Problem, match=r"no samples from 3 s to 4 s, got 0 s to 0\.495 s"):
+    with pytest.raises(Problem, match=r"expected samples from 3 s to 4 s, got 0 s to 0\.495 s"):
         window(made, 3, 4)
     with pytest.raises(Problem, match=r"signal v: expected shape \(100,\), got \(3,\)"):
         add(made, "v", np.zeros(3), "m/s")

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from fmus.identification.recordings.reading import left_out, read, read_folder, require
+from fmus.identification.recordings.reading import read, read_folder, require, unused_files
 from orchestrator.base.errors import Problem
 
 
@@ -149,11 +149,11 @@ def test_required_signals_have_their_dimension(csv):
 def test_data_that_nobody_describes_are_told(csv):
     """A data file that is not read is not lost silently: its name, and what is missing."""
     recordings = read_folder(csv.parent)
-    assert left_out(csv.parent, recordings) == []
+    assert unused_files(csv.parent, recordings) == []
     (csv.parent / "b.csv").write_bytes(csv.read_bytes())
     (csv.parent / "c.mat").write_bytes(b"")
     (csv.parent / "c.toml").write_text('[signals.x]\nunit = "V"\n', encoding="utf-8")
-    assert left_out(csv.parent, recordings) == [
-        "b.csv: left out, there is no b.toml.",
+    assert unused_files(csv.parent, recordings) == [
+        "b.csv: left out, b.toml is missing.",
         "c.mat: left out, c.toml has no table [experiment].",
     ]

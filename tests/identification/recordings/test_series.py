@@ -53,7 +53,7 @@ def test_matlab_variables_by_name(tmp_path):
         ({"u": 0}, {"rate": 0}, "rate above 0, got 1 columns and a rate of 0 Hz"),
         ({"u": 0}, {"units": {"v": "bar"}}, "got a unit of v"),
         ({"u": 0}, {"units": {"u": "bat"}}, "u: unit 'bat'"),
-        ({"u": 0, "v": "p"}, {}, "expected the names of columns, got place 0"),
+        ({"u": 0, "v": "p"}, {}, "expected the names of columns, got index 0"),
         ({"u": "x"}, {}, "column 'x' expected, got 1, 2"),
         ({"u": 1}, {}, "line 3: column '1': expected a number, got 'x'"),
     ],
