@@ -125,9 +125,7 @@ class AlgebraicLoop:
             if not isfinite(y):
                 return f"{port} is {y}"
         if status == self._binding.h.SINGULAR:
-            return (
-                "a change of its inputs returns unchanged, so that there is no solution, or any value is one"
-            )
+            return "its Jacobian is singular, so there is no solution, or infinitely many"
         magnitude = np.maximum(arrays["magnitude"], np.maximum(np.abs(arrays["u"]), np.abs(arrays["g"])))
         worst = int(np.argmax(np.abs(arrays["residual"]) / np.where(magnitude > 0, magnitude, 1.0)))
         port, u, g = self.inputs[worst], arrays["u"][worst], arrays["g"][worst]

@@ -306,8 +306,8 @@ class RunMetadata:
         return "adaptive" in self.coupling
 
 
-def metadata(result: Result, given: Mapping[str, Any] | None = None) -> RunMetadata:
-    """The metadata of a run; given: the user's options."""
+def metadata(result: Result, options: Mapping[str, Any] | None = None) -> RunMetadata:
+    """The metadata of a run; options: those that the user chose."""
     system, card = result.system, result.card
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
@@ -318,7 +318,7 @@ def metadata(result: Result, given: Mapping[str, Any] | None = None) -> RunMetad
         complete=result.complete,
         fmus={c.name: c.interface.identifier for c in system.components.values()},
         swapped={c.name: str(c.source) for c in system.components.values() if c.replaced},
-        given={name: value for name, value in (given or {}).items() if value},
+        given={name: value for name, value in (options or {}).items() if value},
         inside=card.inside,
         units=result.trace.units,
         inputs=tuple(str(p) for p in system.ports("input") if str(p) in result.trace.signals),
@@ -335,10 +335,10 @@ def metadata_file(trace: Path) -> Path:
     return trace.with_suffix(SUFFIX)
 
 
-def write_metadata(result: Result, trace: Path, given: Mapping[str, Any] | None = None) -> Path:
+def write_metadata(result: Result, trace: Path, options: Mapping[str, Any] | None = None) -> Path:
     """Write the metadata of a run next to its trace, which exists."""
     text = json.dumps(
-        {"sha256": _digest(trace)} | asdict(metadata(result, given)),
+        {"sha256": _digest(trace)} | asdict(metadata(result, options)),
         indent=1,
         ensure_ascii=False,
         default=str,

@@ -167,10 +167,10 @@ def _naming_suggestion(system: System, step: float | None) -> Iterator[None]:
     try:
         yield
     except Problem as problem:
-        place = system.suggestion.location
-        if step is not None or system.step is None or not place:
+        location = system.suggestion.location
+        if step is not None or system.step is None or not location:
             raise
-        raise Problem(f"{place}: {problem}; {OVERRIDE_HINT}") from None
+        raise Problem(f"{location}: {problem}; {OVERRIDE_HINT}") from None
 
 
 def _shortest_step(start: float, stop: float) -> float:

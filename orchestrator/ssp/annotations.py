@@ -46,14 +46,14 @@ PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as
 
 def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> Suggestion:
     """The suggestion in .ssd files for these components; roots: the outermost file first."""
-    own = list(_own_couplings(roots[0]))
-    if not own:
+    elements = list(_own_couplings(roots[0]))
+    if not elements:
         return _suggestion_of_other_tools(roots)
-    if len(own) > 1:
-        lines = ", ".join(str(e.element.sourceline) for e in own)
+    if len(elements) > 1:
+        lines = ", ".join(str(e.element.sourceline) for e in elements)
         message = f"expected one Coupling in annotations of type {OWN}, got some in lines {lines}"
         raise Problem(f"{roots[0].file}: {message}")
-    (element,) = own
+    (element,) = elements
     choices = _attributes(element, ATTRIBUTES)
     step = choices.pop("step", None)
     if step is not None and not step > 0:
@@ -450,9 +450,9 @@ def write_suggestion(system: Element, experiment: Element, suggestion: Suggestio
     coupling, step = suggestion.coupling or Coupling(), suggestion.step
     if step is not None:
         decimal = f"{step:.12f}".rstrip("0")  # the schema of OMSimulator allows no exponent
-        holder = add(_annotation(system, "org.openmodelica"), "oms:Annotations")
+        annotations = add(_annotation(system, "org.openmodelica"), "oms:Annotations")
         master = {"description": "oms-ma", "stepSize": decimal, "relativeTolerance": "0.0001"}
-        add(add(holder, "oms:SimulationInformation"), "oms:FixedStepMaster", **master)
+        add(add(annotations, "oms:SimulationInformation"), "oms:FixedStepMaster", **master)
         algorithm = add(_annotation(experiment, "com.opensimulationplatform"), "osp:Algorithm")
         add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=decimal)
     if step is None and suggestion.coupling is None:
@@ -463,12 +463,14 @@ def write_suggestion(system: Element, experiment: Element, suggestion: Suggestio
         for name in ATTRIBUTES
         if name != "step" and (name == "master" or getattr(coupling, name) != getattr(default, name))
     }
-    own = add(_annotation(experiment, OWN), "hc:Coupling", **{n: values.get(n) for n in ATTRIBUTES})
+    element = add(_annotation(experiment, OWN), "hc:Coupling", **{n: values.get(n) for n in ATTRIBUTES})
     for component, steps in coupling.factors.items():
-        add(own, "hc:Factor", component=component, steps=steps)
+        add(element, "hc:Factor", component=component, steps=steps)
 
 
 def _annotation(parent: Element, type_: str) -> Element:
     """A new annotation of a type."""
-    holder = parent.find("{*}Annotations")
-    return add(add(parent, "ssd:Annotations") if holder is None else holder, "ssc:Annotation", type=type_)
+    annotations = parent.find("{*}Annotations")
+    if annotations is None:
+        annotations = add(parent, "ssd:Annotations")
+    return add(annotations, "ssc:Annotation", type=type_)

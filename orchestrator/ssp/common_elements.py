@@ -82,7 +82,7 @@ def _table(mapping: XmlElement) -> dict[str, str]:
     return table
 
 
-def as_linear(table: Mapping[str, str], where: str) -> LinearTransformation:
+def as_linear(table: Mapping[str, str], context: str) -> LinearTransformation:
     """A table of Boolean or integer values as a linear transformation; raises Problem if it is not linear."""
     booleans = {"true": "1", "false": "0"}
     try:
@@ -91,7 +91,7 @@ def as_linear(table: Mapping[str, str], where: str) -> LinearTransformation:
         points = []
     for (x, _), (next_x, _) in pairwise(points):
         if x == next_x:
-            raise Problem(f"{where}: expected one value for {x:g} in this mapping, got two")
+            raise Problem(f"{context}: expected one value for {x:g} in this mapping, got two")
     if len(points) == 1:
         return LinearTransformation(0.0, points[0][1])
     if len(points) >= 2:
@@ -100,4 +100,4 @@ def as_linear(table: Mapping[str, str], where: str) -> LinearTransformation:
         linear = LinearTransformation(slope, y0 - slope * x0)
         if all(linear(x) == y for x, y in points):
             return linear
-    raise Problem(f"{where}: this mapping of values is not supported on a connection")
+    raise Problem(f"{context}: this mapping of values is not supported on a connection")

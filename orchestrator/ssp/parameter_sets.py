@@ -35,11 +35,11 @@ class ParameterValue(NamedTuple):
     map: LinearTransformation = IDENTITY
     suppressed: bool = False
 
-    def map_to(self, target: DeclaredUnit | None, where: str) -> tuple[LinearTransformation, str | None]:
+    def map_to(self, target: DeclaredUnit | None, context: str) -> tuple[LinearTransformation, str | None]:
         """The map to a value in the unit `target`, and a note if a unit is unknown."""
         if self.suppressed:
             return self.map, None
-        linear, note = conversion(self.unit, target, where)
+        linear, note = conversion(self.unit, target, context)
         return linear.then(self.map), note
 
 
@@ -172,7 +172,7 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
 
 
 def _with_value(system: System, file: Location, value: ParameterValue) -> System:
-    where = f"{file}: parameter {value.name}"
+    context = f"{file}: parameter {value.name}"
     try:
         targets = system.targets(value.name)
     except Problem as problem:
@@ -182,10 +182,10 @@ def _with_value(system: System, file: Location, value: ParameterValue) -> System
     for port, linear in targets:
         check_settable(port, system.components[port.component].interface)
         unit = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
-        first, note = value.map_to(unit, where)
+        first, note = value.map_to(unit, context)
         notes += [note] if note else []
         start[port.component][port.variable] = coerce(
-            where, system.variable(port), value.text, first.then(linear)
+            context, system.variable(port), value.text, first.then(linear)
         )
     components = {n: replace(c, start=start[n]) for n, c in system.components.items()}
     return replace(system, components=components, notes=(*system.notes, *notes))

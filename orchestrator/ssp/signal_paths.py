@@ -53,20 +53,20 @@ class SignalPaths:
         """The map from a connector of the path, whose value is in `unit`, to the variable at the end."""
         start, last = path.connectors.index(connector), path.target
         target_unit = self.system.variable(Port(*last)).unit if last.owner in self.flat.sources else None
-        where = f"{self._label(path.source)} -> {self._label(last)}"
+        context = f"{self._label(path.source)} -> {self._label(last)}"
         linear = IDENTITY
         for connection, end in zip(path.connections[start:], path.connectors[start + 1 :], strict=True):
             declared = self.flat.unit(end) or (target_unit if end == last else None)
             if not connection.suppressed:
-                linear = linear.then(self._conversion(unit, declared, where))
+                linear = linear.then(self._conversion(unit, declared, context))
             unit = declared or unit
             linear = linear.then(connection.transformation)
-        return linear.then(self._conversion(self.flat.unit(last), target_unit, where))
+        return linear.then(self._conversion(self.flat.unit(last), target_unit, context))
 
     def _conversion(
-        self, source: DeclaredUnit | None, target: DeclaredUnit | None, where: str
+        self, source: DeclaredUnit | None, target: DeclaredUnit | None, context: str
     ) -> LinearTransformation:
-        linear, note = conversion(source, target, where)
+        linear, note = conversion(source, target, context)
         self.notes.extend([note] if note else [])
         return linear
 

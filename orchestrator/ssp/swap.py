@@ -48,18 +48,18 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
 
     A variant is the file variants/<component>_<name>.fmu next to the system's file.
     """
-    where, path = f"swap {component}={chosen}", Path(chosen)
+    context, path = f"swap {component}={chosen}", Path(chosen)
     if path.suffix.lower() == SUFFIX or (path / "modelDescription.xml").is_file():
         if not path.exists():
-            raise Problem(f"{where}: no such file")
+            raise Problem(f"{context}: no such file")
         return Location(path)
     if path.suffix.lower() == ".py":
-        raise Problem(f"{where}: expected an {SUFFIX} file, got a Python file; {MAKE} {chosen} makes one")
+        raise Problem(f"{context}: expected an {SUFFIX} file, got a Python file; {MAKE} {chosen} makes one")
     if any(mark in str(chosen) for mark in "/\\,"):
-        raise Problem(f"{where}: expected the name of a variant or a path that ends in {SUFFIX}")
+        raise Problem(f"{context}: expected the name of a variant or a path that ends in {SUFFIX}")
     if system_file is None:
         raise Problem(
-            f"{where}: expected a path to an .fmu: the system has no file, so there is no folder of variants"
+            f"{context}: expected a path to an .fmu: the system has no file, so there is no folder of variants"
         )
     folder, prefix = system_file.path.parent / FOLDER, f"{component.rpartition('.')[2]}_"
     file = folder / f"{prefix}{chosen}{SUFFIX}"
@@ -67,7 +67,9 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
         return Location(file)
     names = sorted(p.stem.removeprefix(prefix) for p in folder.glob(f"{prefix}*{SUFFIX}"))
     variants = f"there are {', '.join(names)}" if names else f"there is no variant of {component}"
-    raise Problem(f"{where}: no file {file}; {variants}; {MAKE} makes the variants, a path ends in {SUFFIX}")
+    raise Problem(
+        f"{context}: no file {file}; {variants}; {MAKE} makes the variants, a path ends in {SUFFIX}"
+    )
 
 
 def _swap(system: System, name: str, file: Location) -> System:
@@ -312,9 +314,9 @@ def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], lis
         elif not variable.settable:
             fixed.append(name)
         else:
-            where = f"{new.name}: {new.source}: start value of {name}"
-            linear, _ = conversion(old.interface.variables[name].unit, variable.unit, where)
-            start[name] = coerce(where, variable, value, linear)
+            context = f"{new.name}: {new.source}: start value of {name}"
+            linear, _ = conversion(old.interface.variables[name].unit, variable.unit, context)
+            start[name] = coerce(context, variable, value, linear)
     notes = []
     if missing:
         notes.append(f"{new.source} has no {listed(missing)}: the start values of the system are left out")

@@ -272,7 +272,7 @@ def check_settable(port: Port, interface: FmuInterface) -> None:
 
 
 def coerce(
-    where: str, variable: FmuVariable, value: Value | str, linear: LinearTransformation = IDENTITY
+    context: str, variable: FmuVariable, value: Value | str, linear: LinearTransformation = IDENTITY
 ) -> Value:
     """A value, also as text from a command line or an XML file, in the type of a variable."""
     text = str(value).strip()
@@ -288,4 +288,4 @@ def coerce(
         return integer(text)
     except (ValueError, KeyError):
         choice = f" (one of {', '.join(variable.items)})" if variable.items else ""
-        raise Problem(f"{where}: expected a value of type {variable.kind}{choice}, got {text!r}") from None
+        raise Problem(f"{context}: expected a value of type {variable.kind}{choice}, got {text!r}") from None

@@ -221,17 +221,17 @@ class _SsdReader:
     def _connection(self, element: XmlElement, path: str, owners: Mapping[str, str]) -> None:
         """Read one connection; the kinds of its connectors, not start and end, determine its direction."""
         ends = [self._end(element, side, path, owners) for side in ("start", "end")]
-        (start, first), (end, last) = ends
-        where = f"{element.file}: connection {start} -> {end}"
-        if first is not None and first == last:
-            raise Problem(f"{where}: expected one source and one sink, got two of kind {first}")
-        if first == SINK or last == SOURCE:
+        (start, start_role), (end, end_role) = ends
+        context = f"{element.file}: connection {start} -> {end}"
+        if start_role is not None and start_role == end_role:
+            raise Problem(f"{context}: expected one source and one sink, got two {start_role}s")
+        if start_role == SINK or end_role == SOURCE:
             start, end = end, start
-        if end in self._flat.incoming:
-            raise Problem(f"{where}: {end}: expected one source, got {self._flat.incoming[end].source} too")
+        if other := self._flat.incoming.get(end):
+            raise Problem(f"{context}: {end}: expected one source, got {other.source} and {start}")
         linear, table = read_transformation(element)
         if table:
-            linear = as_linear(table, where)
+            linear = as_linear(table, context)
         self._flat.incoming[end] = IncomingConnection(
             start, linear, element.boolean("suppressUnitConversion")
         )
@@ -242,13 +242,13 @@ class _SsdReader:
         """One end of a connection: its connector, and SOURCE, SINK or None (not declared in the file)."""
         # some tools write an empty name for a connector of the system itself
         name, connector = element.get(f"{side}Element") or None, element.required(f"{side}Connector")
-        where = f"{element.file}: connection to"
+        context = f"{element.file}: connection to"
         if name is not None and name not in owners:
-            raise Problem(f"{where} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
+            raise Problem(f"{context} {name}.{connector}: no element {name!r}{suggest(name, owners)}")
         end = Connector(path if name is None else owners[name], connector)
         declared = self._flat.connectors.get(end, ConnectorType(None, None, False))
         if declared.array or element.get(f"{side}Indices"):
-            raise Problem(f"{where} {end}: expected a scalar, got an array")
+            raise Problem(f"{context} {end}: expected a scalar, got an array")
         if declared.kind is None and end.owner in self._flat.systems:
             names = [c.name for c in self._flat.connectors if c.owner == end.owner]
             label = end.owner or self._flat.name

@@ -167,13 +167,13 @@ class _Writer:
     def _system_connectors(self, system: Element) -> None:
         """Connectors of the system: inputs on the left side, outputs on the right side."""
         inputs, outputs = self.system.inputs.values(), self.system.outputs.values()
-        holder = add(system, "ssd:Connectors") if inputs or outputs else None
+        connectors = add(system, "ssd:Connectors") if inputs or outputs else None
         for n, i in enumerate(inputs, start=1):
             variable = self.system.variable(i.targets[0][0]) if i.targets else FmuVariable(i.name)
-            self._connector(holder, i.name, "input", variable, i.unit, (0.0, n / (len(inputs) + 1)))
+            self._connector(connectors, i.name, "input", variable, i.unit, (0.0, n / (len(inputs) + 1)))
         for n, o in enumerate(outputs, start=1):
             variable = self.system.variable(o.source)
-            self._connector(holder, o.name, "output", variable, o.unit, (1.0, n / (len(outputs) + 1)))
+            self._connector(connectors, o.name, "output", variable, o.unit, (1.0, n / (len(outputs) + 1)))
 
     def _connector(
         self,
@@ -193,11 +193,11 @@ class _Writer:
         values = {name: start for name, inlet in self.system.inputs.items() if (start := self._start(inlet))}
         if not values and not bound:
             return
-        holder = add(system, "ssd:ParameterBindings")
+        bindings = add(system, "ssd:ParameterBindings")
         if values:
-            self._inline(holder, self.system.name, values)
+            self._inline(bindings, self.system.name, values)
         for name in bound:
-            add(holder, "ssd:ParameterBinding", source=f"resources/{quote(name)}.ssv")
+            add(bindings, "ssd:ParameterBinding", source=f"resources/{quote(name)}.ssv")
 
     def _start(self, inlet: Inlet) -> tuple[FmuVariable, Value] | None:
         """The start value of an input of the system, from the first component input that it feeds."""
@@ -212,9 +212,9 @@ class _Writer:
 
     def _inline(self, bindings: Element, name: str, values: Values) -> None:
         """Write a parameter binding with its values inside."""
-        holder = add(add(bindings, "ssd:ParameterBinding"), "ssd:ParameterValues")
-        inside = add(holder, "ssv:ParameterSet", version=self.version, name=f"{name}_start")
-        _write_parameters(inside, self.version, values)
+        parent = add(add(bindings, "ssd:ParameterBinding"), "ssd:ParameterValues")
+        parameters = add(parent, "ssv:ParameterSet", version=self.version, name=f"{name}_start")
+        _write_parameters(parameters, self.version, values)
 
     def _component(
         self, parent: Element, component: Component, connectors: tuple[list[str], list[str]], box: Box
@@ -230,9 +230,9 @@ class _Writer:
             description=component.interface.description or None,
         )
         if any(connectors):
-            holder = add(element, "ssd:Connectors")
+            parent = add(element, "ssd:Connectors")
             for v in (variables[name] for names in connectors for name in names):
-                self._connector(holder, v.name, v.causality, v, v.unit, box.connector(v.name))
+                self._connector(parent, v.name, v.causality, v, v.unit, box.connector(v.name))
         add(element, "ssd:ElementGeometry", **dict(zip(("x1", "y1", "x2", "y2"), box.corners, strict=True)))
         if component.start:
             values = {name: (variables[name], value) for name, value in component.start.items()}
@@ -247,12 +247,12 @@ class _Writer:
         ends = [(c.source, c.target, c.map) for c in s.connections]
         ends += [(Port("", i.name), p, linear) for i in s.inputs.values() for p, linear in i.targets]
         ends += [(o.source, Port("", o.name), o.map) for o in s.outputs.values()]
-        holder = add(system, "ssd:Connections") if ends else None
+        parent = add(system, "ssd:Connections") if ends else None
         for source, target, linear in ends:
             units = [
                 s.variable(p).unit if p.component else system_units[p.variable] for p in (source, target)
             ]
-            self._connection(holder, source, target, linear, units, diagram.bends.get((source, target)))
+            self._connection(parent, source, target, linear, units, diagram.bends.get((source, target)))
 
     def _connection(
         self,

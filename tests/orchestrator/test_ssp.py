@@ -289,11 +289,11 @@ def test_unpacked_systems_are_read_too(make, tmp_path):
         ([gain("a")], [wire("a.y", "b.u")], r"connection to b.u: no element 'b'"),
         ([gain("a"), gain("b")], [wire("a.z", "b.u")], r"connection to a.z: .*gain.fmu has no variable 'z'"),
         ([gain("a")], [wire("comand", "a.u")], r"test has no connector 'comand'; did you mean command"),
-        ([gain("a"), gain("b")], [wire("a.y", "b.y")], r"got two of kind source"),
+        ([gain("a"), gain("b")], [wire("a.y", "b.y")], r"got two sources"),
         (
             [gain("a"), gain("b")],
             [wire("a.y", "b.u"), wire("command", "b.u")],
-            r"b.u: expected one source, got a.y too",
+            r"b.u: expected one source, got a.y and command",
         ),
         ([gain("a")], [wire("force", "a.u")], r"force \[N\] -> a.u \[m\]: the units cannot be converted"),
         (
