@@ -15,7 +15,8 @@ from pathlib import Path
 from fmus.identification.estimate import Estimate
 from fmus.identification.machine import lookup, nominal
 from fmus.identification.outcome import explanation, prediction, worst_signals
-from fmus.identification.pipeline import MACHINE, Identified, identify
+from fmus.identification.pipeline import Identified, identify
+from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation

@@ -1,1 +1,1 @@
-"""Identification: recordings of a test rig or a machine become parameters with error bars."""
+"""Identification: parameters with confidence intervals from recordings of a test bench or a machine."""

@@ -8,8 +8,9 @@ from time import perf_counter
 
 from fmus.identification.machine import FREE
 from fmus.identification.outcome import page_content, prediction, worst_signals
-from fmus.identification.pipeline import MACHINE, identify
+from fmus.identification.pipeline import identify
 from fmus.identification.procedure_result import ProcedureResult
+from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import downsample, resample_uniformly
 from fmus.identification.recordings.reading import read_folder, unused_files
 from fmus.identification.report import report_texts

@@ -11,7 +11,8 @@ import numpy as np
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
 from fmus.identification.machine import Parameters, lookup, nominal, parameter_names, signal_names
-from fmus.identification.pipeline import MACHINE, Identified
+from fmus.identification.pipeline import Identified
+from fmus.identification.recording_names import MACHINE
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.identification_page import (
     IdentificationPage,

@@ -1,1 +1,1 @@
-"""The paper's procedures, section 4 (a) to (e) and eqs. (10) to (13), each from one kind of experiment."""
+"""The paper's identification procedures, section 4 (a) to (e) and eqs. (10) to (13), one per experiment."""

@@ -245,7 +245,7 @@ def _dry_friction(
         regressors.append(np.column_stack([-e.jacobian[0, 0][s.good], *filtered]))
     matrix = np.concatenate(regressors)
     scale = np.linalg.norm(matrix, axis=0)
-    lags = {"maxlags": 8 * records[0].filters.loss // records[0].filters.every}
+    lags = {"maxlags": records[0].filters.correlation_lags}
     fit = sm.OLS(np.concatenate(y), matrix / scale).fit(cov_type="HAC", cov_kwds=lags)
     damping = solution.values[0] + fit.params[0] / scale[0]
     return DryFriction(float(fit.params[1] / scale[1]), float(fit.bse[1] / scale[1]), float(damping))

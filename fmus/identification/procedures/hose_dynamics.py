@@ -96,9 +96,9 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     for group in groups:
         _check_flows(group)
     # resistance of the tested hose from that of the stick's hose, eq. (10)
-    stick = (parameter_value(parameters, f"boom_stick.stick_hose_{name}") for name in ("length", "bore"))
-    stick_resistance = parameter_value(parameters, "boom_stick.stick_hose_resistance")
-    resistance = scaled(stick_resistance, *stick, length, bore)
+    names = (f"boom_stick.stick_hose_{name}" for name in ("resistance", "length", "bore"))
+    stick_resistance, stick_length, stick_bore = (parameter_value(parameters, name) for name in names)
+    resistance = scaled(stick_resistance, stick_length, stick_bore, length, bore)
     inertances, capacitances = _fit_both(groups, parameters, length, bore, resistance)
     defined = [by_definition(group, resistance) for group in groups]
     return ProcedureResult(

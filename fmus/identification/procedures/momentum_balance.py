@@ -75,6 +75,11 @@ class Filters:
         """Number of samples without a result at each end of the recording."""
         return self.smooth.size // 2 + self.bump.size // 2 * self.every
 
+    @property
+    def correlation_lags(self) -> int:
+        """Lags, in smoothed samples, over which filtered residuals are correlated: four times the filters."""
+        return 8 * self.loss // self.every
+
     def gain(self, kernel: Array) -> float:
         """Standard deviation of a speed filtered by `kernel`, over that of a sample of the angle [1/s]."""
         return float(np.linalg.norm(np.convolve(self.rate, upsampled(kernel, self.every))))

@@ -179,13 +179,12 @@ class WeightedBalance:
     def residual_covariance(
         self, records: Sequence[SmoothedRecording], equations: Sequence[MomentumEquation]
     ) -> Array:
-        """Covariance of theta by the residuals, correlated up to four times the filters' length."""
+        """Covariance of theta by the residuals, which are correlated."""
         m = len(self.inverse)
         total = np.zeros((m, m))
         for s, e in zip(records, equations, strict=True):
             scores = np.einsum("mrt,r,rt->tm", e.jacobian, self.weights, e.residual)
-            lags = 8 * s.filters.loss // s.filters.every
-            total += S_hac_simple(scores, nlags=min(lags, scores.shape[0] - 1))
+            total += S_hac_simple(scores, nlags=min(s.filters.correlation_lags, scores.shape[0] - 1))
         return self.inverse @ total @ self.inverse
 
     def bias(self, records: Sequence[SmoothedRecording], equations: Sequence[MomentumEquation]) -> Array:

@@ -95,8 +95,8 @@ def _steps_of(recording: Recording) -> ValveSteps:
     edge, samples = condition(recording, "edge", COMMAND_SIGN), recording["command"]
     opening = COMMAND_SIGN[edge]
     if not (samples * opening > 0).any():
-        sign = "positive" if opening > 0 else "negative"
-        raise Problem(f"{recording.source}: command: expected {sign} values, which open {edge}, got none")
+        expected = "positive" if opening > 0 else "negative"
+        raise Problem(f"{recording.source}: command: expected {expected} values, which open {edge}, got none")
     command = interpolated(samples)  # a missing sample does not end a step
     gapless = replace(recording, signals={**recording.signals, "command": command})
     stretches = steady(gapless, "command", SETTLING_TIME, SHORTEST_STEP)

@@ -1,1 +1,1 @@
-"""What was found, as a page with figures."""
+"""Report of an identification: HTML page, JSON file and figures; prediction and attribution of residuals."""

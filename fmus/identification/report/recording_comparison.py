@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from fmus.identification.machine import COMMANDS
+from fmus.identification.procedures.momentum_balance import JOINTS
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good
 from fmus.identification.report.attribution import (
@@ -22,13 +24,7 @@ from fmus.identification.report.attribution import (
     rms,
     sensitivities,
 )
-from fmus.identification.report.prediction import (
-    COMMANDS,
-    JOINTS,
-    Signals,
-    excitation,
-    predict,
-)
+from fmus.identification.report.prediction import Signals, excitation, predict
 from fmus.identification.report.report_texts import counterpart, footer, origin
 from orchestrator.base.plotting import (
     PALETTE,

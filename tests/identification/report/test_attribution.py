@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
+from fmus.identification.machine import COMMANDS
 from fmus.identification.report.attribution import (
     EFFECTS,
     LEAST,
@@ -18,7 +19,7 @@ from fmus.identification.report.attribution import (
     sensitivities,
     shapley_values,
 )
-from fmus.identification.report.prediction import COMMANDS, Excitation
+from fmus.identification.report.prediction import Excitation
 from fmus.machine.work_cycle import Move
 
 STEP = 0.01  # s

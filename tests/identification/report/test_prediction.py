@@ -12,15 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
+from fmus.identification.machine import COMMANDS
 from fmus.identification.report.attribution import candidate_effects, sensitivities
-from fmus.identification.report.prediction import (
-    COMMAND_TOLERANCE,
-    COMMANDS,
-    Excitation,
-    excitation,
-    predict,
-    simplify,
-)
+from fmus.identification.report.prediction import COMMAND_TOLERANCE, Excitation, excitation, predict, simplify
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.work_cycle import Move
 from orchestrator.base.errors import Problem
