@@ -104,9 +104,9 @@ def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
         "read_folder": lambda _: [VALVE, MACHINE],
         "quality": lambda _: None,
         "faults": lambda _: [],
-        "left_out": lambda *_: [],
-        "evenly": lambda r: r,
-        "thinned": lambda r: r,
+        "unused_files": lambda *_: [],
+        "resample_uniformly": lambda r: r,
+        "downsample": lambda r: r,
     }.items():
         quick.setattr(command, name, value)
     assert main(["identify", "mine"]) == 130
