@@ -41,7 +41,8 @@ class Statistics:
     degrees_of_freedom   samples that count (those of one correlation time as one) minus unknowns
     segments             number of segments
     condition            condition number of the Jacobian of the data, columns scaled to length one
-    input_covariance     contribution of the noise of measured inputs, part of the three covariances
+
+    The covariances include the noise of measured inputs.
     """
 
     covariance: Array
@@ -51,7 +52,6 @@ class Statistics:
     degrees_of_freedom: int
     segments: int
     condition: float
-    input_covariance: Array | None = None
 
     def sd(self, robust: bool) -> Array:
         """Standard deviations of z."""
@@ -91,7 +91,6 @@ def statistics(solution: Solution, priors: Priors, input_covariance: Array) -> S
         degrees_of_freedom=degrees_of_freedom,
         segments=len(segments),
         condition=float(singular[0]) / smallest if smallest > 0 else float("inf"),
-        input_covariance=input_covariance,
     )
 
 
