@@ -1,4 +1,4 @@
-"""Hydraulics of the boom and stick cylinders."""
+"""Boom and stick drives: hydraulics of the two cylinders."""
 
 from fmus.boom_stick import detailed, lumped, quasistatic
 from fmus.contract import family

@@ -1,4 +1,4 @@
-"""Boom and stick drives in detail: moving spools, hoses as lines, oil with air, relief valves.
+"""Detailed boom and stick drives: spool dynamics, hoses as lines, oil with air, relief valves.
 
 For each drive, with a single-ended cylinder,
 
@@ -6,11 +6,11 @@ For each drive, with a single-ended cylinder,
     C_r dP_r/dt = Q_r + A_r x' - Q_relief,r + Q_anti,r        C_r = (V_0 + A_r (L - x)) kappa(P_r)
 
 with the flows Q_h, Q_r out of the hoses of `fmus.components.hose`, kappa of `chamber`, the spool of
-`spool_valve` and the relief and anti-cavitation valves of `orifice`, which stand at the cylinder.
+`spool_valve` and the relief and anti-cavitation valves of `orifice`, which are mounted at the cylinder.
 
-`boom_head_flow` and its like are the flows into the cylinder, at the hose's far end; `boom_head_valve_flow`
-and its like those at the valve. `detailed` chooses what changes the number of states: the lumps of each
-hose and the frequency-dependent friction. Signs as in `fmus.boom_stick.variables`.
+`boom_head_flow` is the flow into the cylinder, at the end of the hose, `boom_head_valve_flow` the flow at the
+valve; the same for other sides. The arguments of `detailed` change the number of states: lumps of each hose,
+and frequency-dependent friction. Signs as in `fmus.boom_stick.variables`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.boom_stick import drive, lumped
-from fmus.boom_stick.drive import Pair, Surroundings
+from fmus.boom_stick.drive import DriveInterface, Pair
 from fmus.boom_stick.variables import (
     AXES,
     SIDES,
@@ -40,12 +40,12 @@ from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import read
 
-NUMBERS = Path(__file__).with_name("parameters.toml")
+PARAMETERS = Path(__file__).with_name("parameters.toml")
 
 
 @dataclass(frozen=True)
 class DriveState:
-    """Spool, both hoses and the pressures [Pa] of both chambers; also their rates, or their names."""
+    """State of spool, both hoses and both chambers (pressures [Pa]); also for their rates and names."""
 
     spool: SpoolState
     lines: tuple[LineState, LineState]
@@ -59,11 +59,13 @@ class DriveState:
 
 @dataclass(frozen=True)
 class DetailedDrive:
-    """One drive at one instant: its parts, its state, what it sees, and what follows at once.
+    """One drive at one instant.
 
-    ports    of the valve; A feeds the head, B the rod side
-    relief   flows of the relief valves of both chambers [m3/s]
-    drawn    flows of the anti-cavitation valves [m3/s]
+    x                 state
+    u                 inputs
+    ports             ports of the valve: A at the head side, B at the rod side
+    relief            flows of the relief valves of both chambers [m3/s]
+    anti_cavitation   flows of the anti-cavitation valves of both chambers [m3/s]
     """
 
     cylinder: Cylinder
@@ -71,10 +73,10 @@ class DetailedDrive:
     spool: Spool
     full_command: Scalar
     x: DriveState
-    u: Surroundings
+    u: DriveInterface
     ports: tuple[EdgeFlows, EdgeFlows]
     relief: Pair
-    drawn: Pair
+    anti_cavitation: Pair
 
     @property
     def volumes(self) -> Pair:
@@ -84,91 +86,96 @@ class DetailedDrive:
     def pressure_rates(self) -> Pair:
         """dP/dt [Pa/s] of both chambers."""
         a_head, a_rod = self.cylinder.areas
-        moved = (-a_head * self.u.velocity, a_rod * self.u.velocity)
+        displaced = (-a_head * self.u.velocity, a_rod * self.u.velocity)
         head, rod = (
             chamber.pressure_rate(
-                p, of.flows[-1] + swept - relief + drawn, v * chamber.compliance(self.line.fluid, p)
+                p, line.flows[-1] + swept - relief + anti, v * chamber.compliance(self.line.fluid, p)
             )
-            for p, of, swept, relief, drawn, v in zip(
-                self.x.pressures, self.x.lines, moved, self.relief, self.drawn, self.volumes, strict=True
+            for p, line, swept, relief, anti, v in zip(
+                *(self.x.pressures, self.x.lines, displaced),
+                *(self.relief, self.anti_cavitation, self.volumes),
+                strict=True,
             )
         )
         return head, rod
 
     def rates(self) -> DriveState:
         """Time derivative of the state."""
-        wanted = spool_valve.commanded_position(self.u.command, self.full_command)
+        commanded = spool_valve.commanded_position(self.u.command, self.full_command)
         head, rod = (
-            hose.rates(self.line, of, port.pressure, p)
-            for of, port, p in zip(self.x.lines, self.ports, self.x.pressures, strict=True)
+            hose.rates(self.line, state, port.pressure, p)
+            for state, port, p in zip(self.x.lines, self.ports, self.x.pressures, strict=True)
         )
-        spool = spool_valve.spool_rates(self.spool, self.x.spool, wanted)
+        spool = spool_valve.spool_rates(self.spool, self.x.spool, commanded)
         return DriveState(spool, (head, rod), self.pressure_rates())
 
     def observe(self) -> dict[str, Scalar]:
-        """Outputs, without the name of the axis; those in `drive.TOTALS` count for both together."""
+        """Outputs by name without prefix; those in `drive.TOTALS` are summed over both drives."""
         (head, rod), (p_head, p_rod) = self.cylinder.areas, self.x.pressures
         fluid, tank = self.line.fluid, self.u.tank_pressure
-        relieved = tuple(out - back for out, back in zip(self.relief, self.drawn, strict=True))
+        relieved = tuple(out - back for out, back in zip(self.relief, self.anti_cavitation, strict=True))
         densities = tuple(chamber.energy_density(fluid, p) for p in self.x.pressures)
         compression = sum(
             v * e + chamber.stored_energy(p, 0.0)
             for v, e, p in zip(self.volumes, densities, self.x.pressures, strict=True)
         )
         edges = sum(spool_valve.throttling_loss(n, self.u.supply_pressure, tank) for n in self.ports)
-        safety = (p_head - tank) * relieved[0] + (p_rod - tank) * relieved[1]
-        shown = {
+        relief_heat = (p_head - tank) * relieved[0] + (p_rod - tank) * relieved[1]
+        outputs = {
             "force": cylinder.force(head, rod, p_head, p_rod),
             "force_rate": cylinder.force(head, rod, *self.pressure_rates()),
             "void_volume": sum(map(chamber.cavity_volume, self.x.pressures))
             + sum(map(hose.cavity_volume, self.x.lines)),
             "spool_position": self.x.spool.position,
             "relief_flow": sum(self.relief),
-            "anti_cavitation_flow": sum(self.drawn),
+            "anti_cavitation_flow": sum(self.anti_cavitation),
             "supply_flow": sum(n.supply for n in self.ports),
             "return_flow": sum(n.tank for n in self.ports) + sum(relieved),
-            "stored_energy": compression + sum(hose.stored_energy(self.line, of) for of in self.x.lines),
-            "dissipated_power": edges + safety + sum(hose.heat(self.line, of) for of in self.x.lines),
+            "stored_energy": compression + sum(hose.stored_energy(self.line, x) for x in self.x.lines),
+            "dissipated_power": edges + relief_heat + sum(hose.heat(self.line, x) for x in self.x.lines),
             "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
         }
-        for side, p, port, of in zip(SIDES, self.x.pressures, self.ports, self.x.lines, strict=True):
-            shown |= {
+        for side, p, port, line in zip(SIDES, self.x.pressures, self.ports, self.x.lines, strict=True):
+            outputs |= {
                 f"{side}_pressure": p,
-                f"{side}_flow": of.flows[-1],
-                f"{side}_valve_flow": of.flows[0],
+                f"{side}_flow": line.flows[-1],
+                f"{side}_valve_flow": line.flows[0],
                 f"{side}_valve_pressure": port.pressure,
                 f"{side}_bulk_modulus": chamber.bulk_modulus(fluid, p),
             }
-        return shown
+        return outputs
 
 
 def line(p: DetailedBoomStickParameters, axis: str) -> Line:
-    """Each of the two hoses of a drive."""
+    """Parameters of each of the two hoses of a drive."""
     return Line(**vars(Hose.of(p, f"{axis}_hose")), wall_modulus=p.hose_wall_modulus, fluid=Fluid.of(p))
 
 
 def _drives(
     names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> Iterator[DetailedDrive]:
-    """Boom and stick from the flat variables."""
+    """Boom and stick drive from the variables of the subsystem."""
     edges, spool = Edges.of(p, "valve"), Spool.of(p, "spool")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
-    for (axis, n), at in zip(names.items(), drive.surroundings(u), strict=True):
-        head, rod = (of.apply(partial(getattr, x)) for of in n.lines)
-        now = DriveState(
+    for (axis, n), inputs in zip(names.items(), drive.interfaces(u), strict=True):
+        head, rod = (line_names.apply(partial(getattr, x)) for line_names in n.lines)
+        state = DriveState(
             SpoolState(getattr(x, n.spool.position), getattr(x, n.spool.speed)),
             (head, rod),
             (getattr(x, n.pressures[0]), getattr(x, n.pressures[1])),
         )
-        over = tuple(pressure - at.tank_pressure for pressure in now.pressures)
+        excess = tuple(pressure - inputs.tank_pressure for pressure in state.pressures)
         yield DetailedDrive(
-            *(Cylinder.of(p, axis), line(p, axis), spool, edges.full_command, now, at),
+            *(Cylinder.of(p, axis), line(p, axis), spool, edges.full_command, state, inputs),
             ports=spool_valve.spool_ports(
-                *(edges, spool, now.spool.position, head.flows[0], rod.flows[0]),
-                *(at.supply_pressure, at.tank_pressure, p.density),
+                *(edges, spool, state.spool.position, head.flows[0], rod.flows[0]),
+                *(inputs.supply_pressure, inputs.tank_pressure, p.density),
             ),
-            relief=(orifice.relief_flow(relief, over[0]), orifice.relief_flow(relief, over[1])),
-            drawn=(orifice.relief_flow(anti, -over[0]), orifice.relief_flow(anti, -over[1])),
+            relief=(orifice.relief_flow(relief, excess[0]), orifice.relief_flow(relief, excess[1])),
+            anti_cavitation=(
+                orifice.relief_flow(anti, -excess[0]),
+                orifice.relief_flow(anti, -excess[1]),
+            ),
         )
 
 
@@ -186,66 +193,67 @@ def _names(axis: str, lumps: int, unsteady_friction: bool) -> DriveState:
 
 
 def _states(axis: str, names: DriveState) -> Iterator[tuple[str, Quantity]]:
-    """The states of one drive."""
-    usual = quantities(BoomStickState)
-    yield names.spool.position, Quantity("1", f"Spool position of the {axis} valve, share of its stroke")
+    """(name, declaration) of the states of one drive."""
+    lumped_states = quantities(BoomStickState)
+    yield names.spool.position, Quantity("1", f"Spool position of the {axis} valve, relative to its stroke")
     yield names.spool.speed, Quantity("1/s", f"Spool speed of the {axis} valve", 10.0)
-    for side, of, pressure in zip(SIDES, names.lines, names.pressures, strict=True):
-        where = f"the {side} hose of the {axis}"
-        first = Quantity("m3/s", f"Flow from the valve into {where}", 1e-3)
-        yield pressure, usual[pressure]
-        yield from hose.state_quantities(of, where, first, usual[of.flows[-1]])
+    for side, line_names, pressure in zip(SIDES, names.lines, names.pressures, strict=True):
+        hose_text = f"the {side} hose of the {axis}"
+        first = Quantity("m3/s", f"Flow from the valve into {hose_text}", 1e-3)
+        last = lumped_states[line_names.flows[-1]]
+        yield pressure, lumped_states[pressure]
+        yield from hose.state_quantities(line_names, hose_text, first, last)
 
 
 def _initial(
     names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> dict[str, Scalar]:
-    """Pressures that carry the holding forces, all along the hoses; no flow; the spool where it is told."""
+    """Initial state: pressures in balance with the holding forces, no flow, spools at their commands."""
     chambers = drive.holding_pressures(u, p)
     state: dict[str, Scalar] = {}
     for n, command in zip(names.values(), (u.boom_command, u.stick_command), strict=True):
         state |= dict.fromkeys(n.all(), 0.0)
         state[n.spool.position] = spool_valve.commanded_position(command, p.valve_full_command)
-        for pressure, of in zip(n.pressures, n.lines, strict=True):
-            state |= dict.fromkeys((pressure, *of.pressures), chambers[pressure])
+        for pressure, line_names in zip(n.pressures, n.lines, strict=True):
+            state |= dict.fromkeys((pressure, *line_names.pressures), chambers[pressure])
     return state
 
 
 def default_lumps() -> dict[str, int]:
-    """Lumps per hose by axis with the numbers of parameters.toml."""
-    found = read(NUMBERS)["parameters"]
+    """Lumps per hose by axis for the values of parameters.toml."""
+    table = read(PARAMETERS)["parameters"]
     p = DetailedBoomStickParameters(
-        **{name: found[name].value for name in quantities(DetailedBoomStickParameters)}
+        **{name: table[name].value for name in quantities(DetailedBoomStickParameters)}
     )
     return {axis: hose.default_lumps(line(p, axis)) for axis in AXES}
 
 
 def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bool = False) -> Subsystem:
-    """The detailed drives.
+    """The subsystem of the detailed drives.
 
-    lumps               T-lumps per hose, or by axis; by default what `hose.lumps_needed` advises up to 75 Hz
-    unsteady_friction   with the frequency-dependent friction of the hoses: three more states for each flow
+    lumps               T-lumps per hose, one number or by axis; default: from `hose.lumps_needed` for 75 Hz
+    unsteady_friction   whether hoses have frequency-dependent friction: three more states for each flow
     """
     count = default_lumps() if lumps is None else lumps
-    each = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
-    names = {axis: _names(axis, n, unsteady_friction) for axis, n in each.items()}
+    by_axis = {axis: count if isinstance(count, int) else count[axis] for axis in AXES}
+    names = {axis: _names(axis, n, unsteady_friction) for axis, n in by_axis.items()}
     state = make_group(
         "DetailedBoomStickState", dict(q for axis, n in names.items() for q in _states(axis, n))
     )
 
     def dynamics(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> Any:
         """Time derivative of the state."""
-        both = zip(names.values(), _drives(names, x, u, p), strict=True)
-        return state(**{n: r for own, d in both for n, r in zip(own.all(), d.rates().all(), strict=True)})
+        drives = zip(names.values(), _drives(names, x, u, p), strict=True)
+        return state(**{n: r for own, d in drives for n, r in zip(own.all(), d.rates().all(), strict=True)})
 
     def observe(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> DetailedBoomStickOutputs:
-        """Outputs; forces depend on the state alone, their rates and the flows on the inputs too."""
+        """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
         boom, stick = (d.observe() for d in _drives(names, x, u, p))
-        return drive.together(DetailedBoomStickOutputs, boom, stick)
+        return drive.joint_outputs(DetailedBoomStickOutputs, boom, stick)
 
     sub = Subsystem(
         name="boom_stick",
-        text="Hydraulic drives of boom and stick in detail: moving spools, lines, air, relief valves",
+        text="Detailed hydraulic drives of boom and stick: spool dynamics, lines, air, relief valves",
         parameters=DetailedBoomStickParameters,
         states=state,
         inputs=BoomStickInputs,
@@ -253,9 +261,9 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         dynamics=dynamics,
         observe=observe,
         initial=partial(_initial, names),
-        require=drive.room,
+        require=drive.require_cylinders,
         derive=partial(drive.derive, Hose),
-        values=NUMBERS,
+        values=PARAMETERS,
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
         terminals=drive.TERMINALS,
     )

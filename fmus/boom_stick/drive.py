@@ -1,15 +1,15 @@
-"""One drive: valve, two hoses and a single-ended cylinder, and what boom and stick have in common.
+"""Equations of a cylinder drive (valve, two hoses, single-ended cylinder), and of boom and stick together.
 
-The boom and stick model of eq. (9a), corrected (E3, E4, E6, E7, E8 of docs/equations.md):
+Eq. (9a) with the corrections E3, E4, E6, E7, E8 of docs/equations.md:
 
     I dQ/dt      = P_port - P - C_R,hose Q|Q|           for the head and the rod line
     C_h dP_h/dt  = Q_h - A_h x'        C_h = C_hose + (V_0 + A_h x) / beta
     C_r dP_r/dt  = Q_r + A_r x'        C_r = C_hose + (V_0 + A_r (L - x)) / beta
 
-Without line dynamics, the limit I -> 0, the line flows Q_h, Q_r of the ports A and B follow from the
-pressures (`spool_valve.ports_from_pressure`): the hose stays as a volume and as a resistance in series with
-the open edge. Valid for motions that are slow compared with the oil column of the hose, which lags by
-I / (2 C_R Q): 3 m of 3/4 in hose by 10 ms at 40 L/min through an edge of 40 mm2, less through a smaller one.
+Without line dynamics (the limit I -> 0) the line flows Q_h, Q_r of the ports A and B follow from the
+pressures (`spool_valve.ports_from_pressure`). The hose is a volume, and a resistance in series with the open
+edge. Valid for motions that are slow compared with the oil column of the hose. Its time constant is I / (2
+C_R Q): 10 ms for 3 m of 3/4 in hose at 40 L/min through an edge of 40 mm2, less for a smaller edge.
 
 Signs: line flows are positive into the cylinder; x from the closed end; x' and F extend.
 """
@@ -27,13 +27,13 @@ from fmus.components.hose import Hose, LumpedHose
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Terminal
 
-Pair = tuple[Scalar, Scalar]  # of head and rod side
+Pair = tuple[Scalar, Scalar]  # (head side, rod side)
 G = TypeVar("G", bound=Group)
 
 
 @dataclass(frozen=True)
 class CylinderDrive:
-    """Numbers of one drive; of the oil density [kg/m3] and bulk modulus [Pa]."""
+    """Parameters of one drive; density [kg/m3] and bulk modulus [Pa] of the oil."""
 
     cylinder: Cylinder
     hose: LumpedHose
@@ -43,8 +43,8 @@ class CylinderDrive:
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What a drive sees: command [V], supply and tank pressure [Pa], piston position [m], velocity [m/s]."""
+class DriveInterface:
+    """Inputs of a drive: command [V], supply, tank pressure [Pa], piston position [m] and velocity [m/s]."""
 
     command: Scalar
     supply_pressure: Scalar
@@ -54,7 +54,7 @@ class Surroundings:
 
 
 def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDrive]:
-    """Boom and stick from the flat parameters; `hose` makes the hose of them and a prefix."""
+    """Parameters of boom and stick drive; hose: (parameters, prefix) -> hose."""
     boom, stick = (
         CylinderDrive(
             Cylinder.of(p, axis), hose(p, f"{axis}_hose"), Valve.of(p, "valve"), p.density, p.bulk_modulus
@@ -64,22 +64,22 @@ def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDr
     return boom, stick
 
 
-def surroundings(u: BoomStickInputs) -> tuple[Surroundings, Surroundings]:
-    """What the two drives see."""
-    line = (u.supply_pressure, u.tank_pressure)
+def interfaces(u: BoomStickInputs) -> tuple[DriveInterface, DriveInterface]:
+    """Inputs of the boom drive and of the stick drive."""
+    line_pressures = (u.supply_pressure, u.tank_pressure)
     return (
-        Surroundings(u.boom_command, *line, u.boom_position, u.boom_velocity),
-        Surroundings(u.stick_command, *line, u.stick_position, u.stick_velocity),
+        DriveInterface(u.boom_command, *line_pressures, u.boom_position, u.boom_velocity),
+        DriveInterface(u.stick_command, *line_pressures, u.stick_position, u.stick_velocity),
     )
 
 
-def derive(kind: type[Hose], p: Any) -> dict[str, Scalar]:
-    """Numbers of both hoses that follow from length and bore."""
+def derive(hose_group: type[Hose], p: Any) -> dict[str, Scalar]:
+    """Parameters of the hoses that are derived from length and bore; hose_group: `Hose` or a sub-group."""
     oil = (p.density, p.bulk_modulus, p.hose_reference_resistance)
     return {
         f"{axis}_hose_{name}": value
         for axis in AXES
-        for name, value in hose.derived_parameters(kind.of(p, f"{axis}_hose"), *oil).items()
+        for name, value in hose.derived_parameters(hose_group.of(p, f"{axis}_hose"), *oil).items()
     }
 
 
@@ -96,21 +96,21 @@ def capacitances(d: CylinderDrive, position: Scalar) -> Pair:
     )
 
 
-def valve_ports(d: CylinderDrive, x: OilState, u: Surroundings) -> tuple[EdgeFlows, EdgeFlows]:
-    """The valve's port nodes: A feeds the head, B the rod side."""
+def valve_ports(d: CylinderDrive, x: OilState, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
+    """Ports of the valve: A at the head side, B at the rod side."""
     return spool_valve.ports_from_flow(
         d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density
     )
 
 
-def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: Surroundings) -> tuple[EdgeFlows, EdgeFlows]:
-    """The same without line dynamics, from the pressures of the chambers."""
+def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
+    """Ports of the valve without line dynamics, from the pressures of the chambers."""
     return spool_valve.ports_from_pressure(
         d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance
     )
 
 
-def pressure_rates(d: CylinderDrive, x: OilState, u: Surroundings) -> Pair:
+def pressure_rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> Pair:
     """Time derivatives of the pressures [Pa/s]."""
     head, rod = d.cylinder.areas
     c_head, c_rod = capacitances(d, u.position)
@@ -120,8 +120,8 @@ def pressure_rates(d: CylinderDrive, x: OilState, u: Surroundings) -> Pair:
     )
 
 
-def rates(d: CylinderDrive, x: OilState, u: Surroundings) -> OilState:
-    """Time derivative of the oil's state."""
+def rates(d: CylinderDrive, x: OilState, u: DriveInterface) -> OilState:
+    """Time derivative of the state."""
     port_a, port_b = valve_ports(d, x, u)
     head, rod = pressure_rates(d, x, u)
     line = (d.hose.inertance, d.hose.resistance, d.valve.transition_flow)
@@ -134,7 +134,7 @@ def rates(d: CylinderDrive, x: OilState, u: Surroundings) -> OilState:
 
 
 def hose_heat(d: CylinderDrive, x: OilState) -> Scalar:
-    """Heat of the hoses [W]."""
+    """Power [W] dissipated by the hoses."""
     return sum(
         q * spool_valve.turbulent_drop(q, d.hose.resistance, d.valve.transition_flow)
         for q in (x.head_flow, x.rod_flow)
@@ -146,13 +146,13 @@ def observe(
     x: OilState,
     pressure_rates: Pair,
     ports: Iterable[EdgeFlows],
-    u: Surroundings,
+    u: DriveInterface,
     hose_heat: Scalar,
 ) -> dict[str, Scalar]:
-    """Outputs of one drive, without the name of its axis; those in TOTALS count for both together.
+    """Outputs of one drive by name without prefix; those in TOTALS are summed over both drives.
 
-    The convected power is P^2 / (2 beta) per volume of a growing chamber, less that of a shrinking one.
-    Volume flows do not show it; with it the energy balance closes (docs/equations.md, section 7).
+    The convected power is P^2 / (2 beta) times the volume rate of the growing chamber, minus that of the
+    shrinking one. It is required for the energy balance (docs/equations.md, section 7).
     """
     head, rod = d.cylinder.areas
     pressures, nodes = (x.head_pressure, x.rod_pressure), tuple(ports)
@@ -178,21 +178,21 @@ def observe(
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power", "convected_power")
 
 
-def together(outputs: type[G], boom: Mapping[str, Scalar], stick: Mapping[str, Scalar]) -> G:
-    """The outputs of both drives, TOTALS summed."""
-    return outputs(**named(boom, stick, TOTALS), **{name: boom[name] + stick[name] for name in TOTALS})
+def joint_outputs(outputs: type[G], boom: Mapping[str, Scalar], stick: Mapping[str, Scalar]) -> G:
+    """Outputs of both drives, those in TOTALS summed."""
+    return outputs(**prefixed(boom, stick, TOTALS), **{name: boom[name] + stick[name] for name in TOTALS})
 
 
-def named(
+def prefixed(
     boom: Mapping[str, Scalar], stick: Mapping[str, Scalar], without: Iterable[str] = ()
 ) -> dict[str, Scalar]:
-    """Values of both drives by their names in the machine."""
+    """Values of both drives by name with the prefixes boom_ and stick_."""
     both = zip(AXES, (boom, stick), strict=True)
-    return {f"{axis}_{name}": v for axis, own in both for name, v in own.items() if name not in without}
+    return {f"{axis}_{name}": v for axis, values in both for name, v in values.items() if name not in without}
 
 
 def holding_pressures(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
-    """Pressures of the chambers of boom and stick that carry the holding forces."""
+    """Initial pressures of the chambers of boom and stick, in balance with the holding forces."""
     state: dict[str, Scalar] = {}
     preload = u.tank_pressure + p.initial_preload
     for axis in AXES:
@@ -202,21 +202,21 @@ def holding_pressures(u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     return state
 
 
-def room(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
-    """What the cylinders of boom and stick must have: rods thinner than bores, chambers with volume."""
+def require_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
+    """Requirements of the cylinders: rods thinner than bores, chambers with positive volume."""
     conditions: dict[str, Scalar] = {}
     for axis in AXES:
-        own = Cylinder.of(p, axis)
-        v_head, v_rod = own.volumes(getattr(u, f"{axis}_position"))
-        conditions[f"{axis}_rod is thinner than {axis}_bore"] = own.areas[1]
+        size = Cylinder.of(p, axis)
+        v_head, v_rod = size.volumes(getattr(u, f"{axis}_position"))
+        conditions[f"{axis}_rod is thinner than {axis}_bore"] = size.areas[1]
         conditions[f"head chamber of the {axis} cylinder has a positive volume at {axis}_position"] = v_head
         conditions[f"rod chamber of the {axis} cylinder has a positive volume at {axis}_position"] = v_rod
     return conditions
 
 
 def require(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
-    """Geometry that must hold: rods thinner than bores, chambers with volume, a valve that opens."""
-    return spool_valve.opens(Valve.of(p, "valve")) | room(x, u, p)
+    """Requirements of cylinders and valve."""
+    return spool_valve.opens(Valve.of(p, "valve")) | require_cylinders(x, u, p)
 
 
 TERMINALS: tuple[Terminal, ...] = (

@@ -1,7 +1,7 @@
 """Boom and stick drives at the paper's fidelity: a valve, two hoses and a single-ended cylinder each.
 
-The equations are those of `fmus.boom_stick.drive`, once for the boom, once for the stick;
-the two share the supply and the oil and are otherwise independent.
+The equations are those of `fmus.boom_stick.drive` for the boom and for the stick. Both drives have the supply
+and the oil in common and are otherwise independent.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from fmus.contract import Scalar, Subsystem, quantities
 
 def dynamics(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> BoomStickState:
     """Time derivative of the state."""
-    oils = (OilState.of(x, axis) for axis in AXES)
-    boom, stick = map(drive.rates, drive.drives(p), oils, drive.surroundings(u))
-    return BoomStickState(**drive.named(vars(boom), vars(stick)))
+    states = (OilState.of(x, axis) for axis in AXES)
+    boom, stick = map(drive.rates, drive.drives(p), states, drive.interfaces(u))
+    return BoomStickState(**drive.prefixed(vars(boom), vars(stick)))
 
 
 def observe(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> BoomStickOutputs:
-    """Outputs; forces depend on the state alone, their rates and the flows on the inputs too."""
+    """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
     boom, stick = (
         drive.observe(
             d,
             oil,
-            drive.pressure_rates(d, oil, at),
-            drive.valve_ports(d, oil, at),
-            at,
+            drive.pressure_rates(d, oil, inputs),
+            drive.valve_ports(d, oil, inputs),
+            inputs,
             drive.hose_heat(d, oil),
         )
-        for d, oil, at in zip(
-            drive.drives(p), (OilState.of(x, axis) for axis in AXES), drive.surroundings(u), strict=True
+        for d, oil, inputs in zip(
+            drive.drives(p), (OilState.of(x, axis) for axis in AXES), drive.interfaces(u), strict=True
         )
     )
-    return drive.together(BoomStickOutputs, boom, stick)
+    return drive.joint_outputs(BoomStickOutputs, boom, stick)
 
 
 def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:
-    """Pressures that carry the holding forces with the oil at rest."""
+    """Initial state: pressures in balance with the holding forces, oil at rest."""
     return dict.fromkeys(quantities(BoomStickState), 0) | drive.holding_pressures(u, p)
 
 

@@ -1,8 +1,8 @@
-"""Boom and stick drives without line dynamics: a valve directly at a single-ended cylinder, for each.
+"""Boom and stick drives without line dynamics: a valve directly at a single-ended cylinder each.
 
-The equations are those of `fmus.boom_stick.drive`, once for the boom, once for the stick: the limit of the
-lumped drives for hoses without inertance. The hoses stay as volumes and as resistances in series with the
-open edges. Line flows are no states but follow from the pressures.
+The equations are those of `fmus.boom_stick.drive` for the boom and for the stick, in the limit of hoses
+without inertance. The hoses are volumes, and resistances in series with the open edges. Line flows are not
+states but follow from the pressures.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from fmus.boom_stick import drive
-from fmus.boom_stick.drive import CylinderDrive, Surroundings
+from fmus.boom_stick.drive import CylinderDrive, DriveInterface
 from fmus.boom_stick.variables import (
     AXES,
     BoomStickInputs,
@@ -30,46 +30,47 @@ def _hose(p: QuasistaticBoomStickParameters, prefix: str) -> LumpedHose:
     return LumpedHose(**vars(VolumeHose.of(p, prefix)), inertance=0.0)
 
 
-def _now(
+def _evaluated(
     x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
-) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], Surroundings]]:
-    """Of each drive its numbers, its oil with the line flows that follow from the pressures, its ports."""
-    found = []
-    for axis, d, at in zip(AXES, drive.drives(p, _hose), drive.surroundings(u), strict=True):
-        own = Pressures.of(x, axis)
-        ports = drive.direct_valve_ports(d, (own.head_pressure, own.rod_pressure), at)
-        oil = OilState(**vars(own), head_flow=ports[0].line, rod_flow=ports[1].line)
-        found.append((d, oil, ports, at))
-    return found
+) -> list[tuple[CylinderDrive, OilState, tuple[EdgeFlows, EdgeFlows], DriveInterface]]:
+    """For each drive: parameters, pressures with the line flows that follow from them, ports, inputs."""
+    result = []
+    for axis, d, inputs in zip(AXES, drive.drives(p, _hose), drive.interfaces(u), strict=True):
+        pressures = Pressures.of(x, axis)
+        ports = drive.direct_valve_ports(d, (pressures.head_pressure, pressures.rod_pressure), inputs)
+        oil = OilState(**vars(pressures), head_flow=ports[0].line, rod_flow=ports[1].line)
+        result.append((d, oil, ports, inputs))
+    return result
 
 
 def dynamics(
     x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
 ) -> QuasistaticBoomStickState:
     """Time derivative of the state."""
-    rates = (drive.pressure_rates(d, oil, at) for d, oil, _, at in _now(x, u, p))
+    rates = (drive.pressure_rates(d, oil, inputs) for d, oil, _, inputs in _evaluated(x, u, p))
     boom, stick = ({"head_pressure": head, "rod_pressure": rod} for head, rod in rates)
-    return QuasistaticBoomStickState(**drive.named(boom, stick))
+    return QuasistaticBoomStickState(**drive.prefixed(boom, stick))
 
 
 def observe(
     x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
 ) -> BoomStickOutputs:
-    """Outputs; forces depend on the state alone, their rates and the flows on the inputs too.
+    """Outputs; forces depend only on the state, their rates and the flows also on the inputs.
 
-    The heat of the hoses is in that of the edges before them: the ports' pressures are those of the chambers.
+    The heat of the edges includes that of the hoses, because the pressures of the ports are those of the
+    chambers.
     """
     boom, stick = (
-        drive.observe(d, oil, drive.pressure_rates(d, oil, at), ports, at, 0)
-        for d, oil, ports, at in _now(x, u, p)
+        drive.observe(d, oil, drive.pressure_rates(d, oil, inputs), ports, inputs, 0)
+        for d, oil, ports, inputs in _evaluated(x, u, p)
     )
-    return drive.together(BoomStickOutputs, boom, stick)
+    return drive.joint_outputs(BoomStickOutputs, boom, stick)
 
 
 def initial(
     x: QuasistaticBoomStickState, u: BoomStickInputs, p: QuasistaticBoomStickParameters
 ) -> dict[str, Scalar]:
-    """Pressures that carry the holding forces."""
+    """Initial state: pressures in balance with the holding forces."""
     return drive.holding_pressures(u, p)
 
 
@@ -86,7 +87,7 @@ BOOM_STICK = Subsystem(
     require=drive.require,
     derive=partial(drive.derive, VolumeHose),
     values=Path(__file__).with_name("parameters.toml"),
-    validity="motions slow beside the oil in the hoses, below some 10 Hz; spool faster than the motion",
+    validity="motions slow compared with the oil in the hoses, below 10 Hz; spool faster than the motion",
     terminals=drive.TERMINALS,
     stiff=False,
 )

@@ -1,7 +1,7 @@
-"""Variables of the boom and stick drives: one drive, declared once, and both of them.
+"""Variables of the boom and stick drives: groups of one drive, and the groups of both with prefixes.
 
 Signs: flows are positive into the cylinder; positions are measured from the closed end; velocities and forces
-are positive when they extend the rod; a positive command extends.
+are positive if they extend the rod; a positive command extends the rod.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ SIDES = ("head", "rod")
 
 
 class Preload(Group):
-    """How the drives start."""
+    """Initial pressure of the drives."""
 
     initial_preload: Scalar = Quantity(
-        "Pa", "Pressure of the unloaded side of a cylinder at the start", 1e6, minimum=1e3, group="Start"
+        "Pa", "Initial pressure of the unloaded side of a cylinder", 1e6, minimum=1e3, group="Start"
     )
 
 
@@ -46,13 +46,13 @@ class QuasistaticBoomStickParameters(
     boom=QuasistaticDriveParameters,
     stick=QuasistaticDriveParameters,
 ):
-    """Constants of the quasistatic drives; their numbers and sources are in parameters.toml."""
+    """Parameters of the quasistatic drives; values and sources are in parameters.toml."""
 
 
 class BoomStickParameters(
     Oil, Preload, ReferenceHose, valve=Valve, boom=LumpedDriveParameters, stick=LumpedDriveParameters
 ):
-    """Constants of the lumped drives; their numbers and sources are in parameters.toml."""
+    """Parameters of the lumped drives; values and sources are in parameters.toml."""
 
 
 class Pressures(Group):
@@ -74,7 +74,7 @@ class QuasistaticBoomStickState(Group, boom=Pressures, stick=Pressures):
 
 
 class BoomStickState(Group, boom=OilState, stick=OilState):
-    """State of the lumped drives: pressures and line flows, which every variant shows."""
+    """State of the lumped drives: pressures and line flows, which are outputs of every variant."""
 
 
 class DriveInputs(Group):
@@ -92,7 +92,7 @@ class DriveInputs(Group):
     velocity: Scalar = Quantity("m/s", "Piston velocity of the {} cylinder", 0.1, rate="acceleration")
     acceleration: Scalar = Quantity("m/s2", "Rate port: time derivative of {}_velocity, may stay unconnected")
     holding_force: Scalar = Quantity(
-        "N", "Force that holds the {} at the start; used only to initialise", 1e5
+        "N", "Force that holds the {} at the start; only used for initialisation", 1e5
     )
 
 
@@ -112,14 +112,16 @@ class BoomStickInputs(Group, boom=DriveInputs, stick=DriveInputs):
         warn_above=10.0,
     )
     stick_command: Scalar = Quantity(
-        *("V", "Command to the stick valve, positive folds the stick in", 10.0),
+        "V",
+        "Command to the stick valve, positive folds the stick in",
+        10.0,
         rate="stick_command_rate",
         warn_above=10.0,
     )
 
 
 class DriveOutputs(Group):
-    """Force and its rate for the mechanics, and what a user looks at."""
+    """Force and its rate (to the mechanics), and monitoring outputs."""
 
     force: Scalar = Quantity("N", "Hydraulic force of the {} cylinder", 1e5)
     force_rate: Scalar = Quantity("N/s", "Rate port: exact time derivative of {}_force", 1e6)
@@ -127,14 +129,14 @@ class DriveOutputs(Group):
 
 
 class BoomStickOutputs(BoomStickState, boom=DriveOutputs, stick=DriveOutputs):
-    """The state; forces for the mechanics; flows for the supply; and what both drives have in common."""
+    """States, forces (to the mechanics), flows (to the supply), and energies of both drives."""
 
     supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply line", 1e-3)
-    return_flow: Scalar = Quantity("m3/s", "Flow given to the return line", 1e-3)
-    stored_energy: Scalar = Quantity("J", "Energy of compression and of the moving oil columns", 1e3)
-    dissipated_power: Scalar = Quantity("W", "Heat of metering edges and hoses", 1e4)
+    return_flow: Scalar = Quantity("m3/s", "Flow into the return line", 1e-3)
+    stored_energy: Scalar = Quantity("J", "Energy of oil compression and of the moving oil columns", 1e3)
+    dissipated_power: Scalar = Quantity("W", "Power dissipated by metering edges and hoses", 1e4)
     convected_power: Scalar = Quantity(
-        "W", "Compression energy that oil brings along into volumes that grow, less what leaves others", 1e3
+        "W", "Compression energy convected by oil into growing volumes, minus that out of shrinking ones", 1e3
     )
 
 
@@ -149,13 +151,13 @@ class DetailedBoomStickParameters(
     boom=DetailedDriveParameters,
     stick=DetailedDriveParameters,
 ):
-    """Constants of the detailed drives; their numbers and sources are in parameters.toml."""
+    """Parameters of the detailed drives; values and sources are in parameters.toml."""
 
 
 class DetailedAxisOutputs(Group):
-    """What happens at the valve, where a machine's sensors sit, and in the relief valves."""
+    """Signals at the valve, where a machine has its sensors, and of the relief valves."""
 
-    spool_position: Scalar = Quantity("1", "Spool position of the {} valve, share of its stroke")
+    spool_position: Scalar = Quantity("1", "Spool position of the {} valve, relative to its stroke")
     head_valve_flow: Scalar = Quantity("m3/s", "Flow from the valve into the head hose of the {}", 1e-3)
     rod_valve_flow: Scalar = Quantity("m3/s", "Flow from the valve into the rod hose of the {}", 1e-3)
     head_valve_pressure: Scalar = Quantity("Pa", "Pressure at port A of the {} valve", 1e7)
@@ -173,4 +175,4 @@ class DetailedAxisOutputs(Group):
 
 
 class DetailedBoomStickOutputs(BoomStickOutputs, boom=DetailedAxisOutputs, stick=DetailedAxisOutputs):
-    """With what happens at the valves and in the relief valves."""
+    """Outputs of every variant, and signals of spools, valves and relief valves."""

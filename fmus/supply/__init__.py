@@ -1,4 +1,4 @@
-"""Pumps and engine that feed the supply line."""
+"""Hydraulic supply: ideal pressure source, or pumps and engine."""
 
 from fmus.contract import family
 from fmus.supply import engine_pump, ideal

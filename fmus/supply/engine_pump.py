@@ -1,8 +1,8 @@
-"""Two pressure-compensated pumps side by side on a diesel engine, feeding one supply line.
+"""Supply by two pressure-compensated pumps on one shaft with a diesel engine.
 
     C_p p_i' = x_i - k (p_i - P_t) - q_i         outlet line of pump i = 1, 2
-    q_i      = r(p_i - P) / R_c                  its check valve: pumps never take oil back
-    C_s P'   = q_1 + q_2 - Q - Q_r               supply line: what the drives take, main relief valve
+    q_i      = r(p_i - P) / R_c                  its check valve: no flow back into the pump
+    C_s P'   = q_1 + q_2 - Q - Q_r               supply line: flow Q into the drives, main relief valve
     J w'     = T - T_f(w) - T_1 - T_2            engine and pumps on one shaft
     V'       = return flow + leakage + relief - x_1 - x_2          oil in the tank, at constant pressure
 
@@ -11,8 +11,8 @@ the `ramp` of `fmus.components.smooth`. Cavities in the lines as in `fmus.compon
 
     engine_power + P_t return_flow = P supply_flow + dE/dt + heat
 
-engine_power is the work of the combustion, T w; the heat is that of the engine's own friction, friction and
-leakage of the pumps, check valves and relief valve; E is compression, rotation, and P_t V of the tank.
+engine_power is the power of the combustion, T w. The heat is that of engine friction, friction and leakage of
+the pumps, check valves and relief valve. E is the energy of compression and rotation, and P_t V of the tank.
 
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
@@ -37,17 +37,17 @@ from fmus.supply.variables import (
     supply_flow,
 )
 
-_SWEEPS = 12  # of the search for the speed at rest; each gains two digits
+_ITERATIONS = 12  # of the search for the idle speed; each gains two digits
 
 
 class PumpParameters(Group):
-    """Two pumps of one size; each has its own setting."""
+    """Parameters of two pumps of equal size with separate pressure settings."""
 
     pump_1_pressure_setting: Scalar = Quantity(
-        "Pa", "Pressure at which pump 1 has no stroke left", 1e7, minimum=1e5, group="Pumps"
+        "Pa", "Pressure at which the stroke of pump 1 is zero (dead head)", 1e7, minimum=1e5, group="Pumps"
     )
     pump_2_pressure_setting: Scalar = Quantity(
-        "Pa", "Pressure at which pump 2 has no stroke left", 1e7, minimum=1e5
+        "Pa", "Pressure at which the stroke of pump 2 is zero (dead head)", 1e7, minimum=1e5
     )
     pump_displacement: Scalar = Quantity(
         "m3/rad", "Displacement of each pump on full stroke", 1e-5, minimum=1e-9
@@ -71,7 +71,7 @@ class PumpParameters(Group):
 
 
 class LineParameters(Group):
-    """Lines between pumps and drives, with their valves."""
+    """Parameters of lines and valves between pumps and drives."""
 
     pump_line_capacitance: Scalar = Quantity(
         "m3/Pa",
@@ -86,83 +86,90 @@ class LineParameters(Group):
     check_resistance: Scalar = Quantity(
         "Pa.s/m3", "Resistance of each check valve with its line", 1e8, minimum=1e3
     )
-    check_opening: Scalar = Quantity("Pa", "Pressure within which each check valve opens", 1e4, minimum=1.0)
+    check_opening: Scalar = Quantity(
+        "Pa", "Pressure range over which each check valve opens", 1e4, minimum=1.0
+    )
     relief_pressure: Scalar = Quantity(
-        "Pa", "Pressure over the tank at which the main relief valve opens", 1e7, minimum=1e5
+        "Pa", "Pressure above the tank at which the main relief valve opens", 1e7, minimum=1e5
     )
     relief_gain: Scalar = Quantity(
-        "m3/(s.Pa)", "Flow of the open relief valve per pressure above", 1e-9, minimum=0.0
+        "m3/(s.Pa)",
+        "Flow of the main relief valve per pressure above the opening pressure",
+        1e-9,
+        minimum=0.0,
     )
-    relief_rounding: Scalar = Quantity("Pa", "Pressure within which the relief valve opens", 1e5, minimum=1.0)
+    relief_rounding: Scalar = Quantity(
+        "Pa", "Pressure range over which the main relief valve begins to open", 1e5, minimum=1.0
+    )
 
 
 class EnginePumpParameters(LineParameters, PumpParameters, ReservoirParameters, engine=DieselEngine):
-    """Constants; their numbers and sources are in parameters.toml."""
+    """Parameters; values and sources are in parameters.toml."""
 
     reservoir_volume_start: Scalar = Quantity(
-        "m3", "Oil in the tank at the start", 0.1, minimum=0.0, group="Tank"
+        "m3", "Initial volume of oil in the tank", 0.1, minimum=0.0, group="Tank"
     )
 
     @property
     def pumps(self) -> tuple[Pump, Pump]:
-        """The pumps these numbers describe."""
-        alike = (
+        """Parameters of both pumps."""
+        compensator = (
             *(self.compensator_band, self.compensator_rounding, self.compensator_lag),
             *(self.pump_stroke_time, self.pump_destroke_time),
         )
         losses = (self.pump_leakage, self.pump_pressure_friction, self.pump_viscous_friction)
         first, second = (
-            Pump(self.pump_displacement, *losses, setting, *alike)
+            Pump(self.pump_displacement, *losses, setting, *compensator)
             for setting in (self.pump_1_pressure_setting, self.pump_2_pressure_setting)
         )
         return first, second
 
 
 class EnginePumpState(Group):
-    """Pressures, strokes, the engine, and the oil in the tank."""
+    """Pressures, strokes, engine, and oil in the tank."""
 
     supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
     pump_1_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 1", 1e7)
     pump_2_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 2", 1e7)
-    pump_1_stroke: Scalar = Quantity("1", "Share of the stroke of pump 1")
-    pump_2_stroke: Scalar = Quantity("1", "Share of the stroke of pump 2")
+    pump_1_stroke: Scalar = Quantity("1", "Stroke of pump 1 relative to its full stroke")
+    pump_2_stroke: Scalar = Quantity("1", "Stroke of pump 2 relative to its full stroke")
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
-    reservoir_volume: Scalar = Quantity("m3", "Oil in the tank", 0.1)
+    reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
 class EnginePumpOutputs(SupplyOutputs):
-    """What every variant shows, the state, and flows and torques in between."""
+    """Outputs of every variant, states, and flows and torques of pumps and valves."""
 
     pump_1_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 1", 1e7)
     pump_2_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of pump 2", 1e7)
-    pump_1_stroke: Scalar = Quantity("1", "Share of the stroke of pump 1")
-    pump_2_stroke: Scalar = Quantity("1", "Share of the stroke of pump 2")
+    pump_1_stroke: Scalar = Quantity("1", "Stroke of pump 1 relative to its full stroke")
+    pump_2_stroke: Scalar = Quantity("1", "Stroke of pump 2 relative to its full stroke")
     pump_1_flow: Scalar = Quantity("m3/s", "Flow from pump 1 through its check valve", 1e-3)
     pump_2_flow: Scalar = Quantity("m3/s", "Flow from pump 2 through its check valve", 1e-3)
     relief_flow: Scalar = Quantity("m3/s", "Flow through the main relief valve", 1e-3)
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
     engine_load: Scalar = Quantity("N.m", "Torque of both pumps on the engine", 100.0)
-    reservoir_volume: Scalar = Quantity("m3", "Oil in the tank", 0.1)
+    reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
 @dataclass(frozen=True)
-class _Working:
-    """One pump at work: outlet pressure over the tank [Pa], its flows [m3/s] and torque [N.m]."""
+class _OperatingPoint:
+    """Operating point of a pump: pressure rise [Pa], flows [m3/s] and torque [N.m]."""
 
     pump: Pump
     rise: Scalar
-    drawn: Scalar
+    suction: Scalar
     leakage: Scalar
     delivered: Scalar
     torque: Scalar
 
 
-def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_Working, _Working]:
-    def work(d: Pump, pressure: Scalar, stroke: Scalar) -> _Working:
+def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_OperatingPoint, _OperatingPoint]:
+    def operating_point(d: Pump, pressure: Scalar, stroke: Scalar) -> _OperatingPoint:
         rise = pressure - p.reservoir_pressure
-        return _Working(
+        return _OperatingPoint(
             d,
             rise,
             engine_and_pump.suction_flow(d, stroke, x.engine_speed),
@@ -172,7 +179,10 @@ def _pumps(x: EnginePumpState, p: EnginePumpParameters) -> tuple[_Working, _Work
         )
 
     first, second = p.pumps
-    return work(first, x.pump_1_pressure, x.pump_1_stroke), work(second, x.pump_2_pressure, x.pump_2_stroke)
+    return (
+        operating_point(first, x.pump_1_pressure, x.pump_1_stroke),
+        operating_point(second, x.pump_2_pressure, x.pump_2_stroke),
+    )
 
 
 def _relief_flow(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
@@ -182,38 +192,37 @@ def _relief_flow(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
 def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpState:
     """Time derivative of the state, field by field."""
     a, b = _pumps(x, p)
-    spilled, motor = _relief_flow(x, p), DieselEngine.of(p, "engine")
-    accelerating = (
-        x.engine_torque - engine_and_pump.engine_friction(motor, x.engine_speed) - a.torque - b.torque
-    )
-    net = a.delivered + b.delivered - supply_flow(u) - spilled
+    relief, engine = _relief_flow(x, p), DieselEngine.of(p, "engine")
+    torque = x.engine_torque - engine_and_pump.engine_friction(engine, x.engine_speed) - a.torque - b.torque
+    net = a.delivered + b.delivered - supply_flow(u) - relief
     return EnginePumpState(
         supply_pressure=chamber.pressure_rate(x.supply_pressure, net, p.rail_capacitance),
         pump_1_pressure=_outlet_rate(a, x.pump_1_pressure, p),
         pump_2_pressure=_outlet_rate(b, x.pump_2_pressure, p),
         pump_1_stroke=engine_and_pump.stroke_rate(a.pump, x.pump_1_stroke, x.pump_1_pressure),
         pump_2_stroke=engine_and_pump.stroke_rate(b.pump, x.pump_2_stroke, x.pump_2_pressure),
-        engine_speed=accelerating / motor.inertia,
-        engine_torque=(engine_and_pump.governor_torque(motor, x.engine_speed) - x.engine_torque) / motor.lag,
-        reservoir_volume=return_flow(u) + a.leakage + b.leakage + spilled - a.drawn - b.drawn,
+        engine_speed=torque / engine.inertia,
+        engine_torque=(engine_and_pump.governor_torque(engine, x.engine_speed) - x.engine_torque)
+        / engine.lag,
+        reservoir_volume=return_flow(u) + a.leakage + b.leakage + relief - a.suction - b.suction,
     )
 
 
-def _outlet_rate(w: _Working, pressure: Scalar, p: EnginePumpParameters) -> Scalar:
-    return chamber.pressure_rate(pressure, w.drawn - w.leakage - w.delivered, p.pump_line_capacitance)
+def _outlet_rate(w: _OperatingPoint, pressure: Scalar, p: EnginePumpParameters) -> Scalar:
+    return chamber.pressure_rate(pressure, w.suction - w.leakage - w.delivered, p.pump_line_capacitance)
 
 
 def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
     """Outputs."""
     a, b = _pumps(x, p)
-    taken, given = supply_flow(u), return_flow(u)
+    supplied, returned = supply_flow(u), return_flow(u)
     return EnginePumpOutputs(
         **vars(x),
         supply_pressure_rate=dynamics(x, u, p).supply_pressure,
         tank_pressure=p.reservoir_pressure,
-        supply_flow=taken,
-        return_flow=given,
-        hydraulic_power=x.supply_pressure * taken - p.reservoir_pressure * given,
+        supply_flow=supplied,
+        return_flow=returned,
+        hydraulic_power=x.supply_pressure * supplied - p.reservoir_pressure * returned,
         engine_power=x.engine_torque * x.engine_speed,
         stored_energy=_stored_energy(x, p),
         dissipated_power=_dissipated_power(x, p),
@@ -246,11 +255,12 @@ def _dissipated_power(x: EnginePumpState, p: EnginePumpParameters) -> Scalar:
 
 
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
-    """Nothing is taken: the pumps cover their leakage, the governor holds the speed under that load."""
-    tank, motor, speed = p.reservoir_pressure, DieselEngine.of(p, "engine"), p.engine_no_load_speed
-    for _ in range(_SWEEPS):
-        found = engine_and_pump.governed_speed(motor, _idle_load(p, speed), speed)
-        speed = ca.fmax(p.engine_peak_speed, ca.fmin(found, p.engine_no_load_speed))  # some engine may not do
+    """Initial state without flow into the drives: pumps at dead head, engine at idle speed."""
+    tank, engine, speed = p.reservoir_pressure, DieselEngine.of(p, "engine"), p.engine_no_load_speed
+    for _ in range(_ITERATIONS):
+        speed = engine_and_pump.governed_speed(engine, _idle_load(p, speed), speed)
+        # within the range of the governor, also for an engine that is too weak
+        speed = ca.fmax(p.engine_peak_speed, ca.fmin(speed, p.engine_no_load_speed))
     (stroke_1, pressure_1), (stroke_2, pressure_2) = (
         engine_and_pump.dead_head(d, speed, tank) for d in p.pumps
     )
@@ -261,13 +271,13 @@ def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
         "pump_1_stroke": stroke_1,
         "pump_2_stroke": stroke_2,
         "engine_speed": speed,
-        "engine_torque": engine_and_pump.governor_torque(motor, speed),
+        "engine_torque": engine_and_pump.governor_torque(engine, speed),
         "reservoir_volume": p.reservoir_volume_start,
     }
 
 
 def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
-    """Torque [N.m] of both pumps that deliver nothing."""
+    """Torque [N.m] of both pumps at dead head."""
     load: Scalar = 0
     for d in p.pumps:
         stroke, pressure = engine_and_pump.dead_head(d, speed, p.reservoir_pressure)
@@ -276,7 +286,7 @@ def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
 
 
 def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
-    """What must hold beyond the bounds of single parameters."""
+    """Requirements: order of pressure settings and of speeds, an engine that can turn the pumps."""
     return {
         "relief_pressure exceeds pump_1_pressure_setting": p.relief_pressure - p.pump_1_pressure_setting,
         "relief_pressure exceeds pump_2_pressure_setting": p.relief_pressure - p.pump_2_pressure_setting,

@@ -1,8 +1,8 @@
-"""Supply at the paper's fidelity: an ideal pressure source, section 3(a).
+"""Ideal supply, as in section 3(a) of the paper: a pressure source.
 
     supply_pressure = pressure_setting        tank_pressure = reservoir_pressure
 
-for every flow. No state; the outputs that show power do so for any flow of the drives.
+for every flow. There is no state. The outputs of power are valid for any flow of the drives.
 
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
@@ -23,32 +23,30 @@ from fmus.supply.variables import (
 
 
 class IdealParameters(ReservoirParameters):
-    """The two pressures; their numbers and sources are in parameters.toml."""
+    """The two pressures; values and sources are in parameters.toml."""
 
-    pressure_setting: Scalar = Quantity(
-        "Pa", "Pressure of the supply line, whatever is taken", 1e7, group="Source"
-    )
+    pressure_setting: Scalar = Quantity("Pa", "Pressure of the supply line at any flow", 1e7, group="Source")
 
 
 class IdealState(Group):
-    """None."""
+    """No states."""
 
 
 def dynamics(x: IdealState, u: SupplyInputs, p: IdealParameters) -> IdealState:
-    """No state, no derivative."""
+    """No states, no derivatives."""
     return IdealState()
 
 
 def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs:
     """Outputs."""
-    taken, given = supply_flow(u), return_flow(u)
-    power = p.pressure_setting * taken - p.reservoir_pressure * given
+    supplied, returned = supply_flow(u), return_flow(u)
+    power = p.pressure_setting * supplied - p.reservoir_pressure * returned
     return SupplyOutputs(
         supply_pressure=p.pressure_setting,
         supply_pressure_rate=0,
         tank_pressure=p.reservoir_pressure,
-        supply_flow=taken,
-        return_flow=given,
+        supply_flow=supplied,
+        return_flow=returned,
         hydraulic_power=power,
         engine_power=power,
         stored_energy=0,

@@ -1,4 +1,4 @@
-"""Variables of the supply that every variant has: parameters, inputs, outputs; signs as in ideal.py."""
+"""Common variables of all variants of the supply: parameters, inputs, outputs; signs as in ideal.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ CONSUMERS = ("swing", "boom_stick")
 
 
 class ReservoirParameters(Group):
-    """What every variant knows of the tank."""
+    """Parameters of the tank in every variant."""
 
     reservoir_pressure: Scalar = Quantity(
         "Pa", "Pressure in the tank and in the return lines", 1e5, group="Tank"
@@ -17,20 +17,20 @@ class ReservoirParameters(Group):
 
 
 class SupplyInputs(Group):
-    """Flows of the drives: what they take from the supply line, what they give back to the tank."""
+    """Flows of the drives from the supply line and into the return line."""
 
-    supply_flow_swing: Scalar = Quantity("m3/s", "Flow that the swing drive takes from the supply line", 1e-3)
-    return_flow_swing: Scalar = Quantity("m3/s", "Flow that the swing drive gives to the return line", 1e-3)
+    supply_flow_swing: Scalar = Quantity("m3/s", "Flow from the supply line into the swing drive", 1e-3)
+    return_flow_swing: Scalar = Quantity("m3/s", "Flow from the swing drive into the return line", 1e-3)
     supply_flow_boom_stick: Scalar = Quantity(
-        "m3/s", "Flow that the boom and stick drives take from the supply line", 1e-3
+        "m3/s", "Flow from the supply line into the boom and stick drives", 1e-3
     )
     return_flow_boom_stick: Scalar = Quantity(
-        "m3/s", "Flow that the boom and stick drives give to the return line", 1e-3
+        "m3/s", "Flow from the boom and stick drives into the return line", 1e-3
     )
 
 
 class SupplyOutputs(Group):
-    """Pressures for the drives, and the power that goes into them."""
+    """Pressures of supply and return lines, flows and power of the drives, energies."""
 
     supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
     supply_pressure_rate: Scalar = Quantity(
@@ -38,22 +38,22 @@ class SupplyOutputs(Group):
     )
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return lines", 1e5)
     supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply line by all drives", 1e-3)
-    return_flow: Scalar = Quantity("m3/s", "Flow given back by all drives", 1e-3)
+    return_flow: Scalar = Quantity("m3/s", "Flow into the return lines from all drives", 1e-3)
     hydraulic_power: Scalar = Quantity(
-        "W", "Power into the drives: supply less return, pressure times flow", 1e4
+        "W", "Hydraulic power into the drives: pressure times flow, supply minus return", 1e4
     )
-    engine_power: Scalar = Quantity("W", "Power put in: by the combustion, or by the ideal source", 1e4)
-    stored_energy: Scalar = Quantity("J", "Energy of the oil and of what turns", 1e3)
-    dissipated_power: Scalar = Quantity("W", "Heat of friction, leakage and throttling", 1e4)
+    engine_power: Scalar = Quantity("W", "Input power: from the combustion, or from the ideal source", 1e4)
+    stored_energy: Scalar = Quantity("J", "Energy of oil compression, rotation and oil in the tank", 1e3)
+    dissipated_power: Scalar = Quantity("W", "Power dissipated by friction, leakage and throttling", 1e4)
 
 
 def supply_flow(u: SupplyInputs) -> Scalar:
-    """Flow [m3/s] that all drives take."""
+    """Flow [m3/s] from the supply line into all drives."""
     return u.supply_flow_swing + u.supply_flow_boom_stick
 
 
 def return_flow(u: SupplyInputs) -> Scalar:
-    """Flow [m3/s] that all drives give back."""
+    """Flow [m3/s] from all drives into the return line."""
     return u.return_flow_swing + u.return_flow_boom_stick
 
 

@@ -1,4 +1,4 @@
-"""Hydraulics of the swing motor."""
+"""Swing drive: hydraulics of the swing motor."""
 
 from fmus.contract import family
 from fmus.swing import detailed, lumped, quasistatic

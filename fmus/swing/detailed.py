@@ -1,14 +1,15 @@
-"""Swing drive in detail: a moving spool, two lines of lumps, oil with air, relief and anti-cavitation valves.
+"""Detailed swing drive: spool dynamics, lines of lumps, oil with air, relief and anti-cavitation valves.
 
     C_a dP_a/dt = Q_a - D w - (P_a - P_b)/R_in - (P_a - P_t)/R_ex - Q_cross + Q_anti,a
     C_b dP_b/dt = Q_b + D w + (P_a - P_b)/R_in - (P_b - P_t)/R_ex + Q_cross + Q_anti,b      C = V_m kappa(P)
     torque      = D (P_a - P_b)           D = D_m N                                   eqs. (8), (11), (12)
 
 with the flows Q_a, Q_b out of the lines of `fmus.components.hose`, kappa of `chamber`, the spool of
-`spool_valve` and the valves of `orifice` at the motor: relief valves from line to line, anti-cavitation
-valves from the return line. The motor's volume V_m holds what `lumped` puts into the line's capacitance, so
-its ports are states and the torque depends on states only. `swing_flow_a` is the flow at the valve,
-`swing_motor_flow_a` that at the motor. `detailed` chooses what changes the number of states.
+`spool_valve` and the valves of `orifice` at the motor: cross-port relief valves, and anti-cavitation valves
+from the return line. The volume V_m of a motor side is separate here, while `lumped` adds it to the
+capacitance of the line. So the pressures of the motor ports are states, and the torque depends only on
+states. `swing_flow_a` is the flow at the valve, `swing_motor_flow_a` that at the motor. The arguments of
+`detailed` change the number of states.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from fmus.swing import drive, lumped
 from fmus.swing.drive import Pair
 from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs, SwingState
 
-NUMBERS = Path(__file__).with_name("parameters.toml")
+PARAMETERS = Path(__file__).with_name("parameters.toml")
 
-Names = tuple[LineState, LineState]
+Names = tuple[LineState, LineState]  # names of the states of both lines
 
 
 def line(p: DetailedSwingParameters) -> Line:
-    """Each of the two lines."""
+    """Parameters of each of the two lines."""
     wall = p.hose_wall_modulus
     return Line(p.line_length, p.line_bore, p.line_turbulent_resistance, wall, Fluid.of(p))
 
 
 @dataclass(frozen=True)
-class _Now:
-    """The drive at one instant: state, and what follows from it at once."""
+class _Evaluated:
+    """The drive at one instant: states, ports of valve and motor, flows [m3/s] of the valves at the motor."""
 
     spool: SpoolState
     lines: tuple[LineState, LineState]
@@ -55,13 +56,13 @@ class _Now:
     anti: tuple[Scalar, Scalar]
 
 
-def _now(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _Now:
+def _evaluate(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _Evaluated:
     a, b = (n.apply(partial(getattr, x)) for n in names)
     state, tank = SpoolState(x.swing_spool_position, x.swing_spool_speed), u.tank_pressure
     pressures = (x.swing_pressure_a, x.swing_pressure_b)
     anti = PressureValve.of(p, "anti_cavitation")
     line_ends = (a.flows[0], b.flows[0], u.supply_pressure, tank, p.density)
-    return _Now(
+    return _Evaluated(
         state,
         (a, b),
         pressures,
@@ -74,7 +75,7 @@ def _now(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> _N
     )
 
 
-def _pressure_rates(n: _Now, p: DetailedSwingParameters) -> Pair:
+def _pressure_rates(n: _Evaluated, p: DetailedSwingParameters) -> Pair:
     nets = (
         n.lines[0].flows[-1] - n.nodes.flow_1 - n.cross + n.anti[0],
         n.lines[1].flows[-1] - n.nodes.flow_2 + n.cross + n.anti[1],
@@ -87,39 +88,44 @@ def _pressure_rates(n: _Now, p: DetailedSwingParameters) -> Pair:
 
 
 def _rates(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
-    n = _now(names, x, u, p)
-    wanted = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
-    spool = spool_valve.spool_rates(Spool.of(p, "spool"), n.spool, wanted)
+    n = _evaluate(names, x, u, p)
+    commanded = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
+    spool = spool_valve.spool_rates(Spool.of(p, "spool"), n.spool, commanded)
     rates = {"swing_spool_position": spool.position, "swing_spool_speed": spool.speed}
     sides = zip(SIDES, names, n.lines, n.ports, n.pressures, _pressure_rates(n, p), strict=True)
-    for side, name, of, port, pressure, rate in sides:
-        along = hose.rates(line(p), of, port.pressure, pressure)
-        rates |= {f"swing_pressure_{side}": rate, **dict(zip(name.all(), along.all(), strict=True))}
+    for side, line_names, state, port, pressure, rate in sides:
+        line_rates = hose.rates(line(p), state, port.pressure, pressure)
+        rates |= {
+            f"swing_pressure_{side}": rate,
+            **dict(zip(line_names.all(), line_rates.all(), strict=True)),
+        }
     return rates
 
 
 def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> DetailedSwingOutputs:
-    """Outputs; the torque depends on states alone."""
-    n, own, tank = _now(names, x, u, p), line(p), u.tank_pressure
+    """Outputs; the torque depends only on states."""
+    n, swing_line, tank = _evaluate(names, x, u, p), line(p), u.tank_pressure
     (p_a, p_b), flows = n.pressures, (n.lines[0].flows[0], n.lines[1].flows[0])
-    shown = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, _pressure_rates(n, p))
-    for side, of, port, pressure in zip(SIDES, n.lines, n.ports, n.pressures, strict=True):
-        shown |= {
+    outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, _pressure_rates(n, p))
+    for side, state, port, pressure in zip(SIDES, n.lines, n.ports, n.pressures, strict=True):
+        outputs |= {
             f"swing_valve_pressure_{side}": port.pressure,
-            f"swing_motor_flow_{side}": of.flows[-1],
-            f"swing_bulk_modulus_{side}": chamber.bulk_modulus(own.fluid, pressure),
+            f"swing_motor_flow_{side}": state.flows[-1],
+            f"swing_bulk_modulus_{side}": chamber.bulk_modulus(swing_line.fluid, pressure),
         }
-    sides = sum(
-        p.motor_volume * chamber.energy_density(own.fluid, q) + chamber.stored_energy(q, 0.0)
+    chambers = sum(
+        p.motor_volume * chamber.energy_density(swing_line.fluid, q) + chamber.stored_energy(q, 0.0)
         for q in n.pressures
     )
-    valves = n.cross * (p_a - p_b) + sum(q * (tank - at) for q, at in zip(n.anti, n.pressures, strict=True))
-    shown["return_flow"] -= sum(n.anti)
-    shown["swing_void_volume"] += sum(map(hose.cavity_volume, n.lines))
-    shown["dissipated_power"] += valves + sum(hose.heat(own, one) for one in n.lines)
+    valves = n.cross * (p_a - p_b) + sum(
+        q * (tank - pressure) for q, pressure in zip(n.anti, n.pressures, strict=True)
+    )
+    outputs["return_flow"] -= sum(n.anti)
+    outputs["swing_void_volume"] += sum(map(hose.cavity_volume, n.lines))
+    outputs["dissipated_power"] += valves + sum(hose.heat(swing_line, state) for state in n.lines)
     return DetailedSwingOutputs(
-        **shown,
-        stored_energy=sides + sum(hose.stored_energy(own, one) for one in n.lines),
+        **outputs,
+        stored_energy=chambers + sum(hose.stored_energy(swing_line, state) for state in n.lines),
         swing_spool_position=n.spool.position,
         swing_relief_flow=n.cross,
         swing_anti_cavitation_flow=sum(n.anti),
@@ -127,39 +133,41 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
 
 
 def _initial(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -> dict[str, Scalar]:
-    """Both lines at the preload, the oil at rest: no torque; the spool where it is told."""
+    """Initial state: both lines at the preload, oil at rest, no torque, spool at its command."""
     position = spool_valve.commanded_position(u.swing_command, p.valve_full_command)
     state: dict[str, Scalar] = {"swing_spool_position": position, "swing_spool_speed": 0.0}
-    for side, of in zip(SIDES, names, strict=True):
-        state |= dict.fromkeys(of.all(), 0.0)
-        pressures = (f"swing_pressure_{side}", *of.pressures)
+    for side, line_names in zip(SIDES, names, strict=True):
+        state |= dict.fromkeys(line_names.all(), 0.0)
+        pressures = (f"swing_pressure_{side}", *line_names.pressures)
         state |= dict.fromkeys(pressures, u.tank_pressure + p.initial_preload)
     return state
 
 
 def _states(names: Names) -> Iterator[tuple[str, Quantity]]:
-    usual = quantities(SwingState)
-    yield "swing_spool_position", Quantity("1", "Spool position of the swing valve, share of its stroke")
+    """(name, declaration) of the states."""
+    lumped_states = quantities(SwingState)
+    yield "swing_spool_position", Quantity("1", "Spool position of the swing valve, relative to its stroke")
     yield "swing_spool_speed", Quantity("1/s", "Spool speed of the swing valve", 10.0)
-    for side, of in zip(SIDES, names, strict=True):
-        where = f"swing line {side.upper()}"
-        last = Quantity("m3/s", f"Flow from {where} to the motor", 1e-3)
-        yield f"swing_pressure_{side}", usual[f"swing_pressure_{side}"]
-        yield from hose.state_quantities(of, where, usual[f"swing_flow_{side}"], last)
+    for side, line_names in zip(SIDES, names, strict=True):
+        line_text = f"swing line {side.upper()}"
+        first = lumped_states[f"swing_flow_{side}"]
+        last = Quantity("m3/s", f"Flow from {line_text} to the motor", 1e-3)
+        yield f"swing_pressure_{side}", lumped_states[f"swing_pressure_{side}"]
+        yield from hose.state_quantities(line_names, line_text, first, last)
 
 
 def default_lumps() -> int:
-    """Lumps per line with the numbers of parameters.toml."""
-    found = read(NUMBERS)["parameters"]
-    p = DetailedSwingParameters(**{name: found[name].value for name in quantities(DetailedSwingParameters)})
+    """Lumps per line for the values of parameters.toml."""
+    table = read(PARAMETERS)["parameters"]
+    p = DetailedSwingParameters(**{name: table[name].value for name in quantities(DetailedSwingParameters)})
     return hose.default_lumps(line(p))
 
 
 def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsystem:
-    """The detailed drive.
+    """The subsystem of the detailed drive.
 
-    lumps               T-lumps per line; by default what `hose.lumps_needed` advises up to 75 Hz
-    unsteady_friction   with the frequency-dependent friction of the lines: three more states for each flow
+    lumps               T-lumps per line; default: from `hose.lumps_needed` for 75 Hz
+    unsteady_friction   whether lines have frequency-dependent friction: three more states for each flow
     """
     count = default_lumps() if lumps is None else lumps
     a, b = (
@@ -173,7 +181,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
     state = make_group("DetailedSwingState", dict(_states(names)))
     sub = Subsystem(
         name="swing",
-        text="Hydraulic swing drive in detail: moving spool, lines, motor and gear, air, relief valves",
+        text="Detailed hydraulic swing drive: spool dynamics, lines, motor and gear, air, relief valves",
         parameters=DetailedSwingParameters,
         states=state,
         inputs=SwingInputs,
@@ -181,7 +189,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         dynamics=lambda x, u, p: state(**_rates(names, x, u, p)),
         observe=lambda x, u, p: _observe(names, x, u, p),
         initial=lambda x, u, p: _initial(names, x, u, p),
-        values=NUMBERS,
+        values=PARAMETERS,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
         terminals=drive.TERMINALS,
     )

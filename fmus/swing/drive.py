@@ -1,4 +1,4 @@
-"""What the variants of the swing drive have in common: motor and gear, outputs, requirements, ports.
+"""Common equations of all variants of the swing drive: motor and gear, outputs, requirements, terminals.
 
 torque = D (P_1 - P_2)           D = D_m N                                   eqs. (8), (11), (12)
 """
@@ -13,27 +13,27 @@ from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Terminal
 from fmus.swing.variables import SwingInputs
 
-Pair = tuple[Scalar, Scalar]  # of line A and line B, or of motor port 1 and 2
+Pair = tuple[Scalar, Scalar]  # (line A, line B), or (motor port 1, motor port 2)
 
 
 def displacement(p: Any) -> Scalar:
-    """D [m3/rad], of the swing."""
+    """D [m3/rad], displacement per swing angle."""
     return p.motor_displacement * p.gear_ratio
 
 
 def leakage(p: Any) -> Pair:
-    """R_in and R_ex [Pa.s/m3]."""
+    """Leakage resistances R_in and R_ex [Pa.s/m3]."""
     return p.internal_leakage_resistance, p.external_leakage_resistance
 
 
 def derive_capacitance(p: Any) -> dict[str, Scalar]:
-    """Of the volumes of line and motor side."""
+    """Capacitance of a line with its motor side, from their volumes."""
     line = hose.capacitance(p.line_length, p.line_bore, p.bulk_modulus)
     return {"line_capacitance": line + p.motor_volume / p.bulk_modulus}
 
 
 def derive(p: Any) -> dict[str, Scalar]:
-    """Numbers of the lines that follow from length and bore."""
+    """Parameters of the lines that are derived from length and bore."""
     size = (p.line_length, p.line_bore)
     return derive_capacitance(p) | {
         "line_inertance": hose.inertance(*size, p.density),
@@ -50,9 +50,13 @@ def observe(
     nodes: MotorNodes,
     node_rates: Pair,
 ) -> dict[str, Scalar]:
-    """Outputs from line pressures and flows, ports of valve and motor, and rates of the motor's pressures.
+    """Outputs except `stored_energy`.
 
-    The energy is that of the lines' oil, the heat that of edges and leakage.
+    pressures, flows    of the lines
+    valve, nodes        ports of valve and motor
+    node_rates          rates of the motor's port pressures
+
+    The dissipated power is that of edges and leakage; lines are added by the variants.
     """
     edges = sum(spool_valve.throttling_loss(n, u.supply_pressure, u.tank_pressure) for n in valve)
     return {
@@ -73,7 +77,7 @@ def observe(
 
 
 def require(x: object, u: object, p: Any) -> dict[str, Scalar]:
-    """What must hold beyond the bounds of single parameters."""
+    """Requirement of the valve."""
     return spool_valve.opens(Valve.of(p, "valve"))
 
 

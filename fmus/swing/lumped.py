@@ -4,11 +4,10 @@
     C dP_a/dt = Q_a - (P_a - P_1) / R_line              C dP_b/dt = Q_b - (P_b - P_2) / R_line
     torque    = D_m N (P_1 - P_2)                       eqs. (8), (9a), corrections E1, E2, E5
 
-with the motor ports P_1, P_2 from `fmus.components.motor`. Swing lines are short: laminar (R_line),
-and C_R,line is zero unless somebody measures one.
+with the motor ports P_1, P_2 from `fmus.components.motor`. Swing lines are short, so their friction is
+laminar (R_line), and C_R,line is zero unless it is identified from measurements.
 
-The torque depends on the speed by
-2 D^2 R_line only (28 N.m.s/rad); it has to, or the port would not conserve power.
+The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is required for conservation of power.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[EdgeFlows
 
 
 def _motor(pressures: tuple[Scalar, Scalar, Scalar], speed: Scalar, p: SwingParameters) -> MotorNodes:
-    """The motor nodes; linear, so that of rates it returns the rates."""
+    """Motor nodes from (P_a, P_b, P_t); linear, so from their rates it returns the rates of the nodes."""
     lines = (p.line_resistance, p.line_resistance)
     return motor.nodes(*pressures, drive.displacement(p) * speed, *lines, *drive.leakage(p))
 
@@ -57,19 +56,19 @@ def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     )
     nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
     rates = _motor((dx.swing_pressure_a, dx.swing_pressure_b, 0), u.swing_acceleration, p)
-    shown = drive.observe(
+    outputs = drive.observe(
         p, u, pressures, flows, _ports(x, u, p), nodes, (rates.pressure_1, rates.pressure_2)
     )
     compression = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
-    shown["stored_energy"] = compression + p.line_inertance * (x.swing_flow_a**2 + x.swing_flow_b**2) / 2
-    shown["dissipated_power"] += sum(q**2 * p.line_resistance for q in (nodes.flow_1, nodes.flow_2)) + sum(
+    outputs["stored_energy"] = compression + p.line_inertance * (x.swing_flow_a**2 + x.swing_flow_b**2) / 2
+    outputs["dissipated_power"] += sum(q**2 * p.line_resistance for q in (nodes.flow_1, nodes.flow_2)) + sum(
         q * spool_valve.turbulent_drop(q, p.line_turbulent_resistance, p.valve_transition_flow) for q in flows
     )
-    return SwingOutputs(**shown)
+    return SwingOutputs(**outputs)
 
 
 def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scalar]:
-    """Both lines at the preload, the oil at rest: no torque."""
+    """Initial state: both lines at the preload, oil at rest, no torque."""
     preload = u.tank_pressure + p.initial_preload
     return {"swing_pressure_a": preload, "swing_pressure_b": preload, "swing_flow_a": 0, "swing_flow_b": 0}
 
@@ -87,6 +86,6 @@ SWING = Subsystem(
     require=drive.require,
     derive=drive.derive,
     values=Path(__file__).with_name("parameters.toml"),
-    validity="lines laminar and short beside the wavelength, below 200 Hz; spool faster than the motion",
+    validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
     terminals=drive.TERMINALS,
 )

@@ -4,9 +4,9 @@
     C dP_b/dt = Q_b + D w + (P_a - P_b) / R_in - (P_b - P_t) / R_ex
     torque    = D (P_a - P_b)           D = D_m N                   eqs. (8), (11), (12)
 
-with the line flows Q_a, Q_b from the pressures (`spool_valve.ports_from_pressure`): the limit of the lumped
-drive for lines without inertance and laminar resistance, which costs 8 kPa at 74 L/min. The pressures
-stand at the motor ports. Torque depends on states only.
+with the line flows Q_a, Q_b from the pressures (`spool_valve.ports_from_pressure`). This is the limit of the
+lumped drive for lines without inertance and without laminar resistance, whose drop is 8 kPa at 74 L/min. The
+pressures are those of the motor ports. The torque depends only on states.
 """
 
 from __future__ import annotations
@@ -31,40 +31,40 @@ class QuasistaticSwingState(Group):
 def _ports(
     x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters
 ) -> tuple[tuple[EdgeFlows, EdgeFlows], MotorNodes]:
-    """The valve's ports and the motor's."""
+    """Ports of the valve, and nodes of the motor."""
     lines, valve = (x.swing_pressure_a, x.swing_pressure_b), Valve.of(p, "valve")
     pressures = (*lines, u.supply_pressure, u.tank_pressure)
     ports = spool_valve.ports_from_pressure(
         valve, u.swing_command, *pressures, p.density, p.line_turbulent_resistance
     )
-    taken = drive.displacement(p) * u.swing_speed
-    return ports, motor.nodes_at_port_pressures(*lines, u.tank_pressure, taken, *drive.leakage(p))
+    displaced = drive.displacement(p) * u.swing_speed
+    return ports, motor.nodes_at_port_pressures(*lines, u.tank_pressure, displaced, *drive.leakage(p))
 
 
 def dynamics(
     x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters
 ) -> QuasistaticSwingState:
     """Time derivative of the state, field by field."""
-    (a, b), at = _ports(x, u, p)
+    (a, b), nodes = _ports(x, u, p)
     c = p.line_capacitance
     return QuasistaticSwingState(
-        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, a.line - at.flow_1, c),
-        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, b.line - at.flow_2, c),
+        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, a.line - nodes.flow_1, c),
+        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, b.line - nodes.flow_2, c),
     )
 
 
 def observe(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters) -> SwingOutputs:
     """Outputs."""
-    valve, at = _ports(x, u, p)
+    valve, nodes = _ports(x, u, p)
     dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
     flows = (valve[0].line, valve[1].line)
-    shown = drive.observe(p, u, pressures, flows, valve, at, (dx.swing_pressure_a, dx.swing_pressure_b))
+    outputs = drive.observe(p, u, pressures, flows, valve, nodes, (dx.swing_pressure_a, dx.swing_pressure_b))
     energy = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
-    return SwingOutputs(**shown, stored_energy=energy)
+    return SwingOutputs(**outputs, stored_energy=energy)
 
 
 def initial(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParameters) -> dict[str, Scalar]:
-    """Both lines at the preload: no torque."""
+    """Initial state: both lines at the preload, no torque."""
     preload = u.tank_pressure + p.initial_preload
     return {"swing_pressure_a": preload, "swing_pressure_b": preload}
 
@@ -82,7 +82,7 @@ SWING = Subsystem(
     require=drive.require,
     derive=drive.derive_capacitance,
     values=Path(__file__).with_name("parameters.toml"),
-    validity="motions slow beside the oil in the lines, below some 10 Hz; spool faster than the motion",
+    validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
     terminals=drive.TERMINALS,
     stiff=False,
 )

@@ -1,7 +1,7 @@
 """Variables of the swing drive: parameters, states, inputs, outputs.
 
 Signs: flows are positive towards the motor; angle, speed and torque are positive counter-clockwise
-seen from above; a positive command drives the positive way.
+seen from above; a positive command turns in the positive direction.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ SIDES = ("a", "b")
 
 
 class DriveParameters(Group, line=(HoseSize, "swing line")):
-    """What every variant knows of lines, motor and gear."""
+    """Parameters of lines, motor and gear in every variant."""
 
     line_turbulent_resistance: Scalar = Quantity(
         "Pa.s2/m6", "Turbulent resistance C_R of each swing line; 0: laminar", 1e10, minimum=0.0
     )
     initial_preload: Scalar = Quantity(
-        "Pa", "Pressure of both swing lines at the start", 1e6, minimum=1e3, group="Start"
+        "Pa", "Initial pressure of both swing lines", 1e6, minimum=1e3, group="Start"
     )
     motor_displacement: Scalar = Quantity(
         "m3/rad", "Displacement D_m of the swing motor", 1e-5, minimum=1e-9, group="Swing motor and gear"
@@ -39,44 +39,42 @@ class DriveParameters(Group, line=(HoseSize, "swing line")):
 
 
 class QuasistaticSwingParameters(DriveParameters, Oil, valve=Valve):
-    """Constants of the quasistatic drive; their numbers and sources are in parameters.toml."""
+    """Parameters of the quasistatic drive; values and sources are in parameters.toml."""
 
     line_capacitance: Scalar = Quantity(
-        *(
-            "m3/Pa",
-            "Capacitance C of each line with its motor side; 0: of both volumes and bulk modulus",
-            1e-12,
-        ),
+        "m3/Pa",
+        "Capacitance C of each line with its motor side; 0: derived from both volumes and bulk modulus",
+        1e-12,
         minimum=0.0,
         group="Swing lines",
     )
 
 
 class SwingParameters(QuasistaticSwingParameters):
-    """Constants of the lumped drive; their numbers and sources are in parameters.toml."""
+    """Parameters of the lumped drive; values and sources are in parameters.toml."""
 
     line_inertance: Scalar = Quantity(
-        *("kg/m4", "Inertance I of each swing line; 0: of length, bore and density", 1e6),
+        "kg/m4",
+        "Inertance I of each swing line; 0: derived from length, bore and density",
+        1e6,
         minimum=0.0,
         group="Swing lines",
     )
     line_resistance: Scalar = Quantity(
-        *(
-            "Pa.s/m3",
-            "Laminar resistance R_1 = R_2 of each swing line; 0: of length, bore and viscosity",
-            1e6,
-        ),
+        "Pa.s/m3",
+        "Laminar resistance R_1 = R_2 of each swing line; 0: derived from length, bore and viscosity",
+        1e6,
         minimum=0.0,
     )
     viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil")
 
 
 class DetailedSwingParameters(DriveParameters, ReliefParameters, HoseWall, Fluid, valve=Edges, spool=Spool):
-    """Constants of the detailed drive; their numbers and sources are in parameters.toml."""
+    """Parameters of the detailed drive; values and sources are in parameters.toml."""
 
 
 class SwingState(Group):
-    """State of the lumped drive: pressures and flows of both lines, which every variant shows."""
+    """State of the lumped drive: pressures and flows of both lines, which are outputs of every variant."""
 
     swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
     swing_pressure_b: Scalar = chamber.pressure("Pressure of swing line B")
@@ -85,7 +83,7 @@ class SwingState(Group):
 
 
 class SwingInputs(Group):
-    """Command, supply and the motion of the column; the rate inputs carry exact time derivatives."""
+    """Command, supply and motion of the column; the rate inputs are exact time derivatives."""
 
     swing_command: Scalar = Quantity(
         "V",
@@ -102,31 +100,33 @@ class SwingInputs(Group):
         "Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8
     )
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5)
-    swing_speed: Scalar = Quantity("rad/s", "Swing speed", 1.0, rate="swing_acceleration")
+    swing_speed: Scalar = Quantity(
+        "rad/s", "Swing speed, counter-clockwise from above", 1.0, rate="swing_acceleration"
+    )
     swing_acceleration: Scalar = Quantity(
         "rad/s2", "Rate port: time derivative of swing_speed, may stay unconnected"
     )
 
 
 class SwingOutputs(SwingState):
-    """The state; torque and its rate for the mechanics; flows for the supply; and what a user looks at."""
+    """States, torque and its rate (to the mechanics), flows (to the supply), and monitoring outputs."""
 
     swing_torque: Scalar = Quantity("N.m", "Hydraulic torque on the swing column", 1e4)
     swing_torque_rate: Scalar = Quantity("N.m/s", "Rate port: exact time derivative of swing_torque", 1e5)
     supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply line", 1e-3)
-    return_flow: Scalar = Quantity("m3/s", "Flow given to the return line, with the case drain", 1e-3)
+    return_flow: Scalar = Quantity("m3/s", "Flow into the return line, with the case drain", 1e-3)
     swing_motor_pressure_a: Scalar = Quantity("Pa", "Pressure P_1 at motor port A", 1e7)
     swing_motor_pressure_b: Scalar = Quantity("Pa", "Pressure P_2 at motor port B", 1e7)
-    swing_drain_flow: Scalar = Quantity("m3/s", "External leakage of the motor to the drain", 1e-5)
+    swing_drain_flow: Scalar = Quantity("m3/s", "Case drain flow of the motor: external leakage", 1e-5)
     swing_void_volume: Scalar = chamber.cavity("the swing lines")
-    stored_energy: Scalar = Quantity("J", "Energy of compression and of the moving oil columns", 1e3)
-    dissipated_power: Scalar = Quantity("W", "Heat of metering edges, lines and leakage", 1e4)
+    stored_energy: Scalar = Quantity("J", "Energy of oil compression and of the moving oil columns", 1e3)
+    dissipated_power: Scalar = Quantity("W", "Power dissipated by metering edges, lines and leakage", 1e4)
 
 
 class DetailedSwingOutputs(SwingOutputs):
-    """With what happens at both ends of the lines and in the relief valves."""
+    """Outputs of every variant, and signals of spool, both ends of the lines and relief valves."""
 
-    swing_spool_position: Scalar = Quantity("1", "Spool position of the swing valve, share of its stroke")
+    swing_spool_position: Scalar = Quantity("1", "Spool position of the swing valve, relative to its stroke")
     swing_motor_flow_a: Scalar = Quantity("m3/s", "Flow from swing line A to the motor", 1e-3)
     swing_motor_flow_b: Scalar = Quantity("m3/s", "Flow from swing line B to the motor", 1e-3)
     swing_valve_pressure_a: Scalar = Quantity("Pa", "Pressure at port A of the swing valve", 1e7)
