@@ -56,6 +56,13 @@ def join_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
+def first_names(names: Iterable[str], limit: int = 4) -> str:
+    """The first names, each once, and the number of the others: `a, b, c, d and 3 more`."""
+    unique = list(dict.fromkeys(names))
+    more = f" and {len(unique) - limit} more" if len(unique) > limit else ""
+    return f"{', '.join(unique[:limit])}{more}"
+
+
 def sentences(*parts: str) -> str:
     """Join texts to sentences with capitals and full stops; empty texts are left out."""
     stripped = [part.strip().rstrip(".") for part in parts if part.strip()]

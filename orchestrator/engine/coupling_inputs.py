@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.base.text import first_names
 from orchestrator.engine.c_library import Binding, engine_h
 from orchestrator.engine.masters import Plan
 from orchestrator.engine.network import Network
@@ -84,7 +85,9 @@ class CouplingInputs:
             ],
         }
         return tuple(
-            f"{note}: {listed([names[i] for i in indices])}" for note, indices in notes.items() if indices
+            f"{note}: {first_names([names[i] for i in indices])}"
+            for note, indices in notes.items()
+            if indices
         )
 
     # ---- selection
@@ -203,13 +206,3 @@ class CouplingInputs:
             incoming = [c for c in self._network.connections if c.target.component == names[k]]
             held[k] = [c for c in incoming if c.source.component in before and c.target not in varying]
         return held
-
-
-MAX_NAMES = 4
-
-
-def listed(names: Iterable[str]) -> str:
-    """The first MAX_NAMES names, each once, and the number of further names."""
-    unique = list(dict.fromkeys(names))
-    more = f" and {len(unique) - MAX_NAMES} more" if len(unique) > MAX_NAMES else ""
-    return f"{', '.join(unique[:MAX_NAMES])}{more}"

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.text import first_names
 from orchestrator.engine.c_library import library
-from orchestrator.engine.coupling_inputs import CouplingInputs, listed
+from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import LinearPrediction
 from orchestrator.engine.masters import MASTERS
@@ -33,7 +34,7 @@ Opener = Callable[[Component], Slave]
 def open_slave(component: Component) -> Slave:
     """Instantiate the FMU of a component for Co-Simulation."""
     if component.source is None:
-        raise Problem(f"{component.name}: has no FMU file")
+        raise Problem(f"{component.name}: expected an FMU file, got none")
     from orchestrator.fmi.cosimulation import CoSimulationFmu
 
     return CoSimulationFmu(component.name, component.interface, component.source, component.start)
@@ -192,7 +193,7 @@ class Job:
         names = [name for name, c in self.system.components.items() if not c.interface.rollback]
         if self.coupling.adaptive is None or not names:
             return ()
-        cause = f"{listed(names)} cannot go back to a saved state"
+        cause = f"{first_names(names)} cannot go back to a saved state"
         return (f"adaptive steps with too large an error are not repeated: {cause}",)
 
     def _bonds(self, network: Network) -> list[Bond]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.text import first_names
 from orchestrator.base.units import factor_and_offset, parse
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
@@ -222,14 +223,9 @@ def _common(runs: Sequence[Run], reference: Run) -> list[str]:
     """The signals of the reference that all have."""
     common = [n for n in reference.trace.signals if all(n in run.trace.signals for run in runs)]
     if not common:
-        each = "; ".join(f"{r.file or r.label} has {_some(list(r.trace.signals))}" for r in runs)
+        each = "; ".join(f"{r.file or r.label} has {first_names(r.trace.signals, 3) or 'none'}" for r in runs)
         raise Problem(f"compare: expected signals that all have, got none: {each}")
     return common
-
-
-def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return f"{', '.join(names[:3]) or 'none'}{more}"
 
 
 def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str]) -> tuple[str, ...]:
@@ -237,7 +233,7 @@ def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str])
     wanted = tuple(patterns)
     for pattern in wanted:
         if not any(fnmatchcase(name, pattern) for name in common):
-            near = suggest(pattern, common) or f"; there are {_some(common)}"
+            near = suggest(pattern, common) or f"; there are {first_names(common, 3)}"
             raise Problem(f"compare: signals {pattern}: no signal that all have fits{near}")
     if wanted:
         return tuple(name for name in common if any(fnmatchcase(name, p) for p in wanted))
@@ -250,7 +246,7 @@ def _chosen(runs: Sequence[Run], common: Sequence[str], patterns: Iterable[str])
 def _notes(runs: Sequence[Run], common: Sequence[str]) -> tuple[str, ...]:
     everything = dict.fromkeys(name for run in runs for name in run.trace.signals)
     lost = [name for name in everything if name not in set(common)]
-    notes = [f"not in all traces, so left out: {_some(lost)}"] if lost else []
+    notes = [f"not in all traces, so left out: {first_names(lost, 3)}"] if lost else []
     early = [run.label for run in runs if run.facts and not run.facts.complete]
     notes += [f"ended early: {', '.join(early)}"] if early else []
     if not any(run.trace.units for run in runs):

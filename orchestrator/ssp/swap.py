@@ -17,11 +17,12 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.ssp.assembly import connectable_type, open_component
 from orchestrator.ssp.power_bonds import find_bonds
-from orchestrator.ssp.system import MAX_NAMES, Component, Connection, Port, System, coerce
+from orchestrator.ssp.system import Component, Connection, Port, System, coerce
 
 # suffix of a time derivative -> suffixes of the variable that it is the derivative of
 DERIVATIVE_SUFFIXES = {"_rate": ("",), "_acceleration": ("_velocity", "_speed")}
@@ -59,7 +60,7 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
         raise Problem(f"{context}: expected the name of a variant or a path that ends in {SUFFIX}")
     if system_file is None:
         raise Problem(
-            f"{context}: expected a path to an .fmu: the system has no file, so there is no folder of variants"
+            f"{context}: expected a path to an .fmu: the system has no file and no folder of variants"
         )
     folder, prefix = system_file.path.parent / FOLDER, f"{component.rpartition('.')[2]}_"
     file = folder / f"{prefix}{chosen}{SUFFIX}"
@@ -279,11 +280,12 @@ def _cut_advice(system: System, new: Component, faults: Iterable[str]) -> str:
 def _notes(old: Component, new: Component, dropped: list[str], without_unit: list[str]) -> Iterator[str]:
     if dropped:
         yield (
-            f"{new.source} has no {listed(dropped)}: without these rates inputs are held during a step,"
+            f"{new.source} has no {first_names(dropped)}: without these rates inputs are held during a step,"
             " which costs accuracy"
         )
     if without_unit:
-        yield f"{new.source} declares no unit for {listed(without_unit)}: taken as that of the replaced FMU"
+        names = first_names(without_unit)
+        yield f"{new.source} declares no unit for {names}: that of the replaced FMU is used"
     converted = [
         f"{v.name} in {v.unit}, not {before.unit}"
         for v in new.interface.variables.values()
@@ -293,9 +295,9 @@ def _notes(old: Component, new: Component, dropped: list[str], without_unit: lis
     ]
     additional = [v.name for v in new.interface.of("input") if v.name not in old.interface.variables]
     if additional:
-        yield f"{new.source} has additional inputs, {listed(additional)}: no wire feeds them"
+        yield f"{new.source} has additional inputs, {first_names(additional)}: no wire feeds them"
     if converted:
-        yield f"{new.source} has {listed(converted)}: converted; given values stay in the latter"
+        yield f"{new.source} has {first_names(converted)}: converted; given values stay in the latter"
 
 
 def _differ(old: DeclaredUnit, new: DeclaredUnit) -> bool:
@@ -319,18 +321,12 @@ def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], lis
             start[name] = coerce(context, variable, value, linear)
     notes = []
     if missing:
-        notes.append(f"{new.source} has no {listed(missing)}: the start values of the system are left out")
+        notes.append(f"{new.source} has no {first_names(missing)}: start values of the system are left out")
     if fixed:
         notes.append(
-            f"{new.source} determines {listed(fixed)} itself: the start values of the system are left out"
+            f"{new.source} determines {first_names(fixed)} itself: start values of the system are left out"
         )
     return start, notes
-
-
-def listed(names: list[str]) -> str:
-    """The first MAX_NAMES names, and the number of further names."""
-    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    return f"{', '.join(names[:MAX_NAMES])}{more}"
 
 
 def missing_after_swap(system: System) -> Mapping[str, str]:

@@ -131,9 +131,7 @@ def test_units_that_the_fmu_does_not_state_are_assumed(fmus, oscillator):
     """Those of the replaced FMU, with a note; the signals keep them."""
     bare = edited(fmus["mass_b"], "bare", (r' unit="[^"]*"', ""), ("<UnitDef.*UnitDefinitions>", ""))
     result = run(oscillator, step=1e-3, stop=0.1, swap={"b": bare})
-    assert result.card.notes[1] == (
-        f"{bare} declares no unit for force, x: taken as that of the replaced FMU"
-    )
+    assert result.card.notes[1] == (f"{bare} declares no unit for force, x: that of the replaced FMU is used")
     assert result.trace.units["b.force"] == "N"
 
 
@@ -241,7 +239,7 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     plain = edited(fmus["gain"], "plain", renamed("offset"))
     result = run(bench, step=0.5, stop=1.0, swap={"g": plain}, parameters=["high"], set={"command": 1.0})
     np.testing.assert_array_equal(result.trace["result"], 3.0)
-    assert f"{plain} has no offset: the start values of the system are left out" in result.card.notes
+    assert f"{plain} has no offset: start values of the system are left out" in result.card.notes
     note = "build/harvester.ssp/resources/high.ssv: g.offset is left out: "
     assert any(n.startswith(note) for n in result.card.notes)
     with pytest.raises(Problem, match=r"unknown variable 'g.offset'"):
@@ -255,7 +253,7 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
         ),
     )
     told = str(run(bench, step=0.5, stop=1.0, swap={"g": computed}, parameters=["high"]).card.notes)
-    assert f"{computed} determines offset itself: the start values of the system are left out" in told
+    assert f"{computed} determines offset itself: start values of the system are left out" in told
     assert f"high.ssv: g.offset is left out: {computed} determines it itself" in told
 
 
@@ -373,7 +371,7 @@ def test_the_command_line_swaps(capsys):
             "g=x.fmu",
             "harvester: swap g: x.fmu does not fit: expected input u [m], got none; expected output y ",
         ),
-        ("g=fine --swap g=coarse", "harvester: --swap g=coarse: g is fine already, expected one value"),
+        ("g=fine --swap g=coarse", "harvester: --swap g=coarse: expected one value of g, got fine as well"),
     ],
 )
 def test_mistakes_of_a_swap_are_one_line(capsys, fmus, swap, message):
