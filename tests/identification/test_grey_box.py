@@ -101,7 +101,7 @@ def test_parameters_are_those_of_the_series(told):
 
 
 def test_bad_samples_are_masked(told):
-    """The 8 samples that the logger missed and those at the transducer's end do not count."""
+    """The 8 missing samples and those at the transducer's end have no weight."""
     pressure = np.loadtxt(CRANE)[:, 1]
     found = re.search(r"^(\d+) samples masked", told, re.MULTILINE)
     assert found is not None
@@ -120,14 +120,14 @@ def test_matlab_file_gives_the_same(folder, told):
 
 
 def test_columns_by_place(folder, told):
-    """A file with other columns, whose places are given, leads to the same output."""
+    """A file with more columns, selected by index, leads to the same output."""
     command, pressure = np.loadtxt(CRANE).T
     np.savetxt(folder / "three.csv", np.column_stack([pressure, 0 * command, command]), "%.6f", ",")
     assert printed(folder, str(folder / "three.csv"), "2", "0") == told
 
 
 def test_names_and_decimal_commas(folder, told):
-    """A table as a German office writes it leads to the same output; the picture goes where it is told."""
+    """A table with names and decimal commas leads to the same output; the picture has the given name."""
     rows = [";".join(f"{v:.6f}" for v in row) for row in np.loadtxt(CRANE)]
     text = "\n".join(["Stellsignal;Druck", *rows]).replace(".", ",")
     (folder / "office.csv").write_text(text, encoding="utf-8")
@@ -138,7 +138,7 @@ def test_names_and_decimal_commas(folder, told):
 
 
 def test_a_model_that_does_not_fit_says_so(folder, told):
-    """Noise instead of a pressure: open intervals, and a line that doubts the columns; not for the crane."""
+    """Noise instead of a pressure: open intervals and a line that doubts the columns; not for the crane."""
     noise = np.random.default_rng(1).standard_normal(400)
     np.savetxt(folder / "noise.txt", np.column_stack([np.sin(0.1 * np.arange(400)), noise]), "%.4f")
     found = printed(folder, str(folder / "noise.txt"))
@@ -163,7 +163,7 @@ def test_a_model_that_does_not_fit_says_so(folder, told):
     ],
 )
 def test_bad_file_is_told_in_one_line(folder, name, content, expected):
-    """The script ends with file, place, what was expected and what was found, without a traceback."""
+    """The script ends with file, line, what was expected and what was read, without a traceback."""
     (folder / name).write_text(content)
     with pytest.raises(SystemExit) as ended:
         printed(folder, str(folder / name))
@@ -174,7 +174,7 @@ def test_bad_file_is_told_in_one_line(folder, name, content, expected):
 
 
 def test_signals_in_their_peaks(tmp_path):
-    """Each signal reaches 1; one that goes against the first is turned round and its peak is negative."""
+    """Each signal reaches 1; one opposed to the first is inverted, and its peak is negative."""
     (tmp_path / "a.txt").write_text("1 -20\n-2 40\n0 nan\n")
     scaled, peaks = normalised(read_series(tmp_path / "a.txt", {"command": 0, "pressure": 1}))
     assert peaks == {"command": 2.0, "pressure": -40.0}
@@ -182,7 +182,7 @@ def test_signals_in_their_peaks(tmp_path):
 
 
 def test_unitless_subsystem():
-    """Equations by names become a subsystem: a decay towards an input, from that input."""
+    """Equations by name become a subsystem: a lag behind an input that starts at the input."""
     model = dimensionless(
         "lag", {"time": 2.0}, ["u"], ["x"], lambda x, u, p: {"x": (u.u - x.x) / p.time}, {"x": "u"}
     )
@@ -194,7 +194,7 @@ def test_unitless_subsystem():
 
 
 def test_unitless_mistakes():
-    """A parameter that is not positive and a rate that is missing are told in one line."""
+    """A parameter that is not positive and a missing rate are refused with one line."""
 
     def rates(x, u, _):
         return {"x": u.u - x.x}

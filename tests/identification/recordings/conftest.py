@@ -1,4 +1,4 @@
-"""A recording as a logger writes it, in a folder, and one made in memory."""
+"""A recording in a folder as a logger writes it, and one in memory."""
 
 from pathlib import Path
 
@@ -42,7 +42,7 @@ dead_zone = 10.0
 
 @pytest.fixture
 def columns() -> dict[str, np.ndarray]:
-    """Raw columns of META, with one gap: 40 samples at 200 Hz."""
+    """Raw columns of META with one gap: 40 samples at 200 Hz."""
     k = np.arange(40)
     pressure = 2.5 + 0.1 * np.sin(0.3 * k)
     pressure[7] = np.nan
@@ -50,7 +50,7 @@ def columns() -> dict[str, np.ndarray]:
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
-    """Columns as a logger writes them; a gap is an empty cell."""
+    """Write columns like a logger, a gap as an empty cell."""
     rows = zip(*columns.values(), strict=True)
     lines = [",".join("" if np.isnan(v) else repr(float(v)) for v in row) for row in rows]
     path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
@@ -59,13 +59,13 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
 
 @pytest.fixture
 def csv(tmp_path, columns) -> Path:
-    """The columns as a CSV file with its meta file."""
+    """The columns as a CSV file with its description."""
     (tmp_path / "a.toml").write_text(META, encoding="utf-8")
     return write_csv(tmp_path / "a.csv", columns)
 
 
 def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **signals) -> Recording:
-    """A recording in memory, all signals without a unit."""
+    """A recording in memory; no signal has a unit."""
     n = len(next(iter(signals.values())))
     return Recording(
         source=Path("memory.csv"),
@@ -82,5 +82,5 @@ def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **si
 
 @pytest.fixture(name="recording", scope="session")
 def made():
-    """The function that makes a recording in memory."""
+    """The function that returns a recording in memory."""
     return recording

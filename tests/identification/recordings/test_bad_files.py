@@ -1,4 +1,4 @@
-"""A bad file gets one line that names file, row and column, what was expected and what was found."""
+"""The message for a bad file is one line with file, row and column, what was expected and what was read."""
 
 import re
 
@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem
 
 
 def refused(path, *parts):
-    """Reading fails with one line that has all the parts in order."""
+    """Reading fails with a message of one line that contains all parts in order."""
     with pytest.raises(Problem) as caught:
         read(path)
     message = str(caught.value)
@@ -44,7 +44,7 @@ def lines(csv, number, text):
     ],
 )
 def test_bad_line_of_a_csv_is_named(csv, line, parts):
-    """The line is counted as an editor counts it, blank lines included."""
+    """Lines are counted as in an editor, blank lines included."""
     lines(csv, 6, line)
     refused(csv, "a.csv", *parts)
     lines(csv, 3, "\n" + csv.read_text(encoding="utf-8").splitlines()[2])
@@ -52,7 +52,7 @@ def test_bad_line_of_a_csv_is_named(csv, line, parts):
 
 
 def test_bad_files_of_text(csv):
-    """Wrong names, wrong encoding, nothing in it."""
+    """Wrong names, wrong encoding, an empty file."""
     good = csv.read_text(encoding="utf-8")
     csv.write_text(good.replace("P1", "P2", 1), encoding="utf-8")
     refused(csv, "a.csv", "column 'P1' expected, got t, U, P2")
@@ -72,7 +72,7 @@ def test_bad_files_of_text(csv):
 
 
 def test_marks_that_cannot_be_told_apart(csv):
-    """A decimal comma needs another delimiter: where the one that was found is from, and what to do."""
+    """A decimal comma needs another delimiter: the message contains its origin and a remedy."""
     meta = csv.with_suffix(".toml")
     good = meta.read_text(encoding="utf-8")
     for told, found in (("", "','"), ('delimiter = ","', "','")):
@@ -89,7 +89,7 @@ def test_marks_that_cannot_be_told_apart(csv):
 
 
 def test_the_message_on_a_wrong_dimension_has_the_word_of_the_file(csv):
-    """A flow in lpm3: the reader looks for that word, not for the SI unit that it became."""
+    """The message on a flow in lpm3 contains the unit of the file, not only the SI unit."""
     meta = csv.with_suffix(".toml")
     meta.write_text(meta.read_text(encoding="utf-8").replace("L/min", "lpm3"), encoding="utf-8")
     with pytest.raises(Problem, match=r"signal flow is in lpm3 \(m9/s3\), expected m3/s"):
@@ -166,7 +166,7 @@ def test_bad_mat(csv, columns):
     ],
 )
 def test_bad_meta_file_is_named_with_what_is_known(csv, old, new, parts):
-    """A misspelt key cannot be lost, a wrong value is named with what it should be."""
+    """A misspelt key and a wrong value are refused with the allowed keys or values."""
     meta = csv.with_suffix(".toml")
     text = meta.read_text(encoding="utf-8")
     assert old in text
@@ -175,7 +175,7 @@ def test_bad_meta_file_is_named_with_what_is_known(csv, old, new, parts):
 
 
 def test_files_that_are_not_there(csv):
-    """A path that cannot be read says what was expected there."""
+    """The message on a path that cannot be read says what kind of file was expected."""
     refused(csv.with_name("b.csv"), "b.csv", "got no such file")
     refused(csv.with_name("a.xlsx"), "a.xlsx", ".csv, .parquet, .mat or .toml file, got no such file")
     refused(csv.parent.with_suffix(".csv"), "got no such file")

@@ -1,4 +1,4 @@
-"""A delay that is put in is found, to a fraction of a sample; a shift takes it out."""
+"""The delay of a delayed signal is estimated to a fraction of a sample, and a shift removes it."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from orchestrator.base.errors import Problem
 
 
 def motion(t):
-    """Something that moves as a machine does: sums of sines up to 8 Hz that do not repeat."""
+    """A signal like the motion of a machine: sums of sines up to 8 Hz that do not repeat."""
     return sum(np.sin(2 * np.pi * f * t + 3 * f) / f for f in (0.37, 1.13, 2.9, 5.1, 8.3))
 
 
@@ -23,7 +23,7 @@ def motion(t):
 )
 @example(seconds=0.0, gain=1.0, offset=0.0, gap=1)  # one sample before the gap
 def test_delay_of_a_moved_signal_is_found(recording, seconds, gain, offset, gap):
-    """Whatever gain, offset and gap: the delay that the function was evaluated with comes back."""
+    """The estimate is the true delay for any gain, offset and gap."""
     t = np.arange(1000) / 200
     first, second = motion(t), gain * motion(t - seconds) + offset
     first[gap : gap + 20] = np.nan
@@ -34,7 +34,7 @@ def test_delay_of_a_moved_signal_is_found(recording, seconds, gain, offset, gap)
 
 
 def test_standard_deviation_of_a_delay_is_that_of_many_trials(recording):
-    """With white noise on the second signal, delays scatter as stated."""
+    """With white noise on the second signal, the estimates scatter by the reported standard deviation."""
     rng = np.random.default_rng(1)
     t = np.arange(600) / 200
     trials = [
@@ -50,7 +50,7 @@ def test_standard_deviation_of_a_delay_is_that_of_many_trials(recording):
 
 
 def test_shift_takes_a_delay_out(recording):
-    """A signal moved by its delay is the one it was made from; what comes from outside is a gap."""
+    """A signal shifted by its delay is the original; samples from outside the recording are gaps."""
     t = np.arange(1000) / 200
     late = motion(t - 0.0233)
     late[500] = np.nan
@@ -63,7 +63,7 @@ def test_shift_takes_a_delay_out(recording):
 
 
 def test_shift_of_a_command_is_a_shift_of_its_steps(recording):
-    """A held command keeps its values; by whole samples every kind is exact."""
+    """A held command keeps its values; a shift by whole samples is exact with every interpolation."""
     made = recording(u=np.repeat([0.0, 2.0, -1.0], 20))
     held = shift(made, "u", 0.0125, "previous")["u"]
     assert np.array_equal(held[:-3], made["u"][2:-1])

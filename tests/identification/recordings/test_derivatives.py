@@ -1,4 +1,4 @@
-"""The derivative filter is exact for polynomials, and its noise is what it says."""
+"""The derivative filter is exact for polynomials, and its noise is the computed one."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from orchestrator.data.recording import Sensor
     samples=st.integers(3, 30),
 )
 def test_polynomials_up_to_the_degree_pass_exactly(coefficients, rate, samples):
-    """Value, slope and curvature of a cubic are its own, whatever rate and window."""
+    """Value, slope and curvature of a cubic are exact for any rate and window."""
     t = np.arange(4 * samples) / rate
     cubic = np.polynomial.Polynomial(coefficients)
     used = SavitzkyGolay(rate, 2 * samples / rate, 3)
@@ -36,7 +36,7 @@ def test_polynomials_up_to_the_degree_pass_exactly(coefficients, rate, samples):
 @examples(15)
 @given(window=st.floats(0.03, 0.5), degree=st.integers(2, 4), seed=st.integers(0, 2**31))
 def test_gain_is_the_noise_of_a_simulation(window, degree, seed):
-    """White noise of standard deviation 1 leaves the filter with the standard deviation it states."""
+    """White noise with standard deviation 1 has the standard deviation `gain` after the filter."""
     used = SavitzkyGolay(200.0, window, degree)
     samples = np.random.default_rng(seed).normal(size=40 * 1000 + used.size)
     for order in range(3):
@@ -47,7 +47,7 @@ def test_gain_is_the_noise_of_a_simulation(window, degree, seed):
 
 
 def test_covariance_of_value_and_derivatives_is_that_of_a_simulation():
-    """Covariance between orders and over a lag, for corrections of errors in variables."""
+    """The covariance between orders and over a lag agrees with simulated noise."""
     used = SavitzkyGolay(200.0, 0.05, 3)
     samples = np.random.default_rng(1).normal(size=400_000)
     orders = [used.apply(samples, order)[5:-5] for order in range(3)]
@@ -60,7 +60,7 @@ def test_covariance_of_value_and_derivatives_is_that_of_a_simulation():
 
 
 def test_window_with_a_gap_gives_a_gap(recording):
-    """Every window that holds a missing sample is missing, no other one; so are both ends."""
+    """The result is missing for each window with a missing sample and at both ends, and nowhere else."""
     values = np.sin(np.arange(200) / 20)
     values[100] = np.nan
     used = filter_for(recording(x=values), 0.05)
@@ -71,7 +71,7 @@ def test_window_with_a_gap_gives_a_gap(recording):
 
 
 def test_derivatives_of_a_signal_have_its_sensors_noise(recording):
-    """A noisy ramp: what is left of the noise in the slope is what is stated."""
+    """The slope of a noisy ramp scatters by the reported standard deviation."""
     rng = np.random.default_rng(2)
     n, sensor = 20_000, Sensor(noise=0.02, resolution=0.02)
     ramp = 0.7 * np.arange(n) / 200

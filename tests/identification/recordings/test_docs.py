@@ -1,4 +1,4 @@
-"""docs/recordings.md shows what can be read."""
+"""The examples and tables of docs/recordings.md agree with the code."""
 
 import re
 from importlib import import_module
@@ -15,7 +15,7 @@ TEXT = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text(encoding
 
 
 def test_the_example_of_the_docs_is_read(tmp_path):
-    """The meta file in the text, beside the columns that it names."""
+    """The description in the text is read with the columns that it names."""
     (example,) = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
     (tmp_path / "valve_pa.toml").write_text(example, encoding="utf-8")
     (tmp_path / "valve_pa.csv").write_text("t,U,P1,P2,Q\n0,1,2,3,4\n5,1,2,3,4\n", encoding="utf-8")
@@ -25,7 +25,7 @@ def test_the_example_of_the_docs_is_read(tmp_path):
 
 
 def test_every_procedure_and_function_of_the_docs_exists():
-    """Procedures, keys of a signal and functions that the text names are those of the code."""
+    """All procedures and functions in the text exist."""
     assert all(f"`{name}`" in TEXT for name in KNOWN)
     rows = re.findall(r"^\| `(\w+)` \| (`[a-z_A-Z`, ]+) \| ", TEXT[TEXT.index("## Signals") :], re.MULTILINE)
     assert len(rows) == 6
@@ -35,7 +35,7 @@ def test_every_procedure_and_function_of_the_docs_exists():
 
 
 def test_the_table_of_experiments_is_that_of_the_code():
-    """Each row names the signals and conditions that the procedure reads; the machine's names exist."""
+    """Each row lists the signals and conditions of the procedure; the signals of the machine exist."""
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", TEXT[TEXT.index("## Experiments") :], re.MULTILINE))
     for procedure, conditions in CONDITIONS.items():
         assert all(

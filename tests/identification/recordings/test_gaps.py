@@ -1,4 +1,4 @@
-"""What a simulation needs at every sample: short gaps are bridged, long ones refused, clocks made uniform."""
+"""Signals for simulation: short gaps are filled, long gaps refused, clocks resampled to uniform ones."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from orchestrator.data.recording import Sensor, fill_gaps
 
 
 def test_short_gaps_are_bridged_by_straight_lines(recording):
-    """A ramp with gaps of up to 0.1 s is the ramp again; before its first sample a signal keeps its value."""
+    """A ramp with gaps of up to 0.1 s is the ramp again; before its first sample a signal is constant."""
     ramp = np.arange(200.0)
     holes = ramp.copy()
     holes[[50, *range(100, 119)]] = np.nan
@@ -23,7 +23,7 @@ def test_short_gaps_are_bridged_by_straight_lines(recording):
 
 
 def test_a_long_gap_is_refused_with_its_time(recording):
-    """What a lever did in half a second is not guessed."""
+    """The motion of a lever over half a second is not interpolated."""
     holes = np.ones(400)
     holes[100:200] = np.nan
     with pytest.raises(Problem, match=r"u: expected gaps of at most 0\.1 s, got one from 0\.5 s to 0\.995 s"):
@@ -33,13 +33,13 @@ def test_a_long_gap_is_refused_with_its_time(recording):
 
 
 def test_a_uniform_clock_is_left_alone(recording):
-    """Nothing is interpolated where nothing has to be."""
+    """A recording with a uniform clock is returned unchanged."""
     made = recording(u=np.arange(10.0))
     assert resample_uniformly(made) is made
 
 
 def test_lost_rows_become_gaps(recording):
-    """Half a second of rows that the logger lost: a uniform clock, no value inside, the others unchanged."""
+    """Half a second of lost rows: a uniform clock with gaps, and the other samples unchanged."""
     made = recording(u=np.arange(400.0))
     rows = np.r_[0:100, 200:400]
     found = resample_uniformly(take(made, rows))
@@ -50,7 +50,7 @@ def test_lost_rows_become_gaps(recording):
 
 
 def test_jitter_is_taken_off(recording):
-    """Stamps that are late by up to a fifth of a period: a line over true time is one over the new clock."""
+    """With time stamps up to a fifth of a period late, a line over true time is a line over the new clock."""
     made = recording(u=np.zeros(400))
     late = np.random.default_rng(2).uniform(0, 0.2, 400) / 200
     time = made.time + late
@@ -60,7 +60,7 @@ def test_jitter_is_taken_off(recording):
 
 
 def test_a_fast_recording_is_thinned(recording):
-    """From 5 kHz to 500 Hz: commands are held, the rest is filtered, its noise is told."""
+    """From 5 kHz to 500 Hz: commands are held, other signals filtered, the noise of the sensor is reduced."""
     rng = np.random.default_rng(4)
     t = np.arange(20_000) / 5000
     noisy = np.sin(2 * np.pi * t) + rng.normal(0, 0.1, t.size)
@@ -77,7 +77,7 @@ def test_a_fast_recording_is_thinned(recording):
 
 
 def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
-    """A count of 1 and a turn of 20 counts in 4 s: the error that is told is the one that is left."""
+    """A step of 1 and a turn of 20 steps in 4 s: the reported error is the remaining error."""
     t = np.arange(20_000) / 5000
     true = 5.0 * t
     made = recording(rate=5000.0, sensors={"x": Sensor(resolution=1.0)}, x=np.round(true))

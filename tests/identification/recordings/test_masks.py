@@ -1,4 +1,4 @@
-"""Which samples are used, where a command stands still, and what an average over that is worth."""
+"""Masks of good samples, intervals with a constant command, and averages over them."""
 
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ from orchestrator.data.recording import Sensor
 
 
 def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
-    """Each reason not to use a sample counts by itself."""
+    """Each reason against a sample is enough to exclude it."""
     values = [np.nan, -20.0, 20.0, 5.0, -5.0, 0.0, 5.1, 12.0]
     made = recording(q=values, u=np.arange(8.0), sensors={"q": Sensor(low=-20, high=20, dead_zone=5)})
     expected = [False, False, False, False, False, False, True, True]
@@ -31,7 +31,7 @@ def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
     shortest=st.integers(0, 20),
 )
 def test_steady_stretches_are_those_of_the_steps(recording, lengths, settle, shortest):
-    """A stepped command falls into its steps, each without its settling time, short ones left out."""
+    """The intervals of a stepped command are its steps without settling time; short ones are left out."""
     levels = np.arange(len(lengths)) % 3 * 1.5
     starts = np.concatenate(([0], np.cumsum(lengths))).tolist()
     expected = [
@@ -43,7 +43,7 @@ def test_steady_stretches_are_those_of_the_steps(recording, lengths, settle, sho
 
 
 def test_steady_stretches_of_a_measured_command(recording):
-    """Noise of the sensor does not end a stretch; a slow ramp and a gap do."""
+    """Sensor noise does not end an interval; a slow ramp and a gap do."""
     rng = np.random.default_rng(1)
     u = np.concatenate([np.zeros(200), np.linspace(0, 2, 200), np.full(200, 2.0)]) + rng.normal(0, 0.005, 600)
     u[500] = np.nan
@@ -57,7 +57,7 @@ def test_steady_stretches_of_a_measured_command(recording):
 
 
 def test_averages_of_good_samples_over_stretches(recording):
-    """Means over the good samples; too few of them give no mean."""
+    """Means use the good samples; with too few of them there is no mean."""
     values = np.concatenate([np.full(100, 1.0), np.full(100, 3.0)])
     values[:30], values[100:160] = np.nan, 900.0
     made = recording(x=values, sensors={"x": Sensor(high=900.0)})
@@ -72,7 +72,7 @@ def test_averages_of_good_samples_over_stretches(recording):
 
 @pytest.mark.parametrize("memory", [0.0, 0.9, -0.5])
 def test_standard_error_counts_correlated_samples_for_what_they_are_worth(memory):
-    """The stated error is the scatter of means over many runs of a first-order process."""
+    """The standard error is the scatter of means over many runs of a first-order process."""
     rng = np.random.default_rng(2)
     pushes = rng.normal(size=(400, 1200))
     x = scipy.signal.lfilter([1.0], [1.0, -memory], pushes, axis=1)[:, 200:]
@@ -82,13 +82,13 @@ def test_standard_error_counts_correlated_samples_for_what_they_are_worth(memory
 
 
 def test_standard_error_of_a_reading_that_does_not_leave_its_step():
-    """A converter's step is not averaged away if the noise does not reach the next one."""
+    """The quantisation error remains if the noise does not reach the next step."""
     assert standard_error(np.full(100, 3.0), 0.1) == pytest.approx(0.1 / np.sqrt(12))
     assert standard_error(np.full(100, 3.0)) == 0.0
 
 
 def test_parts_of_a_recording_keep_everything_else(recording):
-    """Splitting loses no sample and no instrument; a window is half open; what is added has its unit."""
+    """Splitting keeps all samples and instruments; a window is half open; an added signal has its unit."""
     sensor = Sensor(noise=1.0)
     made = recording(x=np.arange(100.0), sensors={"x": sensor})
     first, second = split(made, 0.2)

@@ -1,4 +1,4 @@
-"""Each fault that is planted is found, and where; nothing is found on a clean recording."""
+"""Each planted fault is reported with its position, and a clean recording has no remarks."""
 
 import math
 from dataclasses import replace
@@ -23,7 +23,7 @@ def rounded(values, resolution):
 
 @pytest.fixture
 def clean(recording):
-    """A machine that rests, moves and holds, by three instruments and a command that is known exactly."""
+    """A machine that rests, moves and holds, measured by three instruments, with an exact command."""
     rng = np.random.default_rng(3)
     t = np.arange(SIZE) / RATE
     swing = np.where((t > 1) & (t < 16), np.sin(2 * np.pi * 0.2 * (t - 1)), 0.0)
@@ -43,7 +43,7 @@ def plant(made, name, values, where):
 
 
 def test_nothing_is_found_on_a_clean_recording(clean):
-    """Rest, steps of a command, an encoder that stands and a meter at zero are no faults."""
+    """Rest, steps of a command, a constant encoder and a meter at zero are not faults."""
     found = examine(clean)
     # the dead zone is not a fault, but what is not used is said
     assert [text for text in found.remarks() if "dead zone" not in text] == []
@@ -55,20 +55,20 @@ def test_nothing_is_found_on_a_clean_recording(clean):
 
 
 def said(made, name):
-    """The remarks on one signal (or "The clock"), without that on its dead zone."""
+    """The remarks on one signal (or "The clock"), except the one on its dead zone."""
     texts = [text for text in examine(made).remarks() if text.startswith(f"{name}:")]
     return [text for text in texts if "dead zone" not in text]
 
 
 def test_gaps_are_found_with_time_and_length(clean):
-    """Samples without a value: how many, in how many parts, when, how long."""
+    """Missing samples are reported with number, intervals, time and length."""
     made = plant(plant(clean, "pressure", np.nan, slice(1000, 1040)), "pressure", np.nan, [2000])
     (text,) = said(made, "pressure")
     assert text == "pressure: 41 samples (1 %; in 2 parts, first at 5 s, longest 0.2 s) without a sample."
 
 
 def test_clipping_at_the_end_of_the_range(clean):
-    """A sensor of less range than its signal: all samples at its end are found, and no others."""
+    """If the range of a sensor is too small, exactly the samples at its end are clipped."""
     top = 200.0
     made = replace(clean, sensors={**clean.sensors, "pressure": replace(GAUGE, high=top)})
     made = plant(made, "pressure", np.minimum(made["pressure"], top), slice(None))
@@ -78,7 +78,7 @@ def test_clipping_at_the_end_of_the_range(clean):
 
 
 def test_clipping_that_the_range_does_not_tell(clean):
-    """An amplifier that saturates below the range: its signal stays at its own extreme in spite of noise."""
+    """An amplifier saturates below the range: its signal stays at its own extreme in spite of noise."""
     made = plant(clean, "pressure", np.maximum(clean["pressure"], 100.0), slice(None))
     found = clipped(made["pressure"], GAUGE)
     assert np.array_equal(found, made["pressure"] == 100.0)
@@ -97,7 +97,7 @@ def test_stuck_value(clean):
 
 
 def test_noise_and_steps_other_than_told(clean):
-    """A sensor with three times its noise, one with fewer bits, one with more bits than told."""
+    """A sensor with three times the stated noise, one with fewer bits, one with more bits than stated."""
     rng = np.random.default_rng(4)
     loud = plant(clean, "pressure", clean["pressure"] + rng.normal(0, 0.3, SIZE), slice(None))
     (text,) = said(loud, "pressure")
@@ -121,7 +121,7 @@ def test_signal_that_does_not_move(clean):
 
 
 def test_missing_samples_of_the_clock(clean):
-    """Samples that the logger lost: the count, and where the longest interval is."""
+    """Samples lost by the logger are reported with their number and the longest interval."""
     kept = np.ones(SIZE, dtype=bool)
     kept[[500, 501, 502, 2500]] = False
     signals = {name: values[kept] for name, values in clean.signals.items()}
@@ -132,7 +132,7 @@ def test_missing_samples_of_the_clock(clean):
 
 
 def test_jitter_of_the_clock(clean):
-    """Stamps by a computer that is late now and then; the size is found."""
+    """Jitter of a computer that is late at times is estimated."""
     rng = np.random.default_rng(5)
     made = replace(clean, time=clean.time + rng.normal(0, 0.0005, SIZE))
     assert ["jitter" in text for text in said(made, "The clock")] == [True]
@@ -141,7 +141,7 @@ def test_jitter_of_the_clock(clean):
 
 
 def test_drift_of_the_clock(clean):
-    """A clock that gets 0.4 % slower from start to end."""
+    """The interval of the clock changes by 0.4 % from start to end."""
     x = np.arange(SIZE) / SIZE
     made = replace(clean, time=SIZE / RATE * (x + 0.002 * x**2))
     (text,) = said(made, "The clock")
@@ -151,7 +151,7 @@ def test_drift_of_the_clock(clean):
 
 
 def twice(made, rows):
-    """Rows that repeat the row before."""
+    """A recording in which rows repeat the row before."""
     signals = {name: values.copy() for name, values in made.signals.items()}
     for values in signals.values():
         values[rows] = values[np.array(rows) - 1]
@@ -172,7 +172,7 @@ def test_rows_written_twice(clean):
 
 
 def test_stamps_that_follow_too_soon(clean):
-    """A stamp right after another one is one sample written twice."""
+    """Two time stamps in quick succession belong to one sample that was written twice."""
     soon = clean.time.copy()
     soon[[10, 20]] = soon[[9, 19]] + 0.0005
     texts = said(replace(clean, time=soon), "The clock")
@@ -181,7 +181,7 @@ def test_stamps_that_follow_too_soon(clean):
 
 @pytest.mark.parametrize("sd", [0.02, 0.1, 1.0])
 def test_noise_is_estimated_behind_motion(sd):
-    """The noise of a signal that swings at 5 Hz is found from the data alone."""
+    """The noise of a signal that oscillates at 5 Hz is estimated from the samples alone."""
     rng = np.random.default_rng(6)
     t = np.arange(SIZE) / RATE
     values = 20 * np.sin(2 * np.pi * t) + np.sin(2 * np.pi * 5 * t) + rng.normal(0, sd, SIZE)
@@ -190,7 +190,7 @@ def test_noise_is_estimated_behind_motion(sd):
 
 
 def test_step_is_estimated_exactly_and_only_if_there_is_one():
-    """Values of a converter, written with four digits, give its step; others give 0."""
+    """Values of a converter, written with four digits, have its step; other values have the step 0."""
     rng = np.random.default_rng(7)
     values = 100 * np.sin(np.arange(SIZE) / 50) + rng.normal(0, 0.3, SIZE)
     written = np.round(rounded(values, 600 / 4096), 4)
@@ -211,7 +211,7 @@ def test_step_is_estimated_exactly_and_only_if_there_is_one():
     ],
 )
 def test_a_unit_that_cannot_be_is_asked_for(clean, unit, factor, told):
-    """150 of a quantity that is never that large or small; the right unit, and zero, raise no question."""
+    """A remark on 150 of a quantity that is never that large or small; none on the right unit and on zero."""
     made = replace(clean, units={**clean.units, "pressure": unit})
     texts = said(plant(made, "pressure", factor * clean["pressure"], slice(None)), "pressure")
     (text,) = [text for text in texts if "is its unit right?" in text]
@@ -223,6 +223,6 @@ def test_a_unit_that_cannot_be_is_asked_for(clean, unit, factor, told):
 
 
 def test_a_clock_in_milliseconds_is_asked_for(clean):
-    """Time in ms told as s: 0.2 Hz."""
+    """Time in ms declared as s: a remark on 0.2 Hz."""
     made = replace(clean, time=1000 * clean.time)
     assert any("0.2 Hz" in text and "unit of time" in text for text in examine(made).remarks())

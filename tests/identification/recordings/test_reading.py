@@ -1,4 +1,4 @@
-"""A recording is read alike from every kind of file, in SI, with all that its meta file says."""
+"""Every file format gives the same recording, in SI, with all entries of its description."""
 
 import math
 from dataclasses import replace
@@ -14,22 +14,22 @@ from orchestrator.base.errors import Problem
 
 
 def parquet(path, columns):
-    """As pandas writes it: a NaN becomes a null."""
+    """A Parquet file written by pandas: NaN becomes null."""
     pd.DataFrame(columns).to_parquet(path)
 
 
 def mat_5(path, columns):
-    """As MATLAB writes it up to version 7.2: vectors are columns of a matrix with one column."""
+    """A MATLAB file up to version 7.2: vectors are matrices with one column."""
     scipy.io.savemat(path, {name: values[:, None] for name, values in columns.items()})
 
 
 def mat_4(path, columns):
-    """As MATLAB 4 wrote it."""
+    """A file of MATLAB 4."""
     scipy.io.savemat(path, columns, format="4")
 
 
 def mat_73(path, columns):
-    """As MATLAB writes version 7.3: HDF5 behind 512 bytes of its own, dimensions the other way round."""
+    """A MATLAB file of version 7.3: HDF5 after a header of 512 bytes, dimensions reversed."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in columns.items():
             file[name] = values[None, :]
@@ -37,7 +37,7 @@ def mat_73(path, columns):
 
 
 def same(one, other):
-    """Whether two recordings hold the same; the file's name may differ."""
+    """Compare two recordings except for the names of their files."""
     np.testing.assert_array_equal(one.time, other.time)
     for name in one.signals:
         np.testing.assert_array_equal(one[name], other[name])
@@ -65,7 +65,7 @@ def test_values_are_si_and_all_that_is_told_is_there(csv, columns):
 
 @pytest.mark.parametrize("write", [parquet, mat_5, mat_4, mat_73])
 def test_every_kind_of_file_gives_the_same_recording(csv, columns, write):
-    """CSV, Parquet and MATLAB files of the same columns are the same recording, bit by bit."""
+    """CSV, Parquet and MATLAB files with the same columns give bit-identical recordings."""
     expected = read(csv)
     other = csv.with_suffix(".parquet" if write is parquet else ".mat")
     write(other, columns)
@@ -75,7 +75,7 @@ def test_every_kind_of_file_gives_the_same_recording(csv, columns, write):
 
 
 def test_columns_of_matlab_structs_and_matrices(csv, columns):
-    """A column may be a field of a struct or a column of a matrix, in both versions of MATLAB's files."""
+    """A column may be a field of a struct or a column of a matrix, in both versions of MATLAB files."""
     expected = read(csv)
     meta = csv.with_suffix(".toml")
     text = meta.read_text(encoding="utf-8")
@@ -116,7 +116,7 @@ def test_what_loggers_write_for_no_sample_is_a_gap(csv):
 
 
 def test_only_the_part_between_start_and_stop(csv):
-    """start and stop of [time] are in the recording's time, after unit and offset."""
+    """start and stop of [time] apply to the time after unit and offset."""
     meta = csv.with_suffix(".toml")
     text = meta.read_text(encoding="utf-8")
     meta.write_text(text.replace("[time]", "[time]\nstart = -1.45\nstop = -1.4"), encoding="utf-8")
@@ -125,7 +125,7 @@ def test_only_the_part_between_start_and_stop(csv):
 
 
 def test_folder_has_its_experiments_only(csv):
-    """A trace without [experiment] beside the recordings is left alone; the order is that of the names."""
+    """A trace without [experiment] in the folder is ignored; the order is that of the file names."""
     text = csv.with_suffix(".toml").read_text(encoding="utf-8")
     plain = text[text.index("[time]") :]
     for name, meta in {"b": text.replace('"valve"', '"machine"'), "trace": plain}.items():
@@ -137,7 +137,7 @@ def test_folder_has_its_experiments_only(csv):
 
 
 def test_required_signals_have_their_dimension(csv):
-    """A procedure that needs a pressure refuses a flow under that name, and a signal that is not there."""
+    """A procedure that needs a pressure refuses a flow under that name, and a missing signal."""
     found = read(csv)
     require(found, {"pressure_in": "Pa", "flow": "m3/s"})
     with pytest.raises(Problem, match=r"a\.csv: signal flow is in L/min \(m3/s\), expected Pa"):
@@ -147,7 +147,7 @@ def test_required_signals_have_their_dimension(csv):
 
 
 def test_data_that_nobody_describes_are_told(csv):
-    """A data file that is not read is not lost silently: its name, and what is missing."""
+    """A data file that is not read is reported with its name and the reason."""
     recordings = read_folder(csv.parent)
     assert unused_files(csv.parent, recordings) == []
     (csv.parent / "b.csv").write_bytes(csv.read_bytes())

@@ -1,4 +1,4 @@
-"""Resampling: exact for what it can tell, gaps stay gaps, nothing folds back."""
+"""Resampling is exact for linear signals, keeps gaps, and has no aliasing."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from orchestrator.data.recording import Sensor
 
 @given(rate=st.floats(20, 2000), slope=st.floats(-5, 5), jitter=st.floats(0, 0.2), seed=st.integers(0, 1000))
 def test_a_ramp_stays_a_ramp(recording, rate, slope, jitter, seed):
-    """Linear interpolation and the filter are exact for a ramp, with whatever jitter of the old clock."""
+    """Interpolation and filter are exact for a ramp, for any jitter of the old clock."""
     made = recording(x=np.zeros(400))
     late = np.random.default_rng(seed).uniform(-jitter, jitter, 400) / 200
     made = replace(made, time=made.time + late)
@@ -26,7 +26,7 @@ def test_a_ramp_stays_a_ramp(recording, rate, slope, jitter, seed):
 
 
 def test_what_is_above_half_the_new_rate_does_not_fold_back(recording):
-    """From 200 Hz to 50 Hz: 2 Hz passes, 40 Hz would fold back to 10 Hz and is gone."""
+    """From 200 Hz to 50 Hz: 2 Hz passes; 40 Hz, with an alias at 10 Hz, is removed."""
     t = np.arange(2000) / 200
     slow, fast = np.sin(2 * np.pi * 2 * t), np.sin(2 * np.pi * 40 * t)
     found = resample(recording(both=slow + fast, slow=slow), 50.0)
@@ -39,7 +39,7 @@ def test_what_is_above_half_the_new_rate_does_not_fold_back(recording):
 
 @pytest.mark.parametrize("rate", [50.0, 200.0, 900.0])
 def test_gaps_stay_gaps(recording, rate):
-    """A missing value and a missing sample are gaps of the new clock, as long as before."""
+    """A missing value and a missing sample are gaps of the same length in the new clock."""
     values = np.arange(400.0)
     values[100:110] = np.nan
     made = recording(x=values, y=np.arange(400.0))
@@ -57,7 +57,7 @@ def test_gaps_stay_gaps(recording, rate):
 
 
 def test_going_down_uses_good_samples_only(recording):
-    """A clipped stretch is a gap afterwards, not a smear; going up it is kept as it is."""
+    """A clipped interval becomes a gap at a lower rate and is kept at a higher one."""
     values = 10 * np.sin(np.arange(800) / 50)
     made = recording(x=np.minimum(values, 8.0), sensors={"x": Sensor(high=8.0)})
     found = resample(made, 50.0)
@@ -67,14 +67,14 @@ def test_going_down_uses_good_samples_only(recording):
 
 @pytest.mark.parametrize("rate", [50.0, 200.0, 730.0])
 def test_commands_are_held(recording, rate):
-    """A step of a command stays a step, at the first new sample that is not before it."""
+    """A step of a command stays a step, at the first new sample that is not earlier."""
     made = recording(u=np.repeat([0.0, 3.0], 100), x=np.zeros(200))
     found = resample(made, rate, hold=["u"])
     assert np.array_equal(found["u"], np.where(found.time > 0.5 - 1e-7, 3.0, 0.0))
 
 
 def test_sensor_behind_the_filter_has_the_noise_that_is_left(recording):
-    """The standard deviation after going down is the one that the new sensor states."""
+    """The noise of the new sensor is the standard deviation after the filter."""
     rng = np.random.default_rng(1)
     made = recording(x=rng.normal(0, 2.0, 80_000), sensors={"x": Sensor(noise=2.0)})
     found = resample(made, 20.0)
@@ -84,7 +84,7 @@ def test_sensor_behind_the_filter_has_the_noise_that_is_left(recording):
 
 
 def test_uniform_rate_refuses_a_clock_that_is_not_uniform(recording):
-    """Jitter beyond a twentieth of a period, or a missing sample, is named with its time."""
+    """Jitter beyond a twentieth of a period, or a missing sample, is refused with its time."""
     made = recording(x=np.zeros(100))
     assert uniform_rate(made) == pytest.approx(200.0, rel=1e-12)
     time = made.time.copy()

@@ -1,4 +1,4 @@
-"""A file of plain numbers becomes a recording without a meta file."""
+"""A file of numbers without a description becomes a recording."""
 
 import h5py
 import numpy as np
@@ -13,7 +13,7 @@ VALUES = np.stack([np.linspace(-1, 1, 1024), np.sin(np.linspace(0, 20, 1024))], 
 
 @pytest.mark.parametrize("mark", [" ", "\t", ",", ";", "   "])
 def test_plain_text_is_read_whatever_separates_it(tmp_path, mark):
-    """Two columns of numbers without names, units or time become two signals over a clock of the rate."""
+    """Two columns of numbers without names, units and time become two signals at the given rate."""
     path = tmp_path / "actuator.dat"
     np.savetxt(path, VALUES, fmt="%.17g", delimiter=mark)
     found = read_series(path, {"command": 0, "pressure": 1}, rate=50.0, units={"pressure": "bar"})
@@ -26,7 +26,7 @@ def test_plain_text_is_read_whatever_separates_it(tmp_path, mark):
 
 
 def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
-    """A date beside the numbers does not matter; a column with names is found by its name."""
+    """A date in another column does not matter; a named column is selected by its name."""
     path = tmp_path / "named.csv"
     path.write_text("when,u\nMonday,1\nTuesday,2\n", encoding="utf-8")
     np.testing.assert_array_equal(read_series(path, {"command": "u"})["command"], [1, 2])
@@ -34,7 +34,7 @@ def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
 
 
 def test_matlab_variables_by_name(tmp_path):
-    """The same data set as a MATLAB file of either kind."""
+    """The same data in both formats of MATLAB files."""
     old, new = tmp_path / "old.mat", tmp_path / "new.mat"
     scipy.io.savemat(old, {"u": VALUES[:, :1], "data": VALUES, "wide": VALUES.T})
     with h5py.File(new, "w") as file:
@@ -59,7 +59,7 @@ def test_matlab_variables_by_name(tmp_path):
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
-    """One line says what is wrong with the file or the call."""
+    """A message of one line for each error of the file or the call."""
     path = tmp_path / "plain.txt"
     path.write_text("1 2\n3 4\n5 x\n", encoding="utf-8")
     with pytest.raises(Problem) as caught:
@@ -72,7 +72,7 @@ def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
     "text", ["0,5;1\n1;-2,5e1\n", "0,5 1\n1 -2,5e1\n", "0.5,1\n1,-25\n", "0.5 1\n1 -25\n"]
 )
 def test_a_decimal_comma_is_found(tmp_path, text):
-    """Commas inside cells that something else separates are decimal; between cells they separate."""
+    """A comma inside cells with another delimiter is decimal; otherwise it is the delimiter."""
     (tmp_path / "a.txt").write_text(text)
     found = read_series(tmp_path / "a.txt", {"u": 0, "y": 1})
     np.testing.assert_array_equal(found["u"], [0.5, 1.0])

@@ -1,4 +1,4 @@
-"""A stuck stretch is found and not used; what may stand still is used."""
+"""A stuck interval is detected and not used; a signal that may be constant is used."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +37,7 @@ def remarks(recording):
 
 @pytest.mark.parametrize("stop", [1100, 3800])
 def test_stuck_samples_are_not_used(stop):
-    """A gauge that keeps its value for half a second, or for most of the recording, tells nothing then."""
+    """Samples of a gauge that is stuck for half a second, or for most of the recording, are not used."""
     values = gauge()
     values[1000:stop] = values[1000]
     recording = made(GAUGE, values)
@@ -55,7 +55,7 @@ def test_stuck_samples_are_not_used(stop):
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 20.0])
 def test_an_encoder_at_rest_is_used(noise):
-    """An encoder that stands still for most of the time is not stuck, whatever noise is told."""
+    """An encoder at rest for most of the time is not stuck, whatever noise is stated."""
     step = 0.044
     moving = np.clip(T - 5, 0, 4) * 20
     quiet = np.random.default_rng(2).normal(0, 0.005, SIZE)
@@ -65,7 +65,7 @@ def test_an_encoder_at_rest_is_used(noise):
 
 
 def test_commands_and_dead_zones_may_stand_still():
-    """A command that follows a sine and holds, and a meter at zero in its dead zone, are not stuck."""
+    """A command that follows a sine and holds, and a meter in its dead zone, are not stuck."""
     command = made(Sensor(), np.where(T < 10, 5 * np.sin(T), 5.0), "swing.swing_command")
     assert good(command, "swing.swing_command").all()
     rng = np.random.default_rng(3)
@@ -77,13 +77,13 @@ def test_commands_and_dead_zones_may_stand_still():
 
 
 def test_smooth_signals_without_noise_may_stand_still():
-    """A simulated angle that moves and then rests has no noise to judge by."""
+    """A simulated angle that moves and then rests has no noise and is not judged."""
     recording = made(Sensor(), np.where(T < 10, np.sin(T), np.sin(10.0)), "angle")
     assert good(recording, "angle").all()
 
 
 def test_noise_told_far_too_large_is_told():
-    """A typed 100 for 0.1: no ordinary sample is called stuck, and the number is asked for."""
+    """A stated noise of 100 instead of 0.1: good samples stay good, and a remark reports the value."""
     recording = made(replace(GAUGE, noise=100.0), gauge())
     assert good(recording, "pressure").all()
     text = remarks(recording)

@@ -1,4 +1,4 @@
-"""A mass on a spring, pushed: a small model of which everything is known."""
+"""A mass on a spring with a driving force: a small model with known parameters."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ FREE = ("stiffness", "damping", "gain")
 def recording(
     seed: int = 0, seconds: float = 12.0, noise: float = NOISE, dead_zone: float = 0.0
 ) -> Recording:
-    """A recording of the true model at 50 Hz, from rest at the origin, pushed by steps."""
+    """A recording of the true model at 50 Hz, from rest at the origin, driven by steps."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(50 * seconds) + 1) / 50
     push = np.repeat(np.random.default_rng(99).choice([-1.0, 0.0, 1.0], len(time) // 50 + 1), 50)[: len(time)]
@@ -103,7 +103,7 @@ def recording(
 
 
 def upright() -> Recording:
-    """The inverted one over 4 s at 200 Hz, held by its push, which also kicks it; alone it grows by e^14."""
+    """The inverted model over 4 s at 200 Hz, stabilised and excited by its input; alone it grows by e^14."""
     rng = np.random.default_rng(0)
     time = np.arange(801) / 200
     kicks = np.repeat(rng.choice([-1.0, 1.0], 17), 50)
@@ -120,7 +120,7 @@ def upright() -> Recording:
 
 
 def run(read: Recording, sub: Subsystem = OSCILLATOR) -> MeasuredRun:
-    """The run of a recording."""
+    """The measured run of a recording."""
     return RecordingMap(sub, ("position",), rest=("speed",), values=NUMBERS).run(read)
 
 
@@ -131,7 +131,7 @@ def problem(
     priors: dict[str, tuple[float, float | None]] | None = None,
     held_out: tuple[MeasuredRun, ...] = (),
 ) -> EstimationProblem:
-    """The oscillator against runs, started from `off` times the truth."""
+    """The oscillator with measured runs; initial values are `off` times the truth."""
     start = {name: (off * TRUTH[name], None) for name in free}
     parameters = free_parameters(OSCILLATOR, free, start | (priors or {}), NUMBERS)
     return EstimationProblem(OSCILLATOR, ("position",), parameters, runs, held_out, NUMBERS)

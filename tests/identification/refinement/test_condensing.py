@@ -1,4 +1,4 @@
-"""The condensed problem against the whole one, solved densely with its constraints."""
+"""The condensed problem agrees with the full one, solved densely with its constraints."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ NX, FREE, SEGMENTS, ROWS = 3, 2, 4, 40
 
 
 def test_the_step_is_that_of_the_whole_system() -> None:
-    """Least squares over all start states and parameters, gaps closed by multipliers: the same step."""
+    """Least squares over all unknowns, with multipliers for continuity, gives the same step."""
     rng = np.random.default_rng(0)
     jacobians = rng.standard_normal((SEGMENTS, ROWS, NX + FREE))
     residuals = rng.standard_normal((SEGMENTS, ROWS))

@@ -1,4 +1,4 @@
-"""Joint refinement on a model of which everything is known: convergence, bounds, what does not matter."""
+"""Joint refinement of a known model: convergence, bounds, and what the result does not depend on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SENSOR_ONLY = Options(model_error=False)
 
 
 def test_steps_shrink_quadratically_without_noise() -> None:
-    """With residuals that vanish at the optimum, an error is of the order of the square of the one before."""
+    """If residuals vanish at the optimum, each error is of the order of the square of the one before."""
     task = problem(run(recording(noise=0.0)))
     seen: list[Iteration] = []
     options = Options(tolerance=1e-7, correlated=False)
@@ -34,7 +34,7 @@ def test_steps_shrink_quadratically_without_noise() -> None:
 
 @pytest.mark.parametrize("off", [0.7, 1.3])
 def test_segments_converge_where_one_shot_does_not(off: float) -> None:
-    """An inverted pendulum, held upright while it was recorded, falls in a simulation of the whole."""
+    """An inverted pendulum, stabilised during the recording, falls in a simulation of the whole run."""
     task = replace(problem(run(upright(), INVERTED), off=off), sub=INVERTED)
     whole = refine(task, segment=np.inf, horizon=np.inf, options=SENSOR_ONLY)
     cut = refine(task, segment=1.0, horizon=np.inf, options=SENSOR_ONLY)
@@ -48,7 +48,7 @@ def test_segments_converge_where_one_shot_does_not(off: float) -> None:
 
 
 def test_result_does_not_depend_on_how_the_recording_is_cut() -> None:
-    """Where segments meet, the criterion is that of a single simulation: same optimum, same covariance."""
+    """Continuous segments have the criterion of a single simulation: same optimum, same covariance."""
     task = problem(run(recording()))
     one, many = (refine(task, segment=s, options=Options(tolerance=1e-4)) for s in (np.inf, 0.7))
     sd = one.statistics.sd(False)
@@ -58,7 +58,7 @@ def test_result_does_not_depend_on_how_the_recording_is_cut() -> None:
 
 
 def test_bounds_are_respected() -> None:
-    """A parameter whose optimum lies outside its bound stays on it, is named, and the others adapt."""
+    """A parameter whose optimum is outside its bound stays at it and is reported, and the others adapt."""
     task = problem(run(recording()))
     damped = replace(task.free[1], low=0.4, value=0.5)
     found = refine(replace(task, free=(task.free[0], damped, task.free[2])), options=SENSOR_ONLY)
@@ -70,7 +70,7 @@ def test_bounds_are_respected() -> None:
 
 
 def test_masked_samples_have_no_influence() -> None:
-    """What stands where the weight is zero may be anything: the same result, bit for bit."""
+    """Values with weight zero have no effect: the result is bit-identical."""
     clean = run(recording())
     weight = clean.weight.copy()
     weight[100:130] = 0
@@ -84,7 +84,7 @@ def test_masked_samples_have_no_influence() -> None:
 
 
 def test_gaps_clipped_and_dead_samples_get_no_weight() -> None:
-    """A sample that the instrument cannot have read does not count, nor do those about a dead one."""
+    """Gaps, clipped samples, and samples in and next to the dead zone have weight zero."""
     read = recording(dead_zone=3 * NOISE)
     position = read.signals["position"].copy()
     position[300] = np.nan
@@ -97,7 +97,7 @@ def test_gaps_clipped_and_dead_samples_get_no_weight() -> None:
 
 
 def test_threads_and_order_of_recordings_do_not_matter() -> None:
-    """One thread and three give the same bits; recordings in another order the same numbers."""
+    """Results are bit-identical for one and three threads, and equal to rounding in another order."""
     runs = [run(recording(seed)) for seed in range(3)]
     one, three = (refine(problem(*runs), threads=n) for n in (1, 3))
     turned = refine(problem(*runs[::-1]))
@@ -108,7 +108,7 @@ def test_threads_and_order_of_recordings_do_not_matter() -> None:
 
 @pytest.mark.parametrize("kind", ["differences", "black box"])
 def test_differences_lead_to_the_same_optimum(kind: str) -> None:
-    """Difference quotients, of segments or of whole simulations, change the way but not the end."""
+    """Finite differences of segments or of whole simulations lead to the same optimum."""
     start = {"position": 0.0, "speed": 0.0}
     task = problem(run(recording()))
     exact = compiled(task, 1e-9)
@@ -131,7 +131,7 @@ def test_differences_lead_to_the_same_optimum(kind: str) -> None:
 
 @pytest.mark.parametrize("horizon", [0.5, np.inf])
 def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
-    """Ctrl-C during the search, whichever, ends it; what was found is returned and says so."""
+    """Ctrl-C ends either search; the result is the best iterate, and its reason is the interrupt."""
 
     def stop(progress: Iteration) -> None:
         if progress.iteration == 1:

@@ -1,4 +1,4 @@
-"""Joint refinement of the harvester: its lumped model against itself, seen by the paper's instruments."""
+"""Joint refinement of the harvester: its lumped model against its own simulation with the paper's sensors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SENSORS = {
 
 
 def _recording() -> Recording:
-    """A part of the work cycle with noise, converters' steps and the flow meters' dead zones."""
+    """A part of the work cycle with noise, quantisation and the dead zones of the flow meters."""
     rng = np.random.default_rng(0)
     time = np.arange(round(200 * SECONDS) + 1) / 200
     model = CompiledModel(HARVESTER, tuple(SENSORS), (), tolerance=1e-9)
@@ -74,7 +74,7 @@ def refined() -> RefinementResult:
 
 
 def test_machine_is_found_from_far_away(refined: RefinementResult) -> None:
-    """Seventeen parameters come back within their errors, and the sensors explain what is left."""
+    """Seventeen parameters are estimated within their errors, and the sensors explain the residuals."""
     truth = values(HARVESTER).p
     assert refined.converged
     assert len(refined.z) == 17
@@ -87,7 +87,7 @@ def test_machine_is_found_from_far_away(refined: RefinementResult) -> None:
 
 
 def test_errors_by_model_and_by_segments_agree(refined: RefinementResult) -> None:
-    """Two ways to the same standard deviations: where the model is right they differ by chance only."""
+    """For the right model, both standard deviations differ by chance only."""
     ratio = refined.statistics.sd(True) / refined.statistics.sd(False)
     # nine segments: a standard deviation is known to a quarter, and a jackknife errs to the safe side
     assert 0.6 < np.median(ratio) < 2
@@ -95,7 +95,7 @@ def test_errors_by_model_and_by_segments_agree(refined: RefinementResult) -> Non
 
 
 def test_estimates_are_called_as_parameter_files_call_them(refined: RefinementResult) -> None:
-    """Names with a part only where parts mean different things; intervals around the values."""
+    """Names contain the component only if components differ; intervals contain the values."""
     found = {e.name: e for e in refined.estimates(names=parameter_names())}
     assert {"valve_area", "boom_piston_damping", "head_mass"} <= set(found)
     assert parameter_names()["swing_initial_preload"] == "swing.initial_preload"
@@ -105,7 +105,7 @@ def test_estimates_are_called_as_parameter_files_call_them(refined: RefinementRe
 
 
 def test_signals_are_those_of_the_parts() -> None:
-    """Every measured output and input of the one block has its name by part."""
+    """Each measured output and input of the one block has its name by component."""
     names = signal_names()
     assert names["supply_pressure"] == "swing.supply_pressure"
     assert names["boom_head_pressure"] == "boom_stick.boom_head_pressure"

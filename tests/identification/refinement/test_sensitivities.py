@@ -1,4 +1,4 @@
-"""The compiled model of output error where the solution and its derivatives are known in closed form."""
+"""The compiled model against solutions and derivatives in closed form."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def model(outputs: Sequence[str] = ("lag", "square"), tolerance: float = TOLERAN
 
 
 def _lag(x0: complex, delay: complex, gain: complex) -> np.ndarray:
-    """The lag behind a ramp from x0."""
+    """Response of the lag to a ramp from x0."""
     line = gain * (U0 + SLOPE * (TIME - delay))
     return line + (x0 - gain * (U0 - SLOPE * delay)) * np.exp(-TIME / delay)
 
@@ -106,20 +106,20 @@ def _square(size: complex, growth: complex, scale: complex, gain: complex) -> np
 
 
 def solution(x: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Outputs from the states (lag, size) at the start and the parameters FREE; also for complex numbers."""
+    """Outputs for initial states (lag, size) and the parameters FREE; also for complex numbers."""
     _, scale, delay, growth, gain = p
     return np.column_stack([_lag(x[0], delay, gain), _square(x[1], growth, scale, gain)])
 
 
 def slope(x: np.ndarray, p: np.ndarray, direction: int) -> np.ndarray:
-    """Derivative of the solution by one of (x, p): a complex step, exact to rounding."""
+    """Derivative of the solution with respect to one of (x, p) by a complex step, exact to rounding."""
     both = np.concatenate([x, p]).astype(complex)
     both[direction] += 1e-30j
     return solution(both[:2], both[2:]).imag / 1e-30
 
 
 def test_outputs_and_all_their_derivatives_are_those_of_the_closed_form() -> None:
-    """A lag and a bilinear growth behind a ramp, from any state: every column is right."""
+    """A lag and bilinear growth with a ramp, from any state: every sensitivity is right."""
     toy, x0 = model(), np.array([0.1, 0.8])
     piece = toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
     found = np.concatenate([piece.y_x, piece.y_p], axis=2)
@@ -145,7 +145,7 @@ def test_the_start_is_that_of_the_subsystem() -> None:
 
 
 def test_what_the_outputs_do_not_depend_on_is_left_out() -> None:
-    """States and inputs are those that act; a parameter of the start alone has columns of zeros."""
+    """Only states and inputs with an effect remain; parameters of the initial state have zero columns."""
     toy = model()
     assert toy.states == ("lag", "size")
     assert toy.inputs == ("drive",)
@@ -156,7 +156,7 @@ def test_what_the_outputs_do_not_depend_on_is_left_out() -> None:
 
 
 def test_without_derivatives_the_outputs_are_the_same() -> None:
-    """The derivatives are taken of the steps, they do not change them."""
+    """Sensitivities do not change the steps."""
     toy, x0 = model(), np.array([0.1, 0.8])
     full, bare = (toy.segment(x0, toy.p0, TIME, DRIVE[:, None], with_) for with_ in (True, False))
     assert np.array_equal(full.y, bare.y)
@@ -166,7 +166,7 @@ def test_without_derivatives_the_outputs_are_the_same() -> None:
 
 
 def test_one_sample_is_the_state_itself() -> None:
-    """A segment of one sample: no step, the derivatives of the outputs alone."""
+    """A segment of one sample has no step, only the derivatives of the outputs."""
     toy, x0 = model(), np.array([0.1, 0.8])
     piece = toy.segment(x0, toy.p0, TIME[:1], DRIVE[:1, None])
     assert piece.steps == 0
@@ -177,7 +177,7 @@ def test_one_sample_is_the_state_itself() -> None:
 
 
 def test_no_free_parameter() -> None:
-    """The states at the start alone may be what is sought."""
+    """Initial states can be the only unknowns."""
     toy, x0 = CompiledModel(TOY, ("square",), (), NUMBERS, TOLERANCE), np.array([0.8])
     piece = toy.segment(x0, toy.p0, TIME, DRIVE[:, None])
     expected = slope(np.array([0.1, 0.8]), model().p0, 1)[:, 1]
@@ -186,7 +186,7 @@ def test_no_free_parameter() -> None:
 
 
 def test_other_numbers_are_no_other_code() -> None:
-    """Numbers are given at run time: those of the fixed parameters too."""
+    """Values of all parameters are arguments of one library, those of fixed parameters too."""
     numbers = replace(NUMBERS, p={**NUMBERS.p, "gain": 3.0})
     toy, other = (CompiledModel(TOY, ("lag",), ("delay",), n, TOLERANCE) for n in (NUMBERS, numbers))
     still = np.full((TIME.size, 1), U0)
@@ -195,7 +195,7 @@ def test_other_numbers_are_no_other_code() -> None:
 
 
 def test_failure_tells_the_time_and_the_reason() -> None:
-    """A requirement, a parameter that is not a number, a step that cannot be done."""
+    """A violated requirement, a parameter that is not a number, a step that cannot be computed."""
     toy, x0 = model(), np.array([0.1, 30.0])
     drive = np.full((TIME.size, 1), 2.0)
     with pytest.raises(SimulationFailed, match="size stays below 100") as failed:
@@ -225,7 +225,7 @@ def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], mess
 
 
 def test_samples_are_checked() -> None:
-    """Arrays of another shape, which C would read beyond, and clocks that stand still are refused."""
+    """Arrays of another shape, beyond which C would read, and times that do not increase are refused."""
     toy, x0 = model(), np.array([0.1, 0.8])
     with pytest.raises(Problem, match=r"inputs: expected shape \(35, 1\) \(drive\), got \(35, 2\)"):
         toy.segment(x0, toy.p0, TIME, np.zeros((TIME.size, 2)))
@@ -238,7 +238,7 @@ def test_samples_are_checked() -> None:
 
 
 def test_a_store_that_cannot_be_written_to_is_done_without(monkeypatch, tmp_path) -> None:
-    """Where the store should be is a file: the model is compiled all the same, for this process."""
+    """Without a writable cache folder the model is compiled for this process."""
     (tmp_path / "file").write_text("")
     monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "file" / "store")
     assert model(("lag",)).segment(np.zeros(1), model().p0, TIME, DRIVE[:, None]).steps > 0

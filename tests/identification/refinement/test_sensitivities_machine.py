@@ -1,4 +1,4 @@
-"""The machine's sensitivities by routes that share no code with the compiled ones."""
+"""The sensitivities of the machine against methods that share no code with the compiled ones."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ TIME, COMMANDED = sample(MOVES, 1.0)
 
 @cache
 def model(tolerance: float) -> CompiledModel:
-    """The machine; kept, for its equations take a quarter of a second."""
+    """The machine, cached because its equations take a quarter of a second."""
     return CompiledModel(HARVESTER, OUTPUTS, FREE, NUMBERS, tolerance)
 
 
 def inputs(machine: CompiledModel) -> np.ndarray:
-    """Commands, and the other inputs as in the file of numbers."""
+    """Commands, and the other inputs with the values of the parameter file."""
     rows = np.tile([NUMBERS.u[name] for name in machine.inputs], (TIME.size, 1))
     for name, column in zip(COMMANDS, COMMANDED.T, strict=True):
         rows[:, machine.inputs.index(name)] = column
@@ -109,7 +109,7 @@ def variational() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_sensitivities_are_those_of_the_variational_equations() -> None:
-    """Every derivative by a parameter, its work at the start included, while all axes move."""
+    """Every sensitivity to a parameter, including its effect on the initial state, while all axes move."""
     machine = model(1e-10)
     rows = inputs(machine)
     x0, start = machine.start(machine.p0, rows[0])
@@ -153,7 +153,7 @@ def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
 @examples(10)
 @given(cut=st.integers(1, TIME.size - 2))
 def test_two_pieces_are_one(cut: int) -> None:
-    """From the start to a cut, and on from there: the chain rule, as multiple shooting needs it."""
+    """Two consecutive segments give the whole by the chain rule, as multiple shooting requires."""
     machine = model(1e-10)
     rows = inputs(machine)
     x0, _ = machine.start(machine.p0, rows[0])
@@ -171,7 +171,7 @@ def test_two_pieces_are_one(cut: int) -> None:
 
 
 def test_threads_do_not_disturb_each_other() -> None:
-    """Pieces from two threads on one model, to the last digit as from one."""
+    """Segments from two threads on one model are bit-identical to those from one thread."""
     machine = model(1e-6)
     rows = inputs(machine)
     x0, _ = machine.start(machine.p0, rows[0])

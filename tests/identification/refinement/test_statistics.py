@@ -1,4 +1,4 @@
-"""What the refinement says about its own errors: intervals, what is not identifiable, residuals."""
+"""Uncertainty of the refinement: intervals, unidentified parameters, residual analysis."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fmus.identification.refinement.weights import Loss, correlation_time, loss_
 
 
 def test_intervals_cover_the_truth() -> None:
-    """Over 40 seeds of the noise, 95 % intervals hold the truth in 95 % of cases, plain and clustered."""
+    """Over 40 seeds of the noise, 95 % intervals cover the truth in 95 % of cases, by both covariances."""
     task = problem(run(recording()))
     model, names = compiled(task), task.names
     inside = {False: 0, True: 0}
@@ -37,7 +37,7 @@ def test_intervals_cover_the_truth() -> None:
 
 
 def test_optimum_and_covariance_are_those_of_scipy() -> None:
-    """An independent search over parameters and start state finds the same, with the same errors."""
+    """An independent search over parameters and initial state has the same optimum and covariance."""
     task = problem(run(recording()))
     found, model, one = refine(task), compiled(task, 1e-9), task.training[0]
     inputs = np.column_stack([one.inputs[n] for n in model.inputs])
@@ -61,7 +61,7 @@ def test_optimum_and_covariance_are_those_of_scipy() -> None:
 
 
 def test_unidentifiable_pair_is_named() -> None:
-    """Gain and loss act only as a ratio: that is what the sentence says, the rest is found all the same."""
+    """Gain and loss act only as a ratio: the sentence says so, and the other parameters are estimated."""
     found = refine(problem(run(recording()), free=("stiffness", "damping", "gain", "loss")))
     assert found.unidentified == ("gain and loss: the data determine only gain / loss, not each",)
     ratio = found.values["gain"] / found.values["loss"]
@@ -72,7 +72,7 @@ def test_unidentifiable_pair_is_named() -> None:
 
 
 def test_prior_decides_where_the_data_are_silent() -> None:
-    """With a prior on one of the pair both are found, that one with the prior's standard deviation."""
+    """With a prior on one of the pair both are estimated, that one with the prior's standard deviation."""
     free = ("stiffness", "damping", "gain", "loss")
     found = refine(problem(run(recording()), free=free, priors={"loss": (1.0, 0.1)}))
     loss = found.estimates(False)[3]
@@ -82,7 +82,7 @@ def test_prior_decides_where_the_data_are_silent() -> None:
 
 
 def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
-    """A parameter that the data do not tell: with a number known before, its interval is that one's."""
+    """The interval of a parameter that the data do not determine is that of its prior."""
     told = {
         sd: unidentified((FreeParameter("loss", 1.0, sd=sd, log=True),), np.array([[0.6]]))[0]
         for sd in (None, 0.1)
@@ -95,7 +95,7 @@ def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
 
 
 def test_outliers_pull_less_with_a_robust_loss() -> None:
-    """One sample in twenty half a metre off: squares go astray, the robust losses do not."""
+    """With one sample in twenty off by half a metre, robust losses change the estimates less than squares."""
     read = recording()
     position = read.signals["position"].copy()
     position[::20] += 25 * NOISE
@@ -112,7 +112,7 @@ def test_outliers_pull_less_with_a_robust_loss() -> None:
 
 
 def test_weights_are_those_of_the_losses() -> None:
-    """The squared factor is the slope of the loss over the residual, for Huber and soft L1."""
+    """The squared factor is the derivative of the loss over the residual, for Huber and soft L1."""
     r = np.array([0.3, 1.0, 2.0, 30.0])
     tuning = np.full(4, 1.5)
     np.testing.assert_allclose(loss_factors(r, tuning, "huber") ** 2, np.minimum(r, 1.5) / r, rtol=1e-14)
@@ -121,7 +121,7 @@ def test_weights_are_those_of_the_losses() -> None:
 
 
 def test_residuals_are_white_only_if_the_model_is_right() -> None:
-    """White residuals pass; a model with a wrong gain leaves memory and a correlation with the input."""
+    """With a wrong gain, residuals are correlated in time and with the input."""
     right = refine(problem(run(recording()))).whiteness["position"]
     assert right.white
     assert right.ljung_box > 1e-3  # one in a thousand would be less
@@ -138,7 +138,7 @@ def test_residuals_are_white_only_if_the_model_is_right() -> None:
 
 
 def test_whiteness_does_not_see_across_gaps() -> None:
-    """White residuals with half the samples masked are still white, and few samples give no verdict."""
+    """White residuals with half the samples masked are white; with too few samples there is no result."""
     task = problem(run(recording()))
     one = task.training[0]
     rng = np.random.default_rng(3)
@@ -151,7 +151,7 @@ def test_whiteness_does_not_see_across_gaps() -> None:
 
 
 def test_fit_is_told_for_held_out_recordings() -> None:
-    """NRMSE on training and held-out recordings is the noise over the range, where the model is right."""
+    """For the right model the NRMSE of training and held-out recordings is noise over range."""
     task = problem(run(recording()), held_out=(run(recording(7)),))
     fit = refine(task).fit()
     span = float(np.ptp(recording(7)["position"]))
@@ -161,7 +161,7 @@ def test_fit_is_told_for_held_out_recordings() -> None:
 
 
 def test_random_starts_lead_to_the_same_optimum() -> None:
-    """From anywhere within 30 % the search ends at the same place, on a quarter of the data too."""
+    """From any start within 30 % the search reaches the same optimum, with a quarter of the samples."""
     starts = multistart(refine(problem(run(recording()))), count=4, spread=0.3)
     assert starts.fraction == 1
     assert max(starts.spread.values()) < 1e-3
@@ -169,7 +169,7 @@ def test_random_starts_lead_to_the_same_optimum() -> None:
 
 
 def test_noise_of_an_input_is_taken_off_and_told() -> None:
-    """A constant with noise becomes constant; a wave faster than the window stays what it is."""
+    """A noisy constant becomes constant; an oscillation faster than the window is not removed."""
     time = np.arange(2000) / 200
     noise = 0.1 * np.random.default_rng(0).standard_normal(2000)
     still, window = smoothed(time, 5 + noise, 8.0, 0.1)
@@ -182,7 +182,7 @@ def test_noise_of_an_input_is_taken_off_and_told() -> None:
 
 
 def test_memory_of_a_residual_is_its_correlation_time() -> None:
-    """For x_k = a x_(k-1) + e_k it is (1 + a) / (1 - a); one for white noise; no more than can be seen."""
+    """For x_k = a x_(k-1) + e_k it is (1 + a) / (1 - a); at least one, at most a fraction of the samples."""
     rng = np.random.default_rng(5)
     white = rng.standard_normal(100_000)
     for a in (0.0, 0.5, 0.9):
@@ -193,7 +193,7 @@ def test_memory_of_a_residual_is_its_correlation_time() -> None:
 
 
 def test_leaving_out_one_segment_after_another_gives_the_variance_of_a_mean() -> None:
-    """One sample a segment, one unknown, their mean: the jackknife is s^2 / n with n - 1 degrees."""
+    """For one sample per segment and their mean as unknown, the jackknife is s^2 / n with n - 1 degrees."""
     samples = np.random.default_rng(4).normal(size=7)
     rows = [np.array([[1.0, sample - samples.mean()]]) for sample in samples]
     segments = [

@@ -118,7 +118,7 @@ static int observe(const Trajectory *t, const double *x, const double *u, double
     return sum == 0.0;
 }
 
-/* Simulates from the states x over n samples of time and of inputs, (n, NU), linear between them.
+/* Simulates from the states x over n samples of time and inputs, (n, NU), with inputs linear between them.
 
    x        becomes the states at the last sample
    y        outputs, (n, NOUT)
@@ -127,7 +127,7 @@ static int observe(const Trajectory *t, const double *x, const double *u, double
    report   time reached, number of steps, index of the state or requirement that failed
 
    Returns an Outcome, NOT_REQUIRED or OUTPUT_NOT_FINITE. */
-EXPORTED int simulate(int n, const double *time, const double *inputs, double *x, const double *p,
+EXPORTED int simulate(int n, const double *time, const double *input_samples, double *x, const double *p,
                       double tolerance, int sensitivities, double *y, double *dy, double *dx, double *report) {
     double c[ROOM(NC)], d[ROOM(ND)];
     InputPolynomials inputs = {.count = 0};
@@ -138,7 +138,7 @@ EXPORTED int simulate(int n, const double *time, const double *inputs, double *x
     sens_prepare(p, d);
     for (int i = 0; i < NX; i++) put((double *)t.dx, NX, (int[2]){i, NQ + i}, 1.0);
     for (int k = 0; k < n; k++) {
-        const double *u = inputs + k * NU;
+        const double *u = input_samples + k * NU;
         double none[1], require[ROOM(NREQUIRE)];
         report[0] = time[k];
         report[1] = t.steps;

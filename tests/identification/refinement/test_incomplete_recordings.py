@@ -1,4 +1,4 @@
-"""Recordings that begin in motion, lack a signal, or do not say enough: a sensible result or one line."""
+"""Incomplete recordings: they begin in motion, lack a signal, or contain too little information."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 
 
 def still(*outputs: str, use: str = "train", **more: float) -> Recording:
-    """A second in which nothing moves, seen by sensors of some outputs."""
+    """One second without motion, measured by sensors of some outputs."""
     names, noise = signal_names(), np.random.default_rng(0)
     read = {names[n]: np.zeros(200) for n in COMMANDS}
     read |= {names[n]: 1e6 + 1e4 * noise.standard_normal(200) for n in outputs}
@@ -31,7 +31,7 @@ def still(*outputs: str, use: str = "train", **more: float) -> Recording:
 
 
 def test_a_recording_may_begin_in_motion() -> None:
-    """A speed that is not zero as the recording begins is not held to zero: the parameters stay right."""
+    """An initial speed that is not zero is not forced to zero, and the parameters stay right."""
     moving = run(window(recording(), 2.5, 12.0))
     found = refine(problem(moving))
     assert (run(recording()).at_rest, moving.at_rest) == (("speed",), ())
@@ -46,7 +46,7 @@ def test_a_recording_may_begin_in_motion() -> None:
 
 
 def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
-    """It is fitted where it was measured; elsewhere it has no weight, and no error is told."""
+    """An output is fitted in the recordings that contain it; elsewhere it has no weight and no error."""
     full, less = still("swing_pressure_a", "boom_head_pressure"), still("swing_pressure_a", use="test")
     task = machine.problem([full, less], nominal())
     assert task.outputs == ("swing_pressure_a", "boom_head_pressure")
@@ -63,13 +63,13 @@ def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
     ],
 )
 def test_what_says_nothing_is_told(recordings: list[Recording], told: str) -> None:
-    """No output measured, nothing to train with: one line."""
+    """No measured output, no training recording: a message of one line."""
     with pytest.raises(Problem, match=told):
         machine.problem(recordings, nominal())
 
 
 def test_a_command_has_to_be_recorded() -> None:
-    """A drive without its command would be taken to stand still; the line says which one."""
+    """A drive without its command would be simulated at rest; the message names the command."""
     read = still("swing_pressure_a")
     less = {n: s for n, s in read.signals.items() if n != signal_names()["boom_command"]}
     with pytest.raises(Problem, match=r"boom_stick\.boom_command is missing"):
