@@ -1,9 +1,9 @@
-"""A virtual test rig: the paper's experiments on the model, recorded with the paper's instruments.
+"""Virtual test rig: simulated experiments of the paper, recorded with models of the paper's instruments.
 
     from fmus.rig import experiments, record, write
 
-    for experiment in experiments("detailed"):       # simulated once, kept in memory
-        write(folder, experiment, seed=0)            # noise and converters: nothing is simulated again
+    for experiment in experiments("detailed"):       # each is simulated once per process
+        write(folder, experiment, seed=0)            # adds noise and quantisation to the simulated signals
 
 The command is `harvester rig`.
 """

@@ -1,34 +1,36 @@
-"""Benches: one part of the machine between a supply, a throttle and the instruments.
+"""Models of test benches: one component of the machine between a supply and a throttle.
 
-All benches have a supply of constant pressure and a return line whose filter keeps `RETURN` [Pa], so that no
-pressure comes near zero. Throttles obey eq. (1). Each bench is a small ODE, solved like the machine.
+All benches have a supply of constant pressure and a return line whose filter keeps the pressure `RETURN`
+[Pa], so that no pressure is close to zero. Throttles obey eq. (1). Each bench is a small ODE, solved in the
+same way as the machine.
 
-Valve bench: one metering edge at a time, its other port shut.
+Valve bench: one metering edge at a time; the other port is closed.
 
     supply --P-A-- port --line-- block --throttle-- return line        the edges from the supply
     supply --throttle-- block --line-- port --B-T-- return line        the edges to the tank
 
-The spool is that of the machine: one that is where the command wants it, or one that moves. The oil block of
-0.5 L and the line, 0.5 m of the stick's hose, are of the bench, not of the machine. The throttle lets
-271 L/min through at 10 V, inside the meter's range, and leaves 16 MPa to the edge; at smaller openings the
-edge takes nearly the whole 20 MPa, so its drop is well measured everywhere.
+The spool is that of the machine: the position of the lumped one is the commanded position, the detailed one
+has dynamics. The oil block of 0.5 L and the line, 0.5 m of the hose of the stick, belong to the bench. At 10
+V the throttle passes 271 L/min, which is inside the range of the meter, and the pressure drop at the edge is
+16 MPa. At smaller openings this drop is nearly 20 MPa, so it is measured accurately everywhere.
 
-Hose bench: a valve feeds the 4 m hose of 3/4 in, the stick's, whose end is a throttle to the return line.
-Nothing but the hose lies between the two pairs of instruments.
+Hose bench: a valve supplies the hose of the stick, 4 m of 3/4 in, which ends in a throttle to the return
+line. Only the hose is between the two pairs of instruments.
 
     supply --valve-- (P_in, Q_in) ==hose== (P_out, Q_out) --throttle-- return line
 
 lumped     I dQ/dt = P_in - P_out - C_R Q|Q|, C dP_out/dt = Q - Q_out, as in `fmus.boom_stick.drive`
 detailed   the line of lumps of `fmus.components.hose`, with elastic wall, air and both kinds of friction
 
-Motor bench: the swing motor with its shaft locked; pressure reducing valves set both port pressures.
+Motor bench: the swing motor with a locked shaft; pressure reducing valves set both port pressures.
 
     set pressure --throttle-- side of the motor --leakage-- drain
 
     C dP_a/dt = (P_set,a - P_a)/R - Q_a        Q_a = (P_a - P_b)/R_in + P_a/R_ex        eqs. (11), (12)
 
-The meter in line A stands between throttle and motor side in the detailed machine, whose motor has a
-volume of its own; in the lumped machine, whose volume is that of the line, between the line and the motor.
+The position of the flow meter of line A depends on the volume that the model contains. In the detailed
+machine this is the volume of the motor, and the meter is between throttle and motor. In the lumped machine it
+is that of the line, and the meter is between line and motor.
 """
 
 from __future__ import annotations
@@ -64,35 +66,35 @@ Array = NDArray[np.float64]
 ByName: TypeAlias = dict[str, Scalar]
 Equations: TypeAlias = Callable[[ByName, ByName], tuple[ByName, ByName]]
 
-SUPPLY = 20.684e6  # Pa, the machine's
+SUPPLY = 20.684e6  # Pa, as in the machine
 RETURN = 0.5e6  # Pa
-TOLERANCE = 1e-10  # relative, of CVODES
+TOLERANCE = 1e-10  # relative tolerance of CVODES
 
 
 def lumped() -> BoomStickParameters:
-    """Numbers of the lumped boom and stick drives: valve, hoses, oil."""
+    """Parameter values of the lumped boom and stick drives: valve, hoses, oil."""
     return BoomStickParameters(**values(boom_stick.VARIANTS["lumped"]).p)
 
 
 def detailed() -> DetailedBoomStickParameters:
-    """Numbers of the detailed boom and stick drives."""
+    """Parameter values of the detailed boom and stick drives."""
     return DetailedBoomStickParameters(**values(boom_stick.VARIANTS["detailed"]).p)
 
 
 def lumped_swing() -> SwingParameters:
-    """Numbers of the lumped swing drive: motor and lines."""
+    """Parameter values of the lumped swing drive: motor and lines."""
     return SwingParameters(**values(swing.VARIANTS["lumped"]).p)
 
 
 def detailed_swing() -> DetailedSwingParameters:
-    """Numbers of the detailed swing drive."""
+    """Parameter values of the detailed swing drive."""
     return DetailedSwingParameters(**values(swing.VARIANTS["detailed"]).p)
 
 
 def start_flow(leakage: Scalar) -> Scalar:
-    """Flow [m3/s] out of a shut port that stands at `RETURN`: what leaks from the supply.
+    """Initial flow [m3/s] out of a port at the pressure `RETURN`: the leakage from the supply.
 
-    leakage   of an edge [m3/(s.Pa)]; the edge to the tank has the return line on both sides
+    leakage   leakage of an edge [m3/(s.Pa)]; the edge to the tank has no pressure drop
     """
     return leakage * (SUPPLY - RETURN)
 
@@ -109,11 +111,11 @@ def run(
     time: Array,
     inputs: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Outputs of a bench over time, each of shape (n,).
+    """Simulate a bench; returns its outputs over time, each of shape (n,).
 
-    states      value at the start and nominal value of each
-    equations   (states, inputs) -> (rates, outputs), by name
-    inputs      samples (n,) of each, straight lines between them
+    states      initial and nominal value of each state
+    equations   (states, inputs) -> (time derivatives, outputs), by name
+    inputs      samples (n,) of each input, linear between them
     """
     x, u = {n: ca.SX.sym(n) for n in states}, {n: ca.SX.sym(n) for n in inputs}
     rates, outputs = equations(dict(x), dict(u))
@@ -136,13 +138,18 @@ def run(
     return dict(zip(outputs, results.T, strict=True))
 
 
-Flows: TypeAlias = tuple[Scalar, Scalar]  # out of A and B [m3/s]
+Flows: TypeAlias = tuple[Scalar, Scalar]  # out of ports A and B [m3/s]
 Ports: TypeAlias = tuple[EdgeFlows, EdgeFlows]
 
 
 @dataclass(frozen=True)
 class BenchValve:
-    """States of the spool, (start, nominal); rates (x, command); ports (x, command, flows, tank)."""
+    """A valve as part of the equations of a bench.
+
+    states   initial and nominal value of each state of the spool
+    rates    (states, command) -> time derivatives of the states
+    ports    (states, command, flows, tank pressure) -> both ports
+    """
 
     states: dict[str, tuple[Scalar, float]]
     rates: Callable[[ByName, Scalar], ByName]
@@ -150,7 +157,7 @@ class BenchValve:
 
 
 def bench_valve(machine: str) -> BenchValve:
-    """The valve of the lumped or of the detailed machine between bench supply and return line."""
+    """The valve of the lumped or of the detailed machine, between supply and return line of the bench."""
     return _valve_with_spool() if machine == "detailed" else _ideal_valve()
 
 
@@ -167,8 +174,8 @@ def _valve_with_spool() -> BenchValve:
     p = detailed()
 
     def rates(x: ByName, command: Scalar) -> ByName:
-        wanted = spool_valve.commanded_position(command, p.valve_full_command)
-        rate = spool_valve.spool_rates(Spool.of(p, "spool"), SpoolState(x["position"], x["speed"]), wanted)
+        commanded = spool_valve.commanded_position(command, p.valve_full_command)
+        rate = spool_valve.spool_rates(Spool.of(p, "spool"), SpoolState(x["position"], x["speed"]), commanded)
         return {"position": rate.position, "speed": rate.speed}
 
     def ports(x: ByName, _: Scalar, flows: Flows, tank: float) -> Ports:
@@ -179,7 +186,7 @@ def _valve_with_spool() -> BenchValve:
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
-    """Pressures [Pa] and flows [m3/s] at both ends, for commands [V] to the valve.
+    """Pressures [Pa] and flows [m3/s] at both ends of the hose, for commands [V] to the valve.
 
     resistance   C_R [Pa.s2/m6] of the throttle
     """
@@ -188,15 +195,15 @@ def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> 
 
 
 def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
-    # a valve without a spool to move would make pressures jump within a sample, which no logger can record
+    # the ideal valve would cause pressure steps within a sample, which cannot be recorded
     spool, p = bench_valve("detailed"), lumped()
 
     def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         inlet = spool.ports(x, u["command"], (x["flow"], 0.0), RETURN)[0].pressure
         out = throttle(x["outlet"] - RETURN, resistance, p.valve_transition_flow)
-        own = (p.stick_hose_inertance, p.stick_hose_resistance, p.valve_transition_flow)
+        hose_values = (p.stick_hose_inertance, p.stick_hose_resistance, p.valve_transition_flow)
         rates = {
-            "flow": hose.flow_rate(inlet, x["outlet"], x["flow"], *own),
+            "flow": hose.flow_rate(inlet, x["outlet"], x["flow"], *hose_values),
             "outlet": chamber.pressure_rate(x["outlet"], x["flow"] - out, p.stick_hose_capacitance),
             **spool.rates(x, u["command"]),
         }
@@ -227,7 +234,7 @@ def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, 
     return run(start | spool.states, equations, time, {"command": command})
 
 
-MOTOR_THROTTLE = 1e10  # R [Pa.s/m3]: a side fills in 10 ms, the leakage takes 0.3 MPa
+MOTOR_THROTTLE = 1e10  # R [Pa.s/m3]; time constant of a side 10 ms, pressure drop by leakage 0.3 MPa
 
 
 def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[str, Array]:
@@ -255,43 +262,43 @@ def _detailed_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
     of = Fluid.of(p)
     leaks = (p.internal_leakage_resistance, p.external_leakage_resistance)
     nodes = motor.nodes_at_port_pressures(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *leaks)
-    rates, fed = {}, {}
+    rates, supply_flow = {}, {}
     for side, flow in (("a", nodes.flow_1), ("b", nodes.flow_2)):
         pressure = x[f"pressure_{side}"]
-        fed[side] = (u[f"set_{side}"] - pressure) / MOTOR_THROTTLE
+        supply_flow[side] = (u[f"set_{side}"] - pressure) / MOTOR_THROTTLE
         capacitance = p.motor_volume * chamber.compliance(of, pressure)
-        rates[f"pressure_{side}"] = chamber.pressure_rate(pressure, fed[side] - flow, capacitance)
-    return rates, dict(x) | {"flow_a": fed["a"], "drain_flow": nodes.drain}
+        rates[f"pressure_{side}"] = chamber.pressure_rate(pressure, supply_flow[side] - flow, capacitance)
+    return rates, dict(x) | {"flow_a": supply_flow["a"], "drain_flow": nodes.drain}
 
 
-EDGES = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}  # the sign of the command that opens each
+EDGES = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}  # sign of the command that opens the edge
 VALVE_THROTTLE = 2.0e11  # C_R [Pa.s2/m6]
-LINE = 0.5  # m
-BLOCK = 0.5e-3  # m3
+LINE = 0.5  # m, length
+BLOCK = 0.5e-3  # m3, volume
 
 
 def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Array]:
-    """Pressures before and behind the edge [Pa] and the flow through it [m3/s], for commands [V]."""
+    """Pressures upstream and downstream of the edge [Pa] and its flow [m3/s], for commands [V]."""
     spool, p = bench_valve(machine), lumped()
-    feeds, at_a = edge.startswith("P"), "A" in edge
-    far = RETURN if feeds else SUPPLY
-    share = LINE / detailed().stick_hose_length
-    friction = (hose.scaled_resistance(p.stick_hose_resistance, share, 1.0), p.valve_transition_flow)
+    from_supply, at_a = edge.startswith("P"), "A" in edge
+    throttle_end = RETURN if from_supply else SUPPLY
+    fraction = LINE / detailed().stick_hose_length
+    friction = (hose.scaled_resistance(p.stick_hose_resistance, fraction, 1.0), p.valve_transition_flow)
 
     def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         flow, block = x["flow"], x["block"]  # out of the port
-        at_ports = (flow if at_a else 0.0, 0.0 if at_a else flow)
-        ports = spool.ports(x, u["command"], at_ports, RETURN)
+        flows = (flow if at_a else 0.0, 0.0 if at_a else flow)
+        ports = spool.ports(x, u["command"], flows, RETURN)
         port = ports[0 if at_a else 1].pressure
-        through = throttle(block - far, VALVE_THROTTLE, p.valve_transition_flow)
+        throttle_flow = throttle(block - throttle_end, VALVE_THROTTLE, p.valve_transition_flow)
         rates = {
-            "flow": hose.flow_rate(port, block, flow, share * p.stick_hose_inertance, *friction),
-            "block": chamber.pressure_rate(block, flow - through, BLOCK / p.bulk_modulus),
+            "flow": hose.flow_rate(port, block, flow, fraction * p.stick_hose_inertance, *friction),
+            "block": chamber.pressure_rate(block, flow - throttle_flow, BLOCK / p.bulk_modulus),
         }
-        measured = (SUPPLY, port, flow) if feeds else (port, RETURN, -flow)
+        measured = (SUPPLY, port, flow) if from_supply else (port, RETURN, -flow)
         names = ("pressure_in", "pressure_out", "flow")
         return rates | spool.rates(x, u["command"]), dict(zip(names, measured, strict=True))
 
-    leaks = start_flow(p.valve_leakage) * (1 if feeds else -1)
-    states = {"flow": (leaks, 1e-3), "block": (far, 1e7)}
+    leakage = start_flow(p.valve_leakage) * (1 if from_supply else -1)
+    states = {"flow": (leakage, 1e-3), "block": (throttle_end, 1e7)}
     return run(states | spool.states, equations, time, {"command": command})

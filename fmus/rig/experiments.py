@@ -1,9 +1,9 @@
-"""Which experiments there are: section 4 of the paper, each with its commands and instruments.
+"""The experiments of the rig with their commands and instruments, after section 4 of the paper.
 
-On the benches, levels are stepped: held, with straight lines between them. On the whole machine an operator
-moves one joint at a time, then all of them for training, and drives the work cycle that is held out. Training
-covers the work space, small and large commands and all pairs of axes together; no part of it repeats the work
-cycle. All corners of commands lie on the 200 Hz grid.
+On the benches, commands and pressures are stepped: they are held at levels, with ramps between them. On the
+whole machine an operator moves one joint at a time; then, in the training experiments, all joints; and drives
+the work cycle, which is the test. Training covers the work space, small and large commands and all pairs of
+axes, and contains no part of the work cycle. All corners of commands are on the 200 Hz grid.
 """
 
 from __future__ import annotations
@@ -20,66 +20,68 @@ from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.monolith import Monolith, join, simulate
 from fmus.rig.benches import EDGES, TOLERANCE, detailed, locked_motor, stick_hose, valve
-from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Condition, Experiment, Instrument
+from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Experiment, Instrument
 from orchestrator.base.errors import Problem
+from orchestrator.data.description import Condition
 
 Array = NDArray[np.float64]
 
 
-def levels(values: Sequence[float], hold: float, ramp: float, rest: float = 1.0) -> tuple[Array, Array]:
-    """Time and values, shape (n,): the first level for `rest` [s], then each next one for `hold` [s].
+def levels(values: Sequence[float], hold: float, ramp: float, first: float = 1.0) -> tuple[Array, Array]:
+    """Time and values, shape (n,): the first level for `first` [s], then each of the others for `hold` [s].
 
-    The `ramp` [s] towards a level is the beginning of its hold.
+    The `ramp` [s] to a level is the beginning of its hold.
     """
-    starts = rest + hold * np.arange(len(values) - 1)
+    starts = first + hold * np.arange(len(values) - 1)
     corners = np.concatenate([[0.0], np.column_stack([starts, starts + ramp]).ravel(), [starts[-1] + hold]])
-    held = np.repeat(np.asarray(values, dtype=float), 2)
+    values_at_corners = np.repeat(np.asarray(values, dtype=float), 2)
     time = np.arange(round(corners[-1] * RATE) + 1) / RATE
-    return time, np.interp(time, corners, held)
+    return time, np.interp(time, corners, values_at_corners)
 
 
 def up_and_down(steps: Sequence[float]) -> list[float]:
-    """Zero, the steps upwards, and down again to zero."""
+    """Levels from zero up all steps and down again to zero."""
     up = [0.0, *steps]
     return up + up[-2::-1]
 
 
 # ---- commands on the whole machine -----------------------------------------------------------------
 
-# strokes there and back, slow and fast; (command [V], hold [s]) of each
+# slow and fast strokes to and fro: (command [V], hold [s]) of each
 _STROKES: Mapping[str, Sequence[tuple[float, float]]] = {
     "swing": ((2.0, 1.5), (-3.0, 1.2), (3.5, 1.0), (-2.5, 1.0), (1.5, 1.5), (-3.2, 0.8)),
     "boom": ((2.2, 1.4), (-1.6, 1.8), (3.0, 1.0), (-2.4, 1.2), (1.5, 1.6), (-1.4, 1.4), (3.2, 0.7)),
     "stick": ((2.0, 1.6), (-2.0, 1.6), (3.0, 1.1), (-2.6, 1.2), (1.5, 1.8), (-1.5, 1.8), (3.2, 0.8)),
 }
-_RISE = {"swing": 0.5, "boom": 0.3, "stick": 0.4}  # s
-_FALL = {"swing": 1.3, "boom": 0.5, "stick": 0.6}
+_RISE = {"swing": 0.5, "boom": 0.3, "stick": 0.4}  # s, of the command at the start of a stroke
+_FALL = {"swing": 1.3, "boom": 0.5, "stick": 0.6}  # s, at its end
 _PAUSE = 0.3  # s between strokes
 
 
 def strokes(joint: str, sign: int = 1) -> list[Move]:
-    """One joint there and back from 1 s on, several times; `sign` -1 begins the other way."""
+    """Strokes of one joint to and fro, from 1 s on; sign -1 reverses the directions."""
     moves, start = [], 1.0
     for command, hold in _STROKES[joint]:
         moves.append(Move(joint, start, sign * command, _RISE[joint], hold, _FALL[joint]))
-        start = round(stop(moves[-1:]) + _PAUSE, 3)
+        start = round(end_of(moves[-1:]) + _PAUSE, 3)
     return moves
 
 
-def stop(moves: Sequence[Move]) -> float:
-    """When the last move is over [s]."""
+def end_of(moves: Sequence[Move]) -> float:
+    """The time at which the last move ends [s]."""
     return round(max(m.start + m.rise + m.hold + m.fall for m in moves), 3)
 
 
-# start poses of the damping runs and the way they begin: inside the stroke of the joint that moves, and with
-# different levers dl/dq in the two runs, so that friction of piston and joint can be told apart
+# initial poses of the damping experiments and the sign of their first stroke. All strokes stay inside the
+# range of the joint. The lever arm dl/dq differs in the two experiments of a joint, so that friction of
+# piston and joint can be separated.
 DAMPING: Mapping[str, Sequence[tuple[Pose, int]]] = {
     "swing": ((Pose(0.2, -1.4), 1), (Pose(0.4, -1.9), -1)),
     "boom": ((Pose(0.0, -1.4), 1), (Pose(0.5, -1.8), 1)),
     "stick": ((Pose(0.4, -1.1), 1), (Pose(0.3, -2.0), -1)),
 }
 
-TRAIN_1: tuple[Move, ...] = (  # low and near, then high and far
+TRAIN_1: tuple[Move, ...] = (  # first low and close to the machine, then high and far away
     Move("boom", 1.0, 2.8, 0.4, 0.9, 0.6),
     Move("swing", 1.6, 2.6, 0.5, 1.3, 1.4),
     Move("stick", 2.6, -2.8, 0.4, 1.2, 0.6),
@@ -106,7 +108,7 @@ TRAIN_1: tuple[Move, ...] = (  # low and near, then high and far
     Move("swing", 26.4, 1.8, 0.4, 0.6, 0.9),
     Move("boom", 27.0, -1.6, 0.4, 0.8, 0.5),
 )
-TRAIN_2: tuple[Move, ...] = (  # far and high, then near and low
+TRAIN_2: tuple[Move, ...] = (  # first far away and high, then close and low
     Move("stick", 1.0, 2.6, 0.4, 1.3, 0.6),
     Move("swing", 1.4, -3.0, 0.6, 1.4, 1.5),
     Move("boom", 2.2, -2.6, 0.4, 1.2, 0.7),
@@ -133,23 +135,25 @@ TRAIN_2: tuple[Move, ...] = (  # far and high, then near and low
     Move("boom", 25.6, -2.0, 0.4, 1.1, 0.6),
     Move("stick", 26.2, -2.4, 0.4, 0.8, 0.6),
 )
+# moves and initial pose
 TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -0.95, 0.5)))
-TRAINING_STOP = 30.0  # s each
+TRAINING_STOP = 30.0  # s
 
 # ---- experiments on the benches --------------------------------------------------------------------
 
 HOLD = 2.0  # s: 0.5 s to settle and 300 samples
-RAMP = 0.05  # s, from level to level
+RAMP = 0.05  # s, between levels
 
-# fine below 2 V, where the edges open; the flow meter sees nothing up to about 1 V
+# V; fine below 2 V, where the edges open. Up to about 1 V the flow is in the dead zone of the meter.
 VALVE_STEPS = (*np.arange(0.25, 2.01, 0.25), *np.arange(2.5, 10.01, 0.5))
-# 25 flows, nearly evenly from 15 to 281 L/min
+# V; 25 flows, nearly equidistant from 15 to 281 L/min
 HOSE_STEPS = tuple(np.round(np.linspace(1.25, 10.0, 25), 3))
 HOSE_THROTTLE = 1.05e11  # C_R [Pa.s2/m6]: 281 L/min at 10 V
 
-# four groups: throttle C_R [Pa.s2/m6], levels of the command [V], hold and ramp [s]. Small throttles give
-# fast flow, for the inertance; large ones fast pressure, for the capacitance. What goes up comes down again,
-# so that errors of the 200 Hz clock at the corners cancel. Flows stay above the meters' dead zone.
+# four groups: resistance C_R of the throttle [Pa.s2/m6], levels of the command [V], hold and ramp [s]. A
+# small resistance gives fast changes of flow, for the inertance; a large one of pressure, for the
+# capacitance. Each step up is followed by a step down, so that sampling errors at the corners cancel. Flows
+# exceed the dead zone of the meters.
 GROUPS: tuple[tuple[float, Sequence[float], float, float], ...] = (
     (6e11, (3.0, 8.0) * 20, 0.5, 0.06),
     (1.5e12, (3.0, 6.0, 9.0, 6.0) * 10, 0.5, 0.06),
@@ -157,16 +161,17 @@ GROUPS: tuple[tuple[float, Sequence[float], float, float], ...] = (
     (6e12, (2.0, 6.0) * 20, 0.5, 0.08),
 )
 
-# locked motor: set pressures of the driven port [MPa] at a low and a medium pressure of the other one
+# locked motor: set pressures of the stepped port [MPa], at a low and a medium pressure of the other port
+# [MPa]
 MOTOR_STEPS = tuple(range(2, 21, 2))
 MOTOR_OTHER = (2.0, 8.0)
 MOTOR_HOLD, MOTOR_RAMP = 3.0, 0.2  # s
 
 
-def _meters(signals: Mapping[str, Array], flow: Instrument = FLOW) -> dict[str, Instrument]:
-    """The instrument of each signal, by its name."""
-    kinds = {"command": COMMAND, "pressure": PRESSURE}
-    return {name: kinds.get(name.split("_")[0], flow) for name in signals}
+def _instruments(signals: Mapping[str, Array], flow: Instrument = FLOW) -> dict[str, Instrument]:
+    """The instruments of the signals, from their names; flow: the meter for flows."""
+    by_quantity = {"command": COMMAND, "pressure": PRESSURE}
+    return {name: by_quantity.get(name.split("_")[0], flow) for name in signals}
 
 
 def _edge(edge: str, machine: str) -> Experiment:
@@ -182,7 +187,7 @@ def _edge(edge: str, machine: str) -> Experiment:
         conditions={"edge": edge},
         time=time,
         signals=signals,
-        instruments=_meters(signals),
+        instruments=_instruments(signals),
     )
 
 
@@ -195,13 +200,15 @@ def _hose(
     time: Array,
 ) -> Experiment:
     p = detailed()
-    conditions: dict[str, Condition] = {
-        "length": (p.stick_hose_length, "m"),
-        "diameter": (p.stick_hose_bore, "m"),
-        "density": (p.density, "kg/m3"),
-        "viscosity": (p.viscosity, "Pa.s"),
+    conditions = {
+        "length": Condition(p.stick_hose_length, "m"),
+        "diameter": Condition(p.stick_hose_bore, "m"),
+        "density": Condition(p.density, "kg/m3"),
+        "viscosity": Condition(p.viscosity, "Pa.s"),
     }
-    return Experiment(name, title, procedure, "train", machine, conditions, time, signals, _meters(signals))
+    return Experiment(
+        name, title, procedure, "train", machine, conditions, time, signals, _instruments(signals)
+    )
 
 
 def _hose_resistance(machine: str) -> Experiment:
@@ -220,24 +227,24 @@ def _hose_dynamics(number: int, machine: str) -> Experiment:
     return _hose(machine, f"hose_dynamics_{number}", title, "hose_dynamics", signals, time)
 
 
-def _motor(driven: str, machine: str) -> Experiment:
+def _motor(stepped: str, machine: str) -> Experiment:
     low, medium = MOTOR_OTHER
     steps = [2.0, *MOTOR_STEPS, *reversed(MOTOR_STEPS)]
     others = [low, *(low for _ in MOTOR_STEPS), *(medium for _ in MOTOR_STEPS)]
-    time, this = levels(steps, MOTOR_HOLD, MOTOR_RAMP)
-    _, other = levels(others, MOTOR_HOLD, MOTOR_RAMP)
-    sides = (1e6 * this, 1e6 * other) if driven == "A" else (1e6 * other, 1e6 * this)
-    signals = locked_motor(machine, time, *sides)
+    time, stepped_pressure = levels(steps, MOTOR_HOLD, MOTOR_RAMP)
+    _, other_pressure = levels(others, MOTOR_HOLD, MOTOR_RAMP)
+    pressures = (1e6 * stepped_pressure, 1e6 * other_pressure)
+    signals = locked_motor(machine, time, *(pressures if stepped == "A" else reversed(pressures)))
     return Experiment(
-        name=f"motor_leakage_{1 if driven == 'A' else 2}",
-        title=f"Swing motor, shaft locked, pressure at port {driven} stepped",
+        name=f"motor_leakage_{1 if stepped == 'A' else 2}",
+        title=f"Swing motor, shaft locked, pressure at port {stepped} stepped",
         procedure="motor_leakage",
         use="train",
         machine=machine,
         conditions={"shaft": "locked"},
         time=time,
         signals=signals,
-        instruments=_meters(signals, LEAKAGE),
+        instruments=_instruments(signals, LEAKAGE),
     )
 
 
@@ -262,26 +269,29 @@ _VARIANTS: Mapping[str, Mapping[str, str]] = {
 
 
 @cache
-def _joined(machine: str) -> tuple[Monolith, Wires, Mapping[str, tuple[str, ...]]]:
-    chosen = parts(**_VARIANTS[machine])
-    wires, inputs = wiring(chosen)
-    return join(chosen, wires, inputs), wires, inputs
+def _monolith(machine: str) -> tuple[Monolith, Wires, Mapping[str, tuple[str, ...]]]:
+    """The machine as one model, its connections, and its inputs with the variables that they set."""
+    components = parts(**_VARIANTS[machine])
+    wires, inputs = wiring(components)
+    return join(components, wires, inputs), wires, inputs
 
 
-def at_work(machine: str, moves: Sequence[Move], stop: float, pose: Pose) -> tuple[Array, dict[str, Array]]:
-    """Time (n,) [s] at 200 Hz and all outputs and inputs (n,), as `component.variable`, SI."""
-    model, wires, ends = _joined(machine)
+def simulate_machine(
+    machine: str, moves: Sequence[Move], stop: float, pose: Pose
+) -> tuple[Array, dict[str, Array]]:
+    """Time (n,) [s] at 200 Hz, and all outputs and inputs (n,) by `component.variable`, in SI units."""
+    model, wires, targets = _monolith(machine)
     time, commands = sample(moves, stop)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
-    p, angles = model.p.copy(), {joint: getattr(pose, joint) for joint in (*JOINTS, "swing")}
-    for joint, angle in angles.items():
-        p[model.parameters.index(f"manipulator.{parameter(joint)}")] = angle
+    p = model.p.copy()
+    for joint in (*JOINTS, "swing"):
+        p[model.parameters.index(f"manipulator.{parameter(joint)}")] = getattr(pose, joint)
     _, outputs = simulate(model, time, inputs, p, TOLERANCE)
-    known = dict(zip(model.output_names, outputs.T, strict=True))
+    signals = dict(zip(model.output_names, outputs.T, strict=True))
     for column, name in zip(inputs.T, model.inputs, strict=True):
-        known |= dict.fromkeys(ends[name], column)
-    return time, known | {target: known[source] for source, target in wires}
+        signals |= dict.fromkeys(targets[name], column)
+    return time, signals | {target: signals[source] for source, target in wires}
 
 
 INSTRUMENTS: Mapping[str, Instrument] = {
@@ -297,17 +307,17 @@ INSTRUMENTS: Mapping[str, Instrument] = {
 }
 
 
-def _at_work(
+def _machine_experiment(
     name: str,
     title: str,
     moves: Sequence[Move],
-    until: float,
+    stop: float,
     pose: Pose,
-    conditions: Mapping[str, Condition],
+    conditions: Mapping[str, str | Condition],
     use: str,
     machine: str,
 ) -> Experiment:
-    time, known = at_work(machine, moves, until, pose)
+    time, signals = simulate_machine(machine, moves, stop, pose)
     return Experiment(
         name=name,
         title=title,
@@ -316,9 +326,9 @@ def _at_work(
         machine=machine,
         conditions=conditions,
         time=time,
-        signals={n: known[n] for n in INSTRUMENTS},
+        signals={n: signals[n] for n in INSTRUMENTS},
         instruments=INSTRUMENTS,
-        unseen={n: values for n, values in known.items() if n not in INSTRUMENTS},
+        unrecorded={n: values for n, values in signals.items() if n not in INSTRUMENTS},
     )
 
 
@@ -326,19 +336,23 @@ def _damping(joint: str, number: int, machine: str) -> Experiment:
     pose, sign = DAMPING[joint][number - 1]
     moves = strokes(joint, sign)
     title = f"Only the {joint} moves, pose {number}"
-    name, conditions = f"damping_{joint}_{number}", {"joint": joint}
-    return _at_work(name, title, moves, stop(moves) + 1.0, pose, conditions, "train", machine)
+    name, stop = f"damping_{joint}_{number}", end_of(moves) + 1.0
+    return _machine_experiment(name, title, moves, stop, pose, {"joint": joint}, "train", machine)
 
 
 def _training(number: int, machine: str) -> Experiment:
     moves, pose = TRAINING[number - 1]
     title = f"All axes at work, training {number}"
-    return _at_work(f"machine_train_{number}", title, moves, TRAINING_STOP, pose, {}, "train", machine)
+    return _machine_experiment(
+        f"machine_train_{number}", title, moves, TRAINING_STOP, pose, {}, "train", machine
+    )
 
 
 def _test(machine: str) -> Experiment:
     title = "Work cycle, held out"
-    return _at_work("machine_test", title, WORK_CYCLE, WORK_CYCLE_STOP, POSES[NOMINAL], {}, "test", machine)
+    return _machine_experiment(
+        "machine_test", title, WORK_CYCLE, WORK_CYCLE_STOP, POSES[NOMINAL], {}, "test", machine
+    )
 
 
 MACHINE_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
@@ -361,12 +375,12 @@ EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {**BENCH_EXPERIMENTS, *
 
 @cache
 def experiment(name: str, machine: str) -> Experiment:
-    """One experiment by the name of its files, simulated the first time it is asked for."""
+    """One experiment by the name of its files; simulated once and then kept in memory."""
     if machine not in MACHINES:
         raise Problem(f"machine is {machine!r}, expected {' or '.join(MACHINES)}")
     return EXPERIMENTS[name](machine)
 
 
 def experiments(machine: str) -> Iterator[Experiment]:
-    """All experiments on a machine, simulated one after the other."""
+    """All experiments on a machine; each is simulated when the iterator reaches it."""
     return (experiment(name, machine) for name in EXPERIMENTS)

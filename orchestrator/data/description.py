@@ -1,4 +1,4 @@
-"""Reads the TOML file that describes sampled data: columns, instruments, experiment, limits of a comparison.
+"""The TOML file that describes sampled data: columns, instruments, experiment, limits of a comparison.
 
 `harvester identify` reads recordings of a test rig or a machine in this format, `harvester validate` reads
 reference traces. The dataclasses below are the tables of the file. docs/recordings.md and
@@ -7,12 +7,14 @@ docs/reference-traces.md describe the keys.
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from datetime import date as Date
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
@@ -189,3 +191,38 @@ def read_description(path: Path) -> Description:
         if groups and signal.group and signal.tolerance is None and signal.group not in groups:
             raise Problem(f"{where}: group: expected one of {', '.join(groups)}, got {signal.group!r}")
     return description
+
+
+def write_description(path: Path, description: Description) -> None:
+    """Write a description, so that `read_description` returns an equal one; default values are left out."""
+    tables = {f.name: getattr(description, f.name) for f in fields(description) if f.name != "signals"}
+    tables |= {f"signals.{_key(name)}": signal for name, signal in description.signals.items()}
+    blocks = [
+        "\n".join([f"[{name}]", *(f"{_key(key)} = {_value(value)}" for key, value in entries.items()), ""])
+        for name, table in tables.items()
+        if (entries := _entries(table))
+    ]
+    path.write_text("\n".join(blocks), encoding="utf-8", newline="\n")
+
+
+def _entries(table: Any) -> dict[str, object]:
+    """The entries of a table; of a dataclass those that differ from the defaults."""
+    if not is_dataclass(table):
+        return dict(table)
+    return {f.name: value for f in fields(table) if (value := getattr(table, f.name)) != f.default}
+
+
+def _key(name: str) -> str:
+    """A key in TOML; strings have the same escapes as in JSON."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+
+
+def _value(value: object) -> str:
+    """A value in TOML."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if is_dataclass(value):
+        return f"{{ {', '.join(f'{_key(key)} = {_value(v)}' for key, v in _entries(value).items())} }}"
+    return str(value)

@@ -7,16 +7,17 @@ are both recordings. `write_recording` writes a computed recording.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import write_columns
 from orchestrator.base.units import parse, si_unit
 from orchestrator.data.description import (
     Condition,
@@ -25,6 +26,7 @@ from orchestrator.data.description import (
     SignalDescription,
     Tolerance,
     read_description,
+    write_description,
 )
 from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 from orchestrator.data.trace import Trace
@@ -320,34 +322,18 @@ def write_recording(
     """
     if not origin.change.strip():
         raise Problem(f"{path}: expected the reason of this change of the reference, got none")
-    table = Path(path)
-    columns = np.column_stack([trace.time, *trace.signals.values()])
-    head = ",".join(["time", *trace.signals])
-    np.savetxt(table, columns, f"%.{digits}g", ",", header=head, comments="", encoding="utf-8")
-    about = {f.name: getattr(origin, f.name) for f in fields(origin)}
-    limits: dict[str, object] = dict(tolerances)
-    limits |= dict.fromkeys(sorted(set(groups.values()) - set(tolerances)), "none")
-    blocks = [_toml_table("reference", about), _toml_table("tolerances", limits)]
-    for name in trace.signals:
-        spec = {
-            "unit": trace.units.get(name, "1"),
-            "group": groups.get(name),
-            "label": (labels or {}).get(name),
-        }
-        blocks.append(_toml_table(f"signals.{json.dumps(name, ensure_ascii=False)}", spec))
-    description = table.with_suffix(".toml")
-    description.write_text("\n".join(blocks), encoding="utf-8", newline="\n")
+    csv = Path(path)
+    rows = np.column_stack([trace.time, *trace.signals.values()])
+    write_columns(csv, ["time", *trace.signals], rows, digits)
+    signals = {
+        name: SignalDescription(
+            unit=trace.units.get(name, "1"),
+            group=groups.get(name, ""),
+            label=(labels or {}).get(name, ""),
+        )
+        for name in trace.signals
+    }
+    limits: dict[str, Tolerance | Literal["none"]] = dict.fromkeys(sorted(groups.values()), "none")
+    description = csv.with_suffix(".toml")
+    write_description(description, Description(signals, origin, tolerances=limits | dict(tolerances)))
     return description
-
-
-def _toml_table(head: str, values: Mapping[str, object]) -> str:
-    """A TOML table without empty values; TOML strings have the same escapes as JSON strings."""
-    lines = [f"[{head}]"]
-    for key, value in values.items():
-        name = key if key.isidentifier() else json.dumps(key, ensure_ascii=False)
-        if isinstance(value, Tolerance):
-            lines.append(f"{name} = {{ metric = {json.dumps(value.metric)}, limit = {value.limit!r} }}")
-        elif value not in ("", None):
-            text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
-            lines.append(f"{name} = {text}")
-    return "\n".join([*lines, ""])

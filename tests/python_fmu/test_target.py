@@ -96,7 +96,7 @@ def test_other_equations_are_told(tmp_path, capsys):
     [
         ("fmus.boom_stick:VARIANTS.old", "fmus.boom_stick:VARIANTS.old is not in the Python of "),
         ("fmus.no_stick:VARIANTS.lumped", "fmus.no_stick:VARIANTS.lumped is not in the Python of "),
-        ("fmus.contract:Subsystem", "fmus.contract:Subsystem is type, expected a Subsystem"),
+        ("fmus.contract:Subsystem", "fmus.contract:Subsystem is of type type, expected Subsystem"),
     ],
 )
 def test_a_missing_subsystem_is_told(tmp_path, capsys, origin, said):

@@ -44,7 +44,7 @@ def test_writes_over_its_own_files_only(tmp_path, capsys):
     capsys.readouterr()
     assert main(["rig", "--out", str(other)]) == 2
     told = capsys.readouterr().err
-    assert "expected an empty folder or one of the rig, found my.csv in it" in told
+    assert "expected an empty folder or one of the rig, got a folder with my.csv" in told
     assert [path.name for path in other.iterdir()] == ["my.csv"]
 
 

@@ -28,9 +28,9 @@ def test_noise_has_the_told_size_and_no_bias(instrument):
     """Mean and standard deviation are those of the truth with white noise and the converter's step."""
     value = 0.37 * instrument.high  # between two steps, far from ends and dead zone
     error = readings(instrument, value) - value
-    sd = math.hypot(instrument.noise, instrument.step / math.sqrt(12))
+    sd = math.hypot(instrument.noise, instrument.resolution / math.sqrt(12))
     # five standard errors of the mean; noise of half a step leaves the converter no bias of 1 % of it
-    assert abs(error.mean()) < 5 * sd / math.sqrt(COUNT) + 0.01 * instrument.step
+    assert abs(error.mean()) < 5 * sd / math.sqrt(COUNT) + 0.01 * instrument.resolution
     # the standard error of a standard deviation is 1/sqrt(2 n), 0.16 %; the step's part is right to 1 %
     assert error.std() == pytest.approx(sd, rel=5 / math.sqrt(2 * COUNT) + 0.01)
 
@@ -50,7 +50,7 @@ def test_noise_is_white(instrument):
 def test_readings_are_whole_steps_in_range(instrument, value, seed):
     """Whatever is measured, the reading is a whole number of steps between the ends."""
     found = readings(instrument, value, 5, seed)
-    steps = found / instrument.step
+    steps = found / instrument.resolution
     assert np.array_equal(steps, np.round(steps))  # exact: all steps are short binary fractions or n/4096
     assert np.all((found >= instrument.low) & (found <= instrument.high))
 
@@ -58,7 +58,7 @@ def test_readings_are_whole_steps_in_range(instrument, value, seed):
 @pytest.mark.parametrize("instrument", NOISY, ids=lambda i: i.text)
 def test_a_converter_of_12_bit_has_4096_codes(instrument):
     """Range over step; and a signal beyond an end stays there."""
-    assert (instrument.high - instrument.low) / instrument.step == 4095  # exact, as above
+    assert (instrument.high - instrument.low) / instrument.resolution == 4095  # exact, as above
     assert np.all(readings(instrument, 1.1 * instrument.high + 1, 100) == instrument.high)
     assert np.all(readings(instrument, instrument.low - 0.1 * instrument.high, 100) == instrument.low)
 
@@ -74,9 +74,9 @@ def test_a_turbine_stands_still_below_its_dead_zone():
 @given(value=st.floats(-1e4, 1e4))
 def test_an_encoder_errs_by_half_a_count(value):
     """65536 counts per turn and no noise."""
-    assert ANGLE.step * 65536 == 360
+    assert ANGLE.resolution * 65536 == 360
     error = readings(ANGLE, value, 1)[0] - value
-    assert abs(error) <= ANGLE.step / 2 + 1e-12 * abs(value)  # rounding of the conversion
+    assert abs(error) <= ANGLE.resolution / 2 + 1e-12 * abs(value)  # rounding of the conversion
 
 
 @given(value=st.floats(-10, 10))

@@ -30,8 +30,8 @@ EACH = [
 def test_oil_does_not_tear_and_no_cylinder_hits_its_end(name, machine):
     """No void, no end stop, no flow beyond the meters, pressures in the transducers' range."""
     e = experiment(name, machine)
-    voids = [v.max() for n, v in e.unseen.items() if n.endswith("void_volume")]
-    stops = [np.abs(v).max() for n, v in e.unseen.items() if n.endswith("stop_force")]
+    voids = [v.max() for n, v in e.unrecorded.items() if n.endswith("void_volume")]
+    stops = [np.abs(v).max() for n, v in e.unrecorded.items() if n.endswith("stop_force")]
     assert len(voids) == 3
     assert len(stops) == 2
     assert max(voids) < 1e-7  # m3, from there on the models warn
@@ -64,7 +64,7 @@ def test_only_one_joint_moves(name, machine):
     e = experiment(name, machine)
     moving = e.conditions["joint"]
     for joint in JOINTS:
-        angle, speed = e.signals[f"manipulator.{joint}_angle"], e.unseen[f"manipulator.{joint}_speed"]
+        angle, speed = e.signals[f"manipulator.{joint}_angle"], e.unrecorded[f"manipulator.{joint}_speed"]
         if joint == moving:
             assert np.ptp(angle) > np.radians(10)
             assert speed.max() > 0.1  # rad/s
@@ -87,8 +87,8 @@ def test_training_covers_what_is_held_out():
         assert reached.min() < own.min() + 0.1 * np.ptp(own)
         assert reached.max() > own.max() - 0.1 * np.ptp(own)
     for joint in JOINTS:
-        own = np.abs(test.unseen[f"manipulator.{joint}_speed"]).max()
-        assert max(np.abs(e.unseen[f"manipulator.{joint}_speed"]).max() for e in training) > 0.8 * own
+        own = np.abs(test.unrecorded[f"manipulator.{joint}_speed"]).max()
+        assert max(np.abs(e.unrecorded[f"manipulator.{joint}_speed"]).max() for e in training) > 0.8 * own
 
 
 def test_the_held_out_cycle_is_not_trained():
