@@ -1,7 +1,7 @@
-"""How a master uses a running component, and FMI calls with fixed arguments, made from Python or from C.
+"""Interface of a running component (`Slave`), and FMI calls with fixed arguments for Python and C.
 
-A call reads or sets a row of variables. It is bound once to value references and a slice of a NumPy array, so
-making it is a single call into the FMU without any allocation. Types other than
+A call gets or sets several variables of one type. It is bound once to value references and to a slice of a
+NumPy array, so that each execution is a single call into the FMU without memory allocation. Types other than
 Float64 and Int32 are converted.
 """
 
@@ -20,19 +20,28 @@ from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.fmi.instance import BoundCall
 from orchestrator.fmi.messages import Log
 
-Buffer = NDArray[Any]  # float64 for Real, int32 for all whole numbers, Enumeration and Boolean
+Buffer = NDArray[Any]  # float64 for floating-point types; int32 for integers, Enumeration and Boolean
 Call = Callable[[], None]
 
 
 class Slave(Protocol):
-    """What a master needs of a component. All variables of one reader or writer have the same `access`.
+    """Protocol of a running component, as masters use it: an FMU or a Python object.
 
-    busy      time that its steps took so far [s]
-    follows   the highest degree of a polynomial, up to `degree`, that an input can be given: 0, 1 or 3
-    tells     those of the outputs whose first time derivatives it tells
-    step      raises Discarded when the FMU did only part of the step, Ended when it asks to end the run
-    resume    the last step is going to be repeated from a saved state, as if it had not been tried
-    save      a snapshot of the state; given an earlier one, that is overwritten
+    All variables of one reader or writer must have the same `function_type`.
+
+    busy                      wall time of all steps so far [s]
+    setup                     set up the experiment; times in [s]
+    enter, exit               enter and leave initialisation mode
+    reader, writer            calls that get variables into an array, or set them from an array
+    output_derivative_reader, input_derivative_writer   the same for first time derivatives
+    directional_derivative    call that computes the change of unknowns when knowns change along `seed`
+    input_degree              highest degree (0, 1 or 3), up to `degree`, of a polynomial as input
+    outputs_with_derivatives  those of the outputs whose first time derivatives are available
+    step                      raises Discarded for an incomplete step, Ended if the FMU ends the simulation
+    after_rollback            discard the messages and the status of a step that is repeated
+    save                      save the state, in a new object or over an earlier one
+    restore, free_state       restore a saved state, free it
+    serialize, deserialize    convert a saved state to bytes and back
     """
 
     name: str
@@ -49,10 +58,10 @@ class Slave(Protocol):
     def writer(self, variables: Sequence[str], values: Buffer) -> Call: ...
     def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Call: ...
     def input_derivative_writer(
-        self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()
+        self, variables: Sequence[str], derivatives: Buffer, orders: Sequence[int] = ()
     ) -> Call: ...
     def directional_derivative(
-        self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer
+        self, unknowns: Sequence[str], knowns: Sequence[str], seed: Buffer, into: Buffer
     ) -> Call: ...
     def input_degree(self, variable: str, degree: int) -> int: ...
     def outputs_with_derivatives(self, outputs: Sequence[str]) -> Sequence[str]: ...
@@ -67,52 +76,53 @@ class Slave(Protocol):
 
 
 def function_type(variable: FmuVariable) -> str:
-    """The word in the FMI function that reads or writes this variable."""
+    """The type in the name of the FMI functions that get and set a variable, such as Real or Float64."""
     return variable.fmi_type or ("Integer" if variable.kind == "Enumeration" else variable.kind)
 
 
 def address(values: Buffer) -> ctypes.c_void_p:
-    """Where an array begins; the caller keeps it alive."""
+    """Address of an array, which the caller must keep alive."""
     return ctypes.c_void_p(values.ctypes.data)
 
 
-def to_ctypes(variable: FmuVariable, kind: Any, value: Value) -> Any:
-    """One value as a ctypes object."""
+def to_ctypes(variable: FmuVariable, ctype: Any, value: Value) -> Any:
+    """A value as an object of a ctypes type."""
     if variable.kind == "String":
         return ctypes.c_char_p(str(value).encode())
     if variable.is_real:
-        return kind(float(value))
-    cell = kind(int(value))
+        return ctype(float(value))
+    cell = ctype(int(value))
     if cell.value != int(value) and variable.kind != "Boolean":
-        raise Problem(f"{variable.name}: {value} does not fit into {variable.fmi_type or variable.kind}")
+        type_ = variable.fmi_type or variable.kind
+        raise Problem(f"{variable.name}: expected a value in the range of {type_}, got {value}")
     return cell
 
 
 def from_ctypes(variable: FmuVariable, cell: Any) -> Value:
-    """The value in a ctypes object."""
+    """The value of a ctypes object."""
     if variable.kind == "String":
         return (cell.value or b"").decode(errors="replace")
     value: Value = cell.value
     return bool(value) if variable.kind == "Boolean" else value
 
 
-OUT_OF_RANGE = -1  # as a status: a whole number that the other type cannot hold
+OUT_OF_RANGE = -1  # status of a call from C: an integer is out of the range of the target type
 
 
 @dataclass(frozen=True)
 class Access:
-    """A call of fmiXGet..., fmiXSet... or one of their kin, with all its arguments fixed.
+    """A get or set function of an FMU with fixed arguments, executable from Python and from C.
 
-    call         makes the call from Python and judges its status
+    call         bound call from Python, which checks the status
     address      of the FMI function, for C
-    component    the instance
-    fmi          2 or 3: whether the number of values is an argument too
+    component    handle of the instance
+    fmi          2 or 3; FMI 3.0 functions have the number of values as an additional argument
     references   value references, shape (n,)
-    orders       of derivatives, shape (n,); None for values
-    own          what the FMU reads or writes, shape (n,)
-    values       where the run keeps it, shape (n,); `own` itself where the types agree
-    sets         True when the FMU takes the values
-    names        of the variables
+    orders       orders of derivatives, shape (n,); None for values
+    fmu_values   values in the type of the FMU, shape (n,)
+    values       values of the run, shape (n,); the same array as `fmu_values` if the types agree
+    sets         True for a set function
+    names        names of the variables
     """
 
     call: BoundCall
@@ -130,7 +140,7 @@ class Access:
         if self.fmu_values.dtype == self.values.dtype:
             self.call()
         elif self.sets:
-            with np.errstate(over="ignore"):  # what is too large in single precision becomes infinite
+            with np.errstate(over="ignore"):  # overflow to single precision gives infinity
                 self.fmu_values[:] = self.values
             check_range(self.values, self.fmu_values, self.names)
             self.call()
@@ -140,7 +150,7 @@ class Access:
             check_range(self.fmu_values, self.values, self.names)
 
     def check_status(self, status: int) -> None:
-        """Raise what the call from Python would raise; after a call from C, which does not judge."""
+        """Raise the exception for the status of a call from C."""
         if status == OUT_OF_RANGE:
             if self.sets:
                 self.fmu_values[:] = self.values
@@ -152,11 +162,12 @@ class Access:
 
 @dataclass(frozen=True)
 class DirectionalDerivative:
-    """A call of fmiXGetDirectionalDerivative with all its arguments fixed.
+    """GetDirectionalDerivative with fixed arguments, executable from Python and from C.
 
     call, address, component, fmi   as in `Access`
-    of, by                          value references of outputs, shape (m,), and of inputs, shape (n,)
-    seed, into                      the direction in which the inputs move, and how the outputs change
+    unknowns, knowns                value references, shape (m,) and shape (n,)
+    seed                            direction in the space of the knowns, shape (n,)
+    sensitivity                     resulting change of the unknowns, shape (m,)
     """
 
     call: BoundCall
@@ -172,19 +183,20 @@ class DirectionalDerivative:
         self.call()
 
     def check_status(self, status: int) -> None:
-        """Raise what the call from Python would raise; after a call from C, which does not judge."""
+        """Raise the exception for the status of a call from C."""
         self.call.check_status(status)
 
 
 @dataclass(frozen=True)
 class StepCalls:
-    """What it takes to step an instance, and to save and restore its state, from C.
+    """Addresses and callbacks to step an instance, and to save and restore its state, from C.
 
-    do_step, get_state, set_state   addresses of the FMI functions; 0 for those that are not needed
-    results                         addresses of what FMI 3.0 says of a step: event, terminate, early, last
-    flags                           address of the first three of them together; 0 in FMI 2.0
-    judge, judge_get, judge_set     raise what each of the three, called from Python, would for a status
-    clock                           where the time is noted for messages, see `Log.clock`
+    do_step, get_state, set_state      addresses of the FMI functions; 0 for functions that are not needed
+    results                            addresses of the FMI 3.0 results of a step: eventHandlingNeeded,
+                                       terminateSimulation, earlyReturn, lastSuccessfulTime; empty in FMI 2.0
+    flags                              address of the first three results as one integer; 0 in FMI 2.0
+    check_step, check_get, check_set   raise the exception for a status of the three functions
+    clock                              communication point and start of the step, see `Log.clock`
     """
 
     component: int
@@ -200,15 +212,15 @@ class StepCalls:
     clock: NDArray[np.float64]
 
 
-def compatible_buffer(values: Buffer, count: int, kind: Any) -> Buffer:
-    """`values` itself where an FMU of this ctypes kind can use it directly, else an array that it can use."""
+def compatible_buffer(values: Buffer, count: int, ctype: Any) -> Buffer:
+    """`values` if an FMU can access it directly as values of a ctypes type, or else a new array."""
     if len(values) < count or not values.flags.c_contiguous or values.dtype not in (np.float64, np.int32):
         raise ValueError(f"expected {count} contiguous values, got shape {values.shape} of {values.dtype}")
-    return values[:count] if values.dtype == np.dtype(kind) else np.zeros(count, kind)
+    return values[:count] if values.dtype == np.dtype(ctype) else np.zeros(count, ctype)
 
 
 def check_range(before: Buffer, after: Buffer, names: Sequence[str]) -> None:
-    """Refuse whole numbers that the other type cannot hold; real ones may be rounded."""
+    """Refuse integers out of the range of the target type; floating-point values may be rounded."""
     if after.dtype.kind in "iu" and not np.array_equal(before, after):
-        at = int(np.flatnonzero(before != after)[0])
-        raise Problem(f"{names[at]}: {before[at]} does not fit into {after.dtype}")
+        k = int(np.flatnonzero(before != after)[0])
+        raise Problem(f"{names[k]}: expected a value in the range of {after.dtype}, got {before[k]}")

@@ -1,4 +1,7 @@
-"""A running FMU as masters use it: rows of variables, and for Co-Simulation steps, rollback and abilities."""
+"""A running FMU as a component of a system: get and set variables; for Co-Simulation steps and rollback.
+
+`CapabilityTrial` tests capabilities that a model description does not declare, on a spare instance.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from orchestrator.fmi.calls import (
     function_type,
     to_ctypes,
 )
-from orchestrator.fmi.description import FmuInterface, Value
+from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.fmi.instance import CallHook, FmuInstance, resources_location
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
@@ -37,9 +40,9 @@ LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "log
 
 
 class RunningFmu:
-    """An instance from its instantiation to its end, and calls for its variables.
+    """An FMU from instantiation to termination, with bound calls for its variables.
 
-    before   is called before each call, see `Instance`
+    before   called before each FMI function, see `FmuInstance`
     """
 
     exchange = False
@@ -50,7 +53,7 @@ class RunningFmu:
         names = {v.reference: v.name for v in interface.variables.values()} if interface.fmi == 3 else {}
         self.name, self.interface, self.log = name, interface, Log(name, names)
         self._label, self._stepping, self._before = f"{name} ({fmu})", False, before
-        self._undo = ExitStack()
+        self._cleanup = ExitStack()
         try:
             self._open(fmu)
         except BaseException:
@@ -61,24 +64,24 @@ class RunningFmu:
         face = self.interface
         folder = fmu.path.resolve() if fmu.is_folder else Path(tempfile.mkdtemp(prefix="fmu-"))
         if not fmu.is_folder:
-            self._undo.callback(shutil.rmtree, folder, ignore_errors=True)
+            self._cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
             fmu.extract(folder)
         library = load_library(folder, face.identifier, face.fmi, self._label)
         self.fmu = FmuInstance(library, self.log, self.exchange, self._before)
-        self._undo.callback(self._unless_fatal, library.close)
-        self._undo.callback(self.fmu.free)
-        place = resources_location(folder, face.fmi)
-        if not any(self.fmu.instantiate(face.guid, place, verbose=verbose) for verbose in (False, True)):
-            # the second, verbose try made it say what is wrong
+        self._cleanup.callback(self._unless_fatal, library.close)
+        self._cleanup.callback(self.fmu.free)
+        resources = resources_location(folder, face.fmi)
+        if not any(self.fmu.instantiate(face.guid, resources, verbose=verbose) for verbose in (False, True)):
+            # the FMU has logged the reason in the second attempt, with debug logging
             raise Problem(f"{self._label}: the FMU could not be instantiated{self.log.quoted_messages()}")
-        wanted = [c.encode() for c in LOG_CATEGORIES if c in face.categories]
-        if wanted:
-            array = (ctypes.c_char_p * len(wanted))(*wanted)
-            with suppress(Problem):  # an FMU that cannot choose its messages still runs
-                self.fmu.status("SetDebugLogging", self.fmu.flag(True), ctypes.c_size_t(len(wanted)), array)
+        categories = [c.encode() for c in LOG_CATEGORIES if c in face.categories]
+        if categories:
+            count, array = len(categories), (ctypes.c_char_p * len(categories))(*categories)
+            with suppress(Problem):  # an FMU that cannot select log categories can still run
+                self.fmu.status("SetDebugLogging", self.fmu.flag(True), ctypes.c_size_t(count), array)
 
     def _unless_fatal(self, call: Call) -> None:
-        """After a fatal error nothing of the FMU may be called any more."""
+        """Execute a call, except after a fatal error, when FMI forbids further calls."""
         if self.fmu.worst < FATAL:
             call()
 
@@ -91,7 +94,7 @@ class RunningFmu:
         self.fmu.enter()
 
     def exit(self) -> None:
-        """Leave initialisation mode; steps may follow."""
+        """Leave initialisation mode and enter step mode."""
         self.fmu.leave()
         self._stepping = True
 
@@ -101,115 +104,123 @@ class RunningFmu:
             self._stepping = False
             with suppress(Problem):
                 self.fmu.call("Terminate")
-        self._undo.close()
+        self._cleanup.close()
 
-    # ---- rows of variables
+    # ---- several variables of one type
 
     def _references(self, variables: Sequence[str]) -> list[int]:
         return [self.interface.variables[v].reference for v in variables]
 
     def _access(
-        self, function: str, variables: Sequence[str], values: Buffer, word: str, orders: Sequence[int] = ()
+        self, function: str, variables: Sequence[str], values: Buffer, type_: str, orders: Sequence[int] = ()
     ) -> Access:
-        """The call of a function that gets or sets a row of variables of the type `word`."""
+        """A bound call of a function that gets or sets variables of an FMI type."""
         count, references = len(variables), self._references(variables)
-        own = compatible_buffer(values, count, self.fmu.types[word])
-        given = [(ctypes.c_int * count)(*orders)] if orders else []
-        arguments = *self.fmu.references(references), *given, *self.fmu.values(address(own), count)
+        fmu_values = compatible_buffer(values, count, self.fmu.types[type_])
+        order_argument = [(ctypes.c_int * count)(*orders)] if orders else []
+        value_arguments = self.fmu.values(address(fmu_values), count)
+        arguments = *self.fmu.references(references), *order_argument, *value_arguments
         return Access(
-            call=self.fmu.bound(function, *arguments, of=variables),
+            call=self.fmu.bound(function, *arguments, variables=variables),
             address=self.fmu.address(function),
             component=self.fmu.handle.value or 0,
             fmi=self.interface.fmi,
             references=np.array(references, np.uint32),
             orders=np.array(orders, np.int32) if orders else None,
-            fmu_values=own,
+            fmu_values=fmu_values,
             values=values[:count],
             sets=function.startswith("Set"),
             names=variables,
         )
 
     def reader(self, variables: Sequence[str], into: Buffer) -> Access:
-        """A call that reads the variables into `into`, shape (n,)."""
-        word = function_type(self.interface.variables[variables[0]])
-        return self._access(f"Get{word}", variables, into, word)
+        """A call that gets the variables and stores them in `into`, shape (n,)."""
+        type_ = function_type(self.interface.variables[variables[0]])
+        return self._access(f"Get{type_}", variables, into, type_)
 
     def writer(self, variables: Sequence[str], values: Buffer) -> Access:
-        """A call that sets the variables to what stands in `values`, shape (n,)."""
-        word = function_type(self.interface.variables[variables[0]])
-        return self._access(f"Set{word}", variables, values, word)
+        """A call that sets the variables to `values`, shape (n,)."""
+        type_ = function_type(self.interface.variables[variables[0]])
+        return self._access(f"Set{type_}", variables, values, type_)
 
     def output_derivative_reader(self, variables: Sequence[str], into: Buffer) -> Access:
-        """A call that reads the first time derivatives of outputs into `into`, shape (n,)."""
+        """A call that gets the first time derivatives of outputs and stores them in `into`, shape (n,)."""
         return self._access("GetOutputDerivatives", variables, into, self._real, [1] * len(variables))
 
     def input_derivative_writer(
-        self, variables: Sequence[str], slopes: Buffer, orders: Sequence[int] = ()
+        self, variables: Sequence[str], derivatives: Buffer, orders: Sequence[int] = ()
     ) -> Access:
-        """A call that gives inputs the time derivatives in `slopes`, shape (n,), for the next step.
+        """A call that sets time derivatives of inputs for the next step to `derivatives`, shape (n,).
 
-        orders   of each derivative; default: all 1
-        FMI 3.0 has no function for it; there the inputs that carry the derivatives are set.
+        orders   order of each derivative; default: all 1
+
+        FMI 3.0 has no such function. The call then sets the rate inputs, which are the time derivatives.
         """
         orders = orders or [1] * len(variables)
         if self.interface.can_interpolate_inputs:
-            return self._access("SetRealInputDerivatives", variables, slopes, self._real, orders)
+            return self._access("SetRealInputDerivatives", variables, derivatives, self._real, orders)
         for v, order in zip(variables, orders, strict=True):
             if v not in self.interface.ramp_inputs or order != 1:
-                raise Problem(f"{self.name}: {v}: the FMU takes no derivative of order {order} of this input")
-        return self.writer([self.interface.rate_inputs[v] for v in variables], slopes)
+                raise Problem(
+                    f"{self.name}: {v}: the FMU accepts no derivative of order {order} of this input"
+                )
+        return self.writer([self.interface.rate_inputs[v] for v in variables], derivatives)
 
     @property
     def _real(self) -> str:
         return "Real" if self.interface.fmi == 2 else "Float64"
 
     def directional_derivative(
-        self, of: Sequence[str], by: Sequence[str], seed: Buffer, into: Buffer
+        self, unknowns: Sequence[str], knowns: Sequence[str], seed: Buffer, into: Buffer
     ) -> DirectionalDerivative:
-        """A call that puts into `into` the directional derivative of `of` when `by` move along `seed`."""
-        function, unknowns, knowns = "GetDirectionalDerivative", self._references(of), self._references(by)
-        seed, into = (
-            compatible_buffer(seed, len(by), ctypes.c_double),
-            compatible_buffer(into, len(of), ctypes.c_double),
+        """A call that computes the change of the unknowns when the knowns change along `seed`.
+
+        seed, into   shapes (len(knowns),) and (len(unknowns),)
+        """
+        function, count = "GetDirectionalDerivative", len(unknowns)
+        unknown_references, known_references = self._references(unknowns), self._references(knowns)
+        seed = compatible_buffer(seed, len(knowns), ctypes.c_double)
+        sensitivity = compatible_buffer(into, count, ctypes.c_double)
+        arguments = (
+            *self.fmu.references(unknown_references),
+            *self.fmu.references(known_references),
+            *self.fmu.values(address(seed), len(knowns)),
+            *self.fmu.values(address(sensitivity), count),
         )
-        given = *self.fmu.references(unknowns), *self.fmu.references(knowns)
-        seeds = self.fmu.values(address(seed), len(by))
-        changes = self.fmu.values(address(into), len(of))
         return DirectionalDerivative(
-            call=self.fmu.bound(function, *given, *seeds, *changes, of=of),
+            call=self.fmu.bound(function, *arguments, variables=unknowns),
             address=self.fmu.address(function),
             component=self.fmu.handle.value or 0,
             fmi=self.interface.fmi,
-            unknowns=np.array(unknowns, np.uint32),
-            knowns=np.array(knowns, np.uint32),
+            unknowns=np.array(unknown_references, np.uint32),
+            knowns=np.array(known_references, np.uint32),
             seed=seed,
-            sensitivity=into,
+            sensitivity=sensitivity,
         )
 
     # ---- single variables
 
     def get(self, variable: str) -> Value:
-        """The value of one variable."""
-        known = self.interface.variables[variable]
-        cell = self.fmu.types[function_type(known)]()
-        self._single("Get", variable, cell)
-        return from_ctypes(known, cell)
+        """Get one variable of any type."""
+        declared = self.interface.variables[variable]
+        cell = self.fmu.types[function_type(declared)]()
+        self._call_single("Get", declared, cell)
+        return from_ctypes(declared, cell)
 
     def set(self, variable: str, value: Value) -> None:
-        """Set one variable of any kind."""
-        known = self.interface.variables[variable]
-        cell = to_ctypes(known, self.fmu.types[function_type(known)], value)
-        structural = known.causality == "structuralParameter"
+        """Set one variable of any type."""
+        declared = self.interface.variables[variable]
+        cell = to_ctypes(declared, self.fmu.types[function_type(declared)], value)
+        structural = declared.causality == "structuralParameter"
         if structural:
             self.fmu.call("EnterConfigurationMode")
-        self._single("Set", variable, cell)
+        self._call_single("Set", declared, cell)
         if structural:
             self.fmu.call("ExitConfigurationMode")
 
-    def _single(self, verb: str, variable: str, cell: Any) -> None:
-        known = self.interface.variables[variable]
-        given = *self.fmu.references([known.reference]), *self.fmu.values(ctypes.byref(cell), 1)
-        self.fmu.call(verb + function_type(known), *given, of=[variable])
+    def _call_single(self, verb: str, variable: FmuVariable, cell: Any) -> None:
+        arguments = *self.fmu.references([variable.reference]), *self.fmu.values(ctypes.byref(cell), 1)
+        self.fmu.call(verb + function_type(variable), *arguments, variables=[variable.name])
 
 
 class CoSimulationFmu(RunningFmu):
@@ -223,7 +234,7 @@ class CoSimulationFmu(RunningFmu):
         start: Mapping[str, Value] | None = None,
         before: CallHook | None = None,
     ) -> None:
-        """start: values for instances that only try what the FMU does; this one gets its own by `set`."""
+        """`start`: start values of the spare instance of `CapabilityTrial`; this one is set by `set`."""
         self._source, self._start = fmu, start or {}
         self._trial = CapabilityTrial(self._spare_instance)
         self._cubic: bool | None = None
@@ -241,39 +252,37 @@ class CoSimulationFmu(RunningFmu):
         self._trial.end()
         super().close()
 
-    # ---- what it is able to
+    # ---- capabilities
 
     def input_degree(self, variable: str, degree: int) -> int:
-        """The highest degree of a polynomial, up to `degree`, that an input can be given: 0, 1 or 3."""
+        """The highest degree (0, 1 or 3), up to `degree`, of a polynomial that the FMU accepts as input."""
         if variable not in self.interface.ramp_inputs or degree == 0:
             return 0
         if degree == 1 or not self.interface.can_interpolate_inputs:
             return 1
-        if self._cubic is None:  # FMI 2.0 has no declaration for it
-            ask = partial(
-                CoSimulationFmu.input_derivative_writer,
-                variables=[variable] * 3,
-                slopes=np.zeros(3),
-                orders=[1, 2, 3],
+        if self._cubic is None:  # FMI 2.0 does not declare the highest order
+            self._cubic = bool(
+                self._trial.succeeds(
+                    lambda fmu: fmu.input_derivative_writer([variable] * 3, np.zeros(3), [1, 2, 3])
+                )
             )
-            self._cubic = self._trial.succeeds(ask) or False
         return 3 if self._cubic else 1
 
     def outputs_with_derivatives(self, outputs: Sequence[str]) -> Sequence[str]:
-        """Those of the outputs whose first time derivatives the FMU gives; some give only those of states."""
+        """Those of the outputs whose first time derivatives the FMU provides; some FMUs omit a few."""
         if self.interface.max_output_derivative_order < 1:
             return []
 
-        def refused(names: Sequence[str]) -> bool:
-            ask = partial(
+        def fails(names: Sequence[str]) -> bool:
+            bind = partial(
                 CoSimulationFmu.output_derivative_reader, variables=names, into=np.zeros(len(names))
             )
-            return self._trial.succeeds(ask) is False
+            return self._trial.succeeds(bind) is False
 
-        return [y for y in outputs if not refused([y])] if refused(outputs) else outputs
+        return [y for y in outputs if not fails([y])] if fails(outputs) else outputs
 
     def _spare_instance(self) -> CoSimulationFmu:
-        """One more instance, ready for its first step."""
+        """Another instance, initialised and in step mode."""
         if self.interface.one_per_process:
             raise Problem(f"{self._label}: the FMU can be instantiated only once per process")
         other = CoSimulationFmu(self.name, self.interface, self._source)
@@ -291,15 +300,15 @@ class CoSimulationFmu(RunningFmu):
     # ---- steps
 
     def step(self, t: float, h: float) -> None:
-        """Advance from t to t + h [s]; raises Discarded and Ended, which say how far it got."""
-        began = perf_counter()
+        """Advance from t to t + h [s]; raises Discarded or Ended with the time that the FMU has reached."""
+        begin = perf_counter()
         status = self.fmu.step(t, h, self._final)
-        self.busy += perf_counter() - began
+        self.busy += perf_counter() - begin
         if status or self.fmu.flags.value:
-            self._judge_step(status)
+            self._check_step(status)
 
-    def _judge_step(self, status: int) -> None:
-        """Judge a step whose status is not OK or which wants something."""
+    def _check_step(self, status: int) -> None:
+        """Handle the status and the flags of a step; raise an exception if the step was not completed."""
         end = self.fmu.step_end(status)
         if end.terminate and status != ERROR:
             text = f"is the last: the FMU asks to end the simulation at t = {end.reached:.9g} s"
@@ -308,9 +317,9 @@ class CoSimulationFmu(RunningFmu):
             raise ended
         if status in (DISCARD, ERROR):
             reached = end.reached if status == DISCARD else float("nan")
-            far = f" (the FMU got as far as t = {reached:.9g} s)" if status == DISCARD else ""
+            progress = f" (the FMU got as far as t = {reached:.9g} s)" if status == DISCARD else ""
             discarded = Discarded(
-                self.log.error_message("the step failed", f"with status {status_label(status)}{far}")
+                self.log.error_message("the step failed", f"with status {status_label(status)}{progress}")
             )
             discarded.reached, self.fmu.worst = reached, max(self.fmu.worst, status)
             raise discarded
@@ -323,7 +332,7 @@ class CoSimulationFmu(RunningFmu):
             self.log.add(WARNING, "the FMU asks for event handling, which it was told to do itself")
 
     def stepping(self, rolls: bool) -> StepCalls:
-        """What it takes to step from C; rolls: the state is to be saved and restored, too."""
+        """Addresses and callbacks to step from C; `rolls`: also to save and restore the state."""
         get, set_ = "GetFMUState", "SetFMUState"
         return StepCalls(
             component=self.fmu.handle.value or 0,
@@ -333,7 +342,7 @@ class CoSimulationFmu(RunningFmu):
             set_state=self.fmu.address(set_) if rolls else 0,
             results=self.fmu.results,
             flags=ctypes.addressof(self.fmu.flags) if self.fmu.results else 0,
-            check_step=self._judge_step,
+            check_step=self._check_step,
             check_get=lambda status: self.fmu.check_status(status, self.fmu.describe_call(get)),
             check_set=lambda status: self.fmu.check_status(status, self.fmu.describe_call(set_)),
             clock=np.ctypeslib.as_array(self.log.clock),
@@ -342,56 +351,56 @@ class CoSimulationFmu(RunningFmu):
     # ---- rollback
 
     def save(self, state: ctypes.c_void_p | None = None) -> ctypes.c_void_p:
-        """A snapshot of the FMU's state, written over an earlier one if given; give it back with `forget`."""
+        """Save the FMU state, in a new object or over an earlier one; free it with `free_state`."""
         self._final = False
         return self.fmu.save(state)
 
     def restore(self, state: ctypes.c_void_p) -> None:
-        """Go back to a snapshot."""
+        """Restore a saved FMU state."""
         self.fmu.restore(state)
 
     def after_rollback(self) -> None:
-        """Forget what the FMU said and returned in a step that is going to be repeated from a saved state."""
+        """Discard the messages and the status of a step that will be repeated from a saved state."""
         self.log.discard_repeated()
         if self.fmu.worst < FATAL:
             self.fmu.worst = min(self.fmu.worst, WARNING)
 
     def free_state(self, state: ctypes.c_void_p) -> None:
-        """Free a snapshot; after an error it is only tried."""
+        """Free a saved FMU state; errors are ignored if the FMU has failed before."""
         with suppress(Problem) if self.fmu.worst >= ERROR else nullcontext():
             self._unless_fatal(partial(self.fmu.free_state, state))
 
     def serialize(self, state: ctypes.c_void_p) -> bytes:
-        """A snapshot as bytes, for another process."""
+        """Serialise a saved FMU state, for another process."""
         return self.fmu.serialize(state)
 
     def deserialize(self, data: bytes) -> ctypes.c_void_p:
-        """The snapshot in bytes that `pack` made; give it back with `forget`."""
+        """Restore a saved FMU state from the bytes of `serialize`; free it with `free_state`."""
         return self.fmu.deserialize(data)
 
 
 class CapabilityTrial:
-    """Tries what the description of an FMU leaves open, on an instance that nobody uses.
+    """Tests calls on a spare instance, for capabilities that the model description does not declare.
 
-    An instance that refused a call is given up, because an error may have broken it.
+    The instance is freed after a failed call, because the call may have left it in an invalid state.
     """
 
-    def __init__(self, fresh: Callable[[], CoSimulationFmu]) -> None:
-        """fresh: makes an instance that is ready for its first step, or raises Problem."""
-        self._fresh, self._able = fresh, True
+    def __init__(self, make_instance: Callable[[], CoSimulationFmu]) -> None:
+        """`make_instance` returns an instance in step mode, or raises Problem."""
+        self._make_instance, self._available = make_instance, True
         self._instance: CoSimulationFmu | None = None
 
-    def succeeds(self, ask: Callable[[CoSimulationFmu], Call]) -> bool | None:
-        """Does the FMU do this without a complaint? None: there is no instance to try it on."""
-        if self._instance is None and self._able:
+    def succeeds(self, bind: Callable[[CoSimulationFmu], Call]) -> bool | None:
+        """True if a call returns status OK; None if there is no instance for the test."""
+        if self._instance is None and self._available:
             try:
-                self._instance = self._fresh()
+                self._instance = self._make_instance()
             except Problem:
-                self._able = False
+                self._available = False
         if self._instance is None:
             return None
         try:
-            ask(self._instance)()
+            bind(self._instance)()
         except Problem:
             self.end()
             return False

@@ -1,6 +1,6 @@
-"""What an importer needs to know of an FMU: its variables, their dependencies, and what it is able to do.
+"""Interface of an FMU for an importer: variables, dependencies and capabilities.
 
-`read_interface` takes it from modelDescription.xml and refuses, in one line, what cannot be run here.
+`read_interface` reads it from modelDescription.xml and refuses FMUs that cannot be run.
 """
 
 from __future__ import annotations
@@ -34,18 +34,20 @@ KINDS = {
     **dict.fromkeys((*SIGNED, *UNSIGNED), "Integer"),
     **{kind: kind for kind in ("Boolean", "String", "Enumeration")},
 }
-MAX_LISTED = 5  # names in a list
+MAX_LISTED = 5  # unsupported variables in a note
 
 
 @dataclass(frozen=True)
 class FmuVariable:
-    """One scalar variable.
+    """A scalar variable of an FMU.
 
-    kind      Real, Integer, Boolean, String or Enumeration
-    word      what FMI 3.0 calls its type in functions: Float64, Int32, ...; empty in FMI 2.0
-    nominal   its usual magnitude, where the FMU tells one
-    text      its description
-    minimum, maximum   of its values, in its unit, as the FMU declares them
+    kind        type in FMI 2.0: Real, Integer, Boolean, String or Enumeration
+    fmi_type    type in FMI 3.0: Float64, Int32, ...; empty in FMI 2.0
+    reference   value reference
+    start       text of the start value
+    items       names and values of an enumeration
+    nominal     None if the FMU declares none
+    minimum, maximum   declared limits, in the unit of the variable
     """
 
     name: str
@@ -69,12 +71,12 @@ class FmuVariable:
 
     @property
     def is_continuous(self) -> bool:
-        """May it change inside a step? Real variables that are discrete or tunable do not."""
+        """True for a Real variable that can change inside a step, which is neither discrete nor tunable."""
         return self.is_real and self.variability == "continuous"
 
     @property
     def settable(self) -> bool:
-        """True when a start value may be given before initialisation."""
+        """True if the start value can be set before initialisation."""
         return self.variability != "constant" and (
             self.causality in ("input", "parameter") or self.initial in ("exact", "approx")
         )
@@ -82,28 +84,32 @@ class FmuVariable:
 
 @dataclass(frozen=True)
 class FmuInterface:
-    """The declared outside of one FMU.
+    """The declared interface of an FMU.
 
-    feedthrough   output -> inputs it depends on directly; None when the FMU does not say
-    initially     output -> variables it depends on in initialisation mode; None when the FMU does not say
-    fmi           2 or 3
-    refused       variables that cannot be used here -> what they are
-    interpolates  the FMU accepts derivatives of its inputs by a function, which FMI 3.0 lacks
-    rates         input -> the input that the FMU declares as its time derivative
-    slopes        highest order of output derivatives it offers
-    rollback      the FMU can save and restore its state
-    serializes    it can turn a saved state into bytes
-    only_one      only one instance of it may exist in a process
-    needs_tool    it runs only where the tool that made it is installed
-    indicators    number of its event indicators, in model exchange
-    varies        it takes steps of any length; else all have to be of the same
-    stateless     it declares, for model exchange, that it has no continuous states
-    inert         inputs that, as it declares, neither a state nor an output depends on after the start
-    directional   it offers directional derivatives
-    states        continuous state -> its time derivative; empty where the FMU does not list all of them
-    knowns        output or time derivative of a state -> inputs and states it depends on; None: not declared
-    start, step, stop, tolerance   of the experiment that the FMU suggests
-    version, tool, text   of the FMU: its version, what made it, its description
+    variables              supported scalar variables, by name
+    feedthrough            output -> inputs with direct feedthrough; None if not declared
+    initial_dependencies   output -> variables it depends on in initialisation mode; None if not declared
+    identifier             model identifier
+    guid                   GUID (FMI 2.0) or instantiation token (FMI 3.0)
+    fmi                    2 or 3
+    unsupported            unsupported variables -> their type
+    can_interpolate_inputs the FMU has a function for time derivatives of inputs, which FMI 3.0 lacks
+    rate_inputs            input -> input that the FMU declares as its time derivative
+    max_output_derivative_order   0 if the FMU does not provide derivatives of outputs
+    rollback               the FMU can save and restore its state
+    can_serialize          the FMU can serialise a saved state
+    one_per_process        only one instance can exist in a process
+    needs_execution_tool   the FMU needs the installed tool that exported it
+    event_indicators       number of event indicators, in Model Exchange
+    variable_step          the communication step size may vary
+    stateless              the FMU declares, for Model Exchange, that it has no continuous states
+    unused_inputs          inputs on which no state and no output depends after the initialisation
+    directional_derivatives   the FMU provides directional derivatives
+    states                 continuous state -> time derivative; empty unless the FMU lists all of them
+    dependencies           output or state derivative -> inputs and states; None if not declared
+    categories             log categories
+    start, step, stop, tolerance   default experiment; times in [s]
+    version, tool, description     attributes of the FMU
     """
 
     variables: Mapping[str, FmuVariable]
@@ -141,74 +147,73 @@ class FmuInterface:
         return [v for v in self.variables.values() if v.causality == causality]
 
     def direct_inputs(self, output: str) -> frozenset[str]:
-        """Inputs that feed directly through to `output`; all of them when the FMU does not say."""
-        known = self.feedthrough.get(output)
-        return frozenset(v.name for v in self.of("input")) if known is None else known
+        """Inputs with direct feedthrough to `output`; all inputs if the FMU declares no dependencies."""
+        declared = self.feedthrough.get(output)
+        return frozenset(v.name for v in self.of("input")) if declared is None else declared
 
     def initial_knowns(self, output: str) -> frozenset[str]:
-        """Variables that decide `output` in initialisation mode."""
-        known = self.initial_dependencies.get(output)
-        if known is None:
+        """Variables on which `output` depends in initialisation mode; all settable ones if not declared."""
+        declared = self.initial_dependencies.get(output)
+        if declared is None:
             return frozenset(v.name for v in self.variables.values() if v.settable)
-        return known
+        return declared
 
     def may_affect(self, variable: str, outputs: Iterable[str]) -> bool:
-        """False for an input that none of these outputs depends on: not directly, and there is no state."""
+        """False if the FMU has no states and none of these outputs has direct feedthrough from the input."""
         return not self.stateless or any(variable in self.direct_inputs(y) for y in outputs)
 
     @property
     def ramp_inputs(self) -> frozenset[str]:
-        """Inputs that a master may move inside a step at a constant slope."""
+        """Inputs whose time derivative can be set, so that they are ramps inside a step."""
         if self.can_interpolate_inputs:
             return frozenset(v.name for v in self.of("input") if v.is_real)
         return frozenset(u for u, rate in self.rate_inputs.items() if rate not in self.rate_inputs)
 
     def check_supported(self, variable: str, where: str) -> None:
-        """Refuse, beginning with `where`, a variable of a kind that is not supported."""
+        """Refuse an unsupported variable; `where` is the beginning of the message."""
         if variable in self.unsupported:
-            kind = self.unsupported[variable]
-            raise Unsupported(f"{where}: expected a scalar number or text, got {kind}, not supported")
+            type_ = self.unsupported[variable]
+            raise Unsupported(f"{where}: expected a scalar number or text, got {type_}, not supported")
 
     @property
     def unsupported_note(self) -> str:
-        """The refused variables as text; empty when there are none."""
-        told = [f"{name}, {what}" for name, what in self.unsupported.items()]
-        more = f"; and {len(told) - MAX_LISTED} more" if len(told) > MAX_LISTED else ""
-        return f"left out: {'; '.join(told[:MAX_LISTED])}{more}" if told else ""
+        """A note on the unsupported variables; empty if there are none."""
+        entries = [f"{name}, {type_}" for name, type_ in self.unsupported.items()]
+        more = f"; and {len(entries) - MAX_LISTED} more" if len(entries) > MAX_LISTED else ""
+        return f"left out: {'; '.join(entries[:MAX_LISTED])}{more}" if entries else ""
 
 
 SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
 def read_interface(fmu: Location, exchange: bool = False) -> FmuInterface:
-    """Read the model description of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
+    """Read the interface of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
 
-    exchange   as an FMU for Model Exchange; else for Co-Simulation
+    exchange   for Model Exchange; else for Co-Simulation
     """
     root = parse(fmu.member("modelDescription.xml"), "fmiModelDescription")
     version = root.get("fmiVersion")
     if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
         raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")
     description = read_description(root, int(version[0]))
-    wanted = "ModelExchange" if exchange else "CoSimulation"
-    if wanted not in description.interfaces:
-        there = " and ".join(name for kind, name in INTERFACES.items() if kind in description.interfaces)
-        raise Problem(
-            f"{fmu}: expected an FMU for {INTERFACES[wanted]}, got one for {there or 'nothing'} only"
-        )
+    element = "ModelExchange" if exchange else "CoSimulation"
+    if element not in description.interfaces:
+        got = " and ".join(INTERFACES[e] for e in INTERFACES if e in description.interfaces) or "nothing"
+        raise Problem(f"{fmu}: expected an FMU for {INTERFACES[element]}, got one for {got} only")
     try:
-        return _interface(description, wanted)
+        return _interface(description, element)
     except Problem as problem:
         raise Problem(f"{fmu}: {problem}") from None
 
 
-def _interface(description: ModelDescription, kind: str) -> FmuInterface:
-    fmi, able, about = description.major, description.interfaces[kind], description.attributes
+def _interface(description: ModelDescription, element: str) -> FmuInterface:
+    fmi, attributes = description.major, description.attributes
+    capabilities = description.interfaces[element]
     units = {u.name: _unit(u) for u in description.units}
     declared = list(_with_aliases(description))
-    refused = {v.name: what for v in declared if (what := _refusal(v))}
-    variables = {v.name: _variable(v, description, units) for v in declared if v.name not in refused}
-    _check(variables, refused, declared)
+    unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
+    variables = {v.name: _variable(v, description, units) for v in declared if v.name not in unsupported}
+    _check(variables, unsupported, declared)
     inputs = {name for name, v in variables.items() if v.causality == "input"}
     feedthrough = {v.name: None for v in variables.values() if v.causality == "output"}
     outputs, derivatives, initial = (
@@ -216,59 +221,67 @@ def _interface(description: ModelDescription, kind: str) -> FmuInterface:
         for section in ("outputs", "derivatives", "initial")
     )
     exchange = "ModelExchange" in description.interfaces
-    needed = [*outputs.values(), *derivatives.values()]
-    silent = not exchange or None in needed
     experiment = description.experiment.attributes if description.experiment else {}
     indicators = description.structure["indicators"]
+    if fmi == 2:
+        event_indicators = parse_int(attributes.get("numberOfEventIndicators")) or 0
+    else:
+        event_indicators = len(indicators)
     return FmuInterface(
         variables=variables,
         feedthrough=feedthrough | {o: d if d is None else d & inputs for o, d in outputs.items()},
         initial_dependencies=outputs | initial,
-        identifier=able.get("modelIdentifier"),
+        identifier=capabilities.get("modelIdentifier"),
         guid=description.token,
         fmi=fmi,
-        unsupported=refused,
-        can_interpolate_inputs=able.declares("canInterpolateInputs") and fmi == 2,
-        rate_inputs=_rates(declared, description, variables),
-        max_output_derivative_order=parse_int(able.get("maxOutputDerivativeOrder")) or 0,
-        rollback=able.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"),
-        can_serialize=able.declares("canSerializeFMUstate", "canSerializeFMUState"),
-        one_per_process=able.declares("canBeInstantiatedOnlyOncePerProcess"),
-        needs_execution_tool=able.declares("needsExecutionTool"),
-        event_indicators=len(indicators)
-        if fmi == 3
-        else parse_int(about.get("numberOfEventIndicators")) or 0,
-        variable_step=able.declares("canHandleVariableCommunicationStepSize"),
+        unsupported=unsupported,
+        can_interpolate_inputs=capabilities.declares("canInterpolateInputs") and fmi == 2,
+        rate_inputs=_rate_inputs(declared, description, variables),
+        max_output_derivative_order=parse_int(capabilities.get("maxOutputDerivativeOrder")) or 0,
+        rollback=capabilities.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+        can_serialize=capabilities.declares("canSerializeFMUstate", "canSerializeFMUState"),
+        one_per_process=capabilities.declares("canBeInstantiatedOnlyOncePerProcess"),
+        needs_execution_tool=capabilities.declares("needsExecutionTool"),
+        event_indicators=event_indicators,
+        variable_step=capabilities.declares("canHandleVariableCommunicationStepSize"),
         stateless=exchange and not derivatives,
-        unused_inputs=frozenset()
-        if silent
-        else frozenset(inputs.difference(*(d for d in needed if d is not None))),
+        unused_inputs=_unused(inputs, [*outputs.values(), *derivatives.values()] if exchange else [None]),
         states=_states(description, variables),
         dependencies=outputs | derivatives,
-        directional_derivatives=able.declares(
+        directional_derivatives=capabilities.declares(
             "providesDirectionalDerivative", "providesDirectionalDerivatives"
         ),
         categories=description.categories,
         start=_number(experiment, "startTime"),
-        step=_number(experiment, "stepSize") or _number(able.attributes, "fixedInternalStepSize"),
+        step=_number(experiment, "stepSize") or _number(capabilities.attributes, "fixedInternalStepSize"),
         stop=_number(experiment, "stopTime"),
         tolerance=_number(experiment, "tolerance"),
-        version=about.get("version", ""),
-        tool=about.get("generationTool", ""),
-        description=about.get("description", ""),
+        version=attributes.get("version", ""),
+        tool=attributes.get("generationTool", ""),
+        description=attributes.get("description", ""),
     )
 
 
+def _unused(inputs: set[str], dependencies: Iterable[frozenset[str] | None]) -> frozenset[str]:
+    """Inputs that are in none of the dependencies; none if one of them is not declared."""
+    used: set[str] = set()
+    for known in dependencies:
+        if known is None:
+            return frozenset()
+        used |= known
+    return frozenset(inputs - used)
+
+
 def _with_aliases(description: ModelDescription) -> Iterator[DeclaredVariable]:
-    """The variables, then their aliases as variables of their own."""
+    """The variables, followed by their aliases as further variables."""
     yield from (v for v in description.variables if v.name)
     for v in description.variables:
         for alias in v.aliases:
             yield replace(v, name=alias.get("name"), attributes={**v.attributes, **alias.attributes})
 
 
-def _refusal(v: DeclaredVariable) -> str:
-    """What a variable is that cannot be used here; empty for the others."""
+def _unsupported_type(v: DeclaredVariable) -> str:
+    """The type of an unsupported variable, for messages; empty for supported variables."""
     if v.clocked:
         return "a clock" if v.type == "Clock" else f"a clocked {v.type}"
     if v.type not in KINDS:
@@ -277,15 +290,17 @@ def _refusal(v: DeclaredVariable) -> str:
 
 
 def _check(
-    variables: Mapping[str, FmuVariable], refused: Mapping[str, str], declared: Iterable[DeclaredVariable]
+    variables: Mapping[str, FmuVariable],
+    unsupported: Mapping[str, str],
+    declared: Iterable[DeclaredVariable],
 ) -> None:
-    """Refuse what cannot be run at all: clocks, arrays only, a time that is not in seconds."""
-    for name, what in refused.items():
-        if "clock" in what:  # such an FMU must be run with event mode
-            raise Problem(f"{name} is {what}: expected an FMU without clocks, they are not supported")
-    outside = [v.name for v in declared if v.causality in ("input", "output")]
-    if outside and not any(name in variables for name in outside):
-        first = f"{outside[0]} is {refused[outside[0]]}"
+    """Refuse an FMU that cannot be run: with clocks, with arrays only, or with a time not in seconds."""
+    for name, type_ in unsupported.items():
+        if "clock" in type_:  # such an FMU needs event mode
+            raise Problem(f"{name} is {type_}: expected an FMU without clocks, they are not supported")
+    ports = [v.name for v in declared if v.causality in ("input", "output")]
+    if ports and not any(name in variables for name in ports):
+        first = f"{ports[0]} is {unsupported[ports[0]]}"
         raise Problem(f"{first}: expected an FMU with scalar inputs or outputs, arrays are not supported")
     for v in variables.values():
         unit = v.unit if v.causality == "independent" else None
@@ -296,15 +311,16 @@ def _check(
 def _variable(
     v: DeclaredVariable, description: ModelDescription, units: Mapping[str, DeclaredUnit]
 ) -> FmuVariable:
-    """A scalar variable; raises Problem, by name, for what no FMU may declare."""
+    """A scalar variable; raises Problem for an invalid declaration."""
     type_ = v.attributes.get("declaredType")
     if type_ is not None and type_ not in description.types:
         raise Problem(f"{v}: declaredType {type_!r} is not defined")
     if v.reference is None:
-        raise Problem(f"{v}: valueReference {v.attributes.get('valueReference')!r}, expected a whole number")
+        got = v.attributes.get("valueReference")
+        raise Problem(f"{v}: valueReference: expected a whole number, got {got!r}")
     if (v.causality, v.variability) not in COMBINATIONS and not v.get("initial"):
         raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
-    word = "Int64" if v.type == "Enumeration" else v.type
+    fmi_type = "Int64" if v.type == "Enumeration" else v.type
     items = description.types[type_].items if type_ and v.type == "Enumeration" else ()
     try:
         values = {name: int(value) for name, value in items}
@@ -323,7 +339,7 @@ def _variable(
         items=values,
         nominal=nominal if v.is_float else None,
         description=v.get("description"),
-        fmi_type=word if description.major == 3 else "",
+        fmi_type=fmi_type if description.major == 3 else "",
         minimum=minimum,
         maximum=maximum,
     )
@@ -343,49 +359,49 @@ def _unit(unit: UnitDefinition) -> DeclaredUnit:
 def _dependencies(
     description: ModelDescription, unknowns: Iterable[Unknown]
 ) -> dict[str, frozenset[str] | None]:
-    """Names of unknowns -> names of what they depend on, with aliases; None where the FMU does not say."""
-    found: dict[str, frozenset[str] | None] = {}
+    """Unknown -> variables it depends on, aliases included; None if not declared."""
+    result: dict[str, frozenset[str] | None] = {}
     for u in unknowns:
         if u.variable is None:
-            raise Problem(f"{u}: expected a variable, found none with number {u.key}")
-        known = None
+            raise Problem(f"{u}: expected a variable, got none with the index or value reference {u.key}")
+        names = None
         if u.dependencies is not None:
             variables = [description.by_key.get(-1 if key is None else key) for key in u.dependencies]
             if None in variables:
-                raise Problem(f"{u}: dependency {u.dependencies[variables.index(None)]} is no variable")
-            known = frozenset(name for v in variables if v for name in v.names)
-        found |= dict.fromkeys(u.variable.names, known)
-    return found
+                raise Problem(f"{u}: dependency {u.dependencies[variables.index(None)]} is not a variable")
+            names = frozenset(name for v in variables if v for name in v.names)
+        result |= dict.fromkeys(u.variable.names, names)
+    return result
 
 
 def _states(description: ModelDescription, variables: Mapping[str, FmuVariable]) -> dict[str, str]:
-    """Continuous states and their time derivatives; empty where one of them is missing or cannot be used."""
+    """Continuous states and their time derivatives; empty if one of them is missing or unsupported."""
     pairs = [(description.state_of(v), v) for v in description.derivatives]
-    found = {state.name: v.name for state, v in pairs if state}
-    complete = len(found) == len(pairs)
-    return found if complete and all(name in variables for pair in found.items() for name in pair) else {}
+    states = {state.name: v.name for state, v in pairs if state}
+    complete = len(states) == len(pairs)
+    return states if complete and all(name in variables for pair in states.items() for name in pair) else {}
 
 
-def _rates(
+def _rate_inputs(
     declared: Iterable[DeclaredVariable], description: ModelDescription, variables: Mapping[str, FmuVariable]
 ) -> dict[str, str]:
-    """Inputs and the inputs that are their time derivatives, where the units agree.
+    """Inputs and the inputs that are their time derivatives, if the units agree.
 
-    Declared by the attribute `derivative`, or, in FMI 2.0, by our annotation: OMSimulator takes a variable
-    with that attribute for the derivative of a state.
+    They are declared by the attribute `derivative`, or in FMI 2.0 by this project's annotation, because
+    OMSimulator treats a variable with that attribute as the derivative of a state.
     """
     pairs = {state.name: v.name for v in declared if (state := description.state_of(v))}
     pairs.update(description.input_rates)
-    known = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
+    inputs = ((variables.get(u), variables.get(rate)) for u, rate in pairs.items())
     return {
         u.name: rate.name
-        for u, rate in known
+        for u, rate in inputs
         if u and rate and u.causality == rate.causality == "input" and _per_second(u.unit, rate.unit)
     }
 
 
 def _per_second(unit: DeclaredUnit | None, rate: DeclaredUnit | None) -> bool:
-    """Is the second unit the first one per second?"""
+    """True if `rate` is `unit` per second."""
     if unit is None or rate is None:
         return unit is rate
     if unit.exponents is None or rate.exponents is None or unit.offset or rate.offset:

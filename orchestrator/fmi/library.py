@@ -1,7 +1,7 @@
-"""The shared library of an FMU: finding it, loading it, and the functions that it calls back.
+"""Shared library of an FMU: search for the platform, loading, and the callback functions of FMI.
 
-Functions are looked up when they are used, so an FMU that lacks an optional one still runs. The messages of
-all FMUs come in by one function for each version of FMI and go to the log of the instance that sent them.
+Functions are looked up at their first use, so that an FMU without an optional function can still run. One
+logger function per FMI version receives the messages of all FMUs and passes them to the log of the instance.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ FMI2_PLATFORM = f"{SYSTEM.removesuffix('dows')}{BITS}"  # FMI 2.0: linux64, win6
 
 
 class MissingFunction(Problem):
-    """A function that the binary of an FMU does not have."""
+    """The binary of an FMU does not export a function."""
 
 
 def platform_folders(fmi: int) -> list[str]:
-    """Where in binaries/ the library may lie, the most fitting first.
+    """Folders in binaries/ that can contain the library for this machine, in the order of the search.
 
-    FMI 2.0 has linux64 and the like, which do not tell the processor; on ARM the tuple of FMI 3.0 is first.
+    Names of FMI 2.0, such as linux64, do not contain the processor. On ARM the tuple of FMI 3.0 is first.
     """
     if fmi == 3:
         return [PLATFORM_TUPLE]
@@ -48,20 +48,20 @@ def platform_folders(fmi: int) -> list[str]:
 
 
 def find_library(folder: Path, identifier: str, fmi: int) -> Path | None:
-    """The library for this machine in an unpacked FMU."""
-    paths = (folder / "binaries" / place / f"{identifier}{SUFFIX}" for place in platform_folders(fmi))
+    """Path of the library for this machine in an unpacked FMU, or None."""
+    paths = (folder / "binaries" / name / f"{identifier}{SUFFIX}" for name in platform_folders(fmi))
     return next((p for p in paths if p.is_file()), None)
 
 
 def load_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:
-    """The library of an unpacked FMU, loaded; else raises Problem, which begins with `name`."""
+    """Load the library of an unpacked FMU, or raise a Problem that begins with `name`."""
     path = find_library(folder, identifier, fmi)
     if path is None:
         expected = f"binaries/{platform_folders(fmi)[0]}/{identifier}{SUFFIX}"
         files = (folder / "binaries").rglob("*")
-        there = ", ".join(sorted(p.relative_to(folder).as_posix() for p in files if p.is_file()))
-        found = there or "no binaries at all"
-        raise Problem(f"{name}: no binary for this platform: expected {expected}, got {found}")
+        names = ", ".join(sorted(p.relative_to(folder).as_posix() for p in files if p.is_file()))
+        got = names or "no binaries at all"
+        raise Problem(f"{name}: no binary for this platform: expected {expected}, got {got}")
     try:
         return Library(path, fmi, name)
     except OSError as error:
@@ -69,16 +69,16 @@ def load_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:
 
 
 class Library:
-    """The loaded functions of one FMU binary; raises OSError where it cannot be loaded.
+    """A loaded FMU binary and its functions. The constructor raises OSError if loading fails.
 
-    prefix   of the functions: fmi2 or fmi3
+    prefix   prefix of the functions: fmi2 or fmi3
     """
 
     def __init__(self, path: Path, fmi: int, name: str = "") -> None:
         self.fmi, self.prefix, self._name = fmi, f"fmi{fmi}", name
         self._functions: dict[str, Any] = {}
         before = Path.cwd()
-        os.chdir(path.parent)  # some libraries look for their neighbours in the working directory
+        os.chdir(path.parent)  # some libraries search for other libraries in the working directory
         try:
             self._library = ctypes.CDLL(str(path))
         finally:
@@ -90,22 +90,22 @@ class Library:
             try:
                 self._functions[name] = self._library[self.prefix + name]
             except AttributeError:
-                text = f"its binary lacks the function {self.prefix}{name}"
-                raise MissingFunction(f"{self._name}: {text}" if self._name else text) from None
+                message = f"its binary lacks the function {self.prefix}{name}"
+                raise MissingFunction(f"{self._name}: {message}" if self._name else message) from None
             self._functions[name].restype = result
         function: Callable[..., Any] = self._functions[name]
         return function
 
     def has(self, name: str) -> bool:
-        """Does the library export this function?"""
+        """True if the library exports a function."""
         return hasattr(self._library, self.prefix + name)
 
     def address(self, name: str) -> int:
-        """Where a function is in memory, for calls from C."""
+        """Address of a function, for calls from C."""
         return ctypes.cast(self.function(name), ctypes.c_void_p).value or 0  # type: ignore[arg-type]
 
     def close(self) -> None:
-        """Take the library out of the process."""
+        """Unload the library."""
         handle = ctypes.c_void_p(self._library._handle)
         if sys.platform == "win32":
             ctypes.windll.kernel32.FreeLibrary(handle)
@@ -113,20 +113,20 @@ class Library:
             ctypes.CDLL(None).dlclose(handle)
 
 
-# ---- what an FMU calls
+# ---- callback functions
 
 _logs: dict[int, Log] = {}  # environment -> log
 
 
 def register_log(log: Log) -> int:
-    """Let messages come to a log; returns the environment that an instance gives back with each of them."""
+    """Register a log; returns the environment, which an instance passes with each message."""
     key = max(_logs, default=0) + 1
     _logs[key] = log
     return key
 
 
 def unregister_log(environment: int) -> None:
-    """Stop listening."""
+    """Remove the log of an environment."""
     _logs.pop(environment, None)
 
 
@@ -138,14 +138,14 @@ def _receive2(
     environment: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None
 ) -> None:
     log = _logs.get(environment or 0)
-    if log is None:  # some FMUs forget their environment
+    if log is None:  # some FMUs do not pass their environment
         log = next((x for x in reversed(_logs.values()) if x.component == _text(name)), None)
     if log is not None:
         log.add(status, _text(text or category), None if category is None else _text(category))
-    elif "fmpy.fmi1" in sys.modules and 0 <= status <= 5:  # the proxy below is FMPy's, and so is the FMU
+    elif "fmpy.fmi1" in sys.modules and 0 <= status <= 5:  # an FMU of FMPy, which uses the same proxy
         sys.modules["fmpy.fmi1"].printLogMessage(None, name, status, category, text or b"")
     else:
-        import logging  # late: it takes as long to import as all the rest
+        import logging  # on first use, because the import takes as long as all others
 
         logging.getLogger(__name__).warning("%s: %s: %s", _text(name), status_label(status), _text(text))
 
@@ -168,25 +168,25 @@ class Callbacks2(ctypes.Structure):
 
 
 def callbacks2(environment: int) -> Callbacks2:
-    """The callbacks of one FMI 2.0 instance; memory functions go straight to the C library."""
-    made = Callbacks2(ctypes.cast(_logger2, _P), *_memory(), None, environment)
+    """The callbacks of an FMI 2.0 instance; the memory functions are those of the C library."""
+    callbacks = Callbacks2(ctypes.cast(_logger2, _P), *_memory(), None, environment)
     proxy = _proxy()
     if proxy:
-        proxy(ctypes.byref(made))
-    return made
+        proxy(ctypes.byref(callbacks))
+    return callbacks
 
 
 @cache
 def _memory() -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
-    """Addresses of the C library's calloc and free."""
+    """Addresses of calloc and free of the C library."""
     library = ctypes.CDLL("msvcrt" if SYSTEM == "windows" else None)
     return ctypes.cast(library.calloc, _P), ctypes.cast(library.free, _P)
 
 
 @cache
 def _proxy() -> Any:
-    """FMPy's function that fills in the printf arguments of messages, where it has one for this platform."""
-    spec = find_spec("fmpy")  # finds the folder, imports nothing
+    """FMPy's function that formats messages with printf arguments; None if not available."""
+    spec = find_spec("fmpy")  # without importing the package
     if spec is None or spec.origin is None:
         return None
     path = Path(spec.origin).parent / "logging" / FMI2_PLATFORM / f"logging{SUFFIX}"

@@ -1,6 +1,6 @@
-"""One instance of an FMU for Model Exchange: states and time are set, time derivatives are read.
+"""FMU instance for Model Exchange: states and time are set, time derivatives are read.
 
-Co-Simulation would do for the derivatives alone, but there nobody can choose the states.
+The linearisation needs Model Exchange because the states of an FMU for Co-Simulation cannot be set.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from orchestrator.fmi.calls import Buffer, address
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.description import read_interface
 
-MAX_EVENT_ITERATIONS = 100  # of event iteration; a model that wants more never settles
+MAX_EVENT_ITERATIONS = 100  # limit of the event iterations at the start
 
 
 class ExchangeFmu(RunningFmu):
-    """An FMU whose states are set from outside; variables are read and set as those of any FMU."""
+    """A running FMU for Model Exchange."""
 
     exchange = True
 
     def exit(self) -> None:
-        """Leave initialisation mode, handle the events of the start, and be ready to be asked."""
+        """Leave initialisation mode, iterate the events of the start and enter continuous-time mode."""
         super().exit()
         for _ in range(MAX_EVENT_ITERATIONS):
             if not self.fmu.update_discrete_states()[0]:
                 self.fmu.call("EnterContinuousTimeMode")
                 return
-        raise Problem(f"{self._label}: its discrete states do not settle at the start")
+        raise Problem(f"{self._label}: the discrete states do not settle at the start")
 
     def set_states(self, states: Buffer) -> None:
         """Set the continuous states, shape (n,)."""
@@ -38,10 +38,10 @@ class ExchangeFmu(RunningFmu):
 
 
 def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
-    """An instance of a component's FMU for Model Exchange; raises Problem where it is not made for it."""
+    """Open the FMU of a component for Model Exchange; raise Problem if the FMU does not support it."""
     if fmu is None:
-        raise Problem(f"{name}: has no FMU file")
-    face = read_interface(fmu, exchange=True)
-    if not (face.states or face.stateless):
+        raise Problem(f"{name}: expected an FMU file, got none")
+    interface = read_interface(fmu, exchange=True)
+    if not (interface.states or interface.stateless):
         raise Problem(f"{name} ({fmu}): expected a list of its continuous states, got none")
-    return ExchangeFmu(name, face, fmu)
+    return ExchangeFmu(name, interface, fmu)

@@ -1,8 +1,9 @@
-"""What modelDescription.xml says, the same for FMI 2.0 and 3.0, read without judging it.
+"""Content of modelDescription.xml as data classes, common to FMI 2.0 and 3.0, without validation.
 
-Attributes stay text, since any of them may be nonsense: the rules of `orchestrator.check` judge them, and
-`orchestrator.fmi.description` refuses what cannot be run. `orchestrator.fmi.read_description` reads the file.
-Nothing here needs more than the standard library: a child process that is sent a description starts fast.
+Attributes are stored as text, because any of them can be invalid. The rules of `orchestrator.check` validate
+them. `orchestrator.fmi.description` refuses descriptions that cannot be run, and
+`orchestrator.fmi.read_description` reads the file. This module needs only the standard library, so that a
+child process that receives a description starts fast.
 """
 
 from __future__ import annotations
@@ -18,23 +19,23 @@ UNSIGNED = {"UInt8": 8, "UInt16": 16, "UInt32": 32, "UInt64": 64}
 NUMERIC = (*FLOATS, *SIGNED, *UNSIGNED, "Enumeration", "Boolean")
 TYPES = (*NUMERIC, "String", "Binary", "Clock")
 BOOLEANS = {"true": 1.0, "false": 0.0}
-INTERFACES = {  # element -> what it is called
+INTERFACES = {  # element -> name of the interface type
     "ModelExchange": "model exchange",
     "CoSimulation": "co-simulation",
     "ScheduledExecution": "scheduled execution",
 }
-INITIAL = {  # default of `initial` by causality and variability, both versions
+INITIAL = {  # (causality, variability) -> default of `initial`, in both versions
     **{(c, v): "exact" for c in ("parameter", "structuralParameter") for v in ("fixed", "tunable")},
     **{(c, v): "calculated" for c in ("calculatedParameter", "local") for v in ("fixed", "tunable")},
     **{(c, v): "calculated" for c in ("output", "local") for v in ("discrete", "continuous")},
     **{(c, "constant"): "exact" for c in ("output", "local")},
 }
-# causality and variability that go together, both versions
+# Allowed combinations of causality and variability, in both versions.
 COMBINATIONS = {*INITIAL, ("input", "discrete"), ("input", "continuous"), ("independent", "continuous")}
 
 
 def parse_int(text: str | None) -> int | None:
-    """A whole number, or None."""
+    """An integer; None for any other text."""
     try:
         return None if text is None else int(text)
     except ValueError:
@@ -42,36 +43,37 @@ def parse_int(text: str | None) -> int | None:
 
 
 def parse_numbers(text: str) -> tuple[float, ...]:
-    """Numbers and truth values; raises ValueError for anything else."""
+    """Numbers and booleans, separated by white space; ValueError for any other text."""
     return tuple(BOOLEANS[w] if w in BOOLEANS else float(w) for w in text.split())
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An element of the file: its line and its attributes."""
+    """An XML element: its line and its attributes."""
 
     line: int
     attributes: Mapping[str, str]
 
     def get(self, name: str, default: str = "") -> str:
-        """An attribute as written."""
+        """The text of an attribute."""
         return self.attributes.get(name, default)
 
     def declares(self, *names: str) -> bool:
-        """Is one of these attributes true, or above 0? The versions of FMI spell some in two ways."""
+        """True if one of these attributes is true or above 0; FMI 2.0 and 3.0 spell some differently."""
         return any(self.get(name) == "true" or (parse_int(self.get(name)) or 0) > 0 for name in names)
 
 
 @dataclass(frozen=True, eq=False)
 class DeclaredVariable(Entry):
-    """One variable; its attributes include those of its declared type where it has none itself.
+    """A variable; missing attributes are those of its declared type.
 
-    index        place in the file, from 1
+    index        index in the file, from 1
     type         Real, Float64, ...
-    initial      as written, else its default; "" where there is none
-    starts       start values as written; None when there are none
-    shape        of an array (FMI 3), a length is None where it cannot be read; () for a scalar
-    aliases      further names (FMI 3)
+    reference    value reference
+    initial      the attribute or its default; "" if there is none
+    starts       texts of the start values; None if there are none
+    shape        of an array (FMI 3.0); None for a dimension that is not a number; () for a scalar
+    aliases      further names (FMI 3.0)
     """
 
     name: str
@@ -90,7 +92,7 @@ class DeclaredVariable(Entry):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its name and its aliases."""
+        """The name and the aliases."""
         return self.name, *(a.get("name") for a in self.aliases)
 
     @property
@@ -109,14 +111,14 @@ class DeclaredVariable(Entry):
     def clocked(self) -> bool:
         return bool(self.get("clocks")) or self.type == "Clock"
 
-    # ---- numbers; ValueError where the file has none
+    # ---- numeric attributes; ValueError for a text that is not a number
 
     @cached_property
     def size(self) -> int:
-        """Number of its scalars."""
+        """Number of scalar elements."""
         lengths = [n for n in self.shape if n is not None]
         if len(lengths) < len(self.shape):
-            raise ValueError(f"{self.name} has a dimension that is no number")
+            raise ValueError(f"{self.name} has a dimension that is not a number")
         return math.prod(lengths)
 
     @cached_property
@@ -134,18 +136,18 @@ class DeclaredVariable(Entry):
 
     @cached_property
     def nominal(self) -> float:
-        """Its nominal value; 1 where it has none."""
+        """The nominal value; default: 1."""
         return abs(float(self.get("nominal", "1"))) or 1.0
 
     @cached_property
     def scale(self) -> float:
-        """A typical magnitude."""
+        """Typical magnitude: the largest of the nominal value and the finite start values."""
         return max([abs(s) for s in self.start if math.isfinite(s)] + [self.nominal])
 
 
 @dataclass(frozen=True, eq=False)
 class Unknown:
-    """One entry of ModelStructure; `key` is an index (FMI 2) or a value reference (FMI 3)."""
+    """An entry of ModelStructure; `key` is an index (FMI 2.0) or a value reference (FMI 3.0)."""
 
     section: str
     line: int
@@ -161,7 +163,11 @@ class Unknown:
 
 @dataclass(frozen=True)
 class UnitDefinition:
-    """One unit; `base` are the attributes of its BaseUnit."""
+    """A declared unit.
+
+    base_unit       attributes of BaseUnit; None if there is none
+    display_units   name -> attributes of DisplayUnit
+    """
 
     name: str
     line: int
@@ -171,7 +177,7 @@ class UnitDefinition:
 
 @dataclass(frozen=True, eq=False)
 class TypeDefinition(Entry):
-    """One declared type; `type` is Real, Enumeration, ...; `items` of an enumeration are names and values."""
+    """A declared type; `type`: Real, Enumeration, ...; `items`: names and values of an enumeration."""
 
     type: str
     items: tuple[tuple[str, str], ...] = ()
@@ -179,15 +185,15 @@ class TypeDefinition(Entry):
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """The whole file; lists keep its order.
+    """The content of modelDescription.xml, in the order of the file.
 
-    major           2 or 3; 0 when unknown, then everything is empty
+    major           FMI version, 2 or 3; 0 if unknown, then all other fields are empty
     attributes      of the root element
-    by_key          what ModelStructure refers to: by index (FMI 2) or value reference (FMI 3)
+    by_key          variables by the keys of ModelStructure: index (FMI 2.0) or value reference (FMI 3.0)
     structure       outputs, derivatives, initial, clocked, indicators -> entries of ModelStructure
-    interfaces      ModelExchange, CoSimulation, ScheduledExecution -> its element
-    categories      of log messages
-    input_rates     input -> input that carries its time derivative, by this project's annotation in FMI 2.0
+    interfaces      ModelExchange, CoSimulation, ScheduledExecution -> element
+    categories      log categories
+    input_rates     input -> input that is its time derivative, from this project's annotation in FMI 2.0
     """
 
     major: int = 0
@@ -204,11 +210,11 @@ class ModelDescription:
 
     @cached_property
     def by_name(self) -> Mapping[str, DeclaredVariable]:
-        """The variables by their first names."""
+        """The variables by name, without aliases."""
         return {v.name: v for v in self.variables}
 
     def of(self, *causalities: str) -> tuple[DeclaredVariable, ...]:
-        """Variables of some causalities."""
+        """The variables of some causalities."""
         return tuple(v for v in self.variables if v.causality in causalities)
 
     @property
@@ -218,20 +224,20 @@ class ModelDescription:
 
     @property
     def identifiers(self) -> tuple[str, ...]:
-        """The model identifiers, each once."""
+        """The model identifiers, without duplicates."""
         return tuple(dict.fromkeys(e.get("modelIdentifier") for e in self.interfaces.values()))
 
     @cached_property
     def derivatives(self) -> tuple[DeclaredVariable, ...]:
-        """The listed time derivatives of the continuous states, in the order of the state vector."""
+        """The declared time derivatives of the continuous states, in the order of the state vector."""
         return tuple(u.variable for u in self.structure.get("derivatives", ()) if u.variable)
 
     @cached_property
     def states(self) -> tuple[DeclaredVariable, ...]:
-        """The continuous states: what the listed derivatives are derivatives of, each once."""
+        """The continuous states that belong to the declared derivatives, without duplicates."""
         return tuple(dict.fromkeys(s for v in self.derivatives if (s := self.state_of(v))))
 
     def state_of(self, derivative: DeclaredVariable) -> DeclaredVariable | None:
-        """What a variable is the time derivative of."""
+        """The variable whose time derivative `derivative` is, or None."""
         key = parse_int(derivative.attributes.get("derivative"))
         return None if key is None else self.by_key.get(key)

@@ -1,4 +1,4 @@
-"""Reads modelDescription.xml, FMI 2.0 and 3.0 alike, without judging it."""
+"""Reads modelDescription.xml of FMI 2.0 and 3.0 to a `ModelDescription`, without validation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from orchestrator.fmi.raw_description import (
     parse_int,
 )
 
-SECTIONS = {  # list of ModelStructure -> its path in FMI 2 and in FMI 3
+SECTIONS = {  # section of ModelStructure -> its path in FMI 2.0 and in FMI 3.0
     "outputs": (("Outputs", "Unknown"), ("Output",)),
     "derivatives": (("Derivatives", "Unknown"), ("ContinuousStateDerivative",)),
     "initial": (("InitialUnknowns", "Unknown"), ("InitialUnknown",)),
@@ -29,28 +29,28 @@ SECTIONS = {  # list of ModelStructure -> its path in FMI 2 and in FMI 3
 
 
 def read_description(root: Element | None, major: int) -> ModelDescription:
-    """The description behind a root element; empty when there is none or its version is not known."""
+    """The description with this root element; empty without a root or with an unknown version."""
     if root is None or not major or local_name(root) != "fmiModelDescription":
         return ModelDescription(major)
     types = dict(_types(root, major))
-    listed = child(root, "ModelVariables")
-    elements = [e for e in (() if listed is None else listed) if local_name(e)]
+    model_variables = child(root, "ModelVariables")
+    elements = [e for e in (() if model_variables is None else model_variables) if local_name(e)]
     lengths = {e.get("valueReference"): parse_int(e.get("start")) for e in elements if e.get("start")}
     variables = tuple(_variable(e, index, major, types, lengths) for index, e in enumerate(elements, 1))
     by_key = {v.index if major == 2 else v.reference: v for v in reversed(variables)}
-    known = {k: v for k, v in by_key.items() if k is not None}
+    valid = {k: v for k, v in by_key.items() if k is not None}
     structure = {}
     for section, paths in SECTIONS.items():
         path = paths[major - 2]
-        found = children(root, "ModelStructure", *path) if path else ()
-        structure[section] = tuple(_unknown(e, "/".join(path), known, major) for e in found)
+        entries = children(root, "ModelStructure", *path) if path else ()
+        structure[section] = tuple(_unknown(e, "/".join(path), valid, major) for e in entries)
     experiment = child(root, "DefaultExperiment")
     rates = (e for e in root.iterfind("VendorAnnotations/Tool[@name='harvester-cosim']//InputDerivative"))
     return ModelDescription(
         major=major,
         attributes=dict(root.attrib),
         variables=variables,
-        by_key=known,
+        by_key=valid,
         structure=structure,
         units=tuple(map(_unit, children(root, "UnitDefinitions", "Unit"))),
         types=types,
@@ -66,15 +66,15 @@ def _entry(element: Element) -> Entry:
 
 
 def _types(root: Element, major: int) -> Iterator[tuple[str, TypeDefinition]]:
-    """Type definitions by name: in FMI 2 a SimpleType holds the type, in FMI 3 the element is Float64Type."""
-    listed = child(root, "TypeDefinitions")
-    for outer in () if listed is None else listed:
+    """Type definitions by name. FMI 2.0: a child of SimpleType. FMI 3.0: an element such as Float64Type."""
+    definitions = child(root, "TypeDefinitions")
+    for outer in () if definitions is None else definitions:
         inner = next((e for e in outer if local_name(e) in TYPES), None) if major == 2 else outer
         type_ = "" if inner is None else local_name(inner).removesuffix("Type")
         if inner is not None and type_ in TYPES:
-            own = {k: v for k, v in inner.attrib.items() if k not in ("name", "description")}
+            attributes = {k: v for k, v in inner.attrib.items() if k not in ("name", "description")}
             items = tuple((i.get("name", ""), i.get("value", "")) for i in children(inner, "Item"))
-            yield outer.get("name", ""), TypeDefinition(inner.sourceline, own, type_, items)
+            yield outer.get("name", ""), TypeDefinition(inner.sourceline, attributes, type_, items)
 
 
 def _variable(
@@ -84,51 +84,51 @@ def _variable(
     types: Mapping[str, TypeDefinition],
     lengths: Mapping[str, int | None],
 ) -> DeclaredVariable:
-    """One variable: in FMI 2 a child of the element holds the type, in FMI 3 the element is the type."""
+    """A variable. FMI 2.0: a child of the element is the type. FMI 3.0: the element itself is the type."""
     inner = next((i for i in e if local_name(i) in TYPES), e) if major == 2 else e
-    own = {**e.attrib, **inner.attrib}
-    type_, causality = local_name(inner), own.get("causality", "local")
-    variability = own.get("variability") or _variability(type_, causality, major)
+    attributes = {**e.attrib, **inner.attrib}
+    type_, causality = local_name(inner), attributes.get("causality", "local")
+    variability = attributes.get("variability") or _variability(type_, causality, major)
     default = "exact" if (major, causality) == (3, "input") else INITIAL.get((causality, variability), "")
-    declared = types.get(own.get("declaredType", ""))
+    declared = types.get(attributes.get("declaredType", ""))
     starts = tuple(s.get("value", "") for s in children(inner, "Start"))
-    if not starts and "start" in own:
+    if not starts and "start" in attributes:
         many = major == 3 and type_ not in ("String", "Binary")
-        starts = tuple(own["start"].split()) if many else (own["start"],)
+        starts = tuple(attributes["start"].split()) if many else (attributes["start"],)
     dimensions = children(e, "Dimension") if major == 3 else ()
     return DeclaredVariable(
         line=e.sourceline,
-        attributes={**declared.attributes, **own} if declared else own,
-        name=own.get("name", ""),
+        attributes={**declared.attributes, **attributes} if declared else attributes,
+        name=attributes.get("name", ""),
         index=index,
         type=type_,
-        reference=parse_int(own.get("valueReference")),
+        reference=parse_int(attributes.get("valueReference")),
         causality=causality,
         variability=variability,
-        initial=own.get("initial", default),
-        starts=starts if starts or "start" in own else None,
+        initial=attributes.get("initial", default),
+        starts=starts if starts or "start" in attributes else None,
         shape=tuple(parse_int(d.get("start")) or lengths.get(d.get("valueReference")) for d in dimensions),
         aliases=tuple(map(_entry, children(e, "Alias"))),
     )
 
 
 def _variability(type_: str, causality: str, major: int) -> str:
-    """The default. FMI 2 says continuous for all; tools take discrete for what is not Real."""
+    """Default variability. FMI 2.0 defines continuous for all types; tools use discrete except for Real."""
     if causality in ("parameter", "calculatedParameter", "structuralParameter") and major == 3:
         return "fixed"
     return "continuous" if type_ in FLOATS else "discrete"
 
 
-def _unknown(e: Element, section: str, known: Mapping[int, DeclaredVariable], major: int) -> Unknown:
+def _unknown(e: Element, section: str, by_key: Mapping[int, DeclaredVariable], major: int) -> Unknown:
     key = parse_int(e.get("index" if major == 2 else "valueReference"))
-    names, kinds = e.get("dependencies"), e.get("dependenciesKind")
+    dependencies, kinds = e.get("dependencies"), e.get("dependenciesKind")
     return Unknown(
         section=section,
         line=e.sourceline,
         key=key,
-        dependencies=None if names is None else tuple(parse_int(n) for n in names.split()),
+        dependencies=None if dependencies is None else tuple(parse_int(n) for n in dependencies.split()),
         dependency_kinds=None if kinds is None else tuple(kinds.split()),
-        variable=None if key is None else known.get(key),
+        variable=None if key is None else by_key.get(key),
     )
 
 

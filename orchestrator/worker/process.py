@@ -1,7 +1,7 @@
 """Parent's side of a worker process: start, messages, limits of time and memory, cause of its end, clean-up.
 
-`Worker.messages` enforces the limits (`WorkerLimits`). The caller sets their values: those of `harvester check`
-are set by `ProbeLimits` in orchestrator/check/probe_process.py and by the option --timeout in
+`Worker.messages` enforces the limits (`WorkerLimits`). The caller sets their values: for `harvester check`
+these are `ProbeLimits` in orchestrator/check/probe_process.py and the option --timeout in
 orchestrator/cli/check.py.
 """
 

@@ -160,5 +160,5 @@ def test_much_that_is_written_to_stderr_is_thrown_away(start, monkeypatch):
     worker = start("end")
     worker.put("stay")
     worker.get(SOON)
-    worker._quieten()
+    worker._truncate_stderr()
     assert until(lambda: worker.last_stderr_line == "")
