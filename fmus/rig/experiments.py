@@ -1,9 +1,9 @@
 """The experiments of the rig with their commands and instruments, after section 4 of the paper.
 
 On the benches, commands and pressures are stepped: they are held at levels, with ramps between them. On the
-whole machine an operator moves one joint at a time; then, in the training experiments, all joints; and drives
-the work cycle, which is the test. Training covers the work space, small and large commands and all pairs of
-axes, and contains no part of the work cycle. All corners of commands are on the 200 Hz grid.
+whole machine an operator moves one joint in the damping experiments and all joints in the training
+experiments; the test is the work cycle. Training covers the work space, small and large commands and all
+pairs of axes, and contains no part of the work cycle. All corners of commands are on the 200 Hz grid.
 """
 
 from __future__ import annotations
@@ -161,8 +161,7 @@ GROUPS: tuple[tuple[float, Sequence[float], float, float], ...] = (
     (6e12, (2.0, 6.0) * 20, 0.5, 0.08),
 )
 
-# locked motor: set pressures of the stepped port [MPa], at a low and a medium pressure of the other port
-# [MPa]
+# MPa; locked motor: set pressures of the stepped port, at a low and a medium pressure of the other port
 MOTOR_STEPS = tuple(range(2, 21, 2))
 MOTOR_OTHER = (2.0, 8.0)
 MOTOR_HOLD, MOTOR_RAMP = 3.0, 0.2  # s
