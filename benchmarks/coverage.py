@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from multiprocessing import Pool
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +23,7 @@ from fmus.components.spool_valve import opening
 from fmus.identification.estimate import Estimate
 from fmus.identification.machine import Parameters, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
+from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recordings.reading import read_folder
 from fmus.rig.experiments import EXPERIMENTS, experiment
 from fmus.rig.recordings import write
@@ -56,10 +57,10 @@ def trial(task: tuple[int, str]) -> list[tuple[str, float, float, float]]:
     return [(e.name, e.value, e.low, e.high) for e in _with_truth(found.results, curve)]
 
 
-def _with_truth(findings: tuple, curve: Mapping[str, float]) -> Iterator[Estimate]:
-    for finding in findings:
-        yield from finding.estimates
-        yield from (e for e in finding.others if e.name in curve)
+def _with_truth(results: Iterable[ProcedureResult], curve: Mapping[str, float]) -> Iterator[Estimate]:
+    for result in results:
+        yield from result.estimates
+        yield from (e for e in result.others if e.name in curve)
 
 
 def main() -> int:

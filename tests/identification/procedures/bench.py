@@ -1,6 +1,6 @@
-"""Benches by hand: valve edges and a hose whose signals are written down, and instruments like the paper's.
+"""Synthetic test benches: valve edges and a hose with given signals, and instruments like the paper's.
 
-No solver and nothing of the rig: drops are chosen and flows follow, or flows are chosen and pressures follow.
+They use neither a solver nor the rig: flows follow from chosen drops, or pressures from chosen flows.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ KNOWN = {
 
 
 def measured(sensor, true, random):
-    """Readings of an instrument: noise, steps of the converter, range, dead zone."""
+    """Readings of an instrument with noise, resolution, range and dead zone."""
     noisy = true + random.normal(0.0, 1.0, true.size) * sensor.noise
     steps = sensor.resolution * np.round(noisy / sensor.resolution)
     return np.where(np.abs(true) < sensor.dead_zone, 0.0, np.clip(steps, sensor.low, sensor.high))
 
 
 def recording(procedure, conditions, signals, seed, flow=FLOW):
-    """A recording of true signals; a command is known exactly."""
+    """A recording of true signals by instruments; the command has no noise."""
     random = np.random.default_rng(seed)
     sensors = {
         name: PRESSURE if name.startswith("pressure") else flow for name in signals if name != "command"
@@ -75,7 +75,7 @@ def recording(procedure, conditions, signals, seed, flow=FLOW):
 
 
 def opening(command, dead_band=DEAD_BAND, rounding=ROUNDING):
-    """Share of the full area at a command [V]: zero, a rounded foot, a straight line to one at 10 V."""
+    """Fraction of the full area at a command [V]: zero, a rounded foot, a straight line to one at 10 V."""
 
     def ramp(z):
         s = np.clip(z / rounding, 0.0, 1.0)
@@ -88,12 +88,12 @@ STEPS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.
 
 
 def edge(name, seed, area=AREA, steps=STEPS, flow=FLOW):
-    """One edge, each step held for 1.5 s; what is behind it takes 0.4 MPa per volt, so its drop is known."""
+    """One edge, each step held for 1.5 s; the load behind it takes 0.4 MPa per volt, so its drop is known."""
     volts = np.array(steps)
     gain = C_D * area * opening(volts) * np.sqrt(2 / DENSITY)
-    whole = SUPPLY - TANK
-    drop = whole - 4e5 * (volts - volts[0])
-    leak = LEAKAGE * drop - LEAKAGE * (whole - drop)  # of the open edge, less that of the closed one
+    supply_drop = SUPPLY - TANK
+    drop = supply_drop - 4e5 * (volts - volts[0])
+    leak = LEAKAGE * drop - LEAKAGE * (supply_drop - drop)  # of the open edge minus that of the closed one
 
     def surplus(q, i):
         return (q - leak[i]) * np.hypot(q, TRANSITION) - gain[i] ** 2 * drop[i]
@@ -116,6 +116,11 @@ def edges(seed, **changes):
 FLOWS = tuple(np.linspace(5.0, 280.0, 24))  # L/min
 
 
+def turbulent(q):
+    """Pressure drop [Pa] by eq. (1) with the rounding of the machine, at a flow [m3/s]."""
+    return RESISTANCE * q * np.hypot(q, TRANSITION)
+
+
 def steady_hose(seed, drop, flows=FLOWS):
     """A hose at stepped flows [L/min], with a pressure drop that is a function of the flow [m3/s]."""
     q = np.repeat(np.array(flows) * LITRES, round(1.5 * RATE))
@@ -127,8 +132,8 @@ def steady_hose(seed, drop, flows=FLOWS):
 def moving_hose(seed, share=0.0, groups=2, length=10.0):
     """A hose with a flow and a pressure that are sums of sines; the other signals follow by its equations.
 
-    share   how far towards the outlet the flow of the inertia is, and towards the inlet the pressure of the
-            capacitance: 0 as the machine's model has it
+    share   position s of the flow of the inertance towards the outlet, and of the pressure of the capacitance
+            towards the inlet; 0 in the machine's model
     """
     return [_group([seed, i], i, share, length) for i in range(groups)]
 
@@ -148,7 +153,7 @@ def _group(seed, number, share, length):
     # Q_in, Q_out, P_in, P_out are the sums and differences of these and of what is stored between the ends
     q, dq = waves(120 * LITRES, np.array([30.0, 20.0, 12.0, 10.0]) * LITRES)
     p, dp = waves(120 * BAR, np.array([15.0, 15.0, 10.0, 10.0]) * BAR)
-    drop = INERTANCE * dq + RESISTANCE * q * np.hypot(q, TRANSITION)
+    drop = INERTANCE * dq + turbulent(q)
     stored = CAPACITANCE * dp
     signals = {
         "pressure_in": p + (1 - share) * drop,
@@ -159,16 +164,18 @@ def _group(seed, number, share, length):
     return recording("hose_dynamics", HOSE, signals, seed)
 
 
-def held(truth, estimates):
-    """How many of some estimates' intervals hold the truth."""
-    return sum(e.low <= truth <= e.high for e in estimates)
+def named(result):
+    """All estimates of a procedure by name."""
+    return {e.name: e for e in (*result.estimates, *result.others)}
 
 
-def expected(count, wrong=1e-3):
-    """Fewest and most of `count` 95 % intervals that hold the truth, with `wrong` left out on each side."""
-    return int(stats.binom.ppf(wrong, count, 0.95)), int(stats.binom.isf(wrong, count, 0.95))
+def assert_coverage(truth, estimates, wrong=1e-3):
+    """Independent 95 % intervals cover the truth in 95 %, and errors match their standard deviations.
 
-
-def squares(count, wrong=1e-3):
-    """Least and largest mean square of `count` standard normal numbers, likewise."""
-    return stats.chi2.ppf(wrong, count) / count, stats.chi2.isf(wrong, count) / count
+    wrong   probability that chance fails the test, on each side
+    """
+    count = len(estimates)
+    covered = sum(e.low <= truth <= e.high for e in estimates)
+    assert stats.binom.ppf(wrong, count, 0.95) <= covered <= stats.binom.isf(wrong, count, 0.95)
+    squares = sum(((e.value - truth) / e.sd) ** 2 for e in estimates)
+    assert stats.chi2.ppf(wrong, count) <= squares <= stats.chi2.isf(wrong, count)

@@ -1,4 +1,4 @@
-"""The balance of momenta: the machine's equation, its filters, what noise and known numbers do to it."""
+"""Momentum balance: the equation, its filters, the effect of noise and of known parameters."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_the_balance_is_the_machine_s_equation_of_motion():
 
 @given(st.floats(0.2, 3.0), st.floats(0.0, 6.0), st.sampled_from([1, 3]))
 def test_the_bump_and_its_slope_are_one_filter(frequency, phase, every):
-    """phi' * sin is phi * of its derivative: the acceleration is moved onto the kernel exactly."""
+    """phi' * sin equals phi * its derivative: the time derivative is moved to the kernel."""
     kernels = filters(200.0, every=every)
     t = np.arange(400) * kernels.step
     x = 2 * np.pi * frequency * t + phase
@@ -71,8 +71,8 @@ def test_the_bump_and_its_slope_are_one_filter(frequency, phase, every):
 
 
 @given(st.integers(0, 10**6), st.sampled_from([1, 2, 3]))
-def test_the_way_back_is_the_transpose(seed, every):
-    """For any signals and weights, filtered signals times weights are signals times weights sent back."""
+def test_the_transposed_filters_are_the_transpose(seed, every):
+    """For any signals and weights, filtered signals times weights equal signals times transposed weights."""
     random, kernels = np.random.default_rng(seed), filters(200.0, every=every)
     n = 60 * every + kernels.smooth.size
     raw = random.standard_normal((2, n))
@@ -99,8 +99,8 @@ def found(record, joint, p=P):
 
 # the joint's own encoder: attenuation; the swing's: centrifugal torque of its noise squared
 @pytest.mark.parametrize(("joint", "noisy", "pairs"), [("boom", "boom", 6), ("stick", "swing", 12)])
-def test_mean_effect_of_an_encoder_s_noise_is_as_said(joint, noisy, pairs):
-    """Pairs of opposite noise leave what is even in it: as large as what is taken off, and not nothing."""
+def test_bias_by_an_encoder_s_noise(joint, noisy, pairs):
+    """Pairs of opposite noise leave its even part, which equals the subtracted bias and is not zero."""
     sd, name = 1e-3, f"manipulator.{noisy}_angle"
     perfect = recording(joint)
     told = replace(
@@ -120,8 +120,8 @@ def test_mean_effect_of_an_encoder_s_noise_is_as_said(joint, noisy, pairs):
 
 
 @pytest.mark.parametrize("name", ["boom_stick.boom_bore", "manipulator.head_mass", "manipulator.boom_pin_x"])
-def test_slope_over_a_known_parameter_is_that_of_two_estimates(name):
-    """What an error of a known parameter does to B, against estimates with the parameter moved both ways."""
+def test_sensitivity_to_a_known_parameter_is_that_of_two_estimates(name):
+    """Sensitivity of B against estimates with the parameter changed in both directions."""
     boom, index = recording("boom"), PARAMETERS.index(name)
     step = 1e-4 * P[index]
     ends = []

@@ -38,8 +38,8 @@ def test_perfect_instruments_give_the_true_damping(joint):
     assert found(recording(joint))[0] == pytest.approx(truth(joint), rel=1e-3 if joint == "swing" else 5e-5)
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Of 60 independent intervals 95 % hold the truth; standard deviations are neither small nor large."""
+def test_intervals_have_their_coverage():
+    """Of 60 independent intervals 95 % cover the truth; standard deviations are neither small nor large."""
     z = []
     for joint in JOINTS:
         for seed in range(20):
@@ -55,17 +55,17 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert 33 < np.sum(z**2) < 95
 
 
-def test_the_finding_has_all_joints_with_figure_and_remarks():
+def test_the_result_has_all_joints_with_figure_and_remarks():
     """One call with all recordings: three estimates by names of parameters.toml, Fig. 9, no false alarm."""
-    finding = identify([recording(j, seed=1) for j in JOINTS], KNOWN)
-    assert {e.name: e.unit for e in finding.estimates} == {c.parameter: c.unit for c in CONTACTS.values()}
-    for e, joint in zip(finding.estimates, JOINTS, strict=True):
+    result = identify([recording(j, seed=1) for j in JOINTS], KNOWN)
+    assert {e.name: e.unit for e in result.estimates} == {c.parameter: c.unit for c in CONTACTS.values()}
+    for e, joint in zip(result.estimates, JOINTS, strict=True):
         # 3.3 standard deviations: 1 in 1000, seeds are fixed
         assert abs(e.value - truth(joint)) < 3.3 * e.sd
         assert e.low < e.value < e.high
-    assert finding.figure == 9
-    assert len(finding.panels) == 9
-    assert not any("dry friction" in text or "incomplete" in text for text in finding.remarks)
+    assert result.figure == 9
+    assert len(result.panels) == 9
+    assert not any("dry friction" in text or "incomplete" in text for text in result.remarks)
 
 
 def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected():
@@ -98,64 +98,64 @@ def with_dry(dry):
     return identify([replace(clean, signals={**clean.signals, name: pressure})], KNOWN)
 
 
-def test_dry_friction_is_told_and_taken_into_b():
-    """A constant force against the motion raises B and is found beside it."""
+def test_dry_friction_is_reported_and_raises_b():
+    """A constant force against the motion raises B and is estimated next to it."""
     dry = 1500.0
-    finding = with_dry(dry)
-    assert finding.estimates[0].value > 1.2 * truth("boom")
-    friction = next(e for e in finding.others if e.name.startswith("dry friction"))
+    result = with_dry(dry)
+    assert result.estimates[0].value > 1.2 * truth("boom")
+    friction = next(e for e in result.others if e.name.startswith("dry friction"))
     assert friction.value == pytest.approx(dry, rel=0.1)  # where the sign changes it is rounded
-    assert any("dry friction" in text for text in finding.remarks)
-    assert any("model is incomplete" in text for text in finding.remarks)
+    assert any("dry friction" in text for text in result.remarks)
+    assert any("model is incomplete" in text for text in result.remarks)
 
 
 def test_a_force_that_pushes_is_not_called_friction():
-    """The same force along the motion: no negative friction among the numbers, a remark instead."""
-    finding = with_dry(-1500.0)
-    assert not any(e.name.startswith("dry friction") for e in finding.others)
-    assert any("negative, which is impossible" in text for text in finding.remarks)
+    """The same force along the motion: no negative friction among the estimates, but a remark."""
+    result = with_dry(-1500.0)
+    assert not any(e.name.startswith("dry friction") for e in result.others)
+    assert any("negative, which is impossible" in text for text in result.remarks)
 
 
-def test_doubt_about_a_known_parameter_widens_the_interval():
-    """0.1 % of the bore is 1.3 % of the damping: it is in the interval, and the note keeps both numbers."""
+def test_uncertainty_of_a_known_parameter_widens_the_interval():
+    """0.1 % of the bore is 1.3 % of the damping: it widens the interval, and the note contains it."""
     record = recording("boom", seed=1)
     exact = identify([record], KNOWN).estimates[0]
     bore = KNOWN["boom_stick.boom_bore"]
     doubted = KNOWN | {"boom_stick.boom_bore": replace(bore, sd=1e-3 * bore.value)}
-    finding = identify([record], doubted)
-    assert finding.estimates[0].sd > 5 * exact.sd
-    assert "by the known parameters" in finding.estimates[0].note
-    assert any("most of it by boom_stick.boom_bore" in text for text in finding.remarks)
-    alone = next(e for e in finding.others if "known exactly" in e.name)
+    result = identify([record], doubted)
+    assert result.estimates[0].sd > 5 * exact.sd
+    assert "by the known parameters" in result.estimates[0].note
+    assert any("most of it by boom_stick.boom_bore" in text for text in result.remarks)
+    alone = next(e for e in result.others if "known exactly" in e.name)
     assert alone.sd == pytest.approx(exact.sd)
 
 
-def test_clipped_and_missing_samples_are_left_out_and_said():
-    """Zeroed pressures at the end of the range and gaps do not move B beyond its interval."""
+def test_clipped_and_missing_samples_are_left_out():
+    """Pressures at the end of the range and gaps do not shift B beyond its interval, and a remark says so."""
     record = recording("stick", seed=3)
     name = "boom_stick.stick_rod_pressure"
     pressure = record[name].copy()
     pressure[1000:1100] = 0.0
     pressure[1500:1510] = np.nan
-    finding = identify([replace(record, signals={**record.signals, name: pressure})], KNOWN)
-    assert abs(finding.estimates[0].value - truth("stick")) < 3.3 * finding.estimates[0].sd
-    assert any("left out" in text for text in finding.remarks)
+    result = identify([replace(record, signals={**record.signals, name: pressure})], KNOWN)
+    assert abs(result.estimates[0].value - truth("stick")) < 3.3 * result.estimates[0].sd
+    assert any("left out" in text for text in result.remarks)
 
 
-def test_a_recording_in_which_the_joint_stands_is_left_out_and_said():
-    """A lever that was not moved: its file is named, B is that of the other recording."""
+def test_a_recording_with_the_joint_at_rest_is_left_out():
+    """A remark contains the name of the file, and B is that of the other recording."""
     record = recording("boom", seed=1)
     random = np.random.default_rng(6)
     still = {n: np.full_like(x, x[0]) for n, x in record.signals.items()}
     pressures = {n: x + 1e4 * random.standard_normal(x.size) for n, x in still.items() if "pressure" in n}
     lazy = replace(record, source=Path("lazy.csv"), signals=still | pressures)
-    finding = identify([record, lazy], KNOWN)
-    assert any("in lazy.csv the joint is at rest" in text for text in finding.remarks)
-    assert finding.estimates[0].value == identify([record], KNOWN).estimates[0].value
+    result = identify([record, lazy], KNOWN)
+    assert any("in lazy.csv the joint is at rest" in text for text in result.remarks)
+    assert result.estimates[0].value == identify([record], KNOWN).estimates[0].value
 
 
-def test_what_is_taken_as_exact_is_told_by_what_it_does():
-    """Only geometry and masses that would move B beyond its interval are named, none without influence."""
+def test_influential_exact_parameters_are_reported():
+    """Only geometry and masses that would shift B beyond its interval are listed."""
     texts = identify([recording("boom", seed=1)], KNOWN).remarks
     told = next(text for text in texts if "takes geometry and masses as exact" in text)
     assert "boom_stick.boom_bore" in told
@@ -163,8 +163,8 @@ def test_what_is_taken_as_exact_is_told_by_what_it_does():
     assert "+0 %" not in told
 
 
-def test_noise_that_is_not_told_is_seen():
-    """Without any word on the sensors the interval is that of the noise in the signals."""
+def test_noise_that_is_not_described_is_estimated():
+    """Without a description of the sensors the interval is that of the noise in the signals."""
     record = recording("boom", seed=4)
     _, told = found(record)
     _, seen = found(replace(record, sensors={}))
@@ -173,7 +173,7 @@ def test_noise_that_is_not_told_is_seen():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"conditions": {"joint": "elbow"}}, "joint: expected swing, boom, stick, got 'elbow'"),
         ({"conditions": {}}, "joint: expected a text, got nothing"),
@@ -181,15 +181,15 @@ def test_noise_that_is_not_told_is_seen():
         ({"use": "test"}, "expected a recording of this procedure"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(change, words):
+def test_wrong_data_are_refused_in_one_line(change, message):
     """A wrong joint, none, no recording at all, only one that is held out."""
-    with pytest.raises(Problem, match=words) as error:
+    with pytest.raises(Problem, match=message) as error:
         identify([replace(recording("boom"), **change)], KNOWN)
     assert "\n" not in str(error.value)
 
 
-def test_a_missing_signal_and_a_motion_that_tells_nothing_are_refused():
-    """The signal's name and file; a joint that stands has no damping to show."""
+def test_a_missing_signal_and_a_joint_at_rest_are_refused():
+    """The message contains the signal and the file; a joint at rest does not determine its damping."""
     record = recording("boom")
     without = {n: x for n, x in record.signals.items() if "rod" not in n}
     with pytest.raises(

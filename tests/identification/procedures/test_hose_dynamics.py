@@ -1,4 +1,4 @@
-"""Inertance and capacitance from a hose whose signals are sums of sines."""
+"""Hose dynamics procedure: inertance and capacitance from a hose whose signals are sums of sines."""
 
 import dataclasses
 
@@ -7,27 +7,21 @@ import pytest
 from identification.procedures import bench
 
 from fmus.identification.procedures import hose_dynamics
-from fmus.identification.procedures import hose_dynamics as hose_equations
 from fmus.identification.procedures.hose_dynamics import fits, inertance_start
 from orchestrator.base.errors import Problem
 
 SEEDS = 24
 
 
-def named(finding):
-    """Estimates and others by name."""
-    return {e.name: e for e in (*finding.estimates, *finding.others)}
-
-
 @pytest.fixture(scope="module")
-def findings():
+def results():
     """The procedure over noise seeds."""
     return [hose_dynamics.identify(bench.moving_hose(seed), bench.KNOWN) for seed in range(SEEDS)]
 
 
-def test_both_come_back_and_are_scaled(findings):
+def test_both_are_right_and_scaled(results):
     """I and C within 2 %; I ~ l/A and C ~ A l for the boom's 3 m and the swing's 1 m of the same bore."""
-    found = named(findings[0])
+    found = bench.named(results[0])
     for name, truth in (
         ("boom_stick.stick_hose_inertance", bench.INERTANCE),
         ("boom_stick.boom_hose_inertance", bench.INERTANCE * 3 / 4),
@@ -39,14 +33,9 @@ def test_both_come_back_and_are_scaled(findings):
 
 
 @pytest.mark.parametrize(("name", "truth"), [("I", bench.INERTANCE), ("C", bench.CAPACITANCE)])
-def test_intervals_hold_the_truth_as_often_as_they_say(findings, name, truth):
+def test_intervals_have_their_coverage(results, name, truth):
     """Over noise seeds, 95 % intervals hold the truth, and errors are as large as the standard deviations."""
-    found = [named(one)[name] for one in findings]
-    # chance fails it with 1e-3 on each side; the seeds are fixed
-    low, high = bench.expected(SEEDS)
-    assert low <= bench.held(truth, found) <= high
-    low, high = bench.squares(SEEDS)
-    assert low <= np.mean([((e.value - truth) / e.sd) ** 2 for e in found]) <= high
+    bench.assert_coverage(truth, [bench.named(result)[name] for result in results])
 
 
 @pytest.mark.parametrize("name", ["inertance", "capacitance"])
@@ -56,9 +45,9 @@ def test_whitened_residuals_are_white(name):
     theta |= {"C": bench.CAPACITANCE, "q_0": 0.0, "s": 0.0}
     every = []
     for group in bench.moving_hose(0, groups=6):
-        cut = hose_equations.good_windows(group, 0.08)
+        cut = hose_dynamics.good_windows(group, 0.08)
         more = (bench.TRANSITION,) if name == "inertance" else ()
-        every.append(getattr(hose_equations, name)(group, cut, *more).whitened_residual(theta))
+        every.append(getattr(hose_dynamics, name)(group, cut, *more).whitened_residual(theta))
     white = np.concatenate(every)
     # 4 standard deviations of n normal numbers' mean square and lag products
     assert np.mean(white**2) == pytest.approx(1, abs=4 * np.sqrt(2 / white.size))
@@ -75,14 +64,14 @@ def least_squares(equation):
 
 
 def test_noisy_regressors_do_not_bias_it_towards_zero():
-    """With a noisy meter and short windows I stays right, where plain least squares is 2 % too low."""
+    """With a noisy meter and short windows I is right, but plain least squares is 2 % too low."""
     wild = dataclasses.replace(bench.FLOW, noise=8 * bench.FLOW.noise)
     start = inertance_start(bench.INERTANCE, bench.RESISTANCE, 1e-3)
     errors, plain = [], []
     for seed in range(12):
         group = noisier(bench.moving_hose(seed, groups=1)[0], wild, seed)
-        cut = hose_equations.good_windows(group, 0.03)
-        equation = hose_equations.inertance(group, cut, bench.TRANSITION)
+        cut = hose_dynamics.good_windows(group, 0.03)
+        equation = hose_dynamics.inertance(group, cut, bench.TRANSITION)
         found = fits("I", [equation], start, ["x"]).pooled
         plain.append(least_squares(equation))
         errors.append((found["I"] - bench.INERTANCE) / found.sd("I"))
@@ -103,42 +92,42 @@ def noisier(group, sensor, seed):
     )
 
 
-def test_spread_hose_is_told_and_does_not_bend_the_inertance():
-    """A hose whose inertia goes with the mean flow of its ends has the right I too, and a remark tells."""
-    finding = hose_dynamics.identify(bench.moving_hose(0, share=0.5), bench.KNOWN)
-    found = named(finding)
+def test_a_distributed_hose_does_not_bias_the_inertance():
+    """A hose whose inertance sees the mean flow of its ends: I is right, and so is the position s."""
+    result = hose_dynamics.identify(bench.moving_hose(0, share=0.5), bench.KNOWN)
+    found = bench.named(result)
     assert abs(found["I"].value - bench.INERTANCE) < 4 * found["I"].sd
     assert abs(found["C"].value - bench.CAPACITANCE) < 4 * found["C"].sd
     assert abs(found["weight of the outlet's flow"].value - 0.5) < 4 * found["weight of the outlet's flow"].sd
 
 
 def test_groups_that_differ_widen_the_interval():
-    """Two hoses 10 % apart in capacitance are no one number: a remark tells, the interval reaches both."""
+    """Two hoses whose capacitances differ by 10 %: a remark says so, and the interval covers both."""
     groups = bench.moving_hose(0)
     other = groups[1]
     stored = other["flow_in"] - other["flow_out"]
     signals = {**other.signals, "flow_out": other["flow_in"] - 1.1 * stored}
-    finding = hose_dynamics.identify([groups[0], dataclasses.replace(other, signals=signals)], bench.KNOWN)
-    estimate = named(finding)["C"]
-    assert any("capacitance differs between the groups" in r for r in finding.remarks)
+    result = hose_dynamics.identify([groups[0], dataclasses.replace(other, signals=signals)], bench.KNOWN)
+    estimate = bench.named(result)["C"]
+    assert any("capacitance differs between the groups" in r for r in result.remarks)
     assert estimate.low < bench.CAPACITANCE * 1.005
     assert estimate.high > bench.CAPACITANCE * 1.095
 
 
-def test_definition_is_the_mean_of_the_groups_means(findings):
-    """The paper's way agrees within 5 %: the filter takes 1 % of a rate at 4.7 Hz, noise draws it down."""
-    found = named(findings[0])
+def test_definition_is_the_mean_of_the_groups_means(results):
+    """The paper's method agrees within 5 %: the filter attenuates 4.7 Hz by 1 %, and noise biases it."""
+    found = bench.named(results[0])
     assert found["I by definition"].value == pytest.approx(bench.INERTANCE, rel=0.05)
     assert found["C by definition"].value == pytest.approx(bench.CAPACITANCE, rel=0.05, abs=0)
 
 
 def test_samples_in_the_dead_zone_are_in_no_window():
-    """Windows with a flow below 10 L/min are left out; a recording with no other ones is refused."""
+    """Windows with a flow below 10 L/min are left out; a recording without other windows is refused."""
     group = bench.moving_hose(0, groups=1)[0]
     flow = group["flow_out"].copy()
     flow[500:900] = 0.0
     part = dataclasses.replace(group, signals={**group.signals, "flow_out": flow})
-    cut = hose_equations.good_windows(part, 0.08)
+    cut = hose_dynamics.good_windows(part, 0.08)
     touched = cut.bump[:, 500:900].sum(axis=1)
     assert cut.bump.shape[0] > 100
     assert not touched.any()

@@ -1,4 +1,4 @@
-"""The hose's resistance: C_R and Blasius' law from steady flows whose drop is written down."""
+"""Hose resistance procedure: C_R and Blasius' law from steady flows with a known drop."""
 
 import math
 
@@ -13,11 +13,6 @@ from orchestrator.base.errors import Problem
 SEEDS = 30
 
 
-def square(q):
-    """Eq. (1) with the rounding of the machine."""
-    return bench.RESISTANCE * q * np.hypot(q, bench.TRANSITION)
-
-
 def blasius(q, length=bench.LENGTH, bore=bench.BORE, viscosity=0.02):
     """Drop of a smooth pipe by Darcy and Blasius: f l/D rho v^2/2 with f = 0.3164 Re^-0.25."""
     speed = q / (math.pi / 4 * bore**2)
@@ -25,38 +20,30 @@ def blasius(q, length=bench.LENGTH, bore=bench.BORE, viscosity=0.02):
     return 0.3164 * reynolds**-0.25 * length / bore * bench.DENSITY * speed**2 / 2
 
 
-def named(finding):
-    """Estimates and others by name."""
-    return {e.name: e for e in (*finding.estimates, *finding.others)}
-
-
 @pytest.fixture(scope="module")
-def findings():
+def results():
     """The procedure over noise seeds, on a hose that obeys eq. (1)."""
-    return [hose_resistance.identify(bench.steady_hose(s, square), bench.KNOWN) for s in range(SEEDS)]
+    return [
+        hose_resistance.identify(bench.steady_hose(s, bench.turbulent), bench.KNOWN) for s in range(SEEDS)
+    ]
 
 
-def test_resistance_comes_back_and_is_scaled(findings):
+def test_resistance_comes_back_and_is_scaled(results):
     """C_R of the stick's hose within 2 %, that of the boom's 3/4 of it by eq. (10)."""
-    found = named(findings[0])
+    found = bench.named(results[0])
     assert found["boom_stick.stick_hose_resistance"].value == pytest.approx(bench.RESISTANCE, rel=0.02)
     ratio = found["boom_stick.boom_hose_resistance"].value / found["boom_stick.stick_hose_resistance"].value
     assert ratio == pytest.approx(0.75, rel=1e-12)  # exact: 3 m of 4 m, the same bore
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say(findings):
+def test_intervals_have_their_coverage(results):
     """Over noise seeds, 95 % intervals hold the truth, and errors are as large as the standard deviations."""
-    found = [named(one)["C_R"] for one in findings]
-    # chance fails it with 1e-3 on each side; the seeds are fixed
-    low, high = bench.expected(SEEDS)
-    assert low <= bench.held(bench.RESISTANCE, found) <= high
-    low, high = bench.squares(SEEDS)
-    assert low <= np.mean([((e.value - bench.RESISTANCE) / e.sd) ** 2 for e in found]) <= high
+    bench.assert_coverage(bench.RESISTANCE, [bench.named(result)["C_R"] for result in results])
 
 
-def test_law_that_made_the_data_fits_better(findings):
-    """Eq. (1) wins on its own data, eq. (10) on those of a smooth pipe, each without a misfit."""
-    assert any(r.startswith("Eq. (1) fits better") for r in findings[0].remarks)
+def test_law_of_the_data_fits_better(results):
+    """Eq. (1) fits data of eq. (1) better, eq. (10) those of a smooth pipe, which are a misfit of eq. (1)."""
+    assert any(r.startswith("Eq. (1) fits better") for r in results[0].remarks)
     smooth = hose_resistance.identify(bench.steady_hose(0, blasius), bench.KNOWN)
     assert any(r.startswith("Eq. (10) fits better") for r in smooth.remarks)
     assert any(r.startswith("Eq. (1) leaves residuals") for r in smooth.remarks)
@@ -64,7 +51,7 @@ def test_law_that_made_the_data_fits_better(findings):
 
 def test_power_law_gives_the_resistance_of_each_flow():
     """On a smooth pipe C_R(Q) is the drop over Q^2 at that flow, within its interval of well below 1 %."""
-    found = named(hose_resistance.identify(bench.steady_hose(0, blasius), bench.KNOWN))
+    found = bench.named(hose_resistance.identify(bench.steady_hose(0, blasius), bench.KNOWN))
     for litres in (60.0, 100.0, 200.0, 300.0):
         q = litres * bench.LITRES
         estimate = found[f"C_R({litres:g} L/min)"]
@@ -73,32 +60,32 @@ def test_power_law_gives_the_resistance_of_each_flow():
 
 
 def test_scaling_is_that_of_a_smooth_pipe():
-    """Eq. (10) scales like Darcy's and Blasius' formulas, which it is made of."""
+    """Eq. (10) scales like the formulas of Darcy and Blasius."""
     q = 100 * bench.LITRES
     other = scaled(blasius(q), bench.LENGTH, bench.BORE, 2.5, 0.0127)
     assert other == pytest.approx(blasius(q, 2.5, 0.0127), rel=1e-12)  # exact identity
 
 
-def test_laminar_part_is_found_and_named():
-    """A drop Q sqrt(R^2 + (C_R Q)^2) is a misfit of both laws; R and C_R come back and the remark tells."""
+def test_laminar_part_is_estimated():
+    """A drop Q sqrt(R^2 + (C_R Q)^2) is a misfit of both laws; R and C_R are estimated, with a remark."""
     laminar = 2.5e7
-    finding = hose_resistance.identify(
+    result = hose_resistance.identify(
         bench.steady_hose(0, lambda q: q * np.hypot(laminar, bench.RESISTANCE * q)), bench.KNOWN
     )
-    found = named(finding)
+    found = bench.named(result)
     for name, truth in (("R, laminar part", laminar), ("C_R with laminar part", bench.RESISTANCE)):
         assert abs(found[name].value - truth) < 4 * found[name].sd
-    assert any("laminar part" in remark for remark in finding.remarks)
+    assert any("laminar part" in remark for remark in result.remarks)
 
 
-def test_dead_zone_is_masked_and_said(findings):
-    """The one step below 10 L/min is shown as masked, not fitted."""
-    masked = next(c for c in findings[0].panels[0].curves if c.kind == "masked")
+def test_dead_zone_is_masked(results):
+    """The only step below 10 L/min is masked and not fitted, and a remark says so."""
+    masked = next(c for c in results[0].panels[0].curves if c.kind == "masked")
     assert masked.x.size == 1
-    assert findings[0].remarks[0].startswith("Left out of 24 steps: 1 in the dead zone")
+    assert results[0].remarks[0].startswith("Left out of 24 steps: 1 in the dead zone")
 
 
 def test_too_few_steps_are_refused():
-    """Three flows are not enough for laws and their comparison: one line says so."""
+    """Three flows are not enough to compare the laws: one line says so."""
     with pytest.raises(Problem, match=r"^hose_resistance: 3 steady steps[^\n]*at least 4[^\n]*$"):
-        hose_resistance.identify(bench.steady_hose(0, square, (50.0, 100.0, 200.0)), bench.KNOWN)
+        hose_resistance.identify(bench.steady_hose(0, bench.turbulent, (50.0, 100.0, 200.0)), bench.KNOWN)

@@ -14,7 +14,7 @@ from orchestrator.base.errors import Problem
 
 P = parameter_vector(KNOWN)
 V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}
-WHOLE = ("swing", "boom", "stick")
+JOINTS = ("swing", "boom", "stick")
 
 
 def states(count=30):
@@ -31,7 +31,7 @@ def by_pinocchio(pin, q, w, a):
     parent = 0
     joints = [(pin.JointModelRZ(), (0.0, 0.0))]
     joints += [
-        (pin.JointModelRevoluteUnaligned(up), (V[f"{n}_pivot_x"], V[f"{n}_pivot_z"])) for n in WHOLE[1:]
+        (pin.JointModelRevoluteUnaligned(up), (V[f"{n}_pivot_x"], V[f"{n}_pivot_z"])) for n in JOINTS[1:]
     ]
     for k, (joint, (x, z)) in enumerate(joints):
         parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, 0.0, z])), f"joint {k}")
@@ -47,7 +47,7 @@ def by_pinocchio(pin, q, w, a):
 
 
 def test_the_regressor_is_pinocchio_s():
-    """Columns by differentiating the manipulator's equations against an algorithm of its own."""
+    """Derivatives of the manipulator's equations against an independent algorithm."""
     pin = pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
     for q, w, a in states():
         ours = regressor()(q, w, a, P)[2].full()
@@ -55,7 +55,7 @@ def test_the_regressor_is_pinocchio_s():
         np.testing.assert_allclose(ours, by_pinocchio(pin, q, w, a), rtol=1e-9, atol=1e-10)
 
 
-def test_base_parameters_say_all_that_the_standard_ones_do():
+def test_base_parameters_give_the_same_torques_as_the_standard_ones():
     """11 of 13: the mass of the boom acts as inertia of the column, that of the stick on boom and column."""
     group = grouping(P)
     assert [STANDARD[k] for k in group.others] == ["boom m", "stick m"]
@@ -67,7 +67,7 @@ def test_base_parameters_say_all_that_the_standard_ones_do():
         np.testing.assert_allclose(y[:, list(group.kept)] @ group.values(pi), y @ pi, rtol=1e-9, atol=1e-6)
 
 
-def test_standard_parameters_make_the_manipulator_s_torques():
+def test_standard_parameters_give_the_manipulator_s_torques():
     """Regressor times standard parameters: at rest the torques of gravity, by hand."""
     for q, _, _ in states():
         zero = np.zeros(3)
@@ -83,18 +83,18 @@ def test_standard_parameters_make_the_manipulator_s_torques():
         np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-8)
 
 
-def test_masses_and_inertias_come_back_within_their_intervals():
-    """All joints at once, six seeds: each value within 10 %, deviations as large as the intervals say."""
+def test_masses_and_inertias_are_within_their_intervals():
+    """All joints at once, six seeds: each value within 10 %, errors match the standard deviations."""
     z, base = [], []
     group = grouping(P)
     true = group.values(standard(P))
     for seed in range(6):
-        finding = identify([recording(*WHOLE, seed=seed)], KNOWN)
-        assert [e.name for e in finding.estimates] == list(FREE)
-        z.append([(e.value - V[e.name]) / e.sd for e in finding.estimates])
-        for e in finding.estimates:
+        result = identify([recording(*JOINTS, seed=seed)], KNOWN)
+        assert [e.name for e in result.estimates] == list(FREE)
+        z.append([(e.value - V[e.name]) / e.sd for e in result.estimates])
+        for e in result.estimates:
             assert e.value == pytest.approx(V[e.name], rel=0.1)
-        found = [e for e in finding.others if "base parameter" in e.note]
+        found = [e for e in result.others if "base parameter" in e.note]
         assert len(found) == len(true)
         base.append([(e.value - x) / e.sd for e, x in zip(found, true, strict=True)])
     # those of one seed are correlated; 3.9 standard deviations are 1 in 1e4, seeds are fixed
@@ -105,9 +105,9 @@ def test_masses_and_inertias_come_back_within_their_intervals():
     assert 0.4 < np.mean(np.square(base)) < 1.9
 
 
-def test_an_error_of_a_damping_does_not_go_into_the_inertia():
-    """Dampings known as nearly nothing are found along; the head's mass hardly moves."""
-    record = recording(*WHOLE, seed=1)
+def test_an_error_of_a_damping_does_not_bias_the_inertia():
+    """Dampings known as nearly zero are estimated as well; the head's mass hardly changes."""
+    record = recording(*JOINTS, seed=1)
     found = ("swing_damping", "boom_piston_damping", "stick_piston_damping")
     wrong = {f"manipulator.{n}": replace(KNOWN[f"manipulator.{n}"], value=1.0) for n in found}
     right, other = (identify([record], known).estimates for known in (KNOWN, KNOWN | wrong))
@@ -115,19 +115,19 @@ def test_an_error_of_a_damping_does_not_go_into_the_inertia():
         assert b.value == pytest.approx(a.value, rel=1e-3)  # weights of the joints: second order
 
 
-def test_what_the_motion_does_not_tell_stays_and_is_named():
-    """Transducers a hundred times as noisy: gravity tells the head's mass, nothing the stick's inertia."""
+def test_undetermined_parameters_keep_their_value():
+    """With much more noise only gravity determines a parameter, the head's mass; a remark lists the others."""
     rough = replace(PRESSURE, noise=100 * PRESSURE.noise, low=-np.inf, high=np.inf)
-    finding = identify([recording(*WHOLE, seed=1, pressure=rough)], KNOWN)
-    names = {e.name for e in finding.estimates}
+    result = identify([recording(*JOINTS, seed=1, pressure=rough)], KNOWN)
+    names = {e.name for e in result.estimates}
     assert "head_mass" in names
     assert "stick_inertia" not in names
     for name in set(FREE) - names:
-        assert any(text.startswith(f"{name}: this motion does not determine it") for text in finding.remarks)
+        assert any(text.startswith(f"{name}: this motion does not determine it") for text in result.remarks)
 
 
-def test_without_a_recording_that_moves_it_is_refused():
-    """One line, with what there is."""
+def test_without_a_motion_it_is_refused():
+    """One line with the procedures of the recordings."""
     bench = replace(recording("boom"), procedure="valve")
     with pytest.raises(Problem, match="to train with, got valve"):
         identify([bench], KNOWN)

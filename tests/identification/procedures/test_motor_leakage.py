@@ -1,4 +1,4 @@
-"""Motor leakage, eqs. (11), (12): true values come back, intervals hold them, other flows are told."""
+"""Motor leakage procedure, eqs. (11), (12): estimates, coverage of the intervals, remarks on other flows."""
 
 from __future__ import annotations
 
@@ -60,27 +60,27 @@ def recordings(seed=None, low=1e6, square=0.0, zero=0.0, tank=0.0):
     return found
 
 
-def test_fine_instruments_give_both_resistances():
+def test_precise_instruments_give_both_resistances():
     """Rising pressures are left out, both directions agree, and the lines pass through all points."""
-    finding = identify(recordings(), KNOWN)
-    assert finding.figure == 8
-    assert len(finding.panels) == 4
-    for e in finding.estimates:
+    result = identify(recordings(), KNOWN)
+    assert result.figure == 8
+    assert len(result.panels) == 4
+    for e in result.estimates:
         assert e.unit == "Pa.s/m3"
         # five standard deviations, 0.05 % over a thousand
         assert e.value == pytest.approx(TRUTH[e.name], rel=3e-6)
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Of 60 noisy rounds 95 % of the intervals hold the truth; values within 2 %, hardly a false alarm."""
+def test_intervals_have_their_coverage():
+    """In 60 noisy data sets 95 % of the intervals cover the truth; values within 2 %, few false alarms."""
     inside, alarms = dict.fromkeys(TRUTH, 0), 0
     for seed in range(60):
-        finding = identify(recordings(seed), KNOWN)
-        for e in finding.estimates:
+        result = identify(recordings(seed), KNOWN)
+        for e in result.estimates:
             inside[e.name] += e.low <= TRUTH[e.name] <= e.high
             # what is asked for; a standard deviation is 0.05 % and less
             assert e.value == pytest.approx(TRUTH[e.name], rel=0.02)
-        alarms += not any("linear:" in text for text in finding.remarks)
+        alarms += not any("linear:" in text for text in result.remarks)
     # binomial, 0.95 of 60: 51 or less by chance in 0.3 %; seeds are fixed
     assert min(inside.values()) >= 52
     # 0.1 % each time: 2 or more of 60 in 0.2 %
@@ -88,43 +88,43 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"square": 1e-21}, "quadratic part of the internal"),
         ({"zero": 3e-6 / 60}, "a flow in the drain of"),
     ],
 )
-def test_a_flow_that_the_laminar_law_does_not_have_is_told(change, words):
+def test_a_flow_that_the_laminar_law_neglects_is_reported(change, message):
     """A quadratic part of 3 % at full pressure, a zero of 3 mL/min."""
     remarks = identify(recordings(1, **change), KNOWN).remarks
-    assert any(words in text.lower() for text in remarks)
+    assert any(message in text.lower() for text in remarks)
     assert any("linear:" in text for text in remarks) == ("square" not in change)
 
 
-def test_pressures_count_from_the_tank():
-    """A return line under pressure is taken off, if the recording tells it."""
+def test_pressures_are_relative_to_the_tank():
+    """The pressure of the return line is subtracted if the recording contains it."""
     for e in identify(recordings(tank=4e5), KNOWN).estimates:
         assert e.value == pytest.approx(TRUTH[e.name], rel=3e-6)  # as above
 
 
 def test_a_port_at_the_end_of_its_transducer_is_left_out():
     """A port at 0 bar reads noise cut at zero, whose mean is too high: no bias from it."""
-    finding = identify([*recordings(3), *recordings(4, low=0.0)], KNOWN)
-    for e in finding.estimates:
+    result = identify([*recordings(3), *recordings(4, low=0.0)], KNOWN)
+    for e in result.estimates:
         # 3.3 standard deviations: 1 in 1000, seeds are fixed
         assert abs(e.value - TRUTH[e.name]) < 3.3 * e.sd
 
 
-def test_the_line_s_share_is_told_where_it_matters():
-    """6.19e6 Pa.s/m3 of line beside 0.7e12 of leakage is 1e-5: lost in noise, one sentence without it."""
+def test_the_effect_of_the_line_is_reported_if_significant():
+    """6.19e6 Pa.s/m3 of line next to 0.7e12 of leakage is 1e-5: no remark with noise, one remark without."""
     assert not any("far end" in text for text in identify(recordings(1), KNOWN).remarks)
     text = identify(recordings(), KNOWN).remarks[-1]
     assert "6.19e+06" in text
     assert "0.00087 %" in text
 
 
-def test_zeros_of_meters_and_transducers_are_taken_off():
-    """A drain meter off by 3 mL/min and transducers off by 2 bar leave both resistances as they are."""
+def test_offsets_of_meters_and_transducers_are_subtracted():
+    """A drain meter off by 3 mL/min and transducers off by 2 bar do not bias the resistances."""
     shifted = []
     for r in recordings(1, zero=3e-6 / 60):
         a, b = r["pressure_a"] + 2e5, r["pressure_b"] - 1e5
@@ -135,26 +135,26 @@ def test_zeros_of_meters_and_transducers_are_taken_off():
         assert e.sd < 1e-3 * e.value
 
 
-def test_a_meter_that_counts_backwards_is_told():
-    """A drain flow of the other sign is no negative leakage, but a mistake: one line."""
+def test_a_meter_that_counts_backwards_is_refused():
+    """A drain flow of the other sign is a mistake, not a negative leakage: one line."""
     turned = [replace(r, signals={**r.signals, "drain_flow": -r["drain_flow"]}) for r in recordings(1)]
     with pytest.raises(Problem, match=r"leakage is -[^\n]*turn the sign[^\n]*$"):
         identify(turned, KNOWN)
 
 
-def test_leakage_too_small_to_be_seen_is_no_estimate():
-    """Meters that show their noise only: nothing is handed on, and sentences say so."""
+def test_leakage_too_small_to_be_determined_is_not_estimated():
+    """Meters that show only their noise: no estimate, and remarks say so."""
     random, still = np.random.default_rng(4), []
     for r in recordings(1):
         noise = {n: METER.noise * random.standard_normal(r.time.size) for n in ("flow_a", "drain_flow")}
         still.append(replace(r, signals={**r.signals, **noise}))
-    finding = identify(still, KNOWN)
-    assert not finding.estimates
-    assert sum("too small to be determined" in text for text in finding.remarks) == 2
+    result = identify(still, KNOWN)
+    assert not result.estimates
+    assert sum("too small to be determined" in text for text in result.remarks) == 2
 
 
-def test_ripple_of_the_pump_hides_no_step():
-    """1 bar at 40 Hz on the pressures, which is no white noise: all stretches are found as without it."""
+def test_ripple_of_the_pump_does_not_hide_a_step():
+    """1 bar at 40 Hz on the pressures, which is not white: all steady stretches are detected as without it."""
     rippled = []
     for r in recordings(1):
         wave = 1e5 * np.sin(2 * np.pi * 40 * r.time)
@@ -165,7 +165,7 @@ def test_ripple_of_the_pump_hides_no_step():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         ({"conditions": {"shaft": "free"}}, "shaft: expected locked, got 'free'"),
         ({"procedure": "valve"}, "expected a recording of this procedure"),
@@ -173,9 +173,9 @@ def test_ripple_of_the_pump_hides_no_step():
         ({"units": {"pressure_a": "m3/s"}}, "pressure_a is in m3/s, expected Pa"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(change, words):
+def test_wrong_data_are_refused_in_one_line(change, message):
     """A free shaft, no recording, no signal, another quantity."""
-    with pytest.raises(Problem, match=words) as error:
+    with pytest.raises(Problem, match=message) as error:
         identify([replace(r, **change) for r in recordings()], KNOWN)
     assert "\n" not in str(error.value)
 

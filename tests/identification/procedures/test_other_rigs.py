@@ -1,4 +1,4 @@
-"""Benches that are not ours: other clocks, gaps, wrong signs, offsets. Right, wider, or told in one line."""
+"""Data of other test benches: irregular clocks, gaps, wrong signs, offsets. Right, or refused in one line."""
 
 from __future__ import annotations
 
@@ -22,14 +22,9 @@ TRUTH = {
 }
 BENCHES = {
     "valve": (valve, lambda: bench.edges(5)),
-    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, turbulent)),
+    "hose_resistance": (hose_resistance, lambda: bench.steady_hose(5, bench.turbulent)),
     "hose_dynamics": (hose_dynamics, lambda: bench.moving_hose(5)),
 }
-
-
-def turbulent(q):
-    """Eq. (1) with the rounding of the machine."""
-    return bench.RESISTANCE * q * np.hypot(q, bench.TRANSITION)
 
 
 def with_signals(r, change):
@@ -37,8 +32,8 @@ def with_signals(r, change):
     return replace(r, signals={n: change(n, x) for n, x in r.signals.items()})
 
 
-def found(name, change):
-    """Finding of a bench whose recordings are changed."""
+def result_of(name, change):
+    """Result of a procedure on changed recordings."""
     procedure, recordings = BENCHES[name]
     return procedure.identify([change(r) for r in recordings()], bench.KNOWN)
 
@@ -49,16 +44,16 @@ def rows(r, kept):
 
 
 def gaps(r):
-    """One sample in a hundred is missing, of each sensor on its own."""
+    """One sample in a hundred is missing, independently for each sensor."""
     random = np.random.default_rng(1)
 
-    def holed(name, x):
+    def with_gaps(name, x):
         return x if name == "command" else np.where(random.random(x.size) < 0.01, np.nan, x)
 
-    return with_signals(r, holed)
+    return with_signals(r, with_gaps)
 
 
-def lost(r):
+def lost_rows(r):
     """A logger that lost one row in a hundred."""
     return rows(r, np.random.default_rng(2).random(r.time.size) > 0.01)
 
@@ -68,13 +63,13 @@ def slower(r):
     return rows(r, slice(None, None, 4))
 
 
-def unknown(r):
-    """Nothing is told of any sensor."""
+def undescribed(r):
+    """No sensor is described."""
     return replace(r, sensors={})
 
 
 def no_zone(r):
-    """The dead zone is not told."""
+    """No dead zone is described."""
     return replace(r, sensors={n: replace(s, dead_zone=0.0) for n, s in r.sensors.items()})
 
 
@@ -89,12 +84,12 @@ def turned(r):
 
 
 @pytest.mark.parametrize("name", BENCHES)
-@pytest.mark.parametrize("change", [gaps, lost, unknown, no_zone, offset, slower])
-def test_the_answer_stays_right(name, change):
-    """Whatever is missing, not told or off by a zero: values within their intervals, these narrow."""
+@pytest.mark.parametrize("change", [gaps, lost_rows, undescribed, no_zone, offset, slower])
+def test_estimates_stay_right(name, change):
+    """With missing samples, missing descriptions or offsets: values within their narrow intervals."""
     if (name, change) == ("hose_dynamics", slower):
         pytest.skip("refused, see below: at 50 Hz the hose's own 51 Hz cannot be seen")
-    estimates = {e.name: e for e in found(name, change).estimates}
+    estimates = {e.name: e for e in result_of(name, change).estimates}
     for parameter in TRUTH.keys() & estimates.keys():
         e = estimates[parameter]
         # four standard deviations: 1 in 1e4, the seeds are fixed
@@ -105,18 +100,18 @@ def test_the_answer_stays_right(name, change):
 
 
 @pytest.mark.parametrize("name", ["valve", "hose_resistance"])
-def test_an_offset_of_a_pressure_is_taken_off_and_said(name):
-    """Half a bar between two transducers is a tenth of a hose's drop: it is found and told."""
-    finding = found(name, offset)
-    zero = next(e for e in finding.others if e.name == "pressures without flow")
+def test_an_offset_of_a_pressure_is_subtracted(name):
+    """Half a bar between two transducers is a tenth of a hose's drop: it is estimated and reported."""
+    result = result_of(name, offset)
+    zero = next(e for e in result.others if e.name == "pressures without flow")
     assert abs(zero.value + 5e4) < 4 * zero.sd
-    assert any(text.startswith("Without flow") for text in finding.remarks) == (
+    assert any(text.startswith("Without flow") for text in result.remarks) == (
         abs(zero.value) > 3.7 * zero.sd
     )
 
 
 @pytest.mark.parametrize(
-    ("name", "change", "words"),
+    ("name", "change", "message"),
     [
         ("valve", turned, r"expected along the drop .*, got the opposite in 13 of 13 steps"),
         ("hose_resistance", turned, "drop pressure_in - pressure_out falls with the flow"),
@@ -160,16 +155,16 @@ def test_an_offset_of_a_pressure_is_taken_off_and_said(name):
         ),
     ],
 )
-def test_what_cannot_be_right_is_told_in_one_line(name, change, words):
-    """Signs, units, clocks, clipped and short recordings: file or edge, what is expected."""
-    with pytest.raises(Problem, match=words) as error:
-        found(name, change)
+def test_impossible_data_are_refused_in_one_line(name, change, message):
+    """Signs, units, clocks, clipped and short recordings: file or edge, and the expected value."""
+    with pytest.raises(Problem, match=message) as error:
+        result_of(name, change)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("name", HOSE)
-def test_two_hoses_are_not_taken_for_one(name):
-    """Recordings of hoses of other lengths are refused by name, not averaged."""
+def test_two_hoses_are_refused(name):
+    """Recordings of hoses of different lengths are refused, not averaged."""
     procedure, recordings = BENCHES[name]
     own = recordings()
     other = replace(own[0], conditions={**own[0].conditions, "length": 2.0})
@@ -178,16 +173,16 @@ def test_two_hoses_are_not_taken_for_one(name):
 
 
 @pytest.mark.parametrize(("name", "power"), [("hose_resistance", 0.75), ("hose_dynamics", 1.0)])
-def test_another_oil_is_counted(name, power):
+def test_another_oil_is_converted(name, power):
     """I goes with the density, C_R with its power of 0.75, eq. (10): from the test's oil to the machine's."""
-    light = found(name, lambda r: replace(r, conditions={**r.conditions, "density": bench.DENSITY / 1.1}))
-    plain = found(name, lambda r: r)
+    light = result_of(name, lambda r: replace(r, conditions={**r.conditions, "density": bench.DENSITY / 1.1}))
+    plain = result_of(name, lambda r: r)
     ratio = light.estimates[0].value / plain.estimates[0].value
     assert ratio == pytest.approx(1.1**power, rel=1e-12)  # exact: the same fit, another factor
 
 
 def test_commands_that_close_the_edge_are_left_out():
-    """An edge tested with both signs: steps of the other sign are no dead zone of the meter."""
+    """An edge tested with both signs: steps of the other sign do not count as dead zone of the meter."""
     one = bench.edge("P-A", 3)
     closed = with_signals(one, lambda n, x: -x if n == "command" else 0 * x if n == "flow" else x)
     both = with_signals(one, lambda n, x: np.append(x, closed[n]))
@@ -198,28 +193,26 @@ def test_commands_that_close_the_edge_are_left_out():
 
 
 def constant(name, x):
-    """Pressures with the mean of each step of 1.5 s in the place of its samples."""
+    """Pressures with samples replaced by the mean of their step of 1.5 s."""
     return np.repeat(x.reshape(-1, 300).mean(axis=1), 300) if name.startswith("pressure") else x
 
 
 def test_a_signal_without_noise_gives_no_infinite_weights():
-    """Constant steps, as a simulation writes them: right, and the interval is not zero."""
+    """Constant steps, as in a simulation: the estimate is right, and its interval is not zero."""
     quiet = Sensor("perfect", 0.0, 1e-12, -np.inf, np.inf, bench.FLOW.dead_zone)
     one = bench.edge("P-A", 0, flow=quiet)
-    clean = with_signals(
-        one, lambda n, x: np.repeat(x.reshape(-1, 300).mean(axis=1), 300) if n[0] == "p" else x
-    )
+    clean = with_signals(one, constant)
     area = valve.identify([replace(clean, sensors={})], bench.KNOWN).estimates[0]
     assert area.value == pytest.approx(bench.AREA, rel=1e-3)  # the means keep the noise of 300 samples
     assert area.sd > 0
 
 
-def test_fast_changes_that_tell_nothing_are_no_estimate():
-    """A flow whose changes are lost in noise: no inertance of 10 % or 1000 %, but a sentence."""
-    finding = found(
+def test_an_undetermined_quantity_is_not_estimated():
+    """Pressures whose changes are below their noise: no capacitance, but a remark."""
+    result = result_of(
         "hose_dynamics",
         lambda r: with_signals(r, lambda n, x: x.mean() + 0.001 * (x - x.mean()) if n[0] == "p" else x),
     )
-    names = {e.name for e in finding.estimates}
+    names = {e.name for e in result.estimates}
     assert "boom_stick.stick_hose_capacitance" not in names
-    assert any("do not determine the capacitance" in text for text in finding.remarks)
+    assert any("do not determine the capacitance" in text for text in result.remarks)

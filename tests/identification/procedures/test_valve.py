@@ -1,4 +1,4 @@
-"""The valve's procedure: area, dead band and C_R from benches whose truth is written down."""
+"""Valve procedure: area, dead band and C_R from test benches with known parameters."""
 
 import dataclasses
 
@@ -22,20 +22,15 @@ def true_resistance(volts):
     return bench.DENSITY / (2 * bench.C_D**2 * area**2)
 
 
-def named(finding):
-    """Estimates and others by name."""
-    return {e.name: e for e in (*finding.estimates, *finding.others)}
-
-
 @pytest.fixture(scope="module")
-def findings():
+def results():
     """The procedure over noise seeds."""
     return [valve.identify(bench.edges(seed), bench.KNOWN) for seed in range(SEEDS)]
 
 
-def test_area_dead_band_and_curve_come_back(findings):
+def test_area_dead_band_and_curve_are_right(results):
     """Area and dead band are right within 2 %, C_R within 3 % from 1.5 V on: the bars of the project."""
-    found = named(findings[0])
+    found = bench.named(results[0])
     assert found["valve_area"].value == pytest.approx(bench.AREA, rel=0.02)
     assert found["valve_dead_band"].value == pytest.approx(bench.DEAD_BAND, rel=0.02)
     for volts in (1.5, 2.0, 3.0, 5.0, 8.0, 10.0):
@@ -51,66 +46,61 @@ def test_area_dead_band_and_curve_come_back(findings):
         ("C_R(10 V)", true_resistance(10.0)),
     ],
 )
-def test_intervals_hold_the_truth_as_often_as_they_say(findings, name, truth):
+def test_intervals_have_their_coverage(results, name, truth):
     """Over noise seeds, 95 % intervals hold the truth, and errors are as large as the standard deviations."""
-    found = [named(one)[name] for one in findings]
-    # chance fails it with 1e-3 on each side; the seeds are fixed
-    low, high = bench.expected(SEEDS)
-    assert low <= bench.held(truth, found) <= high
-    low, high = bench.squares(SEEDS)
-    assert low <= np.mean([((e.value - truth) / e.sd) ** 2 for e in found]) <= high
+    bench.assert_coverage(truth, [bench.named(result)[name] for result in results])
 
 
-def test_dead_zone_of_the_meter_is_masked_and_said(findings):
-    """Steps with less than 10 L/min are shown as masked, and a remark tells up to which voltage."""
-    gain = findings[0].panels[1]
+def test_dead_zone_of_the_meter_is_masked(results):
+    """Steps with less than 10 L/min are masked, and a remark contains the highest voltage."""
+    gain = results[0].panels[1]
     masked = next(curve for curve in gain.curves if curve.kind == "masked")
     assert set(masked.x) == {0.25, 0.5, 0.75, 1.0}  # 1.25 V lets 15 L/min through, 1 V 7 L/min
-    assert any("masked" in r and "up to 1 V" in r for r in findings[0].remarks)
+    assert any("masked" in r and "up to 1 V" in r for r in results[0].remarks)
 
 
-def test_asymmetrical_edges_are_found():
-    """An edge that is 0.5 % wider is told apart from the others, and its own area is right."""
+def test_asymmetrical_edges_are_detected():
+    """An edge that is 0.5 % wider differs significantly from the others, and its area is right."""
     wider = bench.AREA * 1.005
-    finding = valve.identify(bench.edges(1, **{"B-T": wider}), bench.KNOWN)
-    assert any("edges differ significantly" in r for r in finding.remarks)
-    # 5 standard deviations, each 0.13 %, since a zero of the pressures is found along
-    own = named(finding)["valve_area[B-T]"]
+    result = valve.identify(bench.edges(1, **{"B-T": wider}), bench.KNOWN)
+    assert any("edges differ significantly" in r for r in result.remarks)
+    # 5 standard deviations, each 0.13 %, since an offset of the pressures is estimated as well
+    own = bench.named(result)["valve_area[B-T]"]
     assert own.value == pytest.approx(wider, abs=5 * own.sd)
     assert own.sd < 2e-3 * wider
 
 
-def test_equal_edges_are_not_told_apart(findings):
-    """Of edges that are equal, hardly any test at 1 % says that they differ."""
-    wrong = sum(any("differ significantly (" in r and "not" not in r for r in f.remarks) for f in findings)
+def test_equal_edges_do_not_differ(results):
+    """For equal edges hardly any test at 1 % is significant."""
+    wrong = sum(any("differ significantly (" in r and "not" not in r for r in f.remarks) for f in results)
     assert wrong <= 3  # of 30: four or more by chance have a probability of 2e-4
 
 
-def test_rounding_is_fitted_where_the_data_tell_it():
-    """With a meter that sees the foot of the opening, rounding and dead band are both told apart."""
+def test_rounding_is_fitted_if_the_data_determine_it():
+    """With a meter that measures the foot of the opening, rounding and dead band are both estimated."""
     fine = dataclasses.replace(
         bench.FLOW, noise=0.01 * bench.LITRES, resolution=0.01 * bench.LITRES, dead_zone=0.05 * bench.LITRES
     )
     steps = (*np.round(np.arange(0.65, 2.0, 0.05), 2), 3.0, 5.0, 10.0)
     guess = bench.KNOWN | {"boom_stick.valve_command_rounding": Number(0.2, "V", "assumed", "")}
-    found = named(valve.identify([bench.edge("P-A", 0, steps=steps, flow=fine)], guess))
+    found = bench.named(valve.identify([bench.edge("P-A", 0, steps=steps, flow=fine)], guess))
     # 5 standard deviations
     for name, truth in (("valve_command_rounding", bench.ROUNDING), ("valve_dead_band", bench.DEAD_BAND)):
         assert abs(found[name].value - truth) < 5 * found[name].sd
         assert found[name].sd < 0.02 * truth
 
 
-def test_rounding_that_the_data_do_not_tell_is_taken_as_known(findings):
-    """Rounding is no estimate if its steps are in the dead zone; a remark says on what the rest stands."""
-    assert "valve_command_rounding" not in named(findings[0])
-    assert any("on the rounded foot" in remark for remark in findings[0].remarks)
+def test_rounding_that_the_data_do_not_determine_keeps_its_value(results):
+    """Rounding is not estimated if its steps are in the dead zone; a remark says so."""
+    assert "valve_command_rounding" not in bench.named(results[0])
+    assert any("on the rounded foot" in remark for remark in results[0].remarks)
 
 
 def test_uncertain_rounding_widens_the_dead_band():
     """A rounding known within 0.1 V leaves half of that, 0.05 V, to the dead band."""
     known = bench.KNOWN | {"boom_stick.valve_command_rounding": Number(0.4, "V", "assumed", "", sd=0.1)}
-    found = named(valve.identify(bench.edges(0), known))
-    assert found["valve_dead_band"].sd == pytest.approx(0.05, rel=0.02)  # beside 1e-4 V of the noise
+    found = bench.named(valve.identify(bench.edges(0), known))
+    assert found["valve_dead_band"].sd == pytest.approx(0.05, rel=0.02)  # next to 1e-4 V of the noise
     assert found["dead_band + rounding/2"].sd < 1e-3
 
 
@@ -120,7 +110,7 @@ def test_uncertain_rounding_widens_the_dead_band():
     rounding=st.floats(1e-3, 2.0),
 )
 def test_any_fitted_curve_is_positive_and_falls(area, dead_band, rounding):
-    """Whatever the fit finds, C_R is positive and falls with the command, where a polynomial may not."""
+    """For any parameters C_R is positive and falls with the command, where a polynomial may not."""
     volts = np.linspace(dead_band + 0.1, 10.0, 200)
     curve = resistance(
         volts, OpeningLaw(area, dead_band, rounding), ValveConstants(0.62, 10.0, 1e-14, 1e-5, 970.0)
@@ -129,15 +119,15 @@ def test_any_fitted_curve_is_positive_and_falls(area, dead_band, rounding):
     assert (np.diff(curve) < 0).all()
 
 
-def test_polynomial_is_compared(findings):
-    """The paper's polynomial goes negative on this data, and the remark says where."""
-    assert any("polynomial" in r and "negative" in r for r in findings[0].remarks)
-    curve = next(c for c in findings[0].panels[2].curves if "degree" in c.label)
+def test_polynomial_is_compared(results):
+    """The paper's polynomial is negative on this data, and a remark says where."""
+    assert any("polynomial" in r and "negative" in r for r in results[0].remarks)
+    curve = next(c for c in results[0].panels[2].curves if "degree" in c.label)
     assert curve.y.min() < 0
 
 
 def test_mistakes_have_one_line():
-    """A missing parameter, no recording, too few voltages: each is told in one line that names it."""
+    """A missing parameter, no recording, too few voltages: one line that names it."""
     some = bench.edges(0)
     unknown = {n: v for n, v in bench.KNOWN.items() if n != "boom_stick.density"}
     with pytest.raises(Problem, match=r"^known parameters: expected boom_stick\.density[^\n]*$"):
