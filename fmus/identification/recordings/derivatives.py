@@ -203,10 +203,12 @@ def _residual(
     return variance, information, float(np.corrcoef(delayed, y[valid])[0, 1])
 
 
-def shift(recording: Recording, name: str, seconds: float, kind: Interpolation = "cubic") -> Recording:
+def shift(
+    recording: Recording, name: str, seconds: float, interpolation: Interpolation = "cubic"
+) -> Recording:
     """The recording with one signal moved earlier by `seconds`, which removes its delay.
 
-    kind   interpolation between samples: "cubic", "linear", or "previous" for a command that is held
+    interpolation   between samples: "cubic", "linear", or "previous" for a command that is held
 
     Samples from outside the recording or next to a gap become gaps.
     """
@@ -219,16 +221,18 @@ def shift(recording: Recording, name: str, seconds: float, kind: Interpolation =
             continue
         first, last = time[part.start], time[part.stop - 1]
         inside = (at >= first - slack) & (at <= last + slack)
-        result[inside] = _interpolated(time[part], values[part], np.clip(at[inside], first, last), kind)
+        result[inside] = _interpolated(
+            time[part], values[part], np.clip(at[inside], first, last), interpolation
+        )
     return replace(recording, signals={**recording.signals, name: result})
 
 
-def _interpolated(time: Array, values: Array, at: Array, kind: Interpolation) -> Array:
+def _interpolated(time: Array, values: Array, at: Array, interpolation: Interpolation) -> Array:
     """The signal at the times `at`."""
-    if kind == "previous":
+    if interpolation == "previous":
         # a time that is early by rounding still belongs to the sample
         previous = np.searchsorted(time, at + ROUNDING * period(time), side="right") - 1
         return np.asarray(values[previous])
-    if kind == "linear" or len(time) < 4:
+    if interpolation == "linear" or len(time) < 4:
         return np.interp(at, time, values)
     return np.asarray(scipy.interpolate.CubicSpline(time, values)(at))

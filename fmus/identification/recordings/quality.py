@@ -251,8 +251,8 @@ class SignalQuality:
         if self.gaps:
             yield f"{self.name}: {self.gaps} without a sample."
         if self.clipped:
-            place = "at an end of the sensor's range or held at the signal's own extreme"
-            yield f"{self.name}: {self.clipped} clipped, {place}."
+            position = "at an end of the sensor's range or held at the signal's own extreme"
+            yield f"{self.name}: {self.clipped} clipped, {position}."
         if self.stuck:
             yield f"{self.name}: {self.stuck} stuck at one value, which its noise would not allow, not used."
         largest = max(abs(self.lowest), abs(self.highest))

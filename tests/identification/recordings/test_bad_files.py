@@ -75,14 +75,14 @@ def test_marks_that_cannot_be_told_apart(csv):
     """A decimal comma needs another delimiter: the message contains its origin and a remedy."""
     meta = csv.with_suffix(".toml")
     good = meta.read_text(encoding="utf-8")
-    for told, found in (("", "','"), ('delimiter = ","', "','")):
-        meta.write_text(f'{good}\n[file]\ndecimal = ","\n{told}\n', encoding="utf-8")
-        origin = "as set" if told else "the default"
+    for option, delimiter in (("", "','"), ('delimiter = ","', "','")):
+        meta.write_text(f'{good}\n[file]\ndecimal = ","\n{option}\n', encoding="utf-8")
+        origin = "as set" if option else "the default"
         refused(
             csv,
             "a.csv",
             "delimiter: expected another character",
-            f'got {found} ({origin}): set delimiter = ";"',
+            f'got {delimiter} ({origin}): set delimiter = ";"',
         )
     meta.write_text(f'{good}\n[file]\ndecimal = "."\ndelimiter = ";;"\n', encoding="utf-8")
     refused(csv, "a.csv", "delimiter: expected one character", "got ';;'")

@@ -45,7 +45,7 @@ def plant(made, name, values, where):
 def test_nothing_is_found_on_a_clean_recording(clean):
     """Rest, steps of a command, a constant encoder and a meter at zero are not faults."""
     found = examine(clean)
-    # the dead zone is not a fault, but what is not used is said
+    # the dead zone is not a fault, but a remark reports its samples
     assert [text for text in found.remarks() if "dead zone" not in text] == []
     assert found.clock.rate == pytest.approx(RATE, rel=1e-12)  # stamps are exact: rounding only
     dead = next(signal.dead for signal in found.signals if signal.name == "flow")
@@ -54,7 +54,7 @@ def test_nothing_is_found_on_a_clean_recording(clean):
     assert len(found.table().splitlines()) == 2 + len(clean.signals)
 
 
-def said(made, name):
+def remarks_on(made, name):
     """The remarks on one signal (or "The clock"), except the one on its dead zone."""
     texts = [text for text in examine(made).remarks() if text.startswith(f"{name}:")]
     return [text for text in texts if "dead zone" not in text]
@@ -63,7 +63,7 @@ def said(made, name):
 def test_gaps_are_found_with_time_and_length(clean):
     """Missing samples are reported with number, intervals, time and length."""
     made = plant(plant(clean, "pressure", np.nan, slice(1000, 1040)), "pressure", np.nan, [2000])
-    (text,) = said(made, "pressure")
+    (text,) = remarks_on(made, "pressure")
     assert text == "pressure: 41 samples (1 %; in 2 parts, first at 5 s, longest 0.2 s) without a sample."
 
 
@@ -73,7 +73,7 @@ def test_clipping_at_the_end_of_the_range(clean):
     made = replace(clean, sensors={**clean.sensors, "pressure": replace(GAUGE, high=top)})
     made = plant(made, "pressure", np.minimum(made["pressure"], top), slice(None))
     assert np.array_equal(clipped(made["pressure"], made.sensor("pressure")), made["pressure"] == top)
-    (text,) = said(made, "pressure")
+    (text,) = remarks_on(made, "pressure")
     assert "clipped" in text
 
 
@@ -82,7 +82,7 @@ def test_clipping_that_the_range_does_not_tell(clean):
     made = plant(clean, "pressure", np.maximum(clean["pressure"], 100.0), slice(None))
     found = clipped(made["pressure"], GAUGE)
     assert np.array_equal(found, made["pressure"] == 100.0)
-    assert ["clipped" in text for text in said(made, "pressure")] == [True]
+    assert ["clipped" in text for text in remarks_on(made, "pressure")] == [True]
 
 
 def test_stuck_value(clean):
@@ -91,31 +91,31 @@ def test_stuck_value(clean):
     found = np.flatnonzero(stuck(made["pressure"], GAUGE))
     # the sample before or after may happen to be equal, too
     assert set(range(1500, 1560)) <= set(found) <= set(range(1490, 1570))
-    (text,) = said(made, "pressure")
+    (text,) = remarks_on(made, "pressure")
     assert "stuck at one value" in text
     assert "first at 7.5 s" in text
 
 
-def test_noise_and_steps_other_than_told(clean):
+def test_noise_and_steps_other_than_stated(clean):
     """A sensor with three times the stated noise, one with fewer bits, one with more bits than stated."""
     rng = np.random.default_rng(4)
     loud = plant(clean, "pressure", clean["pressure"] + rng.normal(0, 0.3, SIZE), slice(None))
-    (text,) = said(loud, "pressure")
+    (text,) = remarks_on(loud, "pressure")
     assert "noise of 0.3" in text
     assert "stated 0.1" in text
     coarse = plant(clean, "angle", rounded(clean["angle"], 4 * ENCODER.resolution), slice(None))
-    assert any("coarser than the stated resolution" in text for text in said(coarse, "angle"))
-    told = replace(clean, sensors={**clean.sensors, "angle": Sensor(resolution=4 * ENCODER.resolution)})
-    assert any("finer than the stated resolution" in text for text in said(told, "angle"))
+    assert any("coarser than the stated resolution" in text for text in remarks_on(coarse, "angle"))
+    stated = replace(clean, sensors={**clean.sensors, "angle": Sensor(resolution=4 * ENCODER.resolution)})
+    assert any("finer than the stated resolution" in text for text in remarks_on(stated, "angle"))
     silent = replace(coarse, sensors={})
-    assert any("without a stated resolution" in text for text in said(silent, "angle"))
+    assert any("without a stated resolution" in text for text in remarks_on(silent, "angle"))
 
 
 def test_signal_that_does_not_move(clean):
     """A cable that is not plugged in, a column that is empty."""
     dull = plant(clean, "pressure", 0.5, slice(None))
     assert examine(dull).remarks()[-1] == "One value throughout: pressure (0.5)."
-    assert said(plant(clean, "pressure", np.nan, slice(None)), "pressure") == [
+    assert remarks_on(plant(clean, "pressure", np.nan, slice(None)), "pressure") == [
         "pressure: 4000 samples (all; first at 0 s, longest 20 s) without a sample."
     ]
 
@@ -125,7 +125,7 @@ def test_missing_samples_of_the_clock(clean):
     kept = np.ones(SIZE, dtype=bool)
     kept[[500, 501, 502, 2500]] = False
     signals = {name: values[kept] for name, values in clean.signals.items()}
-    (text,) = said(replace(clean, time=clean.time[kept], signals=signals), "The clock")
+    (text,) = remarks_on(replace(clean, time=clean.time[kept], signals=signals), "The clock")
     assert text == (
         "The clock: 4 samples are missing; the longest interval is 20 ms at 2.495 s, the usual one 5 ms."
     )
@@ -135,7 +135,7 @@ def test_jitter_of_the_clock(clean):
     """Jitter of a computer that is late at times is estimated."""
     rng = np.random.default_rng(5)
     made = replace(clean, time=clean.time + rng.normal(0, 0.0005, SIZE))
-    assert ["jitter" in text for text in said(made, "The clock")] == [True]
+    assert ["jitter" in text for text in remarks_on(made, "The clock")] == [True]
     # standard deviation from 4000 samples: 1 / sqrt(8000) = 1.1 %, four times that
     assert examine(made).clock.jitter == pytest.approx(0.0005, rel=0.045)
 
@@ -144,7 +144,7 @@ def test_drift_of_the_clock(clean):
     """The interval of the clock changes by 0.4 % from start to end."""
     x = np.arange(SIZE) / SIZE
     made = replace(clean, time=SIZE / RATE * (x + 0.002 * x**2))
-    (text,) = said(made, "The clock")
+    (text,) = remarks_on(made, "The clock")
     assert "changes by 0.4 %" in text
     # the parabola 0.002 x^2 of 20 s is at most 0.002 / 4 / 2 * 20 s off the line through it
     assert examine(made).clock.bow == pytest.approx(0.002 / 8 * 20, rel=0.01)
@@ -160,13 +160,13 @@ def twice(made, rows):
 
 def test_rows_written_twice(clean):
     """A logger that polls too fast: more equal rows than two noisy signals have by chance."""
-    (text,) = said(twice(clean, np.arange(100, SIZE, 20)), "The clock")
+    (text,) = remarks_on(twice(clean, np.arange(100, SIZE, 20)), "The clock")
     assert "rows repeat the row before" in text
     # a signal without steps is never equal by chance, so a single row is found
     smooth = clean["pressure"] + np.random.default_rng(8).normal(0, 0.01, SIZE)
     fine = replace(clean, signals={**clean.signals, "pressure": smooth}, sensors={})
-    assert said(fine, "The clock") == []
-    assert said(twice(fine, [1900]), "The clock") == [
+    assert remarks_on(fine, "The clock") == []
+    assert remarks_on(twice(fine, [1900]), "The clock") == [
         "The clock: 1 rows repeat the row before, first at 9.5 s."
     ]
 
@@ -175,7 +175,7 @@ def test_stamps_that_follow_too_soon(clean):
     """Two time stamps in quick succession belong to one sample that was written twice."""
     soon = clean.time.copy()
     soon[[10, 20]] = soon[[9, 19]] + 0.0005
-    texts = said(replace(clean, time=soon), "The clock")
+    texts = remarks_on(replace(clean, time=soon), "The clock")
     assert any("2 stamps follow within half a period" in text for text in texts)
 
 
@@ -201,28 +201,28 @@ def test_step_is_estimated_exactly_and_only_if_there_is_one():
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor", "told"),
+    ("unit", "factor", "limits"),
     [
-        ("Pa", 1.0, "0.1 bar to 1000 bar"),  # bar told as Pa
-        ("Pa", 1e7, "0.1 bar to 1000 bar"),  # kPa told as bar, nearly
+        ("Pa", 1.0, "0.1 bar to 1000 bar"),  # bar declared as Pa
+        ("Pa", 1e7, "0.1 bar to 1000 bar"),  # kPa declared as bar, nearly
         ("V", 1e-5, "0.1 V to 100 V"),
-        ("rad", 1.0, "up to 720 deg"),  # degrees told as rad
+        ("rad", 1.0, "up to 720 deg"),  # degrees declared as rad
         ("m3/s", 1.0, "up to 3000 L/min"),
     ],
 )
-def test_a_unit_that_cannot_be_is_asked_for(clean, unit, factor, told):
+def test_an_implausible_unit_has_a_remark(clean, unit, factor, limits):
     """A remark on 150 of a quantity that is never that large or small; none on the right unit and on zero."""
     made = replace(clean, units={**clean.units, "pressure": unit})
-    texts = said(plant(made, "pressure", factor * clean["pressure"], slice(None)), "pressure")
+    texts = remarks_on(plant(made, "pressure", factor * clean["pressure"], slice(None)), "pressure")
     (text,) = [text for text in texts if "is its unit right?" in text]
-    assert told in text
+    assert limits in text
     usual = {"Pa": 1e5, "V": 0.05, "rad": 0.01, "m3/s": 1e-5}[unit]
     for scale in (usual, 0.0):
         made = plant(made, "pressure", scale * clean["pressure"], slice(None))
-        assert not [text for text in said(made, "pressure") if "unit" in text]
+        assert not [text for text in remarks_on(made, "pressure") if "unit" in text]
 
 
-def test_a_clock_in_milliseconds_is_asked_for(clean):
+def test_a_clock_in_milliseconds_has_a_remark(clean):
     """Time in ms declared as s: a remark on 0.2 Hz."""
     made = replace(clean, time=1000 * clean.time)
     assert any("0.2 Hz" in text and "unit of time" in text for text in examine(made).remarks())

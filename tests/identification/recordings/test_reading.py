@@ -46,7 +46,7 @@ def same(one, other):
     assert all(getattr(one, field) == getattr(other, field) for field in fields)
 
 
-def test_values_are_si_and_all_that_is_told_is_there(csv, columns):
+def test_values_are_si_and_the_description_is_complete(csv, columns):
     """Milliseconds, volts of a transducer in bar and litres per minute become s, Pa and m3/s."""
     found = read(csv)
     # the same two or three multiplications in another order: a few rounding errors, here and below
@@ -146,7 +146,7 @@ def test_required_signals_have_their_dimension(csv):
         require(found, {"pressure_out": "Pa"})
 
 
-def test_data_that_nobody_describes_are_told(csv):
+def test_data_without_a_description_are_reported(csv):
     """A data file that is not read is reported with its name and the reason."""
     recordings = read_folder(csv.parent)
     assert unused_files(csv.parent, recordings) == []

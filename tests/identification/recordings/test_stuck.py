@@ -82,7 +82,7 @@ def test_smooth_signals_without_noise_may_stand_still():
     assert good(recording, "angle").all()
 
 
-def test_noise_told_far_too_large_is_told():
+def test_overstated_noise_has_a_remark():
     """A stated noise of 100 instead of 0.1: good samples stay good, and a remark reports the value."""
     recording = made(replace(GAUGE, noise=100.0), gauge())
     assert good(recording, "pressure").all()

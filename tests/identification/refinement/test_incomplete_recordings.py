@@ -56,15 +56,15 @@ def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
 
 
 @pytest.mark.parametrize(
-    ("recordings", "told"),
+    ("recordings", "message"),
     [
         ([still()], "train.csv: measured signals: expected one of swing.swing_pressure_a, "),
         ([still("swing_pressure_a", use="test")], "expected a recording of the machine to train with"),
     ],
 )
-def test_what_says_nothing_is_told(recordings: list[Recording], told: str) -> None:
+def test_insufficient_recordings_are_refused(recordings: list[Recording], message: str) -> None:
     """No measured output, no training recording: a message of one line."""
-    with pytest.raises(Problem, match=told):
+    with pytest.raises(Problem, match=message):
         machine.problem(recordings, nominal())
 
 
@@ -72,5 +72,5 @@ def test_a_command_has_to_be_recorded() -> None:
     """A drive without its command would be simulated at rest; the message names the command."""
     read = still("swing_pressure_a")
     less = {n: s for n, s in read.signals.items() if n != signal_names()["boom_command"]}
-    with pytest.raises(Problem, match=r"boom_stick\.boom_command is missing"):
+    with pytest.raises(Problem, match=r"expected the signal boom_stick\.boom_command"):
         machine.problem([replace(read, signals=less)], nominal())

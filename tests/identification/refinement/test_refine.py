@@ -143,7 +143,7 @@ def test_interrupt_keeps_the_best_so_far(horizon: float) -> None:
     assert found.values == pytest.approx(dict(found.history[-1].parameters))
 
 
-def test_mistakes_are_told() -> None:
+def test_errors_of_the_user_are_messages_of_one_line() -> None:
     """An unknown parameter, an output without noise, an initial value outside its bounds: one line each."""
     with pytest.raises(Problem, match="oscillator: friction is not a parameter"):
         problem(run(recording()), priors={"friction": (1.0, None)})

@@ -43,13 +43,13 @@ def _recording() -> Recording:
     columns = np.column_stack([inputs[n] for n in model.inputs])
     start = model.start(model.p0, columns[0])[0]
     y = model.segment(start, model.p0, time, columns, False).y
-    shown = signal_names()
-    read = {shown[n]: u for n, u in inputs.items() if n != "tank_pressure"}
+    names = signal_names()
+    read = {names[n]: u for n, u in inputs.items() if n != "tank_pressure"}
     for k, (name, sensor) in enumerate(SENSORS.items()):
         flowing = np.where(np.abs(y[:, k]) < sensor.dead_zone, 0.0, y[:, k])
         noisy = flowing + sensor.noise * rng.standard_normal(len(time))
         stepped = np.round(noisy / sensor.resolution) * sensor.resolution
-        read[shown[name]] = np.clip(stepped, sensor.low, sensor.high)
+        read[names[name]] = np.clip(stepped, sensor.low, sensor.high)
     return Recording(
         source=Path("machine.csv"),
         title="Work cycle",
@@ -59,7 +59,7 @@ def _recording() -> Recording:
         time=time,
         signals=read,
         units={},
-        sensors={shown[n]: s for n, s in SENSORS.items()},
+        sensors={names[n]: s for n, s in SENSORS.items()},
     )
 
 

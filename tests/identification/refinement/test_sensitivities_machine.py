@@ -80,7 +80,7 @@ def variational() -> tuple[np.ndarray, np.ndarray]:
     weights = np.tile(scale, 1 + len(free))
     spread = [z[:nx] * scale, ca.reshape(z[nx:] * weights[nx:], nx, len(free))]
     rate = ca.Function("rate", [*known, s], [ca.vertcat(sym.dx, ca.vec(along(sym.dx)))], {"cse": True})
-    shown = ca.Function("shown", [*known, s], [y, along(y)])
+    evaluate = ca.Function("evaluate", [*known, s], [y, along(y)])
     ode = {"t": t, "x": z, "p": ca.vertcat(at, slope)}
     ode["ode"] = rate(spread[0], at + slope * t, p, spread[1]) / weights
     x = np.array(list(NUMBERS.x.values()))
@@ -101,7 +101,7 @@ def variational() -> tuple[np.ndarray, np.ndarray]:
         history.extend(ends)
         state = ends[-1]
     found = [
-        shown(row[:nx] * scale, u[i], p, (row[nx:] * weights[nx:]).reshape(len(free), nx).T)
+        evaluate(row[:nx] * scale, u[i], p, (row[nx:] * weights[nx:]).reshape(len(free), nx).T)
         for i, row in enumerate(history)
     ]
     outputs = np.array([a.full()[:, 0] for a, _ in found])

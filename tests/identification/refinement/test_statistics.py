@@ -78,18 +78,18 @@ def test_prior_decides_where_the_data_are_silent() -> None:
     loss = found.estimates(False)[3]
     # the data add nothing: prior to rounding of the information
     assert (loss.value, loss.sd) == (pytest.approx(1.0, abs=1e-3), pytest.approx(0.1, rel=1e-2))
-    assert found.unidentified  # said of the data alone
+    assert found.unidentified  # the sentences are about the data alone
 
 
 def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     """The interval of a parameter that the data do not determine is that of its prior."""
-    told = {
+    sentences = {
         sd: unidentified((FreeParameter("loss", 1.0, sd=sd, log=True),), np.array([[0.6]]))[0]
         for sd in (None, 0.1)
     }
     # the root of 0.6
-    assert told[None] == "loss: the data leave a standard deviation of 77 %"
-    assert told[0.1].startswith(
+    assert sentences[None] == "loss: the data leave a standard deviation of 77 %"
+    assert sentences[0.1].startswith(
         "loss: these recordings alone leave a standard deviation of 77 %; its interval is"
     )
 
@@ -128,10 +128,10 @@ def test_residuals_are_white_only_if_the_model_is_right() -> None:
     fixed = problem(run(recording()), free=("stiffness", "damping"))
     numbers = replace(fixed.fixed, p={**TRUTH, "gain": 3.0})
     wrong = refine(replace(fixed, fixed=numbers))
-    told = wrong.whiteness["position"]
-    assert not told.white
-    assert told.ljung_box < 1e-6
-    assert told.inputs["push"] > 0.1  # a hundredth by chance
+    tests = wrong.whiteness["position"]
+    assert not tests.white
+    assert tests.ljung_box < 1e-6
+    assert tests.inputs["push"] > 0.1  # a hundredth by chance
     assert right.inputs["push"] < 0.1
     assert wrong.robust
     assert wrong.model_error["position"] > 5
@@ -150,7 +150,7 @@ def test_whiteness_does_not_see_across_gaps() -> None:
     assert np.isnan(whiteness([replace(traces, run=none)], ("push",), 0).outside)
 
 
-def test_fit_is_told_for_held_out_recordings() -> None:
+def test_fit_contains_held_out_recordings() -> None:
     """For the right model the NRMSE of training and held-out recordings is noise over range."""
     task = problem(run(recording()), held_out=(run(recording(7)),))
     fit = refine(task).fit()
@@ -168,7 +168,7 @@ def test_random_starts_lead_to_the_same_optimum() -> None:
     assert len({start.initial["gain"] for start in starts.starts}) == 4
 
 
-def test_noise_of_an_input_is_taken_off_and_told() -> None:
+def test_noise_of_an_input_is_removed() -> None:
     """A noisy constant becomes constant; an oscillation faster than the window is not removed."""
     time = np.arange(2000) / 200
     noise = 0.1 * np.random.default_rng(0).standard_normal(2000)
@@ -181,7 +181,7 @@ def test_noise_of_an_input_is_taken_off_and_told() -> None:
     assert np.std(moving - wave) < 0.07
 
 
-def test_memory_of_a_residual_is_its_correlation_time() -> None:
+def test_correlation_time_of_an_autoregressive_process() -> None:
     """For x_k = a x_(k-1) + e_k it is (1 + a) / (1 - a); at least one, at most a fraction of the samples."""
     rng = np.random.default_rng(5)
     white = rng.standard_normal(100_000)
