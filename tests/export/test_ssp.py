@@ -61,7 +61,7 @@ def test_structure_is_valid_and_complete(system):
 
 
 def test_parameter_sets_and_dictionary_are_valid_and_complete(system):
-    """Every set is a file that FMPy reads against its schema; those that hold by default are bound."""
+    """Every set is a file that FMPy validates against its schema; default sets are bound."""
     root = structure(system)
     (bound,) = (
         b for b in root.iterfind("{*}System/{*}ParameterBindings/{*}ParameterBinding") if b.get("source")
@@ -82,7 +82,7 @@ def structure(system):
 
 
 def test_only_connected_inputs_are_connectors(system):
-    """An input that nothing feeds keeps its start value in masters that set all connectors."""
+    """An input without a source keeps its start value in masters that set all connectors."""
     ssd = read_ssd(str(system))
     connectors = {c.name: [k.name for k in c.connectors if k.kind == "input"] for c in ssd.system.elements}
     assert connectors == {"first": ["target"], "second": ["target"], "product": ["left", "right"]}
@@ -132,7 +132,7 @@ def test_fmpy_simulates_the_system(system):
     ],
 )
 def test_impossible_system_is_refused_by_name(fmus, wires, inputs, start, words):
-    """A connection to nothing, of wrong direction or to a taken input is an error that names it."""
+    """A connection to a missing port, in the wrong direction or to a fed input is refused by name."""
     with pytest.raises(Problem, match=words):
         assemble(fmus, wires, start, "x", inputs)
 
@@ -167,7 +167,7 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
     ],
 )
 def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):
-    """Values of no variable, a binding to no set, a version that does not exist."""
+    """Values of an unknown variable, a binding to an unknown set, an unknown version."""
     with pytest.raises(Problem, match=words):
         write_ssp(assemble(fmus, WIRES), tmp_path / "x.ssp", **options)
 

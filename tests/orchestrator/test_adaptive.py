@@ -14,13 +14,13 @@ from orchestrator.engine.c_library import engine_h, library
 
 
 def error(trace, exact):
-    """Of the oscillator's first position, over the largest; `exact` knows equal steps only."""
+    """Largest relative error of the oscillator's first position; `exact` accepts equal steps only."""
     truth = exact(trace.time)[:, 0]
     return np.abs(trace["a.x"] - truth).max() / np.abs(truth).max()
 
 
 def adaptive(system, master, tolerance, stop=10.0, record_step=0.1, **more):
-    """A run with steps of its own choice."""
+    """An adaptive run."""
     coupling = Coupling(master, adaptive=tolerance, **more)
     return run(system, master=coupling, stop=stop, record_step=record_step)
 
@@ -53,7 +53,7 @@ FEW = {  # master, order, tolerance -> steps that it takes in 2 s, measured
 @pytest.mark.parametrize("settings", FEW, ids=str)
 @pytest.mark.parametrize("able", [{}, {"canGetAndSetFMUstate": "false"}], ids=["repeats", "cannot repeat"])
 def test_no_master_collapses_to_the_smallest_step(oscillators, exact, settings, able):
-    """Without damping nothing forgives a bad step; still steps keep the length that the tolerance allows."""
+    """Without damping no error decays; steps still keep the length that the tolerance allows."""
     master, order, tolerance = settings
     result = adaptive(oscillators(**able), master, tolerance, stop=2.0, order=order)
     assert result.card.steps < 1.2 * FEW[settings]  # a step at the smallest length would be one of 2e7
@@ -74,7 +74,7 @@ def test_the_error_goes_with_the_tolerance(moving, exact, master):
 
 
 def test_steps_grow_where_nothing_happens(fmus):
-    """After a push they become as long as they may be."""
+    """After a push the steps grow to the largest length."""
     files = {"sum": fmus.make("fails", "pushed", interpolates=True)}
     ramp = Trace(np.array([0.0, 0.01, 0.02, 8.0]), {"u": np.array([0.0, 1.0, 0.0, 0.0])})
     result = run(assemble(files), ramp, master=Coupling("hermite", adaptive=1e-4))
@@ -91,14 +91,14 @@ CORNERS = (0.0, 0.1234567, 0.3, 0.5000001, 0.7, 1.0 / 3.0 + 0.5, 1.0)
 
 @pytest.fixture(scope="module")
 def pushed(moving):
-    """The oscillator with its first mass led by a scenario, which has corners at odd times."""
+    """The oscillator whose first mass is driven by a scenario with corners at odd times."""
     time = np.array(sorted(CORNERS))
     return moving, Trace(time, {"a.x2": np.array([0.0, 1.0, 1.0, -2.0, 0.0, 0.5, 0.5])})
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
 def test_output_times_are_hit_to_the_last_bit(pushed, master):
-    """Those of the record step, start + n * step in floating point, and nothing else is recorded."""
+    """Only the points start + n * step of the record step are recorded, exact in floating point."""
     system, scenario = pushed
     coupling = Coupling(master, 2, adaptive=1e-4)
     trace = run(system, scenario, master=coupling, start=0.05, stop=0.95, record_step=0.09).trace
@@ -107,7 +107,7 @@ def test_output_times_are_hit_to_the_last_bit(pushed, master):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
 def test_corners_are_communication_points_to_the_last_bit(pushed, master):
-    """Every time at which the scenario turns; the free record has all communication points."""
+    """A communication point is at each corner; without a record step all points are recorded."""
     system, scenario = pushed
     time = run(system, scenario, master=Coupling(master, 2, adaptive=1e-4)).trace.time
     assert set(CORNERS) <= set(time.tolist())
@@ -115,7 +115,7 @@ def test_corners_are_communication_points_to_the_last_bit(pushed, master):
 
 
 def test_a_corner_beside_an_output_time_makes_no_tiny_step(pushed):
-    """3 * 0.1 is not 0.3: a step of one rounding error would spoil all differences over it."""
+    """3 * 0.1 is not 0.3: a step as short as a rounding error would spoil differences of values."""
     system, scenario = pushed
     assert 3 * 0.1 != 0.3
     result = run(system, scenario, master=Coupling("jacobi", 3, adaptive=1e-4), record_step=0.1)
@@ -131,7 +131,7 @@ def test_a_corner_beside_an_output_time_makes_no_tiny_step(pushed):
 
 
 def jump(workshop, **able):
-    """An integrator that is fed by the integral of a push, which no past foretells."""
+    """An integrator that is fed by the integral of a push, which cannot be extrapolated."""
     files = {
         "a": workshop.make("fails", f"first_{len(able)}", interpolates=True, able=able),
         "b": workshop.make("fails", f"second_{len(able)}", interpolates=True, able=able),
@@ -143,7 +143,7 @@ PUSH = Trace(np.array([0.0, 0.499, 0.501, 1.0]), {"a.u": np.array([0.0, 0.0, 50.
 
 
 def test_bad_steps_are_repeated_where_all_go_back(fmus):
-    """Steps that do not stand are counted on the card; the record shows none of them."""
+    """The card counts rejected steps; the record contains none of them."""
     result = run(jump(fmus), PUSH, master=Coupling("jacobi", adaptive=1e-3))
     assert result.card.repeated > 0
     assert f"{result.card.repeated} repeated" in result.card.text()
@@ -154,7 +154,7 @@ def test_bad_steps_are_repeated_where_all_go_back(fmus):
 
 
 def test_bad_steps_stand_where_one_cannot_go_back(fmus):
-    """The step after it is shorter, the error is what it is, and a note says so."""
+    """Only the next step is shorter, and a note reports that errors are accepted."""
     able = {"canGetAndSetFMUstate": "false"}
     result = run(jump(fmus, **able), PUSH, master=Coupling("jacobi", adaptive=1e-3))
     assert result.card.repeated == 0
@@ -172,7 +172,7 @@ def test_bad_steps_stand_where_one_cannot_go_back(fmus):
 
 @pytest.fixture(scope="module")
 def bounce(fmus):
-    """A mass on a spring: force one way, velocity the other, which is a power bond; 10 rad/s, undamped."""
+    """A mass on a spring with a power bond of force and velocity; 10 rad/s, undamped."""
     files = {
         "mass": fmus.make("mass_b", "bouncing_mass", interpolates=True),
         "spring": fmus.make("spring", "bouncing_spring", interpolates=True),
@@ -182,7 +182,7 @@ def bounce(fmus):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
 def test_control_of_the_energy_rejects_steps(bounce, master):
-    """Steps that make up too much power are repeated; what is made up in all goes with the tolerance."""
+    """Steps with too large an error of power are repeated; the total error scales with the tolerance."""
     made = []
     for tolerance in (1e-3, 1e-5):
         result = run(bounce, master=Coupling(master, 1, adaptive=tolerance, control="energy"), stop=2.0)
@@ -194,8 +194,8 @@ def test_control_of_the_energy_rejects_steps(bounce, master):
     assert made[1] < made[0] / 30
 
 
-def test_control_of_the_energy_wants_a_bond(moving):
-    """The oscillator exchanges force and position, which is no power."""
+def test_control_of_the_energy_requires_a_bond(moving):
+    """The oscillator exchanges force and position, whose product is not power."""
     with pytest.raises(Problem, match=r"control of the energy: expected a power bond"):
         run(moving, master=Coupling("hermite", adaptive=1e-4, control="energy"), stop=1.0)
 
@@ -206,7 +206,7 @@ SAFETY, SHRINK, GROW, REPEATED, NEARLY = 0.8, 0.2, 2.0, 0.9, 1 - 1e-9  # of nati
 
 
 class StepSize:
-    """The engine's choice of steps."""
+    """`StepSize` of the engine and its functions."""
 
     def __init__(self, **fields):
         self.struct = engine_h().StepSize(**fields)
@@ -227,13 +227,13 @@ powers = st.integers(1, 5)
 
 
 def fresh(power=1, repeats=True, first=1e-3, smallest=1e-7, largest=0.1):
-    """At its beginning."""
+    """A step size control before its first step."""
     return StepSize(h=first, power=power, smallest=smallest, largest=largest, repeats=repeats)
 
 
 @given(errors, errors, powers, st.booleans())
 def test_a_larger_error_never_makes_the_next_step_longer(one, other, power, repeats):
-    """From the same past, for steps that stand and for those that do not."""
+    """After equal previous steps, for accepted and for rejected steps."""
     small, large = sorted((one, other))
     sizes = fresh(power, repeats), fresh(power, repeats)
     for size, e in zip(sizes, (small, large), strict=True):
@@ -244,7 +244,7 @@ def test_a_larger_error_never_makes_the_next_step_longer(one, other, power, repe
 
 @given(st.lists(st.tuples(errors, st.floats(1e-6, 1.0)), max_size=30), powers, st.booleans())
 def test_steps_stay_within_their_limits(history, power, repeats):
-    """Whatever errors come; from one step to the next they change by the limits of the law at most."""
+    """For any errors; the ratio of two successive steps has limits."""
     size = fresh(power, repeats)
     for e, room in history:
         h = size.length(room)
@@ -259,7 +259,7 @@ def test_steps_stay_within_their_limits(history, power, repeats):
 
 @given(st.floats(1e-9, 10.0), st.floats(1e-6, 1.0))
 def test_the_end_is_hit_without_a_short_last_step(room, step):
-    """The step ends there, or leaves at least as much as it takes.
+    """The step ends there, or the remaining time is at least as long as the step.
 
     It may be longer than the largest by a share of 1e-9: times of a grid are rounded, and a step that
     misses its end by less than that would be halved for it, with twice the cost.
@@ -271,7 +271,7 @@ def test_the_end_is_hit_without_a_short_last_step(room, step):
 
 
 def test_a_step_that_was_cut_does_not_shorten_the_next():
-    """An output time is no reason to begin anew; an error is."""
+    """A step that is cut at an output time does not reset the control; a rejected step does."""
     for e, expected in ((0.5, 1e-2), (2.0, 1e-4)):
         size = fresh(first=1e-2, repeats=False)
         assert size.length(1e-4) == 1e-4
@@ -281,7 +281,7 @@ def test_a_step_that_was_cut_does_not_shorten_the_next():
 
 @pytest.mark.parametrize("power", [1, 2, 3, 4])
 def test_an_error_that_is_a_power_of_the_step_settles(power):
-    """At the step whose error is a safe share of the tolerance, without swinging to and fro."""
+    """The step converges, without oscillation, to the one whose error is a safe fraction of the tolerance."""
     size, found = fresh(power), []
     for _ in range(60):
         h = size.length(1e9)

@@ -101,21 +101,21 @@ def moment(c, h):
 
 @given(cubics, lengths, st.sampled_from([0, 1, 3]))
 def test_projections_keep_the_mean(c, h, degree):
-    """What an FMU gets instead of the cubic has the same mean over the step."""
+    """The polynomial of lower degree has the mean of the cubic over the step."""
     close(mean(projected(c, degree, h), h), mean(c, h), size(c, h))
 
 
 @given(cubics, lengths)
 def test_the_line_keeps_the_first_moment(c, h):
-    """The mean of s u(s) is that of the cubic; with the mean, that makes it the nearest line."""
+    """The mean of s u(s) equals that of the cubic, so the line is the nearest one."""
     line = projected(c, 1, h)
     assert line[2:] == (0.0, 0.0)
     close(moment(line, h) / h**2, moment(c, h) / h**2, size(c, h))
 
 
 @given(cubics, lengths)
-def test_projections_leave_what_fits(c, h):
-    """A line stays that line, and a constant that constant, to the last bit."""
+def test_projections_keep_polynomials_of_their_degree(c, h):
+    """A line and a constant are unchanged, bit for bit."""
     assert projected(cut(c, 1), 1, h) == cut(c, 1)
     assert projected(cut(c, 0), 0, h) == cut(c, 0)
     assert projected(c, 3, h) == c
@@ -123,7 +123,7 @@ def test_projections_leave_what_fits(c, h):
 
 @given(cubics, lengths, degrees)
 def test_interpolation_is_exact_up_to_its_degree(c, h, degree):
-    """Values and slopes at both ends give a polynomial of that degree back."""
+    """Values and slopes at both ends reproduce a polynomial of that degree."""
     c = cut(c, degree)
     found = interpolated(degree, c[0], c[1], at(c, h), slope_at(c, h), h)
     for k in range(4):
@@ -132,7 +132,7 @@ def test_interpolation_is_exact_up_to_its_degree(c, h, degree):
 
 @given(cubics, lengths, degrees)
 def test_interpolation_passes_through_its_data(c, h, degree):
-    """Values at both ends; from degree 2 on the slope at the beginning; with 3 that at the end."""
+    """It has both values, from degree 2 the slope at the beginning, at degree 3 that at the end."""
     value, slope, value1, slope1 = c
     found, magnitude = interpolated(degree, *c, h), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
     close(at(found, 0.0), value, magnitude)
@@ -145,7 +145,7 @@ def test_interpolation_passes_through_its_data(c, h, degree):
 
 @given(cubics, lengths, lengths, st.integers(0, 3))
 def test_extrapolation_is_exact_for_polynomials_of_its_degree(c, step, h, degree):
-    """Value, slope and the step before are enough to continue them, whatever the lengths of the steps."""
+    """Value, slope and the previous step determine the polynomial, at any lengths of the steps."""
     c = cut(c, degree)
     before, chord = slope_at(c, -step), (c[0] - at(c, -step)) / step
     found = extrapolated(degree, c[0], c[1], before, chord, step)
@@ -162,7 +162,7 @@ def test_shifting_counts_time_from_elsewhere(c, by, s):
 
 
 def test_shifting_by_nothing_changes_nothing():
-    """To the last bit: components with one step of their own get the master's polynomial."""
+    """Bit for bit, so that components without substeps get the polynomial of the master."""
     assert shifted((0.1, 0.2, 0.3, 0.7), 0.0) == (0.1, 0.2, 0.3, 0.7)
 
 
@@ -188,7 +188,7 @@ def watched(c, lengths, order=0, slopes=True, degree=3):
 
 @given(cubics, st.floats(0.5, 2.0), st.floats(0.5, 2.0), st.floats(0.5, 2.0), degrees)
 def test_slopes_from_differences_are_exact_up_to_a_cubic(c, first, second, third, degree):
-    """Two values give the slope of a line, three of a parabola, four of a cubic, at any lengths of steps."""
+    """Two values give the slope of a line, three that of a parabola, four that of a cubic."""
     c, lengths = cut(c, degree), [first, second, third][:degree]
     s, t, _ = watched(c, lengths, slopes=False)
     # differences of third order of values rounded at that magnitude, over steps of half a second
@@ -197,7 +197,7 @@ def test_slopes_from_differences_are_exact_up_to_a_cubic(c, first, second, third
 
 @given(cubics, st.floats(0.5, 2.0), st.floats(0.5, 2.0))
 def test_a_polynomial_within_reach_is_no_error(c, before, h):
-    """What the past lets expect of the end is right for a cubic: no deviation, no mismatch, no mean error."""
+    """The expected end of a cubic is exact: deviation, mismatch and mean error are zero."""
     s, _, (step, _) = watched(c, [before, h], order=3)
     magnitude = 100 * size(c, before + h)
     close(s.deviation(h, 0), 0.0, magnitude)
@@ -209,7 +209,7 @@ def test_a_polynomial_within_reach_is_no_error(c, before, h):
 
 @given(numbers, numbers.filter(lambda x: abs(x) > 1e-3), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
 def test_a_held_line_is_off_by_its_way(value, slope, before, h):
-    """The deviation of a held input is what the source moved, the defect of its mean half of that."""
+    """The deviation of a held input is the change of the source, the error of its mean half of it."""
     s, _, _ = watched((value, slope, 0.0, 0.0), [before, h])
     magnitude = abs(value) + 4 * abs(slope)
     close(abs(s.deviation(h, 0)), abs(slope) * h, magnitude)
@@ -228,7 +228,7 @@ def test_the_deficit_of_the_mean_is_corrected(c, order, before, h):
 
 @given(cubics, st.floats(0.5, 2.0))
 def test_a_parabola_that_continues_a_cubic_gets_its_mean_back_at_equal_steps(c, h):
-    """At order 2 the loss goes with both steps; at equal ones it is the same again."""
+    """At order 2 the deficit depends on both steps; it repeats at equal steps."""
     s, t, (step, _) = watched(c, [h, h, h], order=2)
     s.extrapolate(h, step)
     s.correct(h, step)
@@ -236,7 +236,7 @@ def test_a_parabola_that_continues_a_cubic_gets_its_mean_back_at_equal_steps(c, 
 
 
 def test_only_an_autonomous_source_may_have_corners():
-    """A command without inputs that went straight to a corner is a line, a state is a cubic."""
+    """The input from an autonomous source is a line up to the corner, that from a state is a cubic."""
     for free, expected in ((True, (0.0, 1.0, 0.0, 0.0)), (False, (0.0, 1.0, 1.0, -1.0))):
         s = Input(autonomous=free)
         s.begin(0.0, 1.0)
@@ -246,7 +246,7 @@ def test_only_an_autonomous_source_may_have_corners():
 
 
 def test_the_magnitude_is_the_largest_ever():
-    """Errors of a signal that passes through zero are compared with what it was before."""
+    """Errors of a signal that passes through zero are relative to its largest magnitude."""
     s, _, _ = watched((8.0, -4.0, 0.0, 0.0), [1.0, 1.0])
     assert (s.value_end, s.magnitude(), s.relative(2.0)) == (0.0, 8.0, 0.25)
     still = Input()

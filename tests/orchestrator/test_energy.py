@@ -22,7 +22,7 @@ UNITS = {
 
 
 def wired(*signals):
-    """A system of components x and y: 'boom_force N x->y' is sent by x and received by y."""
+    """A system of components x and y; 'boom_force N x->y' is an output of x and an input of y."""
     variables = {"x": {}, "y": {}}
     connections = []
     for text in signals:
@@ -55,7 +55,7 @@ def energy(trace):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_residual_is_the_energy_that_the_coupling_made(bounce, master):
-    """Neither part makes or loses energy, so the whole change of energy is the residual of the bond."""
+    """Both parts conserve energy, so the total change of energy is the residual of the bond."""
     result = run(bounce, master=master, step=1e-3, stop=1.0)
     made = energy(result.trace)
     (bond,) = result.card.bonds
@@ -73,7 +73,7 @@ def test_residual_shrinks_with_the_step(bounce):
 
 
 def test_energies_are_the_sums_over_the_recorded_steps(bounce):
-    """Held inputs are what their sources were at the start of the step, so the record tells all of it."""
+    """Held inputs equal their sources at the start of the step, so the residual follows from the record."""
     result = run(bounce, master="jacobi", step=1e-2, stop=1.0)
     (bond,), effort, flow = result.card.bonds, result["mass.force"], result["spring.v"]
     errors = 0.5e-2 * (effort[1:] * flow[:-1] - effort[:-1] * flow[1:])
@@ -118,7 +118,7 @@ def test_names_decide_between_bonds_of_equal_units():
 
 
 def test_no_bond_is_guessed_between_equal_candidates():
-    """Two forces and one velocity without a common word: nobody can tell which belong together."""
+    """Two forces and one velocity without a common prefix make no bond."""
     assert pairs(wired("pull N x->y", "push N x->y", "speed m/s y->x")) == set()
 
 
@@ -134,7 +134,7 @@ def card_of(bonds):
 
 
 def test_a_bond_at_rest_has_no_share():
-    """What two rounding errors exchange is left out; beside little exchange there is no share."""
+    """An exchange of rounding errors is left out; a small exchange has no relative residual."""
     idle = BondEnergy("idle", -1e-33, 1e-33, 2e-29)
     bonds = (idle, BondEnergy("busy", 1e-3, 1e-3, 2e4), BondEnergy("calm", 1e-3, 1e-3, 0.4))
     card, figures = card_of(bonds), [("0.001", "2e+04", "5.0e-08"), ("0.001", "0.4", "-")]
@@ -144,8 +144,8 @@ def test_a_bond_at_rest_has_no_share():
     assert card_of((idle,)).text().endswith("\n\nno power bond exchanges energy")
 
 
-def test_named_bonds_must_be_opposite_connections(bounce):
-    """A bond given by hand is checked and used."""
+def test_requested_bonds_must_be_opposite_connections(bounce):
+    """A requested bond is checked and used."""
     assert bond_of(bounce, "mass.force", "spring.v").name == "mass - spring"
     with pytest.raises(Problem, match=r"mass.x is not a connected input"):
         bond_of(bounce, "mass.x", "spring.v")

@@ -22,7 +22,7 @@ DEPENDS = {"force": ["x2", "x"], "x": ["x"], "v": ["v"]}
 
 
 def telling(workshop, model, name=None, **more):
-    """A mass that lists its states and tells how they and the outputs change."""
+    """A mass that declares its states and has directional derivatives of states and outputs."""
     outputs = ("force", "x", "v") if model == "mass_a" else ("x", "v")
     given = {
         "interpolates": workshop.fmi == 2,
@@ -39,7 +39,7 @@ def oscillator_of(a, b):
 
 @pytest.fixture(scope="module")
 def open_oscillator(fmus):
-    """Both masses tell how they change; their inputs follow cubics."""
+    """Both masses have directional derivatives, and their inputs follow cubics."""
     return oscillator_of(telling(fmus, "mass_a"), telling(fmus, "mass_b"))
 
 
@@ -76,20 +76,20 @@ def test_far_better_than_one_pass_of_hermite(open_oscillator, exact):
 
 @pytest.mark.parametrize("factors", [{"a": 3}, {"b": 4}, {"a": 2, "b": 5}])
 def test_components_with_steps_of_their_own(open_oscillator, exact, factors):
-    """Each of its steps gets its part of the polynomial: nothing is lost."""
+    """Each substep gets its part of the polynomial."""
     # as with one step for all: 2.5e-6
     assert worst(follow(open_oscillator, step=1e-2, stop=10.0, factors=factors), exact) < 3e-6
 
 
 def test_a_kept_linearisation_of_a_linear_system_is_as_good(open_oscillator):
-    """Where nothing changes it does not matter how old it is; the drift is rounding."""
+    """The linearisation of a linear system does not change; the drift is rounding."""
     fresh, kept = (follow(open_oscillator, step=1e-2, stop=2.0, lag=lag).trace for lag in (1, 7))
     # rounding of the drift, 1e-16 of accelerations around 1e5, in 200 undamped steps
     np.testing.assert_allclose(kept["a.x"], fresh["a.x"], rtol=0, atol=1e-9)
 
 
 def test_inputs_that_move_at_lines_keep_the_order(fmus3, exact):
-    """FMI 3.0, with inputs that move at their rates: the line with the same mean and moment, order four."""
+    """FMI 3.0 with rate inputs: the line with the same mean and moment keeps order four."""
     also = {m: [*STATES[m], RATES[m]] for m in ("mass_a", "mass_b")}
     lines = oscillator_of(*(telling(fmus3, m, f"{m}_lines", also=also[m]) for m in also))
     errors = [worst(follow(lines, step=h, stop=10.0), exact) for h in (2e-2, 1e-2)]
@@ -101,7 +101,7 @@ def test_inputs_that_move_at_lines_keep_the_order(fmus3, exact):
 
 
 def test_adaptive_steps_keep_the_tolerance(open_oscillator, exact):
-    """For 1e-5 in under 1000 steps; some are repeated, and nothing of the one before is left then."""
+    """1e-5 in under 1000 steps; some are repeated, and rejected steps have no effect."""
     result = follow(open_oscillator, step=1e-3, stop=10.0, adaptive=1e-5, record_step=0.1)
     assert result.card.repeated > 0
     assert result.card.steps < 1000  # measured 849
@@ -110,7 +110,7 @@ def test_adaptive_steps_keep_the_tolerance(open_oscillator, exact):
 
 @pytest.mark.parametrize("lag", [1, 3])
 def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
-    """A step that is computed three times, always as long, ends where it ended at first: nothing is stale."""
+    """A step that is computed three times with the same length has the same result."""
 
     def ends(rejected):
         coupling = Coupling("interface-jacobian", adaptive=1e-3, lag=lag)
@@ -162,7 +162,7 @@ def closed(workshop, model):
 
 @pytest.mark.parametrize("which", ["a", "b", "ab"])
 def test_components_that_do_not_tell_are_continued(fmus, exact, which):
-    """What does not tell how it changes is continued from its past; a line on the card names it."""
+    """Inputs from a component without derivatives are extrapolated, and a note names it."""
     files = {n: (closed if n in which else telling)(fmus, f"mass_{n}") for n in "ab"}
     result = follow(oscillator_of(**files), step=1e-3, stop=10.0)
     assert [note.split()[0] for note in result.card.notes if "no directional derivatives" in note] == sorted(
@@ -172,7 +172,7 @@ def test_components_that_do_not_tell_are_continued(fmus, exact, which):
 
 
 def test_derivatives_that_fail_are_told(fmus):
-    """An FMU that lists its states, but whose derivatives are no numbers, is continued, and said so."""
+    """Inputs from an FMU whose derivatives are NaN are extrapolated, with a note."""
     rates = [V("der_y", "local", depends=["u"], derives="y", place=14)]
     more = {
         "interpolates": True,
@@ -204,7 +204,7 @@ def test_states_are_read_from_the_model_structure(fmus, fmus3):
 
 @pytest.mark.parametrize(("undeclared", "calls"), [(False, 2), (True, 3)])
 def test_one_call_for_knowns_that_share_nothing(fmus, undeclared, calls):
-    """x and v change different unknowns, so one directional derivative tells both; if that is declared."""
+    """x and v affect different unknowns, so one call gives both columns if dependencies are declared."""
     fmu = Location(telling(fmus, "mass_a", f"calls_{undeclared}", undeclared=undeclared))
     with closing(CoSimulationFmu("a", read_interface(fmu), fmu)) as slave:
         slave.setup(0.0, 1.0, None)
@@ -225,7 +225,7 @@ def test_undeclared_dependencies_cost_calls_only(fmus, open_oscillator):
 
 
 def test_an_algebraic_loop_is_part_of_the_linear_system(fmus):
-    """Two masses whose forces move each other at once: nothing is lost at a step a hundred times as long."""
+    """Two masses with feed-through: a step that is a hundred times as long has the same accuracy."""
     units = {"force": {"depends": DEPENDS["force"], "unit": "m"}}
     same = {y: {"depends": DEPENDS[y]} for y in ("x", "v")}
     files = {n: telling(fmus, "mass_a", f"loop_{n}", changes=units | same) for n in "pq"}
@@ -240,7 +240,7 @@ def test_an_algebraic_loop_is_part_of_the_linear_system(fmus):
 
 
 def test_sources_and_scenarios_lead(fmus):
-    """What depends on no other component steps first; an integrator behind a sine, and behind a ramp."""
+    """A component that depends on no other one steps first; an integrator behind a sine and a ramp."""
     integrator = fmus.make("fails", "led", interpolates=True)
     system = assemble({"sum": integrator, "sine": fmus["source"]}, ["sine.y -> sum.u"])
     errors = []
@@ -254,8 +254,8 @@ def test_sources_and_scenarios_lead(fmus):
     assert end == pytest.approx(0.5, abs=1e-12)  # exact for a ramp; rounding of 4000 inner steps
 
 
-def test_what_only_follows_sources_leads(fmus, open_oscillator):
-    """A chain behind a source steps in its order, each with the course of the one before."""
+def test_a_chain_behind_a_source_is_leading(fmus, open_oscillator):
+    """A chain behind a source steps in its order, each component with the interpolated output before it."""
     files = {"last": closed(fmus, "mass_b"), "middle": closed(fmus, "mass_a"), "first": fmus["source"]}
     chain = assemble(files, ["middle.force -> last.force", "first.y -> middle.x2"], {"first.omega": 20.0})
     assert interface_jacobian_plan(chain, Coupling("interface-jacobian", guard=0)).order == [2, 1, 0]

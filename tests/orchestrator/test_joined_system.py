@@ -1,4 +1,4 @@
-"""The joined linear system against the exact solution of what it solves."""
+"""The joined linear system compared with the exact solution of its equations."""
 
 from ctypes import byref, c_double
 
@@ -45,7 +45,7 @@ def inverted(matrix):
 
 
 def random(n, m, seed, direct=True):
-    """A joined system with numbers everywhere; of K C and the rest, the plain matrices."""
+    """A joined system with random matrices, and A + B K C, B K, K C and K without padding."""
     rng = np.random.default_rng(seed)
     joined = Joined(n, m)
     joined.has_feedthrough = direct
@@ -93,7 +93,7 @@ def test_the_prediction_converges_with_order_three(n, m, direct):
 
 
 def test_the_drift_is_the_error_of_the_linearisation():
-    """Rates that grow quadratically since the linearisation are continued exactly, but for the method."""
+    """Rates that grow quadratically since the linearisation are extrapolated exactly."""
     joined, matrices = random(4, 2, 1)
     missed, last, since, h = np.array([3.0, -1.0, 0.5, 2.0]), 0.01, 0.03, 0.01
     joined.join()
@@ -121,7 +121,7 @@ def test_a_stiff_system_comes_to_rest():
 
 
 def test_connections_without_a_solution_are_no_system():
-    """Outputs that come back as their own inputs, unchanged: any value fits."""
+    """Outputs that are copied to their own inputs have no unique solution."""
     joined = Joined(1, 2)
     joined.has_feedthrough = True
     joined.d[0, 1] = joined.d[1, 0] = 1.0
@@ -131,7 +131,7 @@ def test_connections_without_a_solution_are_no_system():
 
 @pytest.mark.parametrize("n", [1, 2, 7, 18])
 def test_inverse(n):
-    """Matrix times inverse is one, with rows that have to be exchanged."""
+    """Matrix times inverse is the identity, also if rows must be exchanged."""
     matrix = np.random.default_rng(n).normal(size=(n, n))
     np.fill_diagonal(matrix, 0.0 if n > 1 else 2.0)
     found = inverted(matrix)

@@ -59,7 +59,7 @@ def root(trace, there: float, back: float, bend: float):
 
 @pytest.mark.parametrize(("there", "back"), [(0.5, 0.5), (3.0, -2.0), (3.0, 2.0), (-1e4, 1e3)])
 def test_linear_loops_are_solved_at_every_point(each, told, there, back):
-    """Also where carrying values round would make them grow, and at the first point."""
+    """Also if copied values would diverge, and at the first point."""
     result = run(forced(each, told, there, back), step=0.1, stop=2.0)
     exact = result.trace["s.y"] / (1 - there * back)
     np.testing.assert_allclose(result.trace["p.y"], exact, rtol=CLOSE)
@@ -68,7 +68,7 @@ def test_linear_loops_are_solved_at_every_point(each, told, there, back):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_a_loop_that_is_not_linear_is_solved(each, told, master):
-    """The root that follows from the one before is found at each point."""
+    """The root that continues the previous one is found at each point."""
     system = forced(each, told, 0.5, -1.0, -0.2)
     trace = run(system, master=master, step=0.1, stop=5.0).trace
     np.testing.assert_allclose(trace["p.y"], root(trace, 0.5, -1.0, -0.2), rtol=CLOSE)
@@ -83,7 +83,7 @@ def test_hermite_solves_loops(each, told):
 
 @pytest.mark.parametrize("undeclared", [False, True])
 def test_hermite_keeps_its_order_around_a_loop(fmus, undeclared):
-    """A mass whose force and displacement are in a loop of gain 2: carrying values round would diverge."""
+    """A mass whose force and displacement are in a loop of gain 2: copied values would diverge."""
     mass = fmus.make("mass_a", f"mass_{undeclared}", interpolates=True, undeclared=undeclared)
     soft = fmus.make("gain", f"soft_{undeclared}", units={"u": "N"}, undeclared=undeclared, able=MUTE)
     start = {"g.factor": -0.02, "m.spring": 100.0}
@@ -103,7 +103,7 @@ def test_hermite_keeps_its_order_around_a_loop(fmus, undeclared):
 
 
 def test_derivatives_that_fail_are_replaced_by_differences(fmus):
-    """Declared, but the call fails: tried before the first step, not used, and the note says so."""
+    """Derivatives are declared but the call fails: they are not used, and the note reports differences."""
 
     def failing(component):
         slave = in_python(component)
@@ -137,7 +137,7 @@ def test_units_are_converted_inside_a_loop(each):
 
 
 def test_three_components_in_one_loop(each, told):
-    """y1 = 2 y3 + 1, y2 = 3 y1, y3 = -y2 + 1, with a branch of the loop that leads nowhere."""
+    """y1 = 2 y3 + 1, y2 = 3 y1, y3 = -y2 + 1, with a branch that is not part of the loop."""
     files = {name: able(each, "gain", told) for name in ("a", "b", "c", "out")}
     wires = ["a.y -> b.u", "b.y -> c.u", "c.y -> a.u", "b.y -> out.u"]
     start = {"a.factor": 2.0, "a.offset": 1.0, "b.factor": 3.0, "c.factor": -1.0, "c.offset": 1.0}
@@ -172,7 +172,7 @@ def test_two_loops_one_behind_the_other_and_a_stage_after_them(each, told):
 
 
 def test_single_precision_is_as_good_as_it_can_be(fmus3):
-    """A loop through Float32: the residual stays at their rounding, which is told."""
+    """A loop through Float32: the note reports a residual at the level of their rounding."""
     files = {"p": fmus3["bent"], "w": fmus3["wide"]}
     wires = ["p.y -> w.float32_in", "w.float32_out -> p.u"]
     result = run(assemble(files, wires, {"p.factor": -2.0, "p.w": 1.0}), step=0.1, stop=1.0)
@@ -185,7 +185,7 @@ def test_single_precision_is_as_good_as_it_can_be(fmus3):
 
 
 def test_the_card_tells_loop_and_method(each, told):
-    """Which connections, how solved, with how many evaluations, how well."""
+    """The note contains connections, method, number of evaluations and residual."""
     result = run(forced(each, told, 3.0, -2.0), step=0.1, stop=1.0)
     method = "directional derivatives" if told else "differences"
     note = result.card.notes[-1]
@@ -198,7 +198,7 @@ def test_the_card_tells_loop_and_method(each, told):
 
 
 def test_wrong_derivatives_are_not_used(fmus3):
-    """One FMU declares directional derivatives and answers NaN: it gets differences."""
+    """Differences are used for an FMU whose directional derivatives are NaN."""
     files = {"t": fmus3["types"], "g": fmus3["gain"]}
     system = assemble(files, ["t.real_out -> g.u", "g.y -> t.real_in"], {"g.factor": -0.25, "g.offset": 3.0})
     result = run(system, step=0.01, stop=0.1)
@@ -211,7 +211,7 @@ def test_wrong_derivatives_are_not_used(fmus3):
 
 
 def test_loops_are_solved_in_initialisation_mode(each, told):
-    """Inputs and outputs fit before the first step."""
+    """Inputs and outputs are consistent before the first step."""
     system = forced(each, told, 3.0, -2.0, 0.1)
     slaves = {name: open_slave(component) for name, component in system.components.items()}
     initialise(system, slaves, {}, (0.0, 1.0))
@@ -237,7 +237,7 @@ def test_a_loop_without_solution_is_named(each, told):
 
 @pytest.mark.parametrize("native", [False, True])
 def test_a_loop_that_loses_its_solution_ends_the_run(each, told, native):
-    """y = w + y^2 / 4 has none above w = 1: the run keeps what is before, and tells time and residual."""
+    """y = w + y^2 / 4 has none above w = 1: the record is kept, the message has time and residual."""
     system = forced(each, told, 0.0, 1.0, 0.25).with_start({"s.offset": 0.5})
     with pytest.raises(
         RunFailed, match=r"algebraic loop .*: no solution at t = 0\.6 s.*residual of"
@@ -253,7 +253,7 @@ def test_a_loop_of_numbers_that_are_not_numbers_is_told(fmus):
 
 
 def test_a_loop_of_whole_numbers_is_refused(each):
-    """Nothing between two integers can be solved for."""
+    """A loop of integers has no Newton step."""
     files = {name: each["types"] for name in "ab"}
     with pytest.raises(
         Problem, match=r"algebraic loop .*expected Real signals, .* got Integer [ab]\.int_out"
@@ -277,7 +277,7 @@ def test_a_loop_that_nobody_declared_is_solved(each):
 
 @pytest.mark.parametrize("native", [False, True])
 def test_whole_numbers_that_only_seem_to_be_in_a_loop(each, native):
-    """Without declarations integers look as if they were in the loop: it is solved, and they pass through."""
+    """Without declared dependencies integers may be in the loop; it is solved, and integers are copied."""
     files = {name: each.make("types", f"silent_{name}", undeclared=True) for name in "ab"}
     files["c"] = each.make("bent", "silent_c", undeclared=True)
     wires = ["a.real_out -> b.real_in", "b.real_out -> c.u", "c.y -> a.real_in", "a.int_out -> b.int_in"]
@@ -330,7 +330,7 @@ def test_fmus_called_by_python_and_by_c_agree_on_loops_of_several(each, undeclar
 
 @pytest.mark.parametrize("n", range(1, 7))
 def test_linear_equations(n):
-    """The solution fits, also where the diagonal is empty."""
+    """The solution is exact up to rounding, also with zeros on the diagonal."""
     random = np.random.default_rng(n)
     matrix, right = random.normal(size=(n, n)), random.normal(size=n)
     if n > 1:
@@ -343,8 +343,8 @@ def test_linear_equations(n):
 
 
 @pytest.mark.parametrize("matrix", [[[0.0]], [[1.0, 2.0], [2.0, 4.0]], [[float("nan"), 1.0], [1.0, 1.0]]])
-def test_equations_without_a_solution_are_seen(matrix):
-    """Singular, and not a number."""
+def test_equations_without_a_solution_are_detected(matrix):
+    """The matrix is singular or has NaN."""
     n = len(matrix)
     assert not library().loop_factorise(address(np.array(matrix)), address(np.zeros(n, np.int32)), n)
 

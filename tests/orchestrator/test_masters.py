@@ -28,7 +28,7 @@ def test_held_inputs_converge_with_order_one(oscillator, exact, master):
 
 @pytest.mark.parametrize("interpolates", [False, True])
 def test_gauss_seidel_interpolates(fmus, interpolates):
-    """An integrator behind a sine: order 2 when it moves from old to new, and when it holds their mean."""
+    """An integrator behind a sine has order 2 with interpolated inputs and with held mean values."""
     integrator = fmus.make("fails", f"integrator_{interpolates}", interpolates=interpolates)
     system = assemble({"sum": integrator, "sine": fmus["source"]}, ["sine.y -> sum.u"])
     errors = []
@@ -40,7 +40,7 @@ def test_gauss_seidel_interpolates(fmus, interpolates):
 
 
 def test_feed_through_is_read_after_the_inputs_are_set(oscillator, exact):
-    """At a step of 1e-2 the error stays near 1; masters that read the force too early reach 60."""
+    """At a step of 1e-2 the error is about 1; masters that read the force too early have 60."""
     # 0.94795 is the error of the scheme itself, from exact solutions of each mass over each step; the FMUs'
     # own integration error at 1/13 of a step per radian is below 1e-4 of that
     result = run(oscillator, master="jacobi", step=1e-2, stop=10.0)
@@ -48,7 +48,7 @@ def test_feed_through_is_read_after_the_inputs_are_set(oscillator, exact):
 
 
 def test_jacobi_is_what_it_should_be(oscillator):
-    """The scheme written out with the exact solution of each mass over a step: the same numbers."""
+    """The result equals that of the scheme with the exact solution of each mass over a step."""
     first = expm(np.array([[0, 1, 0], [-110, 0, 100], [0, 0, 0]]) * 0.01)  # of x, v and the held position
     second = expm(np.array([[0, 1, 0], [-1000, 0, -1], [0, 0, 0]]) * 0.01)  # of x, v and the held force
     a, b, found = np.array([0.0, 100.0]), np.array([0.0, -100.0]), []
@@ -62,7 +62,7 @@ def test_jacobi_is_what_it_should_be(oscillator):
 
 
 def test_recorded_force_belongs_to_recorded_positions(oscillator):
-    """The feed-through output fits the positions at every recorded instant, the first included."""
+    """The output with feed-through is consistent with the positions at every recorded point."""
     trace = run(oscillator, step=1e-2, stop=0.1).trace
     # same numbers, same formula: a few ulp
     np.testing.assert_allclose(trace["a.force"], 100 * (trace["b.x"] - trace["a.x"]), rtol=1e-14)
@@ -70,7 +70,7 @@ def test_recorded_force_belongs_to_recorded_positions(oscillator):
 
 
 def test_undeclared_dependencies_still_give_the_feed_through_its_inputs(fmus, oscillator):
-    """Without dependencies two FMUs look like a loop: they are read repeatedly, and a note says so."""
+    """Two FMUs without declared dependencies may form a loop: outputs are read repeatedly, with a note."""
     files = {m[-1]: fmus.make(m, f"{m}_silent", undeclared=True) for m in ("mass_a", "mass_b")}
     silent = assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
     result, declared = (run(s, master="jacobi", step=1e-2, stop=0.5) for s in (silent, oscillator))
@@ -84,7 +84,7 @@ def test_gauss_seidel_takes_feed_through_last(oscillator):
 
 
 def order(wires, through=(), interpolating=""):
-    """Order of components a, b, c: wire "ab" leads from a to b, and feeds through there if in `through`."""
+    """Order of components a, b, c; connection "ab" is from a to b, with feed-through if in `through`."""
     faces = {}
     for name in "abc":
         inputs = {
@@ -120,7 +120,7 @@ def test_gauss_seidel_order_by_its_rules(wires, through, interpolating, expected
 
 
 def test_stages_follow_the_feed_through(oscillator):
-    """Positions are known at once, the force one stage later."""
+    """Positions are read in the first stage, the force one stage later."""
     stages = {str(port): s for port, s in output_order(oscillator).stages.items()}
     assert stages == {"a.force": (1,), "a.x": (0,), "a.v": (0,), "b.x": (0,), "b.v": (0,)}
 
@@ -158,7 +158,7 @@ def test_declared_rate_inputs_take_the_slope(each):
 
 @pytest.mark.parametrize("rated", [False, True])
 def test_gauss_seidel_moves_inputs_by_their_rate_inputs(each, rated):
-    """Order 2 behind a sine, as with interpolation, also where the rate is wired: its wire has no say."""
+    """Order 2 behind a sine, as with interpolation, also if the rate input is connected."""
     files = {"sum": each["drift"], "sine": each["source"], "rate": each["source"]}
     wires = ["sine.y -> sum.u", *(["rate.y -> sum.u_rate"] if rated else [])]
     units = {"rate": each.make("source", "rate_source", units={"y": "m/s"})}
@@ -173,7 +173,7 @@ def test_gauss_seidel_moves_inputs_by_their_rate_inputs(each, rated):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_a_driven_input_takes_its_rate_input_with_it(each, master):
-    """What is wired to the rate would move the input away from its column."""
+    """A connection to the rate input would change the driven input, so it is removed."""
     wrong = each.make("gain", "wrong_rate", units={"y": "m/s"})
     system = assemble({"g": wrong, "sum": each["drift"]}, ["g.y -> sum.u_rate"], {"g.offset": 7.0})
     ramp = Trace(np.array([0.0, 1.0]), {"sum.u": np.array([0.0, 1.0])})
@@ -184,7 +184,7 @@ def test_a_driven_input_takes_its_rate_input_with_it(each, master):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_positions_move_at_their_velocity(each, master):
-    """A position whose velocity is wired starts each step at its old value, not at the new one."""
+    """An input with a connected rate input starts each step at its old value."""
     system = assemble(
         {"sum": each["glide"], "mass": each["mass_b"]},
         ["mass.x -> sum.position", "mass.v -> sum.velocity"],
@@ -199,7 +199,7 @@ def test_positions_move_at_their_velocity(each, master):
 
 
 def test_parameters_of_the_run_do_not_leak_into_the_system(oscillator):
-    """A system can be run again and gives the same numbers, bit for bit."""
+    """A second run of a system gives bit-identical results."""
     first = run(oscillator, step=1e-2, stop=0.2, set={"a.mass": 2.0})
     again, plain = (
         run(oscillator, step=1e-2, stop=0.2, set={"a.mass": 2.0}),

@@ -10,12 +10,12 @@ from orchestrator.engine.time_grid import record_interval
 
 
 def whole_and_thin(system, record_step, **options):
-    """The traces with every point and with some of them."""
+    """The traces of a run with every point and with a record step."""
     return run(system, **options).trace, run(system, record_step=record_step, **options).trace
 
 
 def agree(thin, whole, kept):
-    """The thin trace is the whole one at the kept points, bit for bit."""
+    """The trace with a record step equals the complete one at its points, bit for bit."""
     np.testing.assert_array_equal(thin.time, whole.time[kept])
     assert list(thin.signals) == list(whole.signals)
     for name, values in thin.signals.items():
@@ -24,20 +24,20 @@ def agree(thin, whole, kept):
 
 @pytest.mark.parametrize("every", [1, 2, 7, 256, 300])
 def test_every_so_many_points_are_kept(oscillator, every):
-    """Also where the interval does not fit into the blocks in which points are looked at."""
+    """Also if the size of a block is not a multiple of the interval."""
     whole, thin = whole_and_thin(oscillator, every * 1e-3, step=1e-3, stop=1.5)
     agree(thin, whole, np.union1d(np.arange(0, 1501, every), 1500))
 
 
 @pytest.mark.parametrize(("stop", "kept"), [(0.24, [0, 10, 20, 24]), (0.09, [0, 9]), (0.1, [0, 10])])
 def test_first_and_last_point_are_always_kept(oscillator, stop, kept):
-    """Whether or not the record interval meets the stop time."""
+    """Whether or not the stop time is a multiple of the record step."""
     whole, thin = whole_and_thin(oscillator, 0.1, step=0.01, start=0.0, stop=stop)
     agree(thin, whole, kept)
 
 
 def test_other_kinds_of_numbers_are_kept_too(fmus):
-    """Integers and Booleans keep their rows beside the reals."""
+    """Integers and Booleans have the same rows as Real signals."""
     whole, thin = whole_and_thin(str(fmus["types"]), 0.3, step=0.1, stop=1.0, set={"types.int_in": 3})
     agree(thin, whole, [0, 3, 6, 9, 10])
 
@@ -52,7 +52,7 @@ def test_an_interval_that_is_no_multiple_is_refused(oscillator, record_step):
 
 
 def test_decimal_steps_are_multiples(oscillator):
-    """0.3 is three times 0.1, whatever binary fractions say."""
+    """0.3 is accepted as three times 0.1, in spite of rounding."""
     assert len(run(oscillator, step=0.1, stop=0.9, record_step=0.3).trace.time) == 4
 
 
@@ -80,7 +80,7 @@ def test_the_error_estimate_compares_recorded_points(oscillator, every, steps):
 
 
 def test_a_failure_keeps_the_last_point_reached(fmus):
-    """The point before the failure is there, though it is not due."""
+    """The last point before the failure is recorded, although it is not on the grid."""
     system = assemble({"bad": fmus["fails"]}, [])
     with pytest.raises(RunFailed) as caught:
         run(system, step=0.1, stop=1.0, record_step=0.2, set={"bad.when": 0.55, "bad.how": 3})
@@ -94,7 +94,7 @@ def test_a_failure_keeps_the_last_point_reached(fmus):
 
 
 def test_not_a_number_between_recorded_points_is_found(fmus):
-    """With the time at which it came up; the record ends at the last point with numbers."""
+    """The message has the time; the record ends at the last point with finite values."""
     with pytest.raises(RunFailed, match=r"fails.y: expected a finite value, got nan at t = 0.4 s") as caught:
         run(str(fmus["fails"]), step=0.1, stop=9.0, record_step=0.9, set={"fails.when": 0.25, "fails.how": 5})
     np.testing.assert_allclose(caught.value.result.trace.time, [0, 0.3])
@@ -116,6 +116,6 @@ def test_not_a_number_between_recorded_points_is_found(fmus):
     ],
 )
 def test_default_interval_of_the_command_line(step, interval):
-    """5 ms, or the most steps that fit into it; wrong steps are left to others to refuse."""
+    """It is the largest multiple of the step up to 5 ms; invalid steps are refused elsewhere."""
     # products of the step: rounding only
     assert record_interval(step) == (None if interval is None else pytest.approx(interval, rel=1e-12))

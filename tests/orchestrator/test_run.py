@@ -53,7 +53,7 @@ class Mock:
 
 
 class Resting(Mock):
-    """Its output stays."""
+    """A slave whose output is constant."""
 
     def step(self, t, h): ...
 
@@ -164,7 +164,7 @@ def test_chosen_signals_are_recorded_in_order(oscillator):
 
 
 def test_a_run_longer_than_its_scenario_holds_the_last_values(fmus):
-    """And says so."""
+    """A note reports it."""
     scenario = Trace(np.array([0.5, 1.0]), {"u": np.array([5.0, 6.0])})
     result = run(str(fmus["gain"]), scenario, step=0.25, stop=2.0)
     np.testing.assert_array_equal(result.trace["gain.u"], [5, 5, 5, 5.5, 6, 6, 6, 6, 6])
@@ -187,7 +187,7 @@ def test_a_failure_keeps_what_was_recorded(fmus, how):
 
 
 def test_not_a_number_ends_the_run(fmus):
-    """An FMU that says OK but returns NaN is named, with signal and time."""
+    """If an FMU returns NaN with status OK, the message has signal and time."""
     with pytest.raises(RunFailed, match=r"fails.y: expected a finite value, got nan at t = 0.4 s") as caught:
         run(str(fmus["fails"]), step=0.1, stop=1.0, set={"fails.when": 0.25, "fails.how": 5})
     trace = caught.value.result.trace
@@ -292,7 +292,7 @@ def test_a_start_value_that_the_scenario_overrules_is_told(fmus):
 
 
 def test_an_estimate_of_nothing_is_told():
-    """A system at rest has no error that could be seen."""
+    """A system at rest has no error estimate."""
     face = FmuInterface({"y": FmuVariable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
     system = System("rest", {"m": Component("m", face)})
     card = run(system, open=Resting, step=0.5, stop=2.0, error_estimate=True).card
@@ -308,7 +308,7 @@ def test_inputs_of_the_system_are_recorded_though_nothing_feeds_them(fmus):
 
 
 def test_a_failure_at_half_the_step_keeps_the_run():
-    """The run that was asked for is complete; only its error estimate is missing, and that is told."""
+    """The requested run is complete; a note reports the missing error estimate."""
 
     def fail(t):
         if t == 0.25:
@@ -320,7 +320,7 @@ def test_a_failure_at_half_the_step_keeps_the_run():
 
 
 def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
-    """Nothing before the patience is over, a bar on stderr after that."""
+    """There is no output before the delay, and a bar on stderr after it."""
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(ProgressBar, "delay", 0.0)
@@ -348,7 +348,7 @@ def test_a_result_by_its_signals(oscillator):
 
 
 def test_settings_together_and_by_themselves(oscillator):
-    """The same record and the same estimate; a setting by itself goes before that of an object."""
+    """Record and estimate are the same; a single option overrides that of an object."""
     together = {"record": Record(["a.x"], step=0.2), "execution": Execution(error_estimate=True)}
     one = run(oscillator, step=0.1, stop=1.0, **together)
     two = run(oscillator, step=0.1, stop=1.0, record=["a.x"], record_step=0.2, error_estimate=True)

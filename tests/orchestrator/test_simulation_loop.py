@@ -22,7 +22,7 @@ STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
 
 @pytest.fixture
 def alike():
-    """Runs a system with FMUs that C calls, then that Python calls; all numbers are equal to the last bit."""
+    """Runs a system with FMUs called by C and by Python; all values are bit-identical."""
 
     def both(system, **options):
         fast, slow = run(system, **options), run(system, open=in_python, **options)
@@ -39,7 +39,7 @@ def alike():
 
 
 def test_it_is_what_a_plain_jacobi_does(oscillator):
-    """A master of sixty lines that shares nothing with the engine but the calls into FMUs: the same bits."""
+    """An independent master of sixty lines gives bit-identical results."""
     names = ["a.x", "b.x", "a.force"]
     expected = plain_jacobi(oscillator, 1e-3, 1000, names, rounds=3)
     trace = run(oscillator, master="jacobi", **STEPS).trace
@@ -48,7 +48,7 @@ def test_it_is_what_a_plain_jacobi_does(oscillator):
 
 
 def test_structures_are_laid_out_as_in_c(tmp_path):
-    """The sizes of all structures that are read from the header, and where their last fields stand."""
+    """Sizes of all structures in the header, and offsets of their last members."""
     h = c_library.engine_h()
     made = {n: t for n, t in vars(h).items() if isinstance(t, type) and issubclass(t, ctypes.Structure)}
     text = '#include <stdio.h>\n#include "engine.h"\nint main(void) {\n'
@@ -71,7 +71,7 @@ KINDS = [("curves", 2, True), ("lines", 2, True), ("rates", 3, True), ("held", 3
 @pytest.mark.parametrize("order", [0, 1, 2, 3])
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_explicit_masters_over_a_thousand_steps(alike, oscillators, master, order, kind):
-    """At each order, with FMUs that follow inputs in each way, and without slopes."""
+    """At each order, with each kind of input interpolation, and without slopes of outputs."""
     result = alike(oscillators(*kind), master=Coupling(master, order), **STEPS)
     assert result.card.steps == 1000
     assert np.ptp(result.trace["a.x"]) > 1
@@ -92,7 +92,7 @@ OTHERS = {
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 @pytest.mark.parametrize("label", OTHERS)
 def test_all_else_over_a_thousand_steps(alike, oscillators, label, kind):
-    """Correction, passes, several steps of a component in one: the same operations in the same order."""
+    """Correction, passes and substeps: the same operations in the same order."""
     assert alike(oscillators(*kind), master=OTHERS[label], **STEPS).card.steps == 1000
 
 
@@ -149,7 +149,7 @@ def test_a_scenario_leads(alike, oscillators, master, kind):
 
 @pytest.mark.parametrize("master", MASTERS, ids=lambda m: f"{m.text} {m.adaptive}")
 def test_wires_with_factors_and_sources_with_corners(alike, each, master):
-    """Values pass through linear maps, chains of feed-through, and from a ramp that bends."""
+    """Linear maps, chains of feed-through, and a ramp with corners."""
     files = {
         "ramp": each.make("source", "bending", also=RAMP),
         "g": each["gain"],
@@ -172,7 +172,7 @@ def test_chosen_signals_and_coarse_records(alike, oscillator):
 
 @pytest.mark.parametrize("order", [0, 2])
 def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
-    """Components of jacobi that step at the same time, however little there is to gain."""
+    """Threads for the components of Jacobi do not change the results."""
     monkeypatch.setattr(simulation_loop, "CORES", 3)
     parts = oscillators()
     files = {name: part.source.path for name, part in parts.components.items()}
@@ -206,7 +206,7 @@ def test_the_code_compiles_for_other_systems(tmp_path, target):
 
 @pytest.fixture
 def fresh(monkeypatch, tmp_path):
-    """A user who has compiled nothing yet."""
+    """An empty cache of compiled libraries."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     c_library.library.cache_clear()
     yield tmp_path / "cache"
@@ -228,8 +228,8 @@ def no_compiler(monkeypatch):
 
 @pytest.mark.usefixtures("fresh")
 @pytest.mark.parametrize("trouble", [broken_compiler, no_compiler])
-def test_where_nothing_can_be_compiled_one_line_says_what_to_install(monkeypatch, oscillator, trouble):
-    """Why there is no engine, and what makes one."""
+def test_a_missing_compiler_is_one_line_with_the_package_to_install(monkeypatch, oscillator, trouble):
+    """The message has the reason and the package to install."""
     reason = trouble(monkeypatch)
     with pytest.raises(
         Problem, match=r"^the engine is not compiled: .*; install the Python package ziglang"
@@ -241,7 +241,7 @@ def test_where_nothing_can_be_compiled_one_line_says_what_to_install(monkeypatch
 
 
 def test_the_library_is_compiled_once(fresh):
-    """The next process of the same user finds it."""
+    """The next process of the same user loads the cached library."""
     c_library.library()
     (kept,) = (fresh / "harvester-cosim").iterdir()
     before = kept.stat().st_mtime_ns
@@ -252,7 +252,7 @@ def test_the_library_is_compiled_once(fresh):
 
 
 def test_without_a_folder_for_it_the_library_is_compiled_for_this_process(monkeypatch, fresh):
-    """A home that cannot be written to is no reason to be slow."""
+    """Without a writable cache the library is compiled for this process."""
     monkeypatch.setattr(compiler, "cache_folder", lambda: c_library.FOLDER / "engine.h" / "no folder")
     c_library.library()
     assert not (fresh / "harvester-cosim").exists()
@@ -343,7 +343,7 @@ def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, wo
 
 @pytest.mark.parametrize("in_c", [1, 0])
 def test_ctrl_c_is_not_lost_in_the_messages_of_an_fmu(each, moving, in_c):
-    """An FMU that talks in every call: no exception comes back through it, so the run ends after the step."""
+    """An FMU that logs in every call: no exception passes through it, so the run ends after the step."""
     files = [part.source.path for part in moving.components.values()]
     talker = each.make("quirk", "talker")
     late, *_, complete = interrupted(*files, "jacobi", in_c, 1.0, talker=[talker], steps=0)

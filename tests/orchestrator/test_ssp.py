@@ -1,4 +1,4 @@
-"""Reading SSP 1.0: flattening, directions, transformations, units, parameters, and what is refused."""
+"""Reading SSP 1.0: flattening, directions, transformations, units, parameters, and refused files."""
 
 import zipfile
 
@@ -66,7 +66,7 @@ def connector(name, kind, unit=""):
 
 
 def second(text):
-    """SSP 1.0 as SSP 2.0, with the type names of FMI 3.0."""
+    """Text of an SSP 1.0 as SSP 2.0, with the type names of FMI 3.0."""
     text = text.replace('version="1.0" name', 'version="2.0" name')
     return text.replace(":Real", ":Float64").replace("<Real", "<Float64")
 
@@ -104,7 +104,7 @@ def test_start_and_stop_come_from_the_default_experiment(make):
 
 
 def test_nested_systems_are_flattened(make):
-    """Names become paths; transformations and units along the way combine."""
+    """Names become paths; transformations and unit conversions along the path are combined."""
     # command [mm] -> inner.demand [m] -> b.u: 0.001, then the transformation of each connection
     inner = system(
         [gain("b")],
@@ -427,14 +427,14 @@ def bound(attributes, inside=""):
 
 @pytest.mark.parametrize("binding", BINDINGS)
 def test_a_binding_without_values_is_told(make, binding):
-    """It would be passed over, and the system run with other values."""
+    """It would be ignored, and the system would run with other values."""
     values = SET.replace("<ssv:", "<").replace("</ssv:", "</")
     with pytest.raises(Problem, match=rf"SystemStructure\.ssd: line \d+: .*{BINDINGS[binding]}$"):
         load(make(system([gain("a", bound(*binding))], []), {"p.ssv": values}))
 
 
 def test_a_binding_of_a_system_has_no_component_to_look_into(make):
-    """sourceBase="component" there would be taken for the SSD's folder."""
+    """There sourceBase="component" has no FMU to refer to."""
     bindings = bound('source="p.ssv" sourceBase="component"')
     with pytest.raises(Problem, match="expected SSD for sourceBase, got 'component'"):
         load(make(system([gain("a")], [], bindings=bindings)))
@@ -446,7 +446,7 @@ INCLUDED = '<ssd:Component name="again" type="application/x-ssp-{}" source="{}"/
 @pytest.mark.parametrize("source", ["SystemStructure.ssd", "resources/../SystemStructure.ssd", "other.ssd"])
 @pytest.mark.parametrize("unpacked", [True, False])
 def test_a_file_that_includes_itself_is_told(make, tmp_path, source, unpacked):
-    """However its path is spelt, and by way of another file."""
+    """Also with another spelling of the path, and through another file."""
     text = system([gain("a"), INCLUDED.format("definition", source)], [])
     other = ssd(system([INCLUDED.format("definition", "SystemStructure.ssd")], []))
     path = make(text, {"other.ssd": other})
@@ -459,7 +459,7 @@ def test_a_file_that_includes_itself_is_told(make, tmp_path, source, unpacked):
 
 
 def test_a_file_may_be_included_twice(make):
-    """Side by side is not one in the other."""
+    """Two inclusions of one file are not a recursion."""
     parts = [INCLUDED.format("definition", "other.ssd").replace("again", name) for name in ("one", "two")]
     inner = ssd(system([gain("a")], []))
     assert list(load(make(system(parts, []), {"other.ssd": inner})).components) == ["one.a", "two.a"]
@@ -473,7 +473,7 @@ def entity(value, text, place):
 @pytest.mark.parametrize("value", ['"<x/>"', '"text"', 'SYSTEM "file:///etc/hostname"'])
 @pytest.mark.parametrize("place", ["<ssd:Elements>", "<ssd:Connections>"])
 def test_an_entity_in_the_content_is_told(fmus, zip_ssp, value, place):
-    """It is not resolved, so what it stands for would be missing."""
+    """It is not resolved, so its content would be missing."""
     text = ssd(system([gain("a", source="g.fmu")], [wire("u", "a.u")], connector("u", "input"))).partition(
         "?>"
     )[2]
@@ -484,7 +484,7 @@ def test_an_entity_in_the_content_is_told(fmus, zip_ssp, value, place):
 
 
 def test_an_entity_in_an_attribute_is_its_text(fmus, zip_ssp):
-    """Nothing is lost there."""
+    """No content is lost."""
     text = ssd(system([gain("a", source="g.fmu")], [])).partition("?>")[2]
     path = zip_ssp(
         '<!DOCTYPE s [<!ENTITY a "1.5">]>' + text.replace('"1.5"', '"&a;"'), {"g.fmu": fmus["gain"]}
@@ -501,7 +501,7 @@ def test_an_entity_in_an_attribute_is_its_text(fmus, zip_ssp):
     ],
 )
 def test_a_fault_beside_a_prefix_that_is_not_declared_is_told(zip_ssp, change, told):
-    """The prefix is let pass, so it is not what to mend."""
+    """An undeclared prefix is accepted, so the message names the other fault."""
     text = ssd(system([gain("a")], [])).replace("<ssd:Connectors>", "<odd:Note/><ssd:Connectors>", 1)
     with pytest.raises(Problem, match=rf"SystemStructure\.ssd: is not XML: {told}$"):
         load(zip_ssp(text.replace(*change), {}))
@@ -577,7 +577,7 @@ def test_arrays_of_ssp_2_are_told(fmus3, zip_ssp, connector, wire, message):
 
 
 def test_an_array_that_is_not_connected_does_no_harm(fmus3, zip_ssp):
-    """The rest of the system runs."""
+    """A system with an unconnected array runs."""
     part = """<ssd:Component name="a" source="gain.fmu"><ssd:Connectors><ssd:Connector name="t" kind="input">
 <ssc:Float64/><ssc:Dimension size="3"/></ssd:Connector></ssd:Connectors></ssd:Component>"""
     path = zip_ssp(second(ssd(system([part], []))), {"gain.fmu": fmus3["gain"]})
@@ -593,7 +593,7 @@ def test_other_implementations_are_told(make, implementation):
 
 
 def test_later_versions_are_read_with_a_note(fmus3, zip_ssp):
-    """As the latest one that is known."""
+    """It is read as the latest supported version."""
     text = ssd(system([gain("a", source="gain.fmu")], [])).replace('version="1.0" name', 'version="3.0" name')
     path = zip_ssp(text, {"gain.fmu": fmus3["gain"]})
     assert load(path).notes == (f"{path}/SystemStructure.ssd: SSP version 3.0 is read as version 2.0",)

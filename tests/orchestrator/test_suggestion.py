@@ -1,4 +1,4 @@
-"""How an SSP suggests to couple its components: where it is read, what overrules it, what is refused."""
+"""The suggested coupling of an SSP: where it is read, what overrides it, what is refused."""
 
 import zipfile
 from importlib.resources import files
@@ -36,7 +36,7 @@ def coupling(attributes=HERMITE, inside=""):
 
 
 def annotated(*elements):
-    """Annotations: one of another tool, then ours."""
+    """Annotations: one of another tool, then one of this project."""
     ours = f'<ssc:Annotation type="harvester-cosim">{"".join(elements)}</ssc:Annotation>'
     other = '<ssc:Annotation type="org.example"><Coupling master="none"/></ssc:Annotation>'
     return f"<ssd:Annotations>{other}{ours}</ssd:Annotations>"
@@ -68,13 +68,13 @@ def test_the_suggestion_is_taken_where_nobody_says_otherwise(make, place):
 
 
 def test_without_one_there_is_no_suggestion(make):
-    """Neither in an annotation of another tool nor in an empty one of ours."""
+    """An annotation of another tool, and an empty one of this project, suggest nothing."""
     for path in (make(), make(annotated())):
         assert (load(path).coupling, load(path).step) == (None, None)
 
 
 def test_a_master_from_python_puts_the_suggestion_aside(make):
-    """Its step, too, which was meant for another master; a step alone is only that."""
+    """Also the step, which is for another master; a given step alone replaces only the step."""
     path = make(annotated(coupling()))
     result = run(path, master="jacobi")
     assert result.coupling == Coupling("jacobi")
@@ -96,7 +96,7 @@ def test_a_master_from_python_puts_the_suggestion_aside(make):
     ],
 )
 def test_the_command_line_changes_single_settings(make, tmp_path, monkeypatch, options, expected):
-    """Those of the file stay, unless a master is named."""
+    """The choices of the file are kept unless a master is given."""
     ran = []
     path = make(annotated(coupling(inside=FACTOR)))
     monkeypatch.setattr("orchestrator.engine.run.save", lambda result, *_: ran.append(result))
@@ -107,7 +107,7 @@ def test_the_command_line_changes_single_settings(make, tmp_path, monkeypatch, o
 
 
 def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
-    """As one that is asked for on the command line does."""
+    """Like one that is given on the command line."""
     path = make(annotated(coupling('adaptive="1e-2" smallest="1e-6" largest="0.05" control="error"')))
     assert main(["run", str(path), "--out", str(tmp_path / "o.csv")]) == 0
     time = read(tmp_path / "o.csv").time
@@ -116,7 +116,7 @@ def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
 
 
 def test_all_attributes_are_read(make):
-    """Numbers, whole numbers, truth and text."""
+    """Floating-point numbers, integers, Booleans and text."""
     text = 'master="gauss-seidel" order="2" correct="true" adaptive="1e-3" control="energy" largest="0.01"'
     expected = Coupling("gauss-seidel", 2, correct=True, adaptive=1e-3, control="energy", largest=0.01)
     assert load(make(annotated(coupling(text)))).coupling == expected
@@ -125,7 +125,7 @@ def test_all_attributes_are_read(make):
 
 
 def test_attributes_of_other_namespaces_are_passed_over(make):
-    """As XML means it."""
+    """As in XML."""
     text = 'xmlns:x="urn:x" x:note="mine" master="hermite"'
     assert load(make(annotated(coupling(text)))).coupling == Coupling("hermite")
 
@@ -176,7 +176,7 @@ def test_a_step_beyond_the_stop_time_names_its_place(make):
 
 
 def test_one_in_another_place_is_left_out_with_a_note(fmus, zip_ssp):
-    """In a nested file or in a component: only the outermost system's says how all is coupled."""
+    """In a nested file or in a component: only the outermost system can suggest a coupling."""
     parts = {f"resources/{name}.fmu": fmus[f"mass_{name}"] for name in "ab"}
     inner = zip_ssp(ssd(annotated(coupling())), parts, "inner.ssp")
     part = f"""<ssd:Component name="s" type="application/x-ssp-package" source="resources/inner.ssp">
@@ -194,7 +194,7 @@ def test_one_in_another_place_is_left_out_with_a_note(fmus, zip_ssp):
 
 
 def test_two_suggestions_are_refused(make):
-    """Nobody knows which one is meant."""
+    """The suggestion would be ambiguous."""
     path = make(annotated(coupling()), at_end=annotated(coupling()))
     with pytest.raises(
         Problem, match="expected one Coupling in annotations of type harvester-cosim, got some in"
@@ -203,7 +203,7 @@ def test_two_suggestions_are_refused(make):
 
 
 def test_other_tools_pass_it_over(make, tmp_path):
-    """The file is valid for the schemas of SSP 1.0 and 2.0, and two other readers take it."""
+    """The file is valid for the schemas of SSP 1.0 and 2.0, and two other readers accept it."""
     text = ssd(annotated(coupling(inside=FACTOR)))
     path = make(annotated(coupling(inside=FACTOR)))
     assert [c.name for c in read_ssd(str(path), validate=True).system.elements] == ["a", "b"]
@@ -215,7 +215,7 @@ def test_other_tools_pass_it_over(make, tmp_path):
 
 
 def test_a_system_keeps_its_suggestion_when_it_is_changed(make):
-    """Cuts, start values and scenarios do not touch it."""
+    """Cuts, start values and scenarios do not change it."""
     system = load(make(annotated(coupling())))
     assert system.without("a.x2").with_start({"a.x2": 0.1}).coupling == system.coupling
     level = Trace(np.array([0.0, 0.1]), {"a.x2": np.array([0.0, 0.0])})

@@ -1,4 +1,4 @@
-"""Another FMU in the place of a component: which one, whether it fits, and what the system then does."""
+"""Swaps: the choice of the new FMU, checks of its ports, and runs with it."""
 
 import json
 import re
@@ -33,7 +33,7 @@ SSV = """<ParameterSet version="1.0" name="p"><Parameters>
 
 
 def edited(fmu, name, *changes):
-    """A changed copy of an FMU beside it."""
+    """A changed copy of an FMU next to it."""
     return changed(fmu, fmu.with_name(f"{name}.fmu"), *changes)
 
 
@@ -87,7 +87,7 @@ def test_variants_lie_beside_the_system(bench):
     ],
 )
 def test_a_choice_that_is_not_there_is_told(bench, swaps, message):
-    """With what is there."""
+    """The message lists the available names."""
     with pytest.raises(Problem, match=re.escape(message)):
         with_swaps(bench, swaps)
 
@@ -99,7 +99,7 @@ def test_a_system_without_a_file_has_no_variants(oscillator):
 
 
 def test_convertible_units_are_converted(fmus):
-    """On wires in and out, also on those with a map of their own; the other components see no difference."""
+    """On connections in and out, also with linear maps; the other components get the same values."""
     pascal = fmus.make("gain", "gain_pa", units={"u": "Pa", "y": "Pa", "offset": "Pa"})
     bar = fmus.make("gain", "gain_bar", units={"u": "bar", "y": "bar", "offset": "bar"})
     source = fmus.make("source", "source_pa", units={"y": "Pa", "offset": "Pa"})
@@ -118,7 +118,7 @@ def test_convertible_units_are_converted(fmus):
 
 
 def test_given_values_stay_in_the_units_of_the_replaced_fmu(fmus):
-    """Start values by name, also by the bare name of an input that others have too."""
+    """Start values by name, also by a variable name that several components have."""
     pascal = fmus.make("gain", "gain_pa", units={"u": "Pa"})
     bar = fmus.make("gain", "gain_bar", units={"u": "bar"})
     system = assemble({"g": pascal, "h": pascal})
@@ -183,7 +183,7 @@ def test_many_faults_are_all_told(fmus3):
 
 
 def test_an_input_may_be_missing_if_its_wire_is_cut(fmus, oscillator):
-    """The message says so where nothing else is wrong and the wire carries no power."""
+    """The message suggests a cut if nothing else is wrong and the connection carries no power."""
     faulty = edited(fmus["mass_b"], "faulty", renamed("force"))
     with pytest.raises(Problem, match=r"got none; to do without: --cut b.force$"):
         with_swaps(oscillator, {"b": faulty})
@@ -192,7 +192,7 @@ def test_an_input_may_be_missing_if_its_wire_is_cut(fmus, oscillator):
 
 
 def test_no_cut_is_suggested_where_power_would_be_lost(fmus):
-    """A bond without one of its two wires is no bond."""
+    """Without one of its two connections a bond is cut."""
     wires = ["b.v -> k.v", "k.force -> b.force"]
     system = assemble({"k": fmus["spring"], "b": fmus["mass_b"]}, wires)
     faulty = edited(fmus["mass_b"], "faulty", renamed("force"))
@@ -201,7 +201,7 @@ def test_no_cut_is_suggested_where_power_would_be_lost(fmus):
 
 
 def test_rate_ports_may_be_missing(fmus):
-    """An input or an output: the wire is left out, and a note says what that costs."""
+    """For an input or an output the connection is left out, with a note about accuracy."""
     files = {"x": fmus["source"], "v": fmus.make("source", "speed", units={"y": "m/s"}), "d": fmus["drift"]}
     system = assemble(files, ["x.y -> d.u", "v.y -> d.u_rate"], {"x.amplitude": 0.0, "x.offset": 1.0})
     plain = edited(fmus["drift"], "plain", (' derivative="1"', ""), renamed("u_rate"))
@@ -235,7 +235,7 @@ def test_a_speed_with_a_slope_of_its_own_is_needed(fmus):
 
 
 def test_start_values_go_over_where_there_is_a_place(bench, fmus):
-    """From the system and from a chosen parameter set; what is lost is noted."""
+    """From the system and from a selected parameter set; a note lists values that are left out."""
     plain = edited(fmus["gain"], "plain", renamed("offset"))
     result = run(bench, step=0.5, stop=1.0, swap={"g": plain}, parameters=["high"], set={"command": 1.0})
     np.testing.assert_array_equal(result.trace["result"], 3.0)
@@ -317,7 +317,7 @@ def test_a_scenario_without_reference_is_told_what_judges_it(capsys):
 
 @pytest.mark.usefixtures("bench")
 def test_signals_of_a_swapped_system_are_listed(capsys, fmus):
-    """Those of the FMU in the place."""
+    """The list has the parameters of the new FMU."""
     edited(fmus["gain"], "more", renamed("offset", "shift")).rename("more.fmu")
     assert main(["signals", "--kind", "parameter", "--swap", "g=more.fmu"]) == 0
     printed = capsys.readouterr().out
@@ -333,7 +333,7 @@ def test_an_input_that_is_new_is_told(oscillator, fmus):
 
 
 def test_a_name_is_suggested_only_if_it_would_fit(fmus, oscillator):
-    """Not one of another causality, nor one that has its own work to do."""
+    """Suggestions have the same causality and are not in use."""
     output = edited(fmus["mass_b"], "output", renamed("force", "forces"), caused("forces", "local"))
     with pytest.raises(Problem, match=r"expected input force \[N\], got none; to do without"):
         with_swaps(oscillator, {"b": output})
@@ -354,7 +354,7 @@ def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
 
 @pytest.mark.usefixtures("bench")
 def test_the_command_line_swaps(capsys):
-    """By name; the card tells."""
+    """By name, with notes on the card."""
     assert main(["run", "--stop", "1", "--swap", "g=fine"]) == 0
     assert "note: g is swapped: gain (build/variants/g_fine.fmu)" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""Systems made in Python: connections, units, start values, and what is refused."""
+"""Systems assembled in Python: connections, units, start values, and refused ones."""
 
 from dataclasses import replace
 
@@ -70,7 +70,7 @@ def test_connections_are_cut_by_the_name_of_their_target(fmus):
 
 
 def test_a_cut_that_fits_nothing_is_told(fmus):
-    """With what is meant perhaps."""
+    """With a similar name."""
     whole = assemble({"s": fmus["source"], "p": fmus["gain"]}, ["s.y -> p.u"])
     with pytest.raises(Problem, match=r"cut u: no connected input matches; did you mean p.u\?"):
         whole.without("*.u", "u")
@@ -92,7 +92,7 @@ METRE = DeclaredUnit("m", (0, 1, 0, 0, 0, 0, 0, 0))
 @pytest.mark.parametrize("factor", [0.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("turn", [1, -1])
 def test_a_unit_with_a_factor_that_is_none_converts_nothing(factor, turn):
-    """As source and as target; no value becomes 0 or NaN by it."""
+    """As source and as target; a value never becomes 0 or NaN."""
     odd = DeclaredUnit("odd", METRE.exponents, factor)
     with pytest.raises(
         Problem, match=r"^x: \[odd\]: expected a finite factor other than 0 .*, got factor (0|nan|inf)"
@@ -101,7 +101,7 @@ def test_a_unit_with_a_factor_that_is_none_converts_nothing(factor, turn):
 
 
 def test_units_whose_ratio_no_number_holds_are_told():
-    """Each alone is fine."""
+    """Each connection alone would be accepted."""
     small, large = (
         DeclaredUnit(name, METRE.exponents, f) for name, f in (("small", 1e-200), ("large", 1e200))
     )
@@ -253,7 +253,7 @@ def test_a_column_replaces_a_connection(oscillator):
 
 
 def test_a_column_silences_a_component_without_inputs(fmus):
-    """Such a component is a scenario itself: what else it feeds rests at its start value."""
+    """Such a component is a scenario itself: its other targets keep their start values."""
     files = {"s": fmus["source"], "p": fmus["gain"], "q": fmus["gain"]}
     system = assemble(files, ["s.y -> p.u", "s.y -> q.u"], {"s.offset": 1.0})
     ramp = Trace(np.array([0.0, 1.0]), {"p.u": np.array([0.0, 1.0])})

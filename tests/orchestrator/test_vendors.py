@@ -1,4 +1,4 @@
-"""SSPs of other tools: their annotations about step and master, their slips, their units, and broken ones."""
+"""SSPs of other tools: annotations about step and master, common faults, units, and broken files."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ FOLLOWED = {
 
 @pytest.mark.parametrize("name", FOLLOWED)
 def test_the_step_and_the_master_of_another_tool_are_followed(make, name):
-    """As its annotation says, and the card says so; without, the step would be the FMUs' own."""
+    """As the annotation requests, with a note; without it the step would be that of the FMUs."""
     places, coupling, step = FOLLOWED[name]
     system = load(make(**places))
     assert (system.coupling, system.step, system.refusal) == (coupling, step, "")
@@ -195,7 +195,7 @@ def test_the_step_and_the_master_of_another_tool_are_followed(make, name):
     ],
 )
 def test_the_card_claims_no_more_than_was_followed(make, options, told):
-    """What is given in place of the annotation is named; a given master leaves nothing of it."""
+    """The note names given options that replace the annotation; a given master replaces all of it."""
     system = load(make(in_system=oms(FIXED)))
     system = system.coupled(options["coupling"]) if "coupling" in options else system
     own = {name: value for name, value in options.items() if name != "coupling"}
@@ -205,7 +205,7 @@ def test_the_card_claims_no_more_than_was_followed(make, options, told):
 
 
 def test_a_hint_for_one_component_is_named_as_such(make):
-    """All components take its step, which the file does not say."""
+    """All components use its step, which the file suggests for one component only."""
     system = load(make(in_component=HINT))
     notes = run(system).card.notes
     source = f"the annotation of libcosim in {system.source}"
@@ -214,7 +214,7 @@ def test_a_hint_for_one_component_is_named_as_such(make):
 
 
 def test_a_hint_beside_the_same_step_is_no_other(make):
-    """The master's annotation is what is followed then."""
+    """The annotation with the master is followed."""
     system = load(make(in_component=HINT, experiment=osp(BASE.replace("2e-2", "1e-2"))))
     assert (system.coupling, system.step, system.suggestion.components) == (JACOBI, 0.01, ())
 
@@ -359,7 +359,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_followed_is_refused_until_the_user_says_how(make, name):
-    """No silent other step: one line with the reason; a step or a master of one's own runs it."""
+    """One line with the reason; the system runs with a given step or master."""
     places, reason = REFUSED[name]
     path = make(**places)
     order = reason if name != "a hint for one component" else r"requests .*, but .* requests "
@@ -379,7 +379,7 @@ def test_what_cannot_be_followed_is_refused_until_the_user_says_how(make, name):
     "text", ["0", "-0.02", "nan", "INF", "x", "", "0,02", "0_02", "2_0e-3", "\u0660.\u0661"]
 )
 def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
-    """File, line, element, expected and got; a step of one's own runs the system, and its signals are listed."""
+    """File, line, element, expected and got; the system runs with a given step, and can be listed."""
     path = make(experiment=osp(f'<osp:FixedStepAlgorithm baseStepSize="{text}"/>'))
     kind = "a positive number of seconds" if text in ("0", "-0.02") else "a finite number"
     told = rf"SystemStructure\.ssd: line \d+: FixedStepAlgorithm: expected {kind} for baseStepSize, got '{text}'; to "
@@ -399,7 +399,7 @@ def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
     ],
 )
 def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, change, got):
-    """With their line, not as if the user had given them."""
+    """The message has the line of the annotation."""
     text = VARIABLE
     for name, value in change.items():
         text = re.sub(rf'{name}="[^"]*"', f'{name}="{value}"', text)
@@ -419,7 +419,7 @@ def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, chang
     ],
 )
 def test_a_step_that_does_not_fit_the_times_is_told_with_its_place(make, step, told):
-    """The line that says it, unless the user says another one."""
+    """The message has the line of the suggestion, unless the user gives another step."""
     path = make(in_system=oms(FIXED.replace("0.02", step)))
     with pytest.raises(
         Problem, match=rf"ssd: line \d+ \(OMSimulator\): step: {told}; to choose a way of your own"
@@ -450,7 +450,7 @@ def nest(request, fmus, zip_ssp):
 
 
 def test_an_annotation_in_a_nested_file_is_followed(nest):
-    """The only one there is, or one that says the same as the outermost."""
+    """The only annotation, or one that agrees with that of the outermost file."""
     for outer in ({}, {"in_system": oms(FIXED)}, {"in_system": oms(FIXED), "experiment": osp(BASE)}):
         system = load(nest(outer, {"in_system": oms(FIXED)}))
         assert (system.coupling, system.step, system.refusal) == (JACOBI, 0.02, "")
@@ -484,7 +484,7 @@ def test_an_annotation_in_a_nested_file_is_followed(nest):
     ],
 )
 def test_an_annotation_in_a_nested_file_that_does_not_fit_is_refused(nest, outer, inner, told):
-    """With the file it stands in."""
+    """The message names the nested file."""
     path = nest(outer, inner)
     with pytest.raises(Problem, match=told):
         run(path)
@@ -492,7 +492,7 @@ def test_an_annotation_in_a_nested_file_that_does_not_fit_is_refused(nest, outer
 
 
 def test_our_own_annotation_wins(make):
-    """It knows more: harvester.ssp carries those of other tools for other tools."""
+    """It has more choices; the annotations of other tools in harvester.ssp are for those tools."""
     ours = '<hc:Coupling xmlns:hc="urn:harvester-cosim:coupling" master="gauss-seidel" step="0.05"/>'
     system = load(make(in_system=oms(FIXED), experiment=annotation("harvester-cosim", ours)))
     assert (system.coupling, system.step) == (Coupling("gauss-seidel"), 0.05)
@@ -509,7 +509,7 @@ def test_an_empty_element_name_is_the_system(make):
 
 
 def test_an_empty_system_is_told(zip_ssp, capsys):
-    """Nothing is run, and no success reported."""
+    """No FMU is run, and no success is reported."""
     text = re.sub(r"<ssd:Elements>.*</ssd:Connections>", "<ssd:Elements/>", ssd(), flags=re.S)
     assert main(["run", str(zip_ssp(text, {}))]) == 2
     told = capsys.readouterr().err
@@ -517,7 +517,7 @@ def test_an_empty_system_is_told(zip_ssp, capsys):
 
 
 def test_other_slips_in_the_xml_are_still_told(zip_ssp):
-    """Only a prefix that is not declared is let pass."""
+    """Only an undeclared prefix is accepted."""
     broken = ssd(experiment=osp(BASE, declared="")).replace("</ssd:Elements>", "")
     with pytest.raises(Problem, match=r"SystemStructure\.ssd: is not XML: [^\n]+$"):
         load(zip_ssp(broken, {}))
@@ -558,7 +558,7 @@ ODD = ("", "nan", "-1", "x", "1e-300", "http://[::1", "../..", "9" * 30, "é")
 @examples(100)
 @given(data=st.data())
 def test_a_file_with_attributes_lost_or_changed_is_read_or_refused(whole, data):
-    """Whatever is missing or odd in it: a system, or one line; never another exception."""
+    """For any fault the result is a system or one line, never another exception."""
 
     def change(text: str) -> str:
         for _ in range(data.draw(st.integers(1, 3))):
