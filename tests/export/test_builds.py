@@ -14,7 +14,7 @@ from orchestrator.base.errors import Problem
 
 
 def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
-    """For all platforms: no time, no path and no order of the compilers gets into the file."""
+    """The file does not depend on the time, the folder or the order in which the compilers finish."""
     sub, numbers = toys["gain"]
     built = []
     for place in ("here", "some where else"):
@@ -30,7 +30,7 @@ def test_building_elsewhere_gives_the_same_bytes(toys, tmp_path, monkeypatch):
 
 
 def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
-    """The same code, flags and platform: the library is the one that was kept."""
+    """For equal code, flags and platform the library comes from the cache."""
     monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "store")
     sub, numbers = toys["gain"]
     first = build(sub, tmp_path / "first", values=numbers).read_bytes()
@@ -50,7 +50,7 @@ def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
 
 
 def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):
-    """A read-only home is no reason not to build."""
+    """The build also works if the home folder is read-only."""
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "file" / "store")
     sub, numbers = toys["gain"]
@@ -58,7 +58,7 @@ def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypat
 
 
 def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
-    """A compiler that fails for one platform: no new file, no half file, the old one untouched."""
+    """If the compiler fails for one platform, no file is written and the old one does not change."""
     sub, numbers = toys["gain"]
     old = build(sub, tmp_path, values=numbers)
     before = old.read_bytes()
@@ -70,7 +70,7 @@ def test_failed_build_leaves_what_was_there(toys, tmp_path, monkeypatch):
 
 
 def test_interrupted_writing_leaves_what_was_there(toys, tmp_path, monkeypatch):
-    """An interrupt in the middle of the zip file leaves the old FMU and nothing else."""
+    """An interrupt while the zip file is written leaves the old FMU and no other file."""
     sub, numbers = toys["gain"]
     old = build(sub, tmp_path, values=numbers)
     before = old.read_bytes()
@@ -119,7 +119,7 @@ def test_command_tells_what_it_expects(tmp_path, capsys, option, told):
     ],
 )
 def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versions, platforms, numbers):
-    """Both versions for this machine with the numbers of the parts, or what the options say."""
+    """By default both versions are built for this platform, with the values of the parts."""
     asked = []
     monkeypatch.setattr("fmus.machine.build.build_machine", lambda *arguments: asked.append(arguments) or [])
     assert main(["build", "--out", str(tmp_path), *options]) == 0
@@ -129,7 +129,7 @@ def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versio
 
 
 def test_interrupted_command_says_so(tmp_path, monkeypatch, capsys):
-    """Exit status 130 and one line, whatever the command-line library makes of the interrupt."""
+    """The exit status after an interrupt is 130, with one line of output."""
 
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -26,7 +26,7 @@ def test_fmpy_finds_no_problem(toy_dir, name):
 
 @pytest.fixture(scope="module")
 def chamber(toy_dir):
-    """The description of the chamber: every kind of variable."""
+    """The model description of the chamber, which has variables of every kind."""
     return fmpy.read_model_description(str(toy_dir / "chamber.fmu"))
 
 
@@ -56,7 +56,7 @@ def test_values_units_and_bounds_are_those_of_the_declaration(chamber):
 
 
 def test_dependencies_are_those_of_the_equations(chamber):
-    """An unknown lists the knowns in its equation and no other."""
+    """An unknown lists exactly the knowns that its equation contains."""
     found = {u.variable.name: u for u in [*chamber.outputs, *chamber.derivatives]}
     names = {name: [k.name for k in u.dependencies] for name, u in found.items()}
     assert names["pressure"] == ["pressure"]
@@ -74,7 +74,7 @@ def test_dependencies_are_those_of_the_equations(chamber):
 
 
 def test_numbers_are_written_as_people_write_them(chamber):
-    """The shortest decimal that is the same number: tools show 1e-09, not 1.0000000000000001e-09."""
+    """Values are written as the shortest decimal of the same double, such as 1e-09."""
     numbers = [getattr(v, a) for v in chamber.modelVariables for a in ("start", "min", "max", "nominal")]
     written = [n for n in numbers if n is not None]
     assert len(written) > 5
@@ -82,7 +82,7 @@ def test_numbers_are_written_as_people_write_them(chamber):
 
 
 def test_capabilities_are_declared(chamber):
-    """The flags tell what the FMU can do."""
+    """The capability flags match the capabilities of the FMU."""
     for kind in (chamber.coSimulation, chamber.modelExchange):
         assert kind.canGetAndSetFMUstate
         assert kind.canSerializeFMUstate
@@ -96,7 +96,7 @@ def test_capabilities_are_declared(chamber):
 
 
 def test_archive_holds_sources_and_documentation(toy_dir):
-    """All C files are inside, the one to compile and to include the others is listed, there is a page."""
+    """The FMU contains all C files, lists the one to compile, and has a documentation page."""
     with zipfile.ZipFile(toy_dir / "chamber.fmu") as archive:
         names = archive.namelist()
         page = archive.read("documentation/index.html").decode()
@@ -111,7 +111,7 @@ def test_archive_holds_sources_and_documentation(toy_dir):
 
 
 def test_building_twice_gives_the_same_bytes(toys, toy_dir, tmp_path):
-    """Nothing in an FMU depends on when or where it was built."""
+    """An FMU does not depend on the time or the folder of its build."""
     sub, numbers = toys["chamber"]
     again = build(sub, tmp_path / "elsewhere", step=0.01, stop=1.0, values=numbers)
     assert again.read_bytes() == (toy_dir / "chamber.fmu").read_bytes()
@@ -126,7 +126,7 @@ def test_guid_changes_with_the_numbers(toys, toy_dir, tmp_path):
 
 
 def test_binary_needs_only_the_c_library(unpacked):
-    """The shared library asks the loader for libc and libm and nothing else."""
+    """The shared library depends only on libc and libm."""
     library = (unpacked["chamber"] / "binaries" / "linux64" / "chamber.so").read_bytes()
     assert set(_needed(library)) <= {"libc.so.6", "libm.so.6"}
 
@@ -134,7 +134,7 @@ def test_binary_needs_only_the_c_library(unpacked):
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not there to try another compiler")
 @pytest.mark.parametrize("name", ["path", "gain", "blowup"])
 def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
-    """Without parameters, states or inputs arrays have length zero in theory; another compiler than ours."""
+    """Another compiler accepts a model without parameters, states or inputs: no array has length zero."""
     flags = [
         "-std=c99",
         "-O2",
@@ -170,7 +170,7 @@ def _needed(elf: bytes) -> list[str]:
 
 
 def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
-    """An input with the name of a parameter is an error that names it."""
+    """An input with the name of a parameter causes an error that contains the name."""
     _, numbers = toys["gain"]
     q = toys["gain"][0].inputs.__annotations__["left"].__metadata__[0]
     sub = make_toy(
@@ -187,7 +187,7 @@ def test_name_declared_twice_is_refused(make_toy, toys, tmp_path):
 
 
 def test_compiler_error_is_told_with_its_text(toys, tmp_path, monkeypatch):
-    """C that does not compile gives one line, with the place and the reason that the compiler names."""
+    """C code that does not compile gives one line, with the location and message of the compiler."""
     sub, numbers = toys["gain"]
     monkeypatch.setattr("fmus.export.package.sources", lambda *_: {"gain_fmu.c": "#error broken\n"})
     with pytest.raises(

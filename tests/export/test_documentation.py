@@ -41,7 +41,7 @@ def page(content):
 @pytest.mark.parametrize("fmi", ICONS)
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_icon_and_licence_are_where_the_standard_has_them(content, name, fmi):
-    """A square PNG of at least 128 pixels, and the licence that the code must not travel without."""
+    """The FMU contains a square PNG icon of at least 128 pixels and the licence."""
     files = content[name, fmi]
     icon = files[ICONS[fmi]]
     assert icon.startswith(b"\x89PNG\r\n\x1a\n")
@@ -52,7 +52,7 @@ def test_icon_and_licence_are_where_the_standard_has_them(content, name, fmi):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_icons_differ(content, name):
-    """Nobody takes one part for another on a diagram; variants of a part look alike."""
+    """Icons of different parts differ; those of the variants of a part are equal."""
     icons = {other: content[other, 2]["model.png"] for other in SUBSYSTEMS}
     alike = [other for other, icon in icons.items() if icon == icons[name]]
     assert alike == [n for n, sub in SUBSYSTEMS.items() if sub.component == SUBSYSTEMS[name].component]
@@ -60,7 +60,7 @@ def test_icons_differ(content, name):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_page_needs_nothing_from_outside(content, page, name):
-    """Pictures and styles are inside; links lead to a place in the page or to a file beside it in the FMU."""
+    """The page contains its pictures and styles; links lead to anchors of the page or to files of the FMU."""
     tree = page(name)
     places = {element.get("id") for element in tree.iter() if element.get("id")}
     links = {a.get("href") for a in tree.iter("a")}
@@ -72,7 +72,7 @@ def test_page_needs_nothing_from_outside(content, page, name):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_sections_that_the_readme_names_come_along(name):
-    """Each link of the README to a section of another document is followed; a wrong anchor would be lost.
+    """Each link of the README to a section of another document finds its section.
 
     Links in the sections of other variants do not count.
     """
@@ -88,7 +88,7 @@ def test_sections_that_the_readme_names_come_along(name):
 
 
 def test_installed_copy_of_a_document_is_found(tmp_path):
-    """Without docs/ beside the packages the sections come from the copy inside, here from the project."""
+    """Without a docs folder next to the packages the sections come from the copy in the package."""
     readme = tmp_path / "fmus" / "x" / "README.md"
     readme.parent.mkdir(parents=True)
     readme.write_text("# x\n\nSee [valve](../../docs/equations.md#2-valve-eqs-1-2) and [gone](../gone.md).\n")
@@ -99,7 +99,7 @@ def test_installed_copy_of_a_document_is_found(tmp_path):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_every_port_and_every_number_is_in_a_table(page, name):
-    """Inputs, outputs and parameters with unit and text, parameters with their value, source and note."""
+    """The tables contain all ports with unit and description, and parameters with value, source and note."""
     sub, tree = SUBSYSTEMS[name], page(name)
     rows = {section: _rows(tree, section) for section in ("ports", "parameters")}
     ports = quantities(sub.inputs) | quantities(sub.outputs)
@@ -115,7 +115,7 @@ def test_every_port_and_every_number_is_in_a_table(page, name):
 
 
 def _rows(tree, section):
-    """Name -> text of the row, of the tables of a section."""
+    """The rows of the tables of a section: name -> text."""
     found = tree.get_element_by_id(section).xpath(".//tr[td/code and count(td) > 1]")
     texts = [" ".join(" ".join(cell.text_content().split()) for cell in row.findall("td")) for row in found]
     return {row.find("td/code").text: text for row, text in zip(found, texts, strict=True)}
@@ -123,7 +123,7 @@ def _rows(tree, section):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_parameters_stand_under_headings(name):
-    """Every parameter has a group, and those of a group follow each other in the FMU."""
+    """Every parameter has a group, and the parameters of a group are consecutive in the FMU."""
     sub = SUBSYSTEMS[name]
     groups = [v.quantity.group for v in interface_of(sub, values(sub)).parameters]
     assert all(groups)
@@ -132,7 +132,7 @@ def test_parameters_stand_under_headings(name):
 
 
 def test_text_of_a_declaration_is_escaped(toys, make_toy):
-    """A sign that means something in HTML stays a sign."""
+    """Characters with a meaning in HTML are escaped."""
     sub, values = toys["gain"]
     quantity = quantities(sub.inputs)["left"].__class__("1", "a < b & c", maximum=5.0)
     odd = make_toy(
@@ -151,7 +151,7 @@ def test_text_of_a_declaration_is_escaped(toys, make_toy):
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_quantities_are_shown_in_customary_units(content, name):
-    """Pressures in bar, flows in L/min, angles in degrees, forces in kN, in both versions."""
+    """Display units in both versions are bar, L/min, degrees and kN."""
     customary = {"Pa": "bar", "m3/s": "L/min", "rad": "deg", "rad/s": "deg/s", "N": "kN", "N.m": "kN.m"}
     for fmi, path in ((2, ".//ScalarVariable/Real"), (3, ".//Float64")):
         tree = etree.fromstring(content[name, fmi]["modelDescription.xml"])
@@ -161,7 +161,7 @@ def test_quantities_are_shown_in_customary_units(content, name):
 
 
 def test_numbers_travel_with_the_fmu(content):
-    """resources/parameters.toml holds the numbers of the FMU, also of the one that has no such file."""
+    """resources/parameters.toml contains the values of the FMU, even if the subsystem has no such file."""
     for (name, _), files in content.items():
         table = tomllib.loads(files["resources/parameters.toml"].decode())["parameters"]
         assert set(table) == set(quantities(SUBSYSTEMS[name].parameters))
@@ -172,10 +172,10 @@ def test_numbers_travel_with_the_fmu(content):
     [(1.6e9, "1.6·10⁹"), (-4e-05, "−4·10⁻⁵"), (20684000.0, "2.0684·10⁷"), (0.0, "0"), (16000.0, "16000")],  # noqa: RUF001 (the page shows a minus sign)
 )
 def test_numbers_read_as_in_a_data_sheet(value, text):
-    """No padded exponent, and a true minus."""
+    """Exponents are not padded, and the minus sign is that of typesetting."""
     assert printed(value) == text
 
 
 def test_slugs_are_those_of_forges():
-    """The anchors in the READMEs work where the documents are read on the web, too."""
+    """The anchors in the READMEs are also those of the documents on the web."""
     assert slug("4. Swing, eq. (9a) with E1, E2, E5, E7") == "4-swing-eq-9a-with-e1-e2-e5-e7"

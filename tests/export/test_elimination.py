@@ -1,4 +1,4 @@
-"""The linear systems of the solver: solved as NumPy solves them, or not trusted."""
+"""The linear systems of the solver: as NumPy solves them, or reported as inaccurate."""
 
 import casadi as ca
 import numpy as np
@@ -28,7 +28,7 @@ def system(pattern, constants=()):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_solution_is_that_of_numpy(seed):
-    """Random patterns and numbers, a constant among them; the diagonal larger than the rest of a row."""
+    """Random diagonally dominant matrices, with a constant entry, are solved accurately."""
     rng = np.random.default_rng(seed)
     n = 7
     pattern = rng.random((n, n)) < 0.4
@@ -43,7 +43,7 @@ def test_solution_is_that_of_numpy(seed):
 
 
 def test_units_of_the_states_do_not_matter():
-    """A chamber and a line, 1e7 Pa and 1e-3 m3/s: trusted and accurate in any units."""
+    """The system of a chamber and a line is accurate in any units."""
     j = np.array([[0.0, 1e12], [-1e-7, -1e3]])
     b = np.array([3.0, 4.0])
     for scale in (1.0, 1e10, 1e-10):
@@ -66,7 +66,7 @@ def test_units_of_the_states_do_not_matter():
     ],
 )
 def test_inaccurate_factors_are_not_trusted(j):
-    """At diagonal 4; a larger diagonal, as of a shorter step, is trusted where the numbers are finite."""
+    """At diagonal 4 the factors are inaccurate; a larger diagonal, as of a shorter step, helps."""
     trusted, _ = system([[True, True], [True, True]])(4.0, np.array(j), np.ones(2))
     assert not trusted
     trusted, _ = system([[True, True], [True, True]])(40.0, np.array(j), np.ones(2))
@@ -74,7 +74,7 @@ def test_inaccurate_factors_are_not_trusted(j):
 
 
 def test_order_fills_nothing_in_where_that_is_possible():
-    """An arrow that points up: its tip comes last, and the factors have as many entries as the matrix."""
+    """In an arrow matrix the tip is the last pivot, so there is no fill-in."""
     n = 6
     pattern = np.eye(n, dtype=bool)
     pattern[0, :] = pattern[:, 0] = True
@@ -86,7 +86,7 @@ def test_order_fills_nothing_in_where_that_is_possible():
 
 
 def test_nonzeros_come_row_by_row():
-    """Places and values belong together."""
+    """Each entry has its value."""
     a, b, c = (ca.SX.sym(name) for name in "abc")
     matrix = ca.SX(2, 2)
     matrix[1, 0], matrix[0, 1], matrix[1, 1] = a, b, c

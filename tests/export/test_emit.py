@@ -59,7 +59,7 @@ def test_compiled_operations_equal_casadi(operations, a, b):
 
 
 def test_c_text_names_the_variables():
-    """A reader of the C finds the names of the variables beside their use."""
+    """The C code contains the names of the variables next to their use."""
     x = ca.SX.sym("x", 2)
     text = c_function(Routine("f", {"x": x}, {"y": x[0] * x[1]}), {"x": ["pressure", "flow"]})
     assert text.startswith("LOCAL void f(const double *x, double *y) {")
@@ -68,7 +68,7 @@ def test_c_text_names_the_variables():
 
 
 def test_operation_without_c_is_refused():
-    """An operation that has no C is an error when building, not in the compiler."""
+    """An operation without C code is an error of the build, not of the compiler."""
     x = ca.SX.sym("x")
     with pytest.raises(Problem, match="is not supported in C code"):
         c_function(Routine("f", {"x": x}, {"y": ca.erfinv(x)}), {})
@@ -80,7 +80,7 @@ def test_negative_zero_keeps_its_sign_and_its_parentheses():
 
 
 def test_text_of_a_declaration_ends_no_comment(make_toy, tmp_path):
-    """Marks of a C comment in a description are broken up, or the sources would not compile."""
+    """The start or end of a C comment in a description is broken up, so that the sources compile."""
     q = Quantity("1", "a /* b */ c")
     sub = make_toy("comments", {}, {}, {"u": q}, {"y": q}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
     assert build(sub, tmp_path, values=Values({}, {"u": 0.0}, {})).is_file()

@@ -111,7 +111,7 @@ def chamber(request, open_fmu, toys, tmp_path) -> Iterator[Callable[[], Chamber]
 
 
 def test_parameters_and_inputs_may_be_set_after_the_initialisation(chamber):
-    """Start values that are calculated follow, until continuous-time mode is entered; then it is over."""
+    """Calculated start values are computed anew until continuous-time mode is entered."""
     fmu = chamber()
     fmu.set(supply=1e7, conductance=2e-11)
     # initial: pressure = supply / 2, flow = conductance supply / 2; rounding of one product
@@ -129,7 +129,7 @@ def test_parameters_and_inputs_may_be_set_after_the_initialisation(chamber):
 
 @pytest.mark.parametrize("told", [Chamber.update, Chamber.states], ids=["update", "states"])
 def test_start_values_that_the_importer_has_do_not_follow_inputs(chamber, told):
-    """An input may jump at the event at the start; the states that the importer has read stay."""
+    """An input may jump at the initial event without changing the states that the importer has read."""
     fmu = chamber()
     told(fmu)
     before = fmu.get(*STATES)
@@ -145,7 +145,7 @@ def test_start_values_that_the_importer_has_do_not_follow_inputs(chamber, told):
 
 
 def test_states_may_be_set_in_event_mode_and_end_the_initialisation(chamber):
-    """As OpenModelica's import does: what it sets stays, whatever inputs are set afterwards."""
+    """States set as OpenModelica's import does do not change when inputs are set afterwards."""
     fmu = chamber()
     fmu.update()
     fmu.put(1e6, 2e-5, 3.0)
@@ -158,7 +158,7 @@ def test_states_may_be_set_in_event_mode_and_end_the_initialisation(chamber):
 
 
 def test_directional_derivatives_are_of_the_running_model_after_the_initialisation(chamber):
-    """States are knowns there, although parameters may still be set."""
+    """States are knowns of directional derivatives, although parameters may still be set."""
     fmu = chamber()
     fmu.update()
     (found,) = fmu.fmu.getDirectionalDerivative([fmu.refs["der_heat"]], [fmu.refs["pressure"]], [1.0])
@@ -166,7 +166,7 @@ def test_directional_derivatives_are_of_the_running_model_after_the_initialisati
 
 
 def test_co_simulation_stays_strict(open_fmu):
-    """After the initialisation a fixed parameter is fixed."""
+    """A fixed parameter cannot be set after the initialisation."""
     fmu = open_fmu("chamber").start()
     with pytest.raises(FMICallException):
         fmu.set(conductance=2e-11)
@@ -185,7 +185,7 @@ def running(make: Callable[[], Chamber]) -> Chamber:
 
 
 def test_an_input_that_was_held_and_jumps_asks_for_an_event(chamber):
-    """All derivatives were computed with the old value: the solver has to start anew, once."""
+    """If all derivatives were computed with the old input, the solver must restart once."""
     fmu = running(chamber)
     fmu.derivatives()
     assert not fmu.completed()
@@ -200,7 +200,7 @@ def test_an_input_that_was_held_and_jumps_asks_for_an_event(chamber):
 
 
 def test_a_solver_that_is_ahead_of_the_output_is_told_as_well(chamber):
-    """It interpolates at outputs, so that no derivative is computed between two changes of the input."""
+    """A solver that interpolates at outputs computes no derivative between two changes, and must restart too."""
     fmu = running(chamber)
     fmu.derivatives()
     for _ in range(3):  # outputs inside one step of the solver
@@ -210,7 +210,7 @@ def test_a_solver_that_is_ahead_of_the_output_is_told_as_well(chamber):
 
 
 def test_inputs_that_move_with_the_time_ask_for_nothing(chamber):
-    """The solver looks ahead with other values: at each of its stages, or at the end of the step alone."""
+    """No restart if the solver evaluates derivatives ahead, at each stage or at the end of the step."""
     fmu = running(chamber)
     for k in range(1, 4):
         fmu.set(supply=2e7 + 1e5 * k)
@@ -222,7 +222,7 @@ def test_inputs_that_move_with_the_time_ask_for_nothing(chamber):
 
 @pytest.mark.parametrize("back", ["state", "reset"])
 def test_a_restored_state_and_a_reset_ask_for_nothing(chamber, back):
-    """They may come with other inputs, and while an event is asked for."""
+    """A restored state or a reset may come with other inputs, and while an event is pending: no restart."""
     fmu = running(chamber)
     state = fmu.save()
     fmu.derivatives()
@@ -239,7 +239,7 @@ def test_a_restored_state_and_a_reset_ask_for_nothing(chamber, back):
 
 
 def test_the_rate_of_an_input_asks_for_nothing(open_fmu):
-    """Derivatives do not depend on it: the caller's solver moves the input itself."""
+    """Derivatives do not depend on a rate input, because the importer's solver varies the input itself."""
     made = open_fmu("path", model_exchange=True).start()
     fmu = Chamber(made.fmu, dict(made.refs), False)
     fmu.update()
@@ -263,7 +263,7 @@ def test_zero_with_the_other_sign_is_no_change(chamber):
 
 
 def test_adjoint_derivatives_are_of_the_running_model_after_the_initialisation(chamber):
-    """As the directional ones: the state is a known there, what it started from is none."""
+    """As for directional derivatives, the state is a known and its start value is not."""
     fmu = chamber()
     if not fmu.new:
         pytest.skip("FMI 2.0 has no adjoint derivatives")

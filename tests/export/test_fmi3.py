@@ -24,7 +24,7 @@ ERROR = 3
 
 @dataclass
 class Handle:
-    """An instance, variables by name, messages as (category, text)."""
+    """An instance with variables by name and messages as (category, text)."""
 
     fmu: Any
     refs: dict[str, int]
@@ -105,7 +105,7 @@ def watching(act: Callable[[float], float | None]) -> Callable[..., None]:
 
 
 def test_values_inside_a_step_lie_on_the_solution(open3):
-    """Outputs read between the inner steps are those of their time, up to the end of the step."""
+    """Outputs that are read between inner steps have the values of that time."""
     seen: list[tuple[float, float, float]] = []
     fmu = open3(
         "decay",
@@ -123,7 +123,7 @@ def test_values_inside_a_step_lie_on_the_solution(open3):
 
 
 def test_inputs_set_inside_a_step_hold_from_there_on(open3):
-    """A staircase set at the inner steps is integrated as that staircase, and its last value stays."""
+    """A staircase set at the inner steps is integrated as such, and its last value is kept."""
     corners: list[tuple[float, float]] = [(0.0, 0.0)]
 
     def stair(time: float) -> None:
@@ -142,7 +142,7 @@ def test_inputs_set_inside_a_step_hold_from_there_on(open3):
 
 
 def test_untouched_inputs_move_on_inside_a_step(open3):
-    """An input with a rate port goes on along it when another input is set inside the step."""
+    """An input with a rate port keeps its rate when another input is set inside the step."""
     fmu = open3("path", intermediateUpdate=watching(lambda _: fmu.set(acceleration=0.0))).start()
     fmu.set(position=1.0, velocity=2.0)
     for k in range(10):
@@ -153,7 +153,7 @@ def test_untouched_inputs_move_on_inside_a_step(open3):
 
 
 def test_step_ends_early_where_the_caller_wants(open3):
-    """An early return stops at the time asked for, and the run goes on from there on the same solution."""
+    """An early return ends at the requested time, and the simulation continues on the same solution."""
     stops = iter((0.3, 0.5))
     waiting = [next(stops)]
 
@@ -176,7 +176,7 @@ def test_step_ends_early_where_the_caller_wants(open3):
 
 
 def test_early_return_needs_permission(open3):
-    """Where the caller has not allowed it, a step runs to its end and says that it cannot end early."""
+    """A step does not return early unless the importer has allowed it."""
     offered: list[bool] = []
 
     def update(_env, _time, _set, _get, _finished, can_return, requested, when) -> None:
@@ -189,7 +189,7 @@ def test_early_return_needs_permission(open3):
 
 
 def test_calls_that_would_break_a_step_are_refused_inside(open3):
-    """Inside a step states are not restored, parameters not set, steps not begun; the step goes on."""
+    """Inside a step no state is restored, no parameter set and no step started, and the step continues."""
     refused: list[str] = []
 
     def act(_time: float) -> None:
@@ -245,7 +245,7 @@ def test_event_mode_is_refused_where_it_was_not_announced(open3):
 
 
 def test_scheduled_execution_is_refused_with_a_reason(open3):
-    """The function exists, as the standard wants of every FMU, makes no instance and says why."""
+    """The function exists, as the standard requires, but creates no instance and reports the reason."""
     fmu = open3("gain")
     function = fmu.fmu.dll.fmi3InstantiateScheduledExecution
     function.argtypes, function.restype = None, ctypes.c_void_p
@@ -273,7 +273,7 @@ def test_scheduled_execution_is_refused_with_a_reason(open3):
     ],
 )
 def test_types_that_the_model_lacks_are_refused(open3, kind):
-    """An empty request is granted, any other is an error that says what there is."""
+    """An empty request is accepted; any other is an error with the types that exist."""
     fmu = open3("gain").start()
     reference, value = (ctypes.c_uint * 1)(1), (ctypes.c_char * 16)()
     for direction in ("Get", "Set"):
@@ -291,7 +291,7 @@ def test_types_that_the_model_lacks_are_refused(open3, kind):
 
 
 def test_number_of_values_must_be_that_of_the_variables(open3):
-    """All variables are scalars: another number of values is a mistake of the caller."""
+    """All variables are scalars, so another number of values is an error."""
     fmu = open3("gain").start()
     with pytest.raises(FMICallException):
         fmu.fmu.getFloat64([fmu.refs["product"]], nValues=2)
@@ -309,7 +309,7 @@ def test_description_is_valid(folders, name):
 
 @pytest.mark.parametrize("name", ["decay", "vanderpol", "chamber"])
 def test_both_versions_give_the_same_numbers(open3, open_fmu, name):
-    """One core: a run with FMI 3 repeats that with FMI 2 bit for bit."""
+    """A simulation with FMI 3 is bit-identical to one with FMI 2."""
     old, new = open_fmu(name).start(), open3(name).start()
     shown = [n for n in new.refs if n != "time"]
     for k in range(50):
@@ -349,7 +349,7 @@ def test_adjoint_is_the_transpose_of_the_directional_derivative(open3, name, run
 
 
 def test_state_continues_in_another_instance(open3):
-    """The bytes of a state carry the run on bit for bit in another instance."""
+    """Another instance continues bit-identically from the bytes of a state."""
     first, second = open3("chamber").start(), open3("chamber").start()
     for k in range(10):
         first.step(0.01 * k, 0.01)
@@ -375,7 +375,7 @@ def test_output_derivatives_follow_the_solution(open3):
 
 
 def test_time_is_no_variable_to_set(open3):
-    """fmi3SetFloat64 of the independent variable is an error that says so."""
+    """Setting the independent variable is an error."""
     fmu = open3("decay").start()
     with pytest.raises(FMICallException):
         fmu.set(time=1.0)

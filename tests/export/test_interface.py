@@ -45,7 +45,7 @@ def test_stepwise_dependency_has_no_factor(make_toy):
     ],
 )
 def test_impossible_numbers_of_a_variable_are_refused(make_toy, more, start, words):
-    """A nominal value that is no size and a start value out of bounds reach no model description."""
+    """A nominal value that is not positive and a start value out of bounds are refused."""
     u = q(**more)
     sub = make_toy("odd", {}, {}, {"u": u}, {"y": q()}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
     with pytest.raises(Problem, match=words):
@@ -53,7 +53,7 @@ def test_impossible_numbers_of_a_variable_are_refused(make_toy, more, start, wor
 
 
 def test_name_of_the_model_must_be_an_identifier(make_toy):
-    """It becomes the name of a file and the prefix of C functions."""
+    """The model name must be an identifier, because it is a file name and a prefix of C functions."""
     one = q()
     sub = make_toy("two words", {}, {}, {"u": one}, {"y": one}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
     with pytest.raises(Problem, match='"two words" is not an identifier'):

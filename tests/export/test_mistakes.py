@@ -8,7 +8,7 @@ from fmpy.fmi1 import FMICallException
 
 
 def refused(fmu, call, *words):
-    """The call fails, and its message holds all words."""
+    """The call fails, and its message contains all words."""
     with pytest.raises(FMICallException):
         call()
     for word in words:
@@ -52,7 +52,7 @@ def test_model_exchange_call_is_refused_in_cosimulation(open_fmu):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_value_that_is_no_number_is_refused_by_name(open_fmu, value):
-    """NaN and infinity reach no variable."""
+    """NaN and infinity are refused for all variables."""
     fmu = open_fmu("decay").start().run(1, 0.25)
     refused(fmu, lambda: fmu.set(target=value), "fmi2SetReal: target", "t = 0.25 s", "finite")
     refused(fmu, lambda: fmu.slopes(target=value), "fmi2SetRealInputDerivatives", "target")
@@ -87,7 +87,7 @@ def test_calculated_start_value_is_refused(open_fmu):
 
 
 def test_start_values_act_before_and_in_initialisation(open_fmu):
-    """States and inputs set early shape the start, and outputs read in initialisation mode follow."""
+    """States and inputs set early determine the initial states and the outputs in initialisation mode."""
     fmu = open_fmu("decay")
     fmu.set(level=4.0)
     fmu.fmu.setupExperiment()
@@ -115,14 +115,14 @@ def test_start_values_act_before_and_in_initialisation(open_fmu):
     ],
 )
 def test_impossible_step_is_refused(open_fmu, time, step, word):
-    """Sizes, times and ends that cannot be are told with their numbers, and stepping goes on."""
+    """Impossible step sizes and times are refused with their values, and the simulation can continue."""
     fmu = open_fmu("decay").start(stop=10.0)
     refused(fmu, lambda: fmu.fmu.doStep(time, step), "fmi2DoStep: the ", word)
     fmu.fmu.doStep(0.0, 0.1)
 
 
 def test_times_of_a_running_sum_are_accepted(open_fmu):
-    """Sixty steps per second, added up for 20 minutes: rounding is no mistake."""
+    """Rounding of a time that is summed up over 20 minutes at 60 steps per second is accepted."""
     fmu = open_fmu("gain").start(stop=1200.0)
     step, time = 1 / 60, 0.0
     for _ in range(72000):
@@ -139,7 +139,7 @@ def test_requirement_violated_at_the_start_is_told(open_fmu):
 
 
 def test_requirement_violated_on_the_way_is_told_with_its_time(open_fmu):
-    """The step in which it happens fails, and no further step is taken."""
+    """The step in which a requirement is violated fails, and no further step is possible."""
     fmu = open_fmu("chamber")
     fmu.set(burst=1.2e7)
     fmu.start()
@@ -165,7 +165,7 @@ def test_derivative_that_is_no_number_is_an_error(open_fmu):
 
 
 def test_watched_output_warns_once_per_excursion(open_fmu):
-    """One warning when the limit is passed, the next one after it was left."""
+    """There is one warning per excursion beyond the limit."""
     fmu = open_fmu("decay").start()
     for k, target in enumerate((0.0, 50.0, 50.0, 50.0, -50.0, -0.0, 50.0)):
         fmu.set(target=target, rate=20.0)
@@ -176,14 +176,14 @@ def test_watched_output_warns_once_per_excursion(open_fmu):
 
 
 def test_watched_state_warns_too(open_fmu):
-    """An output that is a state is watched like the others."""
+    """An output that is a state can have a warning limit."""
     fmu = open_fmu("chamber").start().run(3, 0.1)
     warnings = [text for category, text in fmu.messages if category == "logStatusWarning"]
     assert any("fmi2DoStep: pressure = " in text for text in warnings)
 
 
 def test_log_categories_are_filtered(open_fmu):
-    """Only the categories asked for arrive; an unknown one is refused."""
+    """Only the requested categories are logged; an unknown category is refused."""
     fmu = open_fmu("decay", logging=True)
     fmu.get("level")
     assert ("logEvents", "fmi2GetReal: t = 0 s") in fmu.messages

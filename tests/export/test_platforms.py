@@ -84,14 +84,14 @@ def mach(path: Path) -> list[lief.MachO.Binary]:
     ],
 )
 def test_host_has_the_name_of_the_standard(monkeypatch, system, processor, name):
-    """What Python calls a machine becomes FMI's platform tuple."""
+    """Python's names of system and processor become FMI's platform tuple."""
     monkeypatch.setattr(platform, "system", lambda: system)
     monkeypatch.setattr(platform, "machine", lambda: processor)
     assert host() == name
 
 
 def test_unknown_host_is_told(monkeypatch):
-    """A machine that is not among the platforms gives one line with those that are."""
+    """An unsupported platform gives one line with the supported ones."""
     monkeypatch.setattr(platform, "system", lambda: "FreeBSD")
     monkeypatch.setattr(platform, "machine", lambda: "riscv64")
     with pytest.raises(
@@ -124,7 +124,7 @@ def test_binaries_lie_where_the_standard_says(everywhere, fmi):
 
 @pytest.mark.parametrize("fmi", FMUS)
 def test_file_is_below_three_megabytes(everywhere, fmi):
-    """All platforms, sources and documentation fit into a file that goes with an e-mail."""
+    """An FMU with all platforms, sources and documentation is small enough for an e-mail."""
     assert everywhere[fmi].with_suffix(".fmu").stat().st_size < 3e6
 
 
@@ -166,7 +166,7 @@ def exports(path: Path) -> set[str]:
 @pytest.mark.parametrize("fmi", FMUS)
 @pytest.mark.parametrize("name", PLATFORMS)
 def test_library_exports_the_functions_of_its_version_and_nothing_else(library, fmi, name):
-    """Importers look all functions up, needed or not; anything more could clash with other libraries."""
+    """The library exports all FMI functions, which importers look up, and nothing else."""
     assert len(functions(fmi)) > 40
     assert exports(library(fmi, name)) == functions(fmi)
 
@@ -174,7 +174,7 @@ def test_library_exports_the_functions_of_its_version_and_nothing_else(library, 
 @pytest.mark.parametrize("fmi", FMUS)
 @pytest.mark.parametrize("name", SYSTEMS["linux"])
 def test_linux_library_runs_on_old_systems(library, fmi, name):
-    """Nothing but the C library is asked for, in no newer version than glibc 2.17 of the year 2012."""
+    """The library depends only on the C library, in a version not newer than glibc 2.17 of 2012."""
     elf = parse(library(fmi, name))
     assert set(elf.libraries) <= {"libc.so.6", "libm.so.6"}
     asked = {a.name for needed in elf.symbols_version_requirement for a in needed.get_auxiliary_symbols()}
@@ -186,7 +186,7 @@ def test_linux_library_runs_on_old_systems(library, fmi, name):
 
 @pytest.mark.parametrize("fmi", FMUS)
 def test_windows_library_needs_only_what_windows_has(library, fmi):
-    """KERNEL32 and the C library that is part of Windows 10, and no compiler's run-time library."""
+    """The library depends only on KERNEL32 and the C library of Windows 10."""
     dll = parse(library(fmi, "x86_64-windows"))
     allowed = re.compile(r"KERNEL32\.dll|api-ms-win-crt-[a-z]+-l1-1-0\.dll", re.IGNORECASE)
     assert all(allowed.fullmatch(i.name) for i in dll.imports), [i.name for i in dll.imports]
@@ -198,7 +198,7 @@ def test_windows_library_needs_only_what_windows_has(library, fmi):
 @pytest.mark.parametrize("fmi", FMUS)
 @pytest.mark.parametrize("name", SYSTEMS["darwin"])
 def test_macos_library_needs_only_the_system(library, fmi, name):
-    """libSystem of macOS 11 or newer, and a name of its own that is no path of the building machine."""
+    """The library depends only on libSystem of macOS 11; its install name contains no folder of the build."""
     for part in mach(library(fmi, name)):
         own, *others = [(entry.command.name, entry.name) for entry in part.libraries]
         assert own == ("ID_DYLIB", f"@rpath/{FMUS[fmi].name}.dylib")

@@ -20,7 +20,7 @@ def test_decay_follows_the_exponential(open_fmu):
 # two integrators at tolerance 1e-6, CVode measured ten times less exact; 5e-4 in the chamber's pressure_rate
 @pytest.mark.parametrize(("name", "limit"), [("decay", 1e-4), ("vanderpol", 1e-4), ("chamber", 1e-3)])
 def test_cosimulation_equals_model_exchange(toy_dir, name, limit):
-    """The built-in solver and CVode, each with its own error control, draw the same curve."""
+    """The built-in solver and CVode give the same solution."""
     results = [
         fmpy.simulate_fmu(
             str(toy_dir / f"{name}.fmu"),
@@ -95,14 +95,14 @@ def test_very_stiff_system_goes_straight_to_its_end(open_fmu):
 
 @pytest.mark.parametrize("start", [0.0, 5.0, -2.5])
 def test_start_time_is_honoured(open_fmu, start):
-    """The same curve, whatever the time it starts at."""
+    """The solution does not depend on the start time."""
     fmu = open_fmu("decay").start(start).run(10, 0.1, start)
     # integrator error at tolerance 1e-6
     assert fmu.get("level") == pytest.approx(np.exp(-2.0), rel=2e-6)
 
 
 def test_tighter_tolerance_is_more_exact(open_fmu):
-    """The tolerance of fmi2SetupExperiment acts."""
+    """The solver uses the tolerance of fmi2SetupExperiment."""
     errors = [
         abs(open_fmu("decay").start(tolerance=tol).run(1, 1.0).get("level") - np.exp(-2.0))
         for tol in (1e-3, 1e-6, 1e-9)
@@ -119,7 +119,7 @@ def exact(h, p, v=0.0, a=0.0, j=0.0):
 
 
 def test_held_input_is_integrated_as_a_constant(open_fmu):
-    """Without slopes an input is held, and a second step starts from the same value."""
+    """Without derivatives an input is held over both steps."""
     fmu = open_fmu("path").start()
     fmu.set(position=3.0)
     fmu.run(2, 0.5)
@@ -143,7 +143,7 @@ def test_input_derivatives_act_as_a_polynomial(open_fmu, order):
 
 
 def test_input_derivatives_are_valid_for_one_step(open_fmu):
-    """The step after starts from the last value set, held."""
+    """In the next step the input is held at the value that was last set."""
     fmu = open_fmu("path").start()
     fmu.set(position=3.0)
     fmu.slopes(position=7.0)
@@ -153,7 +153,7 @@ def test_input_derivatives_are_valid_for_one_step(open_fmu):
 
 
 def test_rate_ports_equal_input_derivatives(open_fmu):
-    """Position with velocity and acceleration as signals moves as with their values as derivatives."""
+    """Rate ports for velocity and acceleration have the effect of the same input derivatives."""
     wired, told = open_fmu("path").start(), open_fmu("path").start()
     for k in range(5):
         values = (np.sin(k), np.cos(k), -np.sin(k))
@@ -180,7 +180,7 @@ def test_input_derivative_wins_over_rate_port(open_fmu):
 
 
 def test_outputs_at_the_end_see_the_input_at_the_end(open_fmu):
-    """An output fed through follows the input's motion inside the step."""
+    """An output with direct feed-through follows the input inside the step."""
     fmu = open_fmu("path").start()
     fmu.set(position=1.0, velocity=2.0)
     fmu.run(1, 0.5)
@@ -243,7 +243,7 @@ def test_directional_derivatives_go_through_the_start_equations(open_fmu):
 
 
 def test_directional_derivative_refuses_what_is_no_known(open_fmu):
-    """A parameter is no known, an input is no unknown; the message names them."""
+    """A parameter is not a known and an input is not an unknown; the message contains the name."""
     fmu = open_fmu("chamber").start()
     for unknown, known, name in (("force", "volume", "volume"), ("opening", "supply", "opening")):
         with pytest.raises(fmpy.fmi1.FMICallException):
@@ -252,7 +252,7 @@ def test_directional_derivative_refuses_what_is_no_known(open_fmu):
 
 
 def test_model_without_states_steps(open_fmu):
-    """A pure gain is an FMU too."""
+    """A pure gain without states can be an FMU."""
     fmu = open_fmu("gain").start()
     fmu.set(left=3.0, right=4.0)
     fmu.slopes(left=1.0)

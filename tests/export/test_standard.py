@@ -93,7 +93,7 @@ def test_discard_is_told_in_debug_mode_only(open_fmu):
 
 
 def test_escapes_of_the_logger_are_doubled(open_fmu):
-    """In a message "#" starts a variable and "%" a number, so each is written twice (2.1.5)."""
+    """The characters "#" and "%" are doubled in messages, because loggers interpret them (2.1.5)."""
     fmu = open_fmu("decay")
     with pytest.raises(FMICallException):
         fmu.fmu.setDebugLogging(True, ["#r1#"])
@@ -101,7 +101,7 @@ def test_escapes_of_the_logger_are_doubled(open_fmu):
 
 
 def test_debug_logging_off_leaves_warnings_and_errors(open_fmu):
-    """The same is logged after switching off as without switching on."""
+    """Switching logging on and off again restores the initial categories."""
     fmu = open_fmu("decay", logging=True).start()
     fmu.fmu.setDebugLogging(False, [])
     fmu.messages.clear()
@@ -128,7 +128,7 @@ def test_deserialising_makes_a_new_state(open_fmu):
 
 
 def test_damaged_state_is_refused(open_fmu):
-    """One bit of a serialised state turned over, wherever it is, and the state is not taken."""
+    """A serialised state with any bit changed is refused."""
     fmu = open_fmu("decay").start()
     saved = fmu.fmu.getFMUstate()
     data = fmu.fmu.serializeFMUstate(saved)
@@ -156,7 +156,7 @@ def test_state_brings_an_ended_instance_back(open_fmu, end):
 
 
 def test_output_derivatives_of_higher_order_are_zero(open_fmu):
-    """Orders that are not provided give 0, order 0 is an error (4.2.1)."""
+    """Derivatives of orders that are not provided are 0; order 0 is an error (4.2.1)."""
     fmu = open_fmu("decay").start()
     assert list(fmu.fmu.getRealOutputDerivatives([fmu.refs["mixed"]] * 2, [2, 3])) == [0.0, 0.0]
     with pytest.raises(FMICallException):
@@ -165,7 +165,7 @@ def test_output_derivatives_of_higher_order_are_zero(open_fmu):
 
 
 def test_output_derivative_follows_the_given_input_derivative(open_fmu):
-    """After a step with a derivative from the master an output moves with it, not with the idle rate port."""
+    """After a step with an input derivative, output derivatives use it and not the rate port."""
     fmu = open_fmu("path").start()
     fmu.slopes(position=2.0)
     fmu.slopes(2, position=6.0)
@@ -178,7 +178,7 @@ def test_output_derivative_follows_the_given_input_derivative(open_fmu):
 
 @pytest.mark.parametrize("known", ["volume", "conductance", "supply", "heat"])
 def test_directional_derivatives_at_the_start_have_all_knowns(open_fmu, known):
-    """In initialisation mode parameters, inputs and start values are knowns, through the start equations."""
+    """In initialisation mode parameters, inputs and start values are knowns."""
     fmu = open_fmu("chamber")
     unknowns = ["pressure", "flow", "der_pressure", "der_flow", "der_heat", "force", "pressure_rate"]
     point = {"volume": 1e-4, "conductance": 1e-11, "supply": 2e7, "heat": 3.0}
@@ -212,7 +212,7 @@ def test_infinite_directional_derivative_is_an_error(open_fmu):
 
 
 def test_start_values_of_parameters_can_be_read_as_fmpy_does(toy_dir):
-    """FMPy's reader of start values skips fmi2SetupExperiment; it gets the same numbers as the XML has."""
+    """Without fmi2SetupExperiment, as in FMPy's reader of start values, the values are those of the XML."""
     from fmpy.util import get_start_values
 
     found = get_start_values(str(toy_dir / "chamber.fmu"))

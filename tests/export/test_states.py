@@ -11,7 +11,7 @@ import pytest
 
 
 def drive(fmu, first, count, step=0.01):
-    """Steps with moving inputs; returns all that can be seen after each step."""
+    """Steps with varying inputs; returns all variables after each step."""
     seen = []
     for k in range(first, first + count):
         fmu.set(opening=0.5 + 0.4 * ((k * 7) % 11) / 11, supply=2e7 + 1e5 * k)
@@ -22,7 +22,7 @@ def drive(fmu, first, count, step=0.01):
 
 
 def test_restoring_a_state_repeats_bit_by_bit(open_fmu):
-    """Save, step, restore, step: the same bits, whatever happened in between."""
+    """Steps from a restored state are bit-identical."""
     fmu = open_fmu("chamber").start()
     drive(fmu, 0, 5)
     saved = fmu.fmu.getFMUstate()
@@ -34,7 +34,7 @@ def test_restoring_a_state_repeats_bit_by_bit(open_fmu):
 
 
 def test_state_restores_in_another_instance(open_fmu):
-    """A state of one instance continues in another one of the same FMU."""
+    """Another instance of the same FMU can continue from a saved state."""
     a, b = open_fmu("chamber").start(), open_fmu("chamber")
     drive(a, 0, 5)
     saved = a.fmu.getFMUstate()
@@ -44,7 +44,7 @@ def test_state_restores_in_another_instance(open_fmu):
 
 
 def test_state_remembers_input_derivatives_and_parameters(open_fmu):
-    """What was set for the next step is part of the state, tuned parameters too."""
+    """Input derivatives for the next step and tuned parameters are part of the state."""
     fmu = open_fmu("decay").start()
     fmu.run(1, 0.1)
     fmu.set(target=2.0, rate=5.0)
@@ -99,7 +99,7 @@ def test_state_cut_short_is_refused(open_fmu):
 
 
 def test_state_of_another_fmu_is_refused(open_fmu):
-    """Bytes of another FMU, or cut short, give an error that tells; the instance goes on."""
+    """Bytes of another FMU and truncated bytes are refused with a message; the instance is still usable."""
     gain, decay = open_fmu("gain").start(), open_fmu("decay").start()
     saved = gain.fmu.getFMUstate()
     data = gain.fmu.serializeFMUstate(saved)
@@ -112,7 +112,7 @@ def test_state_of_another_fmu_is_refused(open_fmu):
 
 
 def test_failed_step_can_be_taken_back(open_fmu):
-    """After an error a saved state brings the instance back to work."""
+    """After an error an instance can continue from a saved state."""
     fmu = open_fmu("blowup").start()
     saved = fmu.fmu.getFMUstate()
     with pytest.raises(fmpy.fmi1.FMICallException):
@@ -125,7 +125,7 @@ def test_failed_step_can_be_taken_back(open_fmu):
 
 
 def test_reset_starts_again(open_fmu):
-    """After fmi2Reset the instance is as new: same default values, same curve."""
+    """After fmi2Reset an instance has its default values and gives the same solution."""
     fmu = open_fmu("chamber").start()
     first = drive(fmu, 0, 5)
     fmu.fmu.reset()
@@ -162,7 +162,7 @@ def test_threads_give_the_same_bits(open_fmu):
 
 
 def test_thousand_instances_at_once_and_freed(unpacked):
-    """A thousand instances with saved states live together and give their memory back."""
+    """A thousand instances with saved states can coexist and free their memory."""
     library = CDLL(str(unpacked["decay"] / "binaries" / "linux64" / "decay.so"))
     guid = fmpy.read_model_description(str(unpacked["decay"]), validate=False).guid.encode()
     for name in ("fmi2Instantiate", "fmi2FreeInstance", "fmi2GetFMUstate", "fmi2FreeFMUstate"):

@@ -32,7 +32,7 @@ def test_short_steps_far_from_zero(open_fmu, counted, start, step):
 
 
 def test_step_that_does_not_move_the_time_is_refused(open_fmu):
-    """1e-12 s after 1e6 s is the same number: the message tells the step and the whole time."""
+    """A step of 1e-12 s at 1e6 s does not change the time; the message contains both."""
     fmu = open_fmu("path").start(1e6 + 0.125)
     with pytest.raises(FMICallException):
         fmu.fmu.doStep(1e6 + 0.125, 1e-12)

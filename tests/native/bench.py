@@ -34,7 +34,7 @@ def zig(platform: str | None = None) -> list[str]:
 
 
 def run(command: Sequence[object], **more: object) -> subprocess.CompletedProcess[str]:
-    """Run a program to its end; what it says is the failure."""
+    """Run a program; a failure contains its output."""
     words = [str(word) for word in command]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=1800, **more)
     assert done.returncode == 0, (
@@ -57,7 +57,7 @@ def driver(version: int, folder: Path, compiler: Sequence[str], *flags: str, suf
 
 @dataclass(frozen=True)
 class Fmu:
-    """What a script needs to know of an FMU."""
+    """Properties of an FMU for a script."""
 
     name: str
     version: int
@@ -121,7 +121,7 @@ def drive(
 
 
 def numbers(text: str) -> np.ndarray:
-    """What `get` printed, one row per call."""
+    """Output of `get`, one row per call."""
     return np.array([[float(word) for word in line.split()] for line in text.splitlines()])
 
 

@@ -31,7 +31,7 @@ def fuzz(compiler, sources, version, folder):
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("name", MODELS)
 def test_sanitizers_find_nothing(machines, tmp_path, version, name):
-    """Whatever is called with whatever: no invalid memory, nothing undefined, no hang, no OK with NaN."""
+    """Random calls cause no memory error, no undefined behaviour, no hang, and no status OK with NaN."""
     counted = fuzz(SANITIZED, machines[version, name].sources, version, tmp_path)
     assert counted["calls"] >= CALLS
     assert min(counted["OK"], counted["refused"]) > CALLS / 10  # it gets somewhere, and it is garbage
@@ -40,7 +40,7 @@ def test_sanitizers_find_nothing(machines, tmp_path, version, name):
 @needs_gcc
 @pytest.mark.parametrize("version", [2, 3])
 def test_sanitizers_find_nothing_in_a_wild_model(wild, tmp_path, version):
-    """The same for a model of quotients, roots and logarithms, most of which are not finite."""
+    """Random calls of a model whose values are mostly not finite."""
     fmu = unpack(wild[version], tmp_path / "fmu")
     counted = fuzz(SANITIZED, fmu.sources, version, tmp_path)
     assert min(counted["OK"], counted["refused"]) > CALLS / 10

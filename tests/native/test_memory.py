@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgri
 
 
 def life(fmu: Fmu, steps: int) -> Iterator[str]:
-    """All instances side by side through `steps` steps each and all that can be done with a saved state."""
+    """All instances run `steps` steps in parallel, with all functions for saved states."""
     part, length = steps // ROUNDS, 1e-4
     unknown, known = fmu.shown[0] + fmu.states, fmu.shown[0]  # a derivative, a state
     for i in range(INSTANCES):

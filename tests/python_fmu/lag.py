@@ -72,7 +72,7 @@ def built(folder: Path, *changes: tuple[str, str], name: str = "lag.py") -> Path
 
 
 def in_new_process(code: str, *arguments: object, **environment: str) -> str:
-    """What a Python program prints; it must end well."""
+    """Output of a Python program, which must succeed."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment or None)
     assert done.returncode == 0, done.stderr

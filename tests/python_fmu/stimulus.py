@@ -15,7 +15,7 @@ TURN = 2 * np.pi / 2.0  # rad/s: there and back in two seconds
 
 
 def chains(sub: Subsystem) -> list[list[str]]:
-    """Each input that is nobody's rate, with the inputs that carry its derivatives."""
+    """Each input that is not a rate input, with the inputs that are its derivatives."""
     declared = quantities(sub.inputs)
     rates = {q.rate for q in declared.values()}
     found = []
@@ -41,6 +41,6 @@ def stimulus(sub: Subsystem, time: Array) -> Mapping[str, Array]:
 
 
 def rows(signals: Mapping[str, Array]) -> Sequence[dict[str, float]]:
-    """The samples one point in time after the other."""
+    """The samples in the order of time."""
     names, columns = list(signals), np.array(list(signals.values())).T
     return [dict(zip(names, row.tolist(), strict=True)) for row in columns]

@@ -53,7 +53,7 @@ def of_fmu(path: Path, sub: Subsystem) -> Run:
 
 
 def in_python(sub: Subsystem) -> Run:
-    """The same, of the functions in Python."""
+    """All variables over time, of an instance in Python."""
     rows, names = inputs(sub), shown(sub)
     run = of_subsystem(sub).initialise(**rows[0])
     found = [[run[n] for n in names]]
@@ -73,7 +73,7 @@ def shown(sub: Subsystem) -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the FMUs go."""
+    """Folder of the FMUs."""
     return tmp_path_factory.mktemp("python")
 
 
@@ -100,7 +100,7 @@ def test_fmpy_finds_no_problem(folder, name):
 
 @pytest.mark.parametrize("name", ["boom_stick", "swing"])
 def test_two_builds_are_equal(tmp_path, name):
-    """The same subsystem gives the same bytes; other numbers give another GUID."""
+    """Equal subsystems give equal bytes; other values give another GUID."""
     sub = SUBS[name]
     one, two = (build_python(sub, tmp_path / part) for part in ("one", "two"))
     assert one.read_bytes() == two.read_bytes()
@@ -112,7 +112,7 @@ def test_two_builds_are_equal(tmp_path, name):
 
 
 def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes():
-    """Full command within the dead band divides by zero: the first value asked for names the reason."""
+    """A full command within the dead band divides by zero; the message contains the violated requirement."""
     run = of_subsystem(SUBS["swing"])
     run.setup(0.0, None, None)
     run.assign(valve_full_command=0.1)

@@ -31,7 +31,7 @@ with driving(Path(sys.argv[2])) as fmu:
 def repeated(
     path: Path, names: list[str], folder: Path, start: dict[str, float], last: dict[str, float]
 ) -> None:
-    """Save, step, restore, step again, also elsewhere."""
+    """Steps from a restored state are bit-identical, also in another instance."""
     with driving(path, **start) as fmu, driving(path) as other:
         fmu.step(1e-2, 20)
         fmu.set(**last)
@@ -53,14 +53,14 @@ def repeated(
 
 @pytest.mark.parametrize("name", SUBS)
 def test_a_subsystem_repeats_its_steps(tmp_path, name):
-    """States, inputs, their motion, and the step size that the solver had found are in a saved state."""
+    """A saved state contains states, inputs, their derivatives, and the step size of the solver."""
     sub: Subsystem = SUBS[name]
     rows = inputs(sub)
     repeated(build_python(sub, tmp_path), shown(sub), tmp_path, rows[0], rows[40])
 
 
 def test_a_model_by_hand_repeats_its_steps(tmp_path):
-    """The same of the example."""
+    """The example repeats its steps bit-identically."""
     sub = SUBS["boom_stick"]
     rows = inputs(sub)
     names = ["boom_force", "stick_force", "boom_force_rate", "supply_flow", "return_flow"]
@@ -69,7 +69,7 @@ def test_a_model_by_hand_repeats_its_steps(tmp_path):
 
 
 def test_foreign_and_damaged_states_are_refused(tmp_path, capsys):
-    """Bytes of another model, cut off or changed, are refused with a word of why."""
+    """Bytes of another model and truncated or changed bytes are refused with the reason."""
     with (
         driving(built(tmp_path / "a")) as one,
         driving(built(tmp_path / "b", ("GAIN = 1.0", "GAIN = 2.0"))) as two,

@@ -71,7 +71,7 @@ def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_a_missing_package_is_told(tmp_path):
-    """Where fmus is not installed the FMU says what it needs, in which Python."""
+    """If the package is not installed, the message contains what the FMU needs, in which Python."""
     out = in_new_process(BLOCKED, Path(__file__).parents[1], build_python(BOOM_STICK, tmp_path))
     assert re.search(r"ERROR.*boom_stick needs the package harvester-cosim \S+ in the Python of \S+: ", out)
 
@@ -100,19 +100,19 @@ def test_other_equations_are_told(tmp_path, capsys):
     ],
 )
 def test_a_missing_subsystem_is_told(tmp_path, capsys, origin, said):
-    """A variant that this installation does not have is named."""
+    """A missing variant of the installation is in the message."""
     path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(origin=origin))
     assert refused(path, capsys).startswith(said)
 
 
 def test_another_guid_is_told(tmp_path, capsys):
-    """Files of different builds do not run together."""
+    """An FMU with files of different builds is refused."""
     path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(guid="{0}"))
     assert refused(path, capsys) == 'the GUID differs, expected "{0}" (files of different builds)'
 
 
 def test_check_finds_nothing_but_python(tmp_path):
-    """`harvester check`, with all its trials, has no error; that Python is needed is said."""
+    """`harvester check` finds no error and notes that Python is needed."""
     report = check(built(tmp_path))
     assert [f for f in report.findings if f.severity == "error"] == []
     found = {f.rule: f.text for f in report.findings}
@@ -121,7 +121,7 @@ def test_check_finds_nothing_but_python(tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the program is written for Linux")
 def test_a_program_without_python_runs_it(tmp_path):
-    """A program in C loads the library and runs the FMU twice, or reads what is missing."""
+    """A program in C loads the library and runs the FMU twice, or gets a message about what is missing."""
     program, fmu = tmp_path / "host", built(tmp_path)
     source = Path(__file__).with_name("host.c")
     compiler = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[host()].target]
@@ -155,7 +155,7 @@ def test_there_is_a_library_for_each_platform(platform):
 
 
 def test_pythonfmu_runs_the_same_slave(tmp_path):
-    """With PythonFMU's own library in the place of ours the slave gives the same numbers.
+    """With the library of PythonFMU the slave gives the same results.
 
     In a process of its own: that library frees a dictionary of the script's module once too often.
     """

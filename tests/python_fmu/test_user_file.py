@@ -41,7 +41,7 @@ def fault(where: str, *lines: str) -> tuple[str, str]:
 
 
 def test_it_is_a_lag(tmp_path):
-    """Input, rate port inside the step, output and warning: the model does what its few lines say."""
+    """Input, rate port, output and warning have the values that the model defines."""
     path = built(tmp_path)
     assert validate_fmu(str(path)) == []
     with driving(path, u=1.0, u_rate=2.0, w=0.5) as fmu:
@@ -109,7 +109,7 @@ def test_the_description_is_complete(tmp_path):
     ],
 )
 def test_the_build_refuses(tmp_path, change, said):
-    """A file that would not work, or not do what it says, makes no FMU."""
+    """A file that does not work or violates its declarations is refused."""
     (tmp_path / "other.py").write_text("GAIN = 2.0\n", encoding="utf-8")
     with pytest.raises(Problem) as found:
         built(tmp_path, change)
@@ -119,14 +119,14 @@ def test_the_build_refuses(tmp_path, change, said):
 
 
 def test_a_state_hidden_in_a_list_is_found(tmp_path):
-    """What is kept outside State cannot be saved: repeated steps differ, and the build says so."""
+    """The build refuses a model with hidden state, because repeated steps differ."""
     hidden = ("GAIN = 1.0", "GAIN, LOG = 1.0, []"), fault(STEP, "LOG.append(h)", "h = h * len(LOG)")
     with pytest.raises(Problem, match="steps repeated from a saved state give different values"):
         built(tmp_path, *hidden)
 
 
 def test_a_file_that_is_read_goes_along(tmp_path):
-    """Files named in `files` are in the FMU; one that is read without being named is missed at the build."""
+    """Files in `files` are in the FMU; the build fails if the model reads another file."""
     reading = (
         "GAIN = 1.0",
         "from pathlib import Path\nGAIN = float(Path(__file__).with_name('gain.txt').read_text())",
@@ -142,20 +142,20 @@ def test_a_file_that_is_read_goes_along(tmp_path):
 
 
 def test_a_point_where_the_model_does_not_work_says_nothing(tmp_path):
-    """Inputs are moved to find dependencies; where that leaves the range of a root, the build goes on."""
+    """The check of dependencies skips points at which the model is undefined."""
     root = fault(OBSERVE, "import math; math.sqrt(1.005 - u.u)")
     assert built(tmp_path, root).is_file()
 
 
 def test_a_file_in_the_root_of_a_checkout_is_no_neighbour(tmp_path):
-    """It has the package itself beside it."""
+    """The package next to the file is not a forbidden import."""
     (tmp_path / "fmus").mkdir()
     (tmp_path / "fmus" / "__init__.py").touch()
     assert built(tmp_path).is_file()
 
 
 def test_the_command_line_overwrites_no_native_fmu(tmp_path, capsys):
-    """A model of the name of a part goes to a folder of its own; there is no FMI 3.0 of it."""
+    """A model with the name of a part is written to a subfolder; FMI 3.0 is refused."""
     file, native = written(tmp_path, name="swing.py"), tmp_path / "build" / "swing.fmu"
     native.parent.mkdir()
     native.write_text("native", encoding="utf-8")
@@ -168,7 +168,7 @@ def test_the_command_line_overwrites_no_native_fmu(tmp_path, capsys):
 
 
 def test_ports_are_taken_from_the_part_that_a_model_stands_for():
-    """In the order asked for, with their units; one that is not there is told with a near one."""
+    """Variables have the requested order and their units; for an unknown name a similar one is suggested."""
     group = some("Own", BOOM_STICK.outputs, "stick_force", "boom_force")
     assert dict(quantities(group)) == {
         n: quantities(BOOM_STICK.outputs)[n] for n in ("stick_force", "boom_force")
@@ -229,7 +229,7 @@ def interruptible():
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("where", [STEP, "return {}"], ids=["step", "start"])
 def test_an_interrupt_reaches_the_program(tmp_path, capsys, where):
-    """As in a model in C: the message says so, and the program is interrupted, too."""
+    """An interrupt is reported in a message and passed on to the program."""
     initial = "\n    def initial(self, x, u, p):\n        return {}\n"
     change = fault(where, "if u.w == 2: raise KeyboardInterrupt")
     path = built(tmp_path, ("    def step(self", initial + "\n    def step(self"), change)
@@ -241,7 +241,7 @@ def test_an_interrupt_reaches_the_program(tmp_path, capsys, where):
 
 
 def test_values_out_of_bounds_are_refused(tmp_path, capsys):
-    """Values outside the declared range, and starts that cannot be, as of a native FMU."""
+    """Values out of bounds and impossible start values are refused as by a native FMU."""
     with driving(built(tmp_path)) as fmu:
         for values, message in (
             ({"delay": 0.0}, "delay cannot be set to 0 s at t = 0 s, expected 0.001 to inf"),
@@ -255,7 +255,7 @@ def test_values_out_of_bounds_are_refused(tmp_path, capsys):
 
 
 def test_a_warning_is_no_error(tmp_path, capsys):
-    """A watched output is told once per excursion."""
+    """There is one warning per excursion of a watched output."""
     with driving(built(tmp_path)) as fmu:
         fmu.set(w=200.0)
         fmu.step(1e-3, 3)
@@ -278,20 +278,20 @@ def test_files_of_one_name_live_together(tmp_path):
 
 
 def test_instances_in_threads_wait_for_the_script(tmp_path):
-    """Four at once in a new process, where the script takes long to load: each finds all of it."""
+    """Four threads that load a slow script at the same time all get the complete module."""
     out = in_new_process(THREADS, Path(__file__).parents[1], built(tmp_path))
     assert out.split() == ["0.01"] * 4
 
 
 def test_nothing_stands_before_installed_modules(tmp_path):
-    """Loading an FMU leaves Python's search path alone."""
+    """Loading an FMU does not change Python's search path."""
     before = list(sys.path)
     with driving(built(tmp_path)):
         assert sys.path == before
 
 
 def test_the_build_is_the_same_twice(tmp_path):
-    """Equal bytes for an equal file; another GUID for another line of code."""
+    """Equal files give equal bytes; changed code gives another GUID."""
     one, two = (build_user(written(tmp_path), tmp_path / n) for n in ("one", "two"))
     other = build_user(written(tmp_path, ("GAIN = 1.0", "GAIN = 1.5")), tmp_path / "three")
     assert one.read_bytes() == two.read_bytes()

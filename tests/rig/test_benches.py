@@ -45,7 +45,7 @@ def test_a_held_edge_obeys_eq_1_and_2(machine, edge):
 @BOTH
 @EDGES
 def test_the_valve_bench_suits_the_meters(machine, edge):
-    """Nothing to be seen up to 1 V, as in Fig. 5; all flows in range; drops far over the noise."""
+    """Readings are zero up to 1 V, as in Fig. 5; all flows are in range, and drops far above the noise."""
     x = held(experiment(f"valve_{edge}", machine), HOLD, 1.9)
     volts, flow = np.abs(x["command"]), x["flow"] * LITRES
     assert np.all(flow[volts <= 1.0] < 10)  # L/min, the dead zone

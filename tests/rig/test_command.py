@@ -13,14 +13,14 @@ SHORT = ("motor_leakage_1", "hose_dynamics_1")
 
 @pytest.fixture(autouse=True)
 def _few(monkeypatch):
-    """Only some experiments: all of them take seconds."""
+    """Restricts the rig to some experiments, to save time."""
     monkeypatch.setattr(
         recordings, "experiments", lambda machine: (experiment(name, machine) for name in SHORT)
     )
 
 
 def test_writes_recordings_and_a_readme(tmp_path, capsys):
-    """Each experiment in two files, told line by line; the README says that all is simulated."""
+    """Each experiment gives two files and a line; the README states that it is simulated."""
     out = tmp_path / "new" / "rig"
     assert main(["rig", "--out", str(out), "--machine", "lumped", "--seed", "7"]) == 0
     files = {f"{name}.{ending}" for name in SHORT for ending in ("csv", "toml")}
@@ -33,7 +33,7 @@ def test_writes_recordings_and_a_readme(tmp_path, capsys):
 
 
 def test_writes_over_its_own_files_only(tmp_path, capsys):
-    """A folder of the rig is written again; a folder with anything else is left alone."""
+    """A folder of the rig is overwritten; a folder with other files is refused."""
     assert main(["rig", "--out", str(tmp_path), "--machine", "lumped"]) == 0
     before = (tmp_path / "motor_leakage_1.csv").read_bytes()
     assert main(["rig", "--out", str(tmp_path), "--machine", "lumped", "--seed", "1"]) == 0
@@ -56,7 +56,7 @@ def test_writes_over_its_own_files_only(tmp_path, capsys):
     ],
 )
 def test_mistakes_are_told_in_one_line(options, told, tmp_path, capsys):
-    """And nothing is written."""
+    """A wrong option gives one line, and nothing is written."""
     out = tmp_path / "rig"
     assert main(["rig", "--out", str(out), *options]) == 2
     message = capsys.readouterr().err

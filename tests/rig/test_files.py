@@ -1,4 +1,4 @@
-"""The files of a rig: the same seed gives the same bytes; everybody can read them; no truth in them."""
+"""The files of the rig: reproducible, readable, and without true parameter values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EACH = pytest.mark.parametrize("name", NAMES)
 
 @EACH
 def test_seeds(name, tmp_path):
-    """Equal seeds give equal bytes; another seed changes every reading's noise, and nothing else."""
+    """Equal seeds give equal bytes; another seed changes only the noise."""
     e = experiment(name, "lumped")
     for folder, seed in (("a", 4), ("b", 4), ("c", 5)):
         (tmp_path / folder).mkdir()
@@ -51,7 +51,7 @@ def test_another_file_or_signal_changes_nothing():
 
 @EACH
 def test_the_table_holds_every_step(name, tmp_path):
-    """pandas reads the columns that the TOML tells, and each cell is the reading to the last step."""
+    """pandas reads the columns of the description, and each cell is exactly the reading."""
     e = experiment(name, "lumped")
     csv, toml = write(tmp_path, e, 2)
     table, told = pd.read_csv(csv), tomllib.loads(toml.read_text(encoding="utf-8"))
@@ -68,7 +68,7 @@ def test_the_table_holds_every_step(name, tmp_path):
 
 @EACH
 def test_the_reader_of_recordings_and_references_reads_it(name, tmp_path):
-    """In SI units, with the sensors of the rig."""
+    """The project's reader gets the signals in SI units, with the sensors of the rig."""
     e = experiment(name, "lumped")
     csv, _ = write(tmp_path, e, 0)
     recording = read_recording(csv)
@@ -85,7 +85,7 @@ def test_the_reader_of_recordings_and_references_reads_it(name, tmp_path):
 
 
 def test_the_files_of_all_experiments_are_told():
-    """Names and kinds of experiment are those of the shared format."""
+    """Names and procedures of the experiments are those of the shared format."""
     kinds = {"valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping", "machine"}
     assert {name.rsplit("_", 1)[0] for name in EXPERIMENTS if name[-1].isdigit()} == {
         *("hose_dynamics", "motor_leakage", "machine_train"),
@@ -96,7 +96,7 @@ def test_the_files_of_all_experiments_are_told():
 
 @pytest.mark.parametrize("machine", ["lumped", "detailed"])
 def test_no_truth_in_the_files(machine, tmp_path):
-    """No parameter's name or value that a procedure is to find stands beside the recordings."""
+    """The files contain no name or value of a parameter that is to be identified."""
     written = readme(machine, 0)
     for name in NAMES[:4]:
         _, toml = write(tmp_path, experiment(name, machine), 0)

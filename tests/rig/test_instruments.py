@@ -1,4 +1,4 @@
-"""What an instrument does to a true signal: noise, steps, ends, dead zone, and nothing else."""
+"""Readings of the instruments: noise, quantisation, range, dead zone, and nothing else."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_noise_has_the_told_size_and_no_bias(instrument):
 
 @pytest.mark.parametrize("instrument", NOISY, ids=lambda i: i.text)
 def test_noise_is_white(instrument):
-    """Samples next to each other have nothing in common: there is no filter."""
+    """Adjacent samples are uncorrelated, because there is no filter."""
     error = readings(instrument, 0.37 * instrument.high)
     error = error - error.mean()
     for lag in (1, 2, 10):
@@ -48,7 +48,7 @@ def test_noise_is_white(instrument):
 @pytest.mark.parametrize("instrument", ALL, ids=lambda i: i.text)
 @given(value=st.floats(-1e3, 1e3), seed=st.integers(0, 2**32))
 def test_readings_are_whole_steps_in_range(instrument, value, seed):
-    """Whatever is measured, the reading is a whole number of steps between the ends."""
+    """Every reading is a multiple of the resolution and inside the range."""
     found = readings(instrument, value, 5, seed)
     steps = found / instrument.resolution
     assert np.array_equal(steps, np.round(steps))  # exact: all steps are short binary fractions or n/4096
@@ -57,14 +57,14 @@ def test_readings_are_whole_steps_in_range(instrument, value, seed):
 
 @pytest.mark.parametrize("instrument", NOISY, ids=lambda i: i.text)
 def test_a_converter_of_12_bit_has_4096_codes(instrument):
-    """Range over step; and a signal beyond an end stays there."""
+    """The range has 4096 codes, and signals beyond an end are clipped."""
     assert (instrument.high - instrument.low) / instrument.resolution == 4095  # exact, as above
     assert np.all(readings(instrument, 1.1 * instrument.high + 1, 100) == instrument.high)
     assert np.all(readings(instrument, instrument.low - 0.1 * instrument.high, 100) == instrument.low)
 
 
 def test_a_turbine_stands_still_below_its_dead_zone():
-    """Both ways: exactly zero below 10 L/min, without noise; the flow with its noise above."""
+    """In both directions the reading is exactly zero below 10 L/min, and the flow with noise above."""
     for sign in (-1, 1):
         assert not readings(FLOW, sign * 9.999, 1000).any()
         turning = readings(FLOW, sign * 10.001, 1000)
@@ -81,12 +81,12 @@ def test_an_encoder_errs_by_half_a_count(value):
 
 @given(value=st.floats(-10, 10))
 def test_a_command_is_known_exactly(value):
-    """The computer knows what it sends."""
+    """The reading of a command is the command."""
     assert readings(COMMAND, value, 1)[0] == value
 
 
 def test_each_file_and_signal_has_noise_of_its_own():
-    """Streams of different seeds, files and signals have nothing in common; equal ones are equal."""
+    """Random numbers of different seeds, files and signals are independent; equal ones are equal."""
     names = [(0, "a", "p"), (1, "a", "p"), (0, "b", "p"), (0, "a", "q")]
     noise = np.array([generator(*name).normal(size=COUNT) for name in names])
     assert np.array_equal(noise[0], generator(*names[0]).normal(size=COUNT))

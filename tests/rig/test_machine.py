@@ -28,7 +28,7 @@ EACH = [
 
 @pytest.mark.parametrize(("name", "machine"), EACH)
 def test_oil_does_not_tear_and_no_cylinder_hits_its_end(name, machine):
-    """No void, no end stop, no flow beyond the meters, pressures in the transducers' range."""
+    """There is no cavitation, no contact with an end stop, and no signal out of range."""
     e = experiment(name, machine)
     voids = [v.max() for n, v in e.unrecorded.items() if n.endswith("void_volume")]
     stops = [np.abs(v).max() for n, v in e.unrecorded.items() if n.endswith("stop_force")]
@@ -47,7 +47,7 @@ def test_oil_does_not_tear_and_no_cylinder_hits_its_end(name, machine):
 
 @pytest.mark.parametrize(("name", "machine"), EACH)
 def test_the_machine_rests_for_a_second(name, machine):
-    """Commands are zero and nothing moves beyond what the pressures need to settle."""
+    """At first commands are zero, and only the pressures settle."""
     e = experiment(name, machine)
     rest = e.time < 1.0
     for signal, values in e.signals.items():
@@ -60,7 +60,7 @@ def test_the_machine_rests_for_a_second(name, machine):
 
 @pytest.mark.parametrize(("name", "machine"), [p for p in EACH if str(p.values[0]).startswith("damping")])
 def test_only_one_joint_moves(name, machine):
-    """It goes both ways, far and at several speeds; the others stay where they are."""
+    """The joint moves in both directions, far and at several speeds; the other joints do not move."""
     e = experiment(name, machine)
     moving = e.conditions["joint"]
     for joint in JOINTS:
@@ -92,7 +92,7 @@ def test_training_covers_what_is_held_out():
 
 
 def test_the_held_out_cycle_is_not_trained():
-    """No stroke of the test stands in the training, at whatever time."""
+    """No stroke of the test is part of the training."""
     shapes = [{(m.axis, m.command, m.rise, m.hold, m.fall) for m in moves} for moves, _ in TRAINING]
     own = {(m.axis, m.command, m.rise, m.hold, m.fall) for m in WORK_CYCLE}
     assert not own & set().union(*shapes)

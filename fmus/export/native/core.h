@@ -90,8 +90,8 @@ LOCAL int core_step(Core *core, double length);
 /* Saved states as bytes: a header that identifies the model, then the state. */
 LOCAL size_t snapshot_size(void);
 LOCAL void snapshot_write(const State *state, char *bytes);
-/* Reads a state; 0 and a message if it belongs to another model. With `check_sum`, damage is refused too. */
-LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int check_sum);
+/* Reads a state; 0 and a message if it belongs to another model. With `verify`, damage is refused too. */
+LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int verify);
 
 /* Adds the checksum, by which damage of serialised bytes is detected when they are read. */
 LOCAL void snapshot_add_checksum(char *bytes);

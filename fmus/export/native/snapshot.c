@@ -42,7 +42,7 @@ LOCAL void snapshot_write(const State *state, char *bytes) {
     memcpy(bytes + sizeof h, state, sizeof *state);
 }
 
-LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int check_sum) {
+LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int verify) {
     Header expected = expected_header(), header;
     memset(&header, 0, sizeof header);
     memcpy(&header, bytes, size < sizeof header ? size : sizeof header);
@@ -57,8 +57,8 @@ LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size
         core_message(core, ERROR, "the saved state has %zu bytes, expected %zu", size, snapshot_size());
         return 0;
     }
-    if (check_sum && header.checksum != checksum_of(bytes + sizeof header, sizeof *state)) {
-        core_message(core, ERROR, "the saved state is damaged: its check sum differs");
+    if (verify && header.checksum != checksum_of(bytes + sizeof header, sizeof *state)) {
+        core_message(core, ERROR, "the saved state is damaged: its checksum differs");
         return 0;
     }
     memcpy(state, bytes + sizeof header, sizeof *state);
