@@ -3,7 +3,7 @@
     Jacobi               all components step with inputs extrapolated from the start of the step
     Gauss-Seidel         components step one after the other, later ones with the new outputs of earlier ones
     Hermite              the step is repeated until every input is the cubic between both ends of its source
-    FmuInterface-Jacobian   linearised components, joined to one system, predict all inputs over the step
+    Interface-Jacobian   linearised components, joined to one system, predict all inputs over the step
 
 native/communication_step.c carries out a step of any plan; docs/coupling.md has equations and measurements.
 """
@@ -83,10 +83,9 @@ def gauss_seidel_order(system: System) -> list[str]:
     """Names of the components in the order in which Gauss-Seidel steps them.
 
     The next component is the one with the fewest inputs that have feed-through to its outputs and whose
-    source
-    has not stepped yet. Among equal ones it is the one with the fewest inputs whose source has not stepped
-    yet, then one that holds its inputs before one that interpolates them (which gains from a later position),
-    then the first in the system.
+    source has not stepped yet. Among equal ones it is the one with the fewest inputs whose source has not
+    stepped yet, then one that holds its inputs before one that interpolates them (which gains from a later
+    position), then the first in the system.
     """
     with_feedthrough = {
         Port(c.name, u)
@@ -152,8 +151,7 @@ def gauss_seidel_plan(system: System, coupling: Coupling) -> Plan:
     """Sources that have stepped are interpolated at degree `order` + 1, others extrapolated at `order`.
 
     The order of convergence is `order` + 1. At order 0 inputs from components that step later are held,
-    unless
-    an FMU varies them itself by a rate input. Components step in the order that follows from their
+    unless an FMU varies them itself by a rate input. Components step in the order that follows from their
     dependencies.
     """
     order, names = coupling.extrapolation, list(system.components)

@@ -221,8 +221,7 @@ def compare(
     """Error estimates for `trace` from a run at half its step and, for the order, one at twice its step.
 
     Runs are compared at the points that both recorded. Constant signals (see `nominals` and CONSTANT) are
-    left
-    out. A signal whose change is at the level of rounding has no order.
+    left out. A signal whose change is at the level of rounding has no order.
     """
     errors = []
     changes = _changes(fine, trace)

@@ -84,12 +84,9 @@ class Scenario:
         """The system without the connections that the scenario replaces.
 
         A component without inputs is a scenario itself: if the scenario drives one of the inputs that it
-        feeds,
-        all its connections are removed, and the other inputs keep their start values. A connection to the
-        declared
-        rate input of a driven input is removed too. A connection to an undeclared rate input stays: the slope
-        that
-        the run sets takes precedence over it.
+        feeds, all its connections are removed, and the other inputs keep their start values. A connection to
+        the declared rate input of a driven input is removed too. A connection to an undeclared rate input
+        stays: the slope that the run sets takes precedence over it.
         """
         targets = {*self.columns, *self._rates(system)}
         replaced = [c for c in system.connections if c.target in targets]

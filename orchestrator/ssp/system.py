@@ -160,8 +160,7 @@ class System:
         """The component inputs that a name refers to, with the conversion to their units.
 
         A name is an input of the system, a `component.variable`, or the name of a component input, which
-        refers
-        to all component inputs of that name.
+        refers to all component inputs of that name.
         """
         if name in self.inputs:
             return self.inputs[name].targets

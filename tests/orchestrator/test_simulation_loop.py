@@ -327,8 +327,7 @@ def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, wo
     """With and without threads, and FMUs that Python calls; the run would go on for hours.
 
     C checks for an interrupt every 0.1 s. What counts is the time that the process computes: a machine that
-    is busy with
-    other things may take longer to let it.
+    is busy with other things may take longer to let it.
     """
     assert simulation_loop.CHECK_INTERVAL <= 0.1
     files = [part.source.path for part in moving.components.values()]
