@@ -1,4 +1,4 @@
-"""The one place where a confidence interval is made: its size, shape and bounds."""
+"""Confidence intervals: width, shape and bounds."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def test_few_degrees_of_freedom_widen_it(freedom, factor):
 
 
 def test_a_logarithmic_interval_stays_positive():
-    """Its ends are a factor apart from the value; a value that is not positive has the usual interval."""
+    """Its ends are the value times and over a factor; a negative value has the symmetrical interval."""
     low, high = confidence_interval(2.0, 1.0, log=True)
     # exact identity: rounding only
     assert (low * high, high / 2.0) == pytest.approx((4.0, math.exp(coverage_factor() / 2)))
     assert confidence_interval(-2.0, 1.0, log=True) == confidence_interval(-2.0, 1.0)
 
 
-def test_bounds_end_it_and_what_is_unknown_is_open():
+def test_bounds_cut_it_and_an_unknown_error_leaves_it_open():
     """A minimum or maximum cuts the interval; an infinite standard deviation leaves it open."""
     assert confidence_interval(1.0, 1.0, minimum=0.0, maximum=1.5) == (0.0, 1.5)
     assert confidence_interval(1.0, math.inf) == (-math.inf, math.inf)

@@ -116,7 +116,7 @@ def test_an_error_of_a_damping_does_not_bias_the_inertia():
 
 
 def test_undetermined_parameters_keep_their_value():
-    """With much more noise only gravity determines a parameter, the head's mass; a remark lists the others."""
+    """With much more noise gravity determines only the head's mass; remarks list the other parameters."""
     rough = replace(PRESSURE, noise=100 * PRESSURE.noise, low=-np.inf, high=np.inf)
     result = identify([recording(*JOINTS, seed=1, pressure=rough)], KNOWN)
     names = {e.name for e in result.estimates}

@@ -154,7 +154,7 @@ def test_leakage_too_small_to_be_determined_is_not_estimated():
 
 
 def test_ripple_of_the_pump_does_not_hide_a_step():
-    """1 bar at 40 Hz on the pressures, which is not white: all steady stretches are detected as without it."""
+    """1 bar at 40 Hz on the pressures, which is not white: the same steady stretches are detected."""
     rippled = []
     for r in recordings(1):
         wave = 1e5 * np.sin(2 * np.pi * 40 * r.time)

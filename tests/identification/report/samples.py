@@ -1,4 +1,4 @@
-"""Small findings and pages to draw."""
+"""Small results and pages to draw."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def residual() -> Panel:
     return Panel("flow", "residual", (Curve("measured", FLOW, 1e3 * np.sin(1e4 * FLOW)),), "", LITRES, BAR)
 
 
-def finding(**more: object) -> ProcedureResult:
-    """What a procedure found about a hose."""
-    said = ("1 of 30 steps is masked.", "A <b>remark</b> & more.")
-    given = {"procedure": "hose_resistance", "title": "Hose resistance", "figure": 6, "remarks": said}
+def result(**more: object) -> ProcedureResult:
+    """Result of a procedure for a hose."""
+    remarks = ("1 of 30 steps is masked.", "A <b>remark</b> & more.")
+    given = {"procedure": "hose_resistance", "title": "Hose resistance", "figure": 6, "remarks": remarks}
     return ProcedureResult(**{**given, "estimates": (AREA,), "panels": (panel(), residual()), **more})
 
 
 def fit(signal: str, *numbers: float | None) -> dict[str, object]:
-    """How well a signal is predicted."""
+    """Goodness of fit of a signal."""
     names = ("train", "test", "noise", "memory", "white", "inputs")
     return {"signal": signal, **dict.fromkeys(names), **dict(zip(names, numbers, strict=False))}
 
@@ -78,19 +78,21 @@ def page(**more: object) -> IdentificationPage:
         "remarks": (),
     }
     shares = (EffectShare("swinging head", 0.5, 0.4, 0.9, 0.8, 1.0, {"manipulator.swing_angle": 0.7}),)
-    seen = Explanation(shares, 0.6, 0.1, 0.05, ("manipulator.swing_angle",), ("quiet_one",), "One effect.")
+    explanation = Explanation(
+        shares, 0.6, 0.1, 0.05, ("manipulator.swing_angle",), ("quiet_one",), "One effect."
+    )
     given = {
         "title": "Identification",
         "source": "recordings",
         "kinds": ("simulation",),
-        "results": (finding(),),
+        "results": (result(),),
         "parameters": (IdentifiedParameter(AREA, "hose_resistance", 4e-5, "assumed", "Area of <all> edges"),),
         "qualities": (quality("a.csv", (channel("flow", "m3/s", "1 sample clipped."),)),),
         "refinement": joint,
-        "explanation": seen,
+        "explanation": explanation,
         "commands": {"harvester build --parameters parameters.toml": "Build the machine:"},
     }
     return IdentificationPage(**{**given, **more})
 
 
-__all__ = ["AREA", "channel", "finding", "page", "panel", "quality", "residual"]
+__all__ = ["AREA", "channel", "page", "panel", "quality", "residual", "result"]

@@ -1,4 +1,4 @@
-"""Which effect a residual shows."""
+"""Attribution of a residual to physical effects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DAMPING = "manipulator.swing_damping"
 
 
 @pytest.fixture(scope="module")
-def drive():
+def excitation():
     """Four seconds of all joints."""
     time = np.arange(400) * STEP
     commands = {name: MOVES[name].sample(time) for name in COMMANDS}
@@ -41,31 +41,33 @@ def drive():
 
 
 @pytest.fixture(scope="module")
-def effects(drive):
-    """What each effect changes in angles, pressures and flows."""
-    shown = ("angle", "pressure", "pressure_a", "pressure_b", "flow_a", "head_flow")
+def effects(excitation):
+    """Change of angles, pressures and flows by each effect."""
+    signals = ("angle", "pressure", "pressure_a", "pressure_b", "flow_a", "head_flow")
     return {
         effect: {
-            name: y for name, y in change.items() if name.rsplit("_", 1)[-1] in shown or name.endswith(shown)
+            name: y
+            for name, y in change.items()
+            if name.rsplit("_", 1)[-1] in signals or name.endswith(signals)
         }
-        for effect, change in effect_changes(drive, {}).items()
+        for effect, change in effect_changes(excitation, {}).items()
     }
 
 
 def noisy(change, share, seed=0):
-    """A residual of one effect, plus white noise of this share of each signal's size."""
+    """A residual of one effect plus white noise, relative to the rms of each signal."""
     rng = np.random.default_rng(seed)
     moved = {n: y for n, y in change.items() if np.std(y) > 0}
     return {n: y + share * np.sqrt(np.mean(y**2)) * rng.standard_normal(y.size) for n, y in moved.items()}
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_the_effect_that_made_the_residual_is_named(effects, effect):
-    """One effect plus as much noise: it is named, at its strength, and its share is that of the effect."""
-    found = explain(noisy(effects[effect], 1.0), effects, step=STEP)
-    assert found.effect == effect
-    assert effect in found.verdict
-    share = found.shares[0]
+def test_the_effect_in_the_residual_is_identified(effects, effect):
+    """One effect plus as much noise: its name, its strength and its share are right."""
+    explanation = explain(noisy(effects[effect], 1.0), effects, step=STEP)
+    assert explanation.effect == effect
+    assert effect in explanation.verdict
+    share = explanation.shares[0]
     # signals count by their residuals: half of each is noise, over 400 samples known to some percent
     assert share.alone == pytest.approx(0.5, abs=0.08)
     # standard deviation of the strength: noise over signal over root of samples, 1 / sqrt(400 * 10)
@@ -74,71 +76,71 @@ def test_the_effect_that_made_the_residual_is_named(effects, effect):
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_twice_the_effect_is_twice_as_strong(effects, effect):
-    """The strength counts how much of the variant's effect is there."""
+    """The strength is relative to the effect of the variant."""
     doubled = {n: 2 * y for n, y in effects[effect].items() if np.std(y) > 0}
     # exact identity: rounding only
     assert explain(doubled, effects, step=STEP).shares[0].coefficient == pytest.approx(2.0, rel=1e-9)
 
 
 def test_white_noise_shows_no_effect(effects):
-    """Noise in all signals: nothing is named, and the page says that nothing explains it."""
+    """Noise in all signals: no effect, and the verdict says that none explains it."""
     rng = np.random.default_rng(1)
     noise = {n: rng.standard_normal(y.size) for n, y in effects["swinging head"].items()}
-    found = explain(noise, effects, step=STEP)
-    assert found.effect == ""
-    assert found.verdict.startswith("None of the effects")
-    assert "a cause that is not in the list" in found.verdict  # nobody said that it is noise
+    explanation = explain(noise, effects, step=STEP)
+    assert explanation.effect == ""
+    assert explanation.verdict.startswith("None of the effects")
+    assert "a cause that is not in the list" in explanation.verdict  # the noise of the sensors is not given
     # five columns explain five of some thousand samples by chance
-    assert found.together < 0.02
+    assert explanation.together < 0.02
 
 
 def test_a_residual_within_the_noise_of_the_sensors_is_left_out(effects):
-    """A signal whose residual is as large as its sensor's noise is quiet; if all are, nothing is told."""
+    """A signal with a residual as large as its sensor's noise is left out; without signals there are no shares."""
     change = effects["swinging head"]
     residual = noisy(change, 0.0)
     size = {n: float(np.sqrt(np.mean(y**2))) for n, y in residual.items()}
-    found = explain(residual, effects, step=STEP, noise=size)
-    assert found.quiet == tuple(residual)
-    assert (found.effect, found.shares) == ("", ())
-    assert found.verdict.startswith("Nothing is left to explain")
-    assert "range" not in found.verdict
+    explanation = explain(residual, effects, step=STEP, noise=size)
+    assert explanation.quiet == tuple(residual)
+    assert (explanation.effect, explanation.shares) == ("", ())
+    assert explanation.verdict.startswith("Nothing is left to explain")
+    assert "range" not in explanation.verdict
 
 
 def test_a_small_residual_needs_no_effect(effects):
-    """Far above perfect sensors, but below what matters: the prediction is called as good as that."""
+    """A residual above the noise, but small for the range of the signal, needs no explanation."""
     residual = noisy(effects["swinging head"], 0.0)
-    found = explain(residual, effects, step=STEP, small=dict.fromkeys(residual, np.inf))
-    assert (found.effect, found.shares) == ("", ())
-    assert "0.1 % of its range" in found.verdict
+    explanation = explain(residual, effects, step=STEP, small=dict.fromkeys(residual, np.inf))
+    assert (explanation.effect, explanation.shares) == ("", ())
+    assert "0.1 % of its range" in explanation.verdict
 
 
-def test_what_parameters_can_take_is_no_effect(drive, effects):
-    """A wrong damping is a wrong damping: its residual goes to the parameters."""
-    given_ = {DAMPING: 300.0}
-    slope = sensitivities(drive, given_, [DAMPING])
-    found = explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
-    assert found.effect == ""
+def test_the_part_of_the_parameters_is_not_an_effect(excitation, effects):
+    """The residual of a wrong damping is attributed to the parameters."""
+    parameters = {DAMPING: 300.0}
+    slope = sensitivities(excitation, parameters, [DAMPING])
+    explanation = explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
+    assert explanation.effect == ""
     # noise is a hundredth of the power, and the damping explains the rest
-    assert found.parameters == pytest.approx(0.99, abs=0.01)
+    assert explanation.parameters == pytest.approx(0.99, abs=0.01)
 
 
-def test_an_effect_is_named_beside_the_parameters(drive, effects):
-    """Dry friction looks like damping in part; what is left of it still shows."""
-    slope = sensitivities(drive, {DAMPING: 300.0}, [DAMPING])
+def test_an_effect_is_identified_next_to_the_parameters(excitation, effects):
+    """Dry friction resembles damping in part; the rest is still attributed to it."""
+    slope = sensitivities(excitation, {DAMPING: 300.0}, [DAMPING])
     residual = noisy(effects["dry friction"], 0.2)
-    found = explain(residual, effects, step=STEP, absorbed=slope)
-    assert found.effect == "dry friction"
-    assert found.shares[0].alone + found.parameters < 1.0
+    explanation = explain(residual, effects, step=STEP, absorbed=slope)
+    assert explanation.effect == "dry friction"
+    assert explanation.shares[0].alone + explanation.parameters < 1.0
 
 
 def test_gaps_do_not_count(effects):
-    """Samples without a measurement are left out of everything."""
+    """Samples without a measurement are left out."""
     residual = noisy(effects["pump and engine"], 0.0)
     cut = {n: np.where(np.arange(y.size) < 200, np.nan, y) for n, y in residual.items()}
-    found = explain(cut, effects, step=STEP)
-    assert found.effect == "pump and engine"
-    # exact identity: without noise the effect explains all that is left
-    assert found.shares[0].alone == pytest.approx(1.0, abs=1e-9)
+    explanation = explain(cut, effects, step=STEP)
+    assert explanation.effect == "pump and engine"
+    # exact identity: without noise the effect explains the whole residual
+    assert explanation.shares[0].alone == pytest.approx(1.0, abs=1e-9)
 
 
 @given(
@@ -159,29 +161,29 @@ def test_shares_add_up(case):
 
 
 def test_two_equal_effects_share(effects):
-    """Two effects that nobody can tell apart explain the same alone and half of it each among all."""
+    """Two equal effects explain the same alone, and half of it each among all."""
     change = effects["swinging head"]
-    found = explain(noisy(change, 0.0), {"one": change, "other": change}, step=STEP)
+    explanation = explain(noisy(change, 0.0), {"one": change, "other": change}, step=STEP)
     # exact identity: rounding only
-    assert [s.alone for s in found.shares] == pytest.approx([1.0, 1.0])
-    assert [s.together for s in found.shares] == pytest.approx([0.5, 0.5])
-    assert "hardly distinguish it from" in found.verdict
+    assert [s.alone for s in explanation.shares] == pytest.approx([1.0, 1.0])
+    assert [s.together for s in explanation.shares] == pytest.approx([0.5, 0.5])
+    assert "hardly distinguish it from" in explanation.verdict
 
 
-def test_columns_without_others_are_orthogonal_to_them():
-    """What is left beside other columns has no part along them, even if these depend on each other."""
+def test_the_orthogonal_part_is_orthogonal():
+    """It has no component along the regressors, even if these are linearly dependent."""
     rng = np.random.default_rng(3)
     slope = rng.standard_normal((50, 3))
     slope = np.column_stack([slope, slope[:, 0] - slope[:, 1], np.zeros(50)])
-    left = orthogonal_part(rng.standard_normal(50), slope)
+    rest = orthogonal_part(rng.standard_normal(50), slope)
     # exact identity: rounding only
-    np.testing.assert_allclose(slope.T @ left, 0, atol=1e-12)
+    np.testing.assert_allclose(slope.T @ rest, 0, atol=1e-12)
 
 
-def test_the_least_share_is_told(effects):
-    """An effect with less than the least share is not named, however significant it is."""
+def test_a_small_share_is_not_reported(effects):
+    """An effect with less than the smallest share is not reported, even if it is significant."""
     residual = noisy(effects["swinging head"], 2.5)  # 1 / (1 + 2.5^2) = 0.14 of the power
-    found = explain(residual, effects, step=STEP)
-    assert found.shares[0].effect == "swinging head"
-    assert 0.05 < found.shares[0].alone < LEAST
-    assert found.effect == ""
+    explanation = explain(residual, effects, step=STEP)
+    assert explanation.shares[0].effect == "swinging head"
+    assert 0.05 < explanation.shares[0].alone < LEAST
+    assert explanation.effect == ""

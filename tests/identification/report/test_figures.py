@@ -1,4 +1,4 @@
-"""Figures of findings and traces."""
+"""Figures of procedures, of comparisons and of correlations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from identification.report.samples import finding, panel, residual
+from identification.report.samples import panel, residual, result
 from matplotlib.image import imread
 
 from fmus.identification.procedure_result import Curve, Panel
@@ -28,11 +28,11 @@ TIME = np.arange(0.0, 5.0, 0.005)
 
 def drawn(*panels, **more):
     """The axes of a figure with these panels, residuals among them."""
-    return draw_procedure(finding(panels=panels, **more), ["simulation"])
+    return draw_procedure(result(panels=panels, **more), ["simulation"])
 
 
-def test_a_residual_lies_below_its_panel_over_the_same_axis():
-    """Panels over the same quantity share their x axis, only the last one tells it."""
+def test_a_residual_is_below_its_panel_over_the_same_axis():
+    """Panels over the same quantity share their x axis, and only the lowest one has its label."""
     top, below = drawn(panel(), residual()).axes
     top.set_xlim(1, 2)
     assert below.get_xlim() == (1, 2)
@@ -67,7 +67,7 @@ def test_kinds_of_curves_differ_without_colour():
 
 @pytest.mark.parametrize("joined", [True, False])
 def test_compared_curves_differ_without_colour(joined):
-    """Each of several curves that are only compared has marks or dashes of its own."""
+    """Each of several compared curves has different marks or dashes."""
     curves = tuple(Curve(f"law {k}", TIME[:9], k + TIME[:9], "compared", line=joined) for k in range(4))
     lines = drawn(Panel("flow", "x", curves)).axes[0].lines
     assert len({(line.get_marker(), str(line._dash_pattern)) for line in lines}) == 4
@@ -81,14 +81,14 @@ def test_measured_and_fitted_lines_differ_without_colour():
     assert (measured.get_linestyle(), fit.get_linestyle()) == ("-", "--")
 
 
-def test_other_quantities_stand_beside_each_other():
-    """A panel over another quantity gets a column of its own."""
+def test_other_quantities_have_another_column():
+    """A panel over another quantity is in a separate column."""
     other = replace(panel(), x_label="time")
     left, _, right = drawn(panel(), residual(), other).axes
     assert right.get_position().x0 > left.get_position().x1
 
 
-def test_many_panels_over_one_quantity_stand_in_two_columns():
+def test_many_panels_over_one_quantity_have_two_columns():
     """Three panels and a residual: two columns, one x axis."""
     axes = drawn(panel(), panel(), panel(), residual()).axes
     assert len({round(a.get_position().x0, 2) for a in axes}) == 2
@@ -104,17 +104,17 @@ def test_a_residual_is_symmetrical_about_zero():
 
 
 def test_a_large_cloud_keeps_the_page_small():
-    """Fifty thousand points are a picture inside the SVG."""
+    """Fifty thousand points are a bitmap inside the SVG."""
     many = np.random.default_rng(0).standard_normal((2, 50_000))
     cloud = Panel("x", "y", (Curve("measured", *many),))
     assert len(plotting.svg(drawn(cloud))) < plotting.SVG_LIMIT
 
 
 def test_figures_are_reproducible_and_crisp():
-    """The same finding gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
-    one, other = (plotting.svg(draw_procedure(finding())) for _ in range(2))
+    """The same result gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
+    one, other = (plotting.svg(draw_procedure(result())) for _ in range(2))
     assert one == other
-    assert imread(io.BytesIO(plotting.png(draw_procedure(finding())))).shape[1] > 1000
+    assert imread(io.BytesIO(plotting.png(draw_procedure(result())))).shape[1] > 1000
 
 
 def test_nothing_is_cut_off():
@@ -130,26 +130,26 @@ def test_nothing_is_cut_off():
         assert box.y1 < 1 + 1e-3
 
 
-def test_a_picture_of_simulated_data_says_so():
-    """Inside the picture and in its caption, with the paper's figure."""
+def test_a_figure_of_simulated_data_is_labelled():
+    """The origin is in the figure and in its caption, with the paper's figure."""
     assert "not FERIC data" in plotting.svg(drawn(panel()))
-    told = report_texts.caption(finding(), ["simulation", "simulation"])
-    assert told.count("simulated data (virtual test rig), not FERIC data") == 0  # it begins a sentence
-    assert told.count("Simulated data (virtual test rig), not FERIC data.") == 1
-    assert "Fig. 6 of the paper" in told
+    caption = report_texts.caption(result(), ["simulation", "simulation"])
+    assert caption.count("simulated data (virtual test rig), not FERIC data") == 0  # it begins a sentence
+    assert caption.count("Simulated data (virtual test rig), not FERIC data.") == 1
+    assert "Fig. 6 of the paper" in caption
 
 
-def test_a_picture_of_measured_data_says_so():
+def test_a_figure_of_measured_data_is_labelled():
     """Measured data are not called simulated."""
-    told = report_texts.caption(finding(figure=0), ["measurement"])
-    assert "imulated" not in told
-    assert "Fig." not in told
-    assert "Measured data." in told
+    caption = report_texts.caption(result(figure=0), ["measurement"])
+    assert "imulated" not in caption
+    assert "Fig." not in caption
+    assert "Measured data." in caption
 
 
 @given(arrays(float, st.integers(1, 5000), elements=st.floats(-1e6, 1e6) | st.just(np.nan)))
-def test_no_peak_is_lost(values):
-    """Thinning keeps the largest and the smallest sample, the ends, and the order."""
+def test_decimation_keeps_peaks(values):
+    """Decimation keeps the largest and the smallest sample, the ends, and the order."""
     time = np.arange(values.size, dtype=float)
     x, y = plotting.decimate(time, values, 100)
     assert len(x) <= 202
@@ -163,18 +163,18 @@ def test_no_peak_is_lost(values):
     ("unit", "shown"),
     [("Pa.s2/m6", "Pa·s²/m⁶"), ("m3/(s.Pa^0.5)", "m³/(s·Pa^0.5)"), ("L/min", "L/min"), ("s-1", "s⁻¹")],
 )
-def test_units_are_printed(unit, shown):
-    """Powers are raised; a power that is not a whole number stays."""
+def test_units_are_typeset(unit, shown):
+    """Integer powers are superscripts; other powers stay."""
     assert pretty(unit) == shown
 
 
-def test_numbers_in_sentences_are_printed():
-    """A remark of a procedure has no notation of a program; other words stay."""
-    told = typeset("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
-    assert told == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1), stage1end"
+def test_numbers_in_sentences_are_typeset():
+    """Numbers in a remark are typeset; words stay."""
+    text = typeset("R is 2.5e-13 +- 1e+03 Pa, eq. (1), stage1end")
+    assert text == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1), stage1end"
 
 
-def seen(measured, predicted):
+def comparison(measured, predicted):
     """A recording of the swing next to its prediction."""
     units = {"swing.swing_command": "V", "manipulator.swing_angle": "rad", "swing.swing_pressure_a": "Pa"}
     units |= {"swing.swing_flow_a": "m3/s", "manipulator.swing_speed": "rad/s"}
@@ -184,10 +184,12 @@ def seen(measured, predicted):
 
 
 def test_traces_have_their_residual_below():
-    """A predicted signal has a strip with measured - predicted in its unit; a command has none."""
+    """A predicted signal has a strip with measured - predicted in its unit; a command has no strip."""
     pressure = 1e7 + 1e6 * np.sin(TIME)  # with a prediction that is 1 % of its range off
     measured = {"swing.swing_command": TIME, "swing.swing_pressure_a": pressure}
-    drawn = figure(seen(measured, {"swing.swing_pressure_a": pressure + 2e4 * np.cos(9 * TIME)}), "swing")
+    drawn = figure(
+        comparison(measured, {"swing.swing_pressure_a": pressure + 2e4 * np.cos(9 * TIME)}), "swing"
+    )
     command, pressure, strip = drawn.axes
     assert command.get_ylabel() == "command\n[V]"
     assert pressure.get_ylabel() == "pressure\n[bar]"
@@ -202,14 +204,14 @@ def test_traces_have_their_residual_below():
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_flow_that_no_meter_saw_is_drawn():
+def test_a_flow_in_the_dead_zone_is_drawn():
     """Always in the dead zone: the panel is empty, without a warning."""
     lost = {"swing.swing_flow_a": np.full(TIME.size, np.nan)}
-    assert len(figure(seen(lost, {"swing.swing_flow_a": TIME}), "swing").axes) == 2
+    assert len(figure(comparison(lost, {"swing.swing_flow_a": TIME}), "swing").axes) == 2
 
 
-def test_the_error_is_over_the_range():
-    """NRMSE is the root mean square residual over the range of what was measured, gaps left out."""
+def test_nrmse_is_over_the_range():
+    """NRMSE is the root mean square residual over the range of the measurement, without gaps."""
     measured = np.array([0.0, 1.0, 2.0, np.nan, 4.0])
     # exact identity: every residual is 0.4, the range is 4
     assert nrmse(measured, measured + 0.4) == pytest.approx(0.1)
@@ -217,10 +219,10 @@ def test_the_error_is_over_the_range():
     assert nrmse(np.full(5, np.nan), np.zeros(5)) is None
 
 
-def test_rows_show_what_was_measured():
-    """A joint without a flow meter has no row for flow."""
+def test_panels_are_those_of_the_measured_signals():
+    """A joint without a flow meter has no panel for flow."""
     names = [n for signals in SIGNALS["swing"].values() for n in signals if "flow" not in n]
-    drawn = figure(seen({n: TIME for n in names[:4]}, {}), "swing")
+    drawn = figure(comparison({n: TIME for n in names[:4]}, {}), "swing")
     assert [axes.get_ylabel().split("\n")[0] for axes in drawn.axes] == [
         "command",
         "angle",
@@ -229,8 +231,8 @@ def test_rows_show_what_was_measured():
     ]
 
 
-def test_correlations_stand_below_the_diagonal():
-    """Each pair is told once, with its number if it is large."""
+def test_correlations_are_below_the_diagonal():
+    """Each pair is drawn once, with its value if it is large."""
     names = ["a", "b", "c"]
     figure = draw_correlation(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]))
     axes = figure.axes[0]

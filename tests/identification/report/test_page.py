@@ -1,4 +1,4 @@
-"""The page and its numbers."""
+"""The HTML page and the JSON file of an identification."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from identification.report.samples import AREA, finding, page
+from identification.report.samples import AREA, page, result
 from lxml import html
 
 from fmus.identification.estimate import Estimate
@@ -22,7 +22,7 @@ from fmus.identification.report.recording_comparison import CaptionedFigure
 @pytest.fixture(scope="module")
 def text():
     """A page with everything on it."""
-    return render(page(figures=(CaptionedFigure("Swing", draw_procedure(finding()), "A caption."),)))
+    return render(page(figures=(CaptionedFigure("Swing", draw_procedure(result()), "A caption."),)))
 
 
 def test_the_page_needs_no_network(text):
@@ -32,14 +32,14 @@ def test_the_page_needs_no_network(text):
     assert "<script" not in text
 
 
-def test_the_page_tells_everything(text):
+def test_the_page_has_all_sections(text):
     """Sections, parameters, remarks, refinement, residual, quality, commands."""
     tree = html.fromstring(text)
     sections = {s.get("id") for s in tree.iter("section")}
     expected = {"parameters", "hose_resistance", "refinement", "residual", "trace-1", "data", "next"}
     assert sections == expected
     shown = tree.text_content()
-    for told in (
+    for expected_text in (
         "Simulated data (virtual test rig), not FERIC data",
         "40.10",  # valve area in mm2, interval 39.90 to 40.30
         "39.90 to 40.30",
@@ -54,11 +54,11 @@ def test_the_page_tells_everything(text):
         "1 sample clipped.",
         "harvester build --parameters parameters.toml",
     ):
-        assert told in shown, told
+        assert expected_text in shown, expected_text
 
 
-def test_links_of_the_page_lead_somewhere(text):
-    """Every entry of the contents has its section, every id is there once."""
+def test_links_of_the_page_have_targets(text):
+    """Every entry of the contents has its section, and every id is unique."""
     tree = html.fromstring(text)
     ids = [e.get("id") for e in tree.iter() if e.get("id")]
     assert len(ids) == len(set(ids))
@@ -78,8 +78,8 @@ def test_figures_follow_the_theme(text):
     assert re.search(r"color: #1c2024|stroke: #1c2024", text) is None
 
 
-def test_doubts_stand_above_the_numbers(text):
-    """A block with every warning before the tiles; none where there is nothing to warn of."""
+def test_warnings_are_above_the_estimates(text):
+    """A block with every warning before the tiles; no block without warnings."""
     shown = html.fromstring(render(page(warnings=("At a bound.", "Check."))))
     (block,) = shown.xpath("//header/div[@class='warning']")
     assert [row.text for row in block.iter("li")] == ["At a bound.", "Check."]
@@ -88,7 +88,7 @@ def test_doubts_stand_above_the_numbers(text):
 
 
 def test_a_page_without_refinement():
-    """Only procedures: what was not done is not shown."""
+    """Only procedures: other sections are left out."""
     found = render(page(refinement=None, explanation=None, qualities=(), commands={}))
     sections = {s.get("id") for s in html.fromstring(found).iter("section")}
     assert sections == {"parameters", "hose_resistance"}
@@ -104,9 +104,9 @@ def test_one_parameter_has_no_correlation():
     assert "Joint refinement" in shown
 
 
-def test_numbers_are_written_in_si(tmp_path):
-    """The JSON holds what the page shows, in SI units, and nothing that JSON does not know."""
-    shown = page(explanation=None, results=(finding(estimates=(), others=(AREA,)),))
+def test_values_are_written_in_si(tmp_path):
+    """The JSON file has the values of the page in SI units, and is valid JSON."""
+    shown = page(explanation=None, results=(result(estimates=(), others=(AREA,)),))
     written, data = write_page(tmp_path / "new", shown)
     assert (written.name, data.name) == ("identification.html", "identification.json")
     found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
@@ -119,9 +119,9 @@ def test_numbers_are_written_in_si(tmp_path):
 
 
 def test_what_is_not_finite_is_null(tmp_path):
-    """An open interval is null, not Infinity, which is no JSON."""
+    """An open interval is null, because Infinity is not valid JSON."""
     endless = Estimate("a", 1.0, "1", np.inf, -np.inf, np.inf, "")
-    _, data = write_page(tmp_path, page(results=(finding(estimates=(endless,)),)))
+    _, data = write_page(tmp_path, page(results=(result(estimates=(endless,)),)))
     found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert found["findings"][0]["estimates"][0]["high"] is None
 
@@ -140,7 +140,7 @@ def test_what_is_not_finite_is_null(tmp_path):
     ],
 )
 def test_numbers_have_few_digits(value, digits, shown):
-    """Significant digits, no exponent of a program."""
+    """Significant digits, typeset powers of ten."""
     assert report_texts.number(value, digits) == shown
 
 
@@ -149,14 +149,14 @@ def test_a_value_has_the_digits_of_its_interval(value, share):
     """Value and interval are rounded by less than a tenth of the interval."""
     half = value * share
     estimate = Estimate("a", value, "1", half / 2, value - half, value + half, "")
-    told = report_texts.value(estimate).replace("·10", "e")
-    told = told.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
+    shown = report_texts.value(estimate).replace("·10", "e")
+    shown = shown.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
     # the last of two digits of the half width, and at most seven digits at all
-    assert abs(float(told) - value) <= max(0.1 * half, 1e-6 * value)
+    assert abs(float(shown) - value) <= max(0.1 * half, 1e-6 * value)
 
 
-def test_units_of_parameters_are_shown_as_readers_know_them():
-    """Values in SI become those of the display unit, with the unit in print."""
+def test_parameters_are_shown_in_display_units():
+    """SI values are converted to the display unit, and the unit is typeset."""
     assert report_texts.value(AREA) == "40.10"
     assert report_texts.unit("m2") == "mm²"
     assert report_texts.unit("1") == ""

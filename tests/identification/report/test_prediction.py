@@ -23,58 +23,58 @@ from orchestrator.data.recording import Recording
 ROOT = Path(__file__).parents[3]
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}
 STOP = 4.0  # s
-SHOWN = ("manipulator.boom_angle", "swing.swing_pressure_a", "boom_stick.stick_rod_pressure")
+SIGNALS = ("manipulator.boom_angle", "swing.swing_pressure_a", "boom_stick.stick_rod_pressure")
 
 
 @pytest.fixture(scope="module")
 def reference():
-    """The first seconds of the reference trace, which another program run wrote."""
+    """The first seconds of the reference trace, which a separate simulation wrote."""
     table = pd.read_csv(ROOT / "data" / "reference" / "work_cycle.csv")
     return table[table["time"] <= STOP]
 
 
-def test_the_numbers_of_the_files_give_the_reference_trace(reference):
-    """Nothing identified: the prediction is the trace of the machine."""
+def test_default_parameters_give_the_reference_trace(reference):
+    """Without estimates the prediction is the trace of the machine."""
     time = reference["time"].to_numpy()
     commands = {name: reference[signal].to_numpy() for name, signal in COMMANDS.items()}
-    found = predict(Excitation(time, commands, POSE), {})
-    for name in SHOWN:
-        wanted = reference[name].to_numpy()
+    outputs = predict(Excitation(time, commands, POSE), {})
+    for name in SIGNALS:
+        expected = reference[name].to_numpy()
         # integrator error: the trace was made at 1e-11, the prediction at 1e-8 per step
-        np.testing.assert_allclose(found[name], wanted, atol=1e-5 * np.ptp(wanted))
+        np.testing.assert_allclose(outputs[name], expected, atol=1e-5 * np.ptp(expected))
 
 
-def a_drive(stop: float = 1.5) -> Excitation:
+def boom_motion(stop: float = 1.5) -> Excitation:
     time = np.arange(0.0, stop, 0.01)
     move = Move("boom", 0.2, 3.0, 0.2, 0.5, 0.2).sample(time)
     still = np.zeros_like(time)
     return Excitation(time, {"swing_command": still, "boom_command": move, "stick_command": still}, POSE)
 
 
-def test_a_number_of_one_part_counts_more_than_that_of_all():
-    """`valve_area` is that of all valves, `boom_stick.valve_area` that of two."""
-    small = predict(a_drive(), {"valve_area": 2e-5})
-    mixed = predict(a_drive(), {"valve_area": 4e-5, "boom_stick.valve_area": 2e-5})
+def test_a_value_of_one_part_has_precedence():
+    """`valve_area` sets all valves, `boom_stick.valve_area` the two of one part."""
+    small = predict(boom_motion(), {"valve_area": 2e-5})
+    mixed = predict(boom_motion(), {"valve_area": 4e-5, "boom_stick.valve_area": 2e-5})
     name = "manipulator.boom_angle"
-    assert np.ptp(predict(a_drive(), {})[name]) > 1.5 * np.ptp(small[name])
+    assert np.ptp(predict(boom_motion(), {})[name]) > 1.5 * np.ptp(small[name])
     # same numerics: the swing stands still, so its valve does not matter
     np.testing.assert_allclose(mixed[name], small[name], atol=1e-6)
 
 
-def test_an_unknown_number_is_refused():
-    """A misspelt parameter is not lost."""
+def test_an_unknown_parameter_is_refused():
+    """A misspelt parameter is not ignored."""
     with pytest.raises(Problem, match="expected parameters of the machine, got valve_aera"):
-        predict(a_drive(), {"valve_aera": 1e-5})
+        predict(boom_motion(), {"valve_aera": 1e-5})
 
 
-def test_a_variant_does_not_need_all_numbers():
-    """Numbers of the usual part that its variant does not have are left out."""
-    found = predict(a_drive(), {"boom_stick.boom_hose_inertance": 1e7}, {"boom_stick": "detailed"})
+def test_a_variant_does_not_need_all_parameters():
+    """Parameters of the default part that its variant does not have are left out."""
+    found = predict(boom_motion(), {"boom_stick.boom_hose_inertance": 1e7}, {"boom_stick": "detailed"})
     assert np.isfinite(found["manipulator.boom_angle"]).all()
 
 
-def test_a_recording_drives_the_machine():
-    """Commands, pose and supply pressure come from the recording, its noise is averaged."""
+def test_a_recording_gives_the_excitation():
+    """Commands, pose and supply pressure come from the recording, and their noise is averaged."""
     time = np.arange(0.0, 2.0, 0.005)
     rng = np.random.default_rng(0)
     angles = {f"manipulator.{j}_angle": a + 1e-4 * rng.standard_normal(time.size) for j, a in POSE.items()}
@@ -89,8 +89,8 @@ def test_a_recording_drives_the_machine():
     np.testing.assert_allclose(found.supply_pressure, 2e7, atol=6e4)
 
 
-def test_gaps_of_a_command_are_bridged_or_refused():
-    """Ten lost samples change nothing; half a second, and a pose that nobody saw, are refused."""
+def test_gaps_of_a_command_are_filled_or_refused():
+    """Ten missing samples have no effect; half a second of them, or a pose without samples, is refused."""
     time = np.arange(0.0, 2.0, 0.005)
     ramp = np.interp(time, [0.5, 1.5], [0.0, 4.0])
     angles = {f"manipulator.{j}_angle": np.full(time.size, a) for j, a in POSE.items()}
@@ -111,29 +111,31 @@ def test_gaps_of_a_command_are_bridged_or_refused():
 
 
 def test_a_measured_supply_pressure_drives_the_machine():
-    """A weak supply moves the boom more slowly; pump and engine are then no effect that could be missed."""
-    weak = replace(a_drive(), supply_pressure=np.full(a_drive().time.size, 8e6))
+    """A weak supply moves the boom more slowly; pump and engine are then not among the effects."""
+    weak = replace(boom_motion(), supply_pressure=np.full(boom_motion().time.size, 8e6))
     name = "manipulator.boom_angle"
-    assert np.ptp(predict(weak, {})[name]) < 0.8 * np.ptp(predict(a_drive(), {})[name])
-    assert set(candidate_effects(a_drive())) - set(candidate_effects(weak)) == {"pump and engine"}
+    assert np.ptp(predict(weak, {})[name]) < 0.8 * np.ptp(predict(boom_motion(), {})[name])
+    assert set(candidate_effects(boom_motion())) - set(candidate_effects(weak)) == {"pump and engine"}
 
 
-def test_slopes_move_all_numbers_of_a_name():
-    """A name without a part moves the numbers of all parts; one that nobody has is refused."""
-    given_ = {"swing.valve_area": 4e-5, "boom_stick.valve_area": 4e-5}
-    both, own = (sensitivities(a_drive(0.8), given_, [n])[n] for n in ("valve_area", "boom_stick.valve_area"))
+def test_sensitivities_change_all_parameters_of_a_name():
+    """A name without a part changes the parameter of all parts; an unknown name is refused."""
+    parameters = {"swing.valve_area": 4e-5, "boom_stick.valve_area": 4e-5}
+    both, one = (
+        sensitivities(boom_motion(0.8), parameters, [n])[n] for n in ("valve_area", "boom_stick.valve_area")
+    )
     signal = "manipulator.boom_angle"
     assert np.ptp(both[signal]) > 0
     # same numerics: the swing stands still
-    np.testing.assert_allclose(both[signal], own[signal], atol=1e-3 * np.ptp(both[signal]))
+    np.testing.assert_allclose(both[signal], one[signal], atol=1e-3 * np.ptp(both[signal]))
     with pytest.raises(Problem, match="valve_aera"):
-        sensitivities(a_drive(0.8), given_, ["valve_aera"])
+        sensitivities(boom_motion(0.8), parameters, ["valve_aera"])
 
 
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=40), st.floats(0, 1))
 @examples(60)
 def test_straight_lines_stay_within_the_tolerance(values, tolerance):
-    """No sample moves by more than the tolerance, ends not at all."""
+    """No sample changes by more than the tolerance, and the ends do not change."""
     samples = np.array(values)[:, None]
     time = np.arange(len(values)) * 0.005
     found = simplify(time, samples, tolerance)
@@ -143,10 +145,10 @@ def test_straight_lines_stay_within_the_tolerance(values, tolerance):
 
 
 def test_rounding_makes_no_corners():
-    """A ramp written with six digits becomes one straight line again."""
+    """A ramp that was written with six digits becomes one straight line."""
     time = np.arange(0.0, 4.0, 0.005)
     move = Move("boom", 0.5, 3.3, 0.7, 1.1, 0.6).sample(time)
     found = simplify(time, np.round(move, 5)[:, None])[:, 0]
-    bends = np.abs(np.diff(found, 2)) > 1e-9
-    assert bends.sum() <= 8  # four corners, each between two samples at most
+    corners = np.abs(np.diff(found, 2)) > 1e-9
+    assert corners.sum() <= 8  # four corners, each between two samples at most
     assert np.abs(found - move).max() < COMMAND_TOLERANCE

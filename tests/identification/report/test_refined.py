@@ -1,4 +1,4 @@
-"""A refinement, a recording and its quality on the page."""
+"""Content of the report for a refinement, a comparison and the quality of a recording."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def traces(name: str, error: float) -> SimulatedRun:
 
 
 def refined(**more) -> RefinementResult:
-    """A result, put together by hand."""
+    """A synthetic result."""
     free = tuple(FreeParameter(name, 2.0, log=True) for name in NAMES)
     training = (traces("a", 0.03), traces("b", 0.04))
     problem = EstimationProblem(HARVESTER, ("angle", "flow"), free, tuple(t.run for t in training))
@@ -57,8 +57,8 @@ def refined(**more) -> RefinementResult:
     return RefinementResult(**{**given, **more})
 
 
-def test_a_refinement_is_told_in_the_names_of_the_page():
-    """Names of parameters.toml, root mean square over the recordings, gaps where nothing was measured."""
+def test_a_refinement_has_the_names_of_the_report():
+    """Names of parameters.toml, root mean square over the recordings, None if nothing was measured."""
     found = refinement(refined(), NAMES, {"angle": "manipulator.angle"})
     angle, flow = found["fits"]
     assert angle["signal"] == "manipulator.angle"
@@ -75,7 +75,7 @@ def test_a_refinement_is_told_in_the_names_of_the_page():
     assert found["remarks"] == ["boom_stick.hose ended at its bound."]
 
 
-def test_a_search_that_did_not_converge_says_so():
+def test_a_search_that_did_not_converge_is_reported():
     """The first remark of the section."""
     found = refinement(refined(converged=False, reason="40 iterations"))
     assert found["remarks"][0].startswith("The search did not converge: 40 iterations were not enough.")
@@ -83,7 +83,7 @@ def test_a_search_that_did_not_converge_says_so():
 
 
 def test_random_starts_are_compared():
-    """How far each start was from the values before; a search that went elsewhere is not the same."""
+    """Distance of each start from the values before; whether the search led to the same result."""
     initial = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
     ran = MultistartResult(
         (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5, {}
@@ -115,7 +115,7 @@ def machine() -> Recording:
 
 
 def test_speeds_are_compared_through_one_filter():
-    """The measured and the predicted speed are slopes of their angles; the predicted output is not used."""
+    """Measured and predicted speeds are derivatives of the angles; the predicted output is not used."""
     recording = machine()
     predicted = dict(recording.signals) | {"manipulator.boom_speed": np.full(TIME.size, 9.0)}
     seen = compare(recording, predicted)
@@ -136,8 +136,8 @@ def test_the_dead_zone_is_left_out():
     np.testing.assert_array_equal(np.isnan(residual), dead)
 
 
-def test_the_quality_of_a_recording_is_told():
-    """Name, use, kind, rate, and the remarks by signal without its name before them."""
+def test_the_quality_of_a_recording():
+    """Name, use, kind, rate, and the remarks by signal without its name."""
     found = quality(machine())
     assert (found["name"], found["use"], found["kind"]) == ("b.csv", "test", "simulation")
     # exact identity: rounding only
@@ -150,8 +150,8 @@ def test_the_quality_of_a_recording_is_told():
     assert found["faults"] == 0
 
 
-def test_what_is_told_in_short():
-    """Every fault on a line of its own; all dead zones, which are no faults, in one line with the largest."""
+def test_the_lines_for_a_terminal():
+    """One line for each fault; one line for all dead zones, which are not faults, with the largest."""
     flow, asleep = channel("flow", "m3/s", dead=0.4), channel("other_flow", "m3/s", dead=1.0)  # never moved
     faulty = channel("pressure", "Pa", "1 sample clipped.")
     recordings = [
