@@ -1,6 +1,6 @@
 """Fits valve, chamber and bending arm to a file of valve command and pressure without units; see README.md.
 
-python examples/grey_box/run.py [FILE COMMAND PRESSURE [PICTURE]]  # columns by name or by place from 0"""
+python examples/grey_box/run.py [FILE COMMAND PRESSURE [PICTURE]]  # columns by name or by index from 0"""
 
 import sys
 from pathlib import Path
@@ -34,21 +34,21 @@ def rates(x, u, p):
 
 def main(path=CRANE, command=0, pressure=1, picture=""):
     data = read_series(path, {"command": command, "pressure": pressure})
-    bad = ~good(data, "pressure")  # gaps, and where the sensor is at its end
+    bad = ~good(data, "pressure")  # gaps, and samples at an end of the sensor's range
     data, peaks = normalised(blank(data, "pressure", bad))
     model = dimensionless("grey_box", START, ["command"], STATES, rates, {"spool": "command"})
-    found = refine(all_free(model, *split(data, len(data.time) // 2)), segment=64)  # fits the first half
-    for e in found.estimates():
-        known = f"{e.low:.4f} to {e.high:.4f}" if e.high < 1e9 else "open"
-        print(f"{e.name:10} {e.value:8.4f}, 95 %: {known}")
-    print(f"{bad.sum()} samples masked; search ended: {found.reason}", *found.unidentified, sep="\n")
+    result = refine(all_free(model, *split(data, len(data.time) // 2)), segment=64)  # fits the first half
+    for e in result.estimates():
+        interval = f"{e.low:.4f} to {e.high:.4f}" if e.high < 1e9 else "open"
+        print(f"{e.name:10} {e.value:8.4f}, 95 %: {interval}")
+    print(f"{bad.sum()} samples masked; search ended: {result.reason}", *result.unidentified, sep="\n")
     plt.figure(figsize=(12, 4))
     plt.plot(data.time, data["pressure"] * peaks["pressure"], "k", label="recorded")
-    for half, t in (("fit", found.training[0]), ("held out", found.held_out[0])):
-        share, whole = t.nrmse()[0], abs(t.run.scale[0] * peaks["pressure"])
-        poor = ": the model does not fit, are the columns right?" * (not share < 0.1)
-        print(f"{half}: RMSE {share * whole:.3f} in the file's numbers, NRMSE {100 * share:.1f} %{poor}")
-        plt.plot(t.run.time, t.y * peaks["pressure"], label=half)
+    for half, simulated in (("fit", result.training[0]), ("held out", result.held_out[0])):
+        nrmse, span = simulated.nrmse()[0], abs(simulated.run.scale[0] * peaks["pressure"])
+        doubt = ": the model does not fit, are the columns right?" * (not nrmse < 0.1)
+        print(f"{half}: RMSE {nrmse * span:.3f} in the file's numbers, NRMSE {100 * nrmse:.1f} %{doubt}")
+        plt.plot(simulated.run.time, simulated.y * peaks["pressure"], label=half)
     plt.legend()
     plt.savefig(picture or f"{data.source.stem}.png", dpi=80)
 

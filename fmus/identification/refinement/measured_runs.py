@@ -19,6 +19,7 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import savgol_filter
 
 from fmus.contract import Subsystem, quantities, symbolic
+from fmus.identification.recordings.clock import period
 from fmus.identification.recordings.masks import good
 from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 from fmus.parameters import Values
@@ -153,7 +154,7 @@ def local_parabolas(signal: Array, window: int) -> Array:
 
 def _odd_samples(time: Array, seconds: float) -> int:
     """Odd number of samples in a window, at most the length of the signal."""
-    count = min(round(seconds / float(np.median(np.diff(time)))), len(time) - 1)
+    count = min(round(seconds / period(time)), len(time) - 1)
     return count - 1 + count % 2
 
 
@@ -254,7 +255,7 @@ class RecordingMap:
             signal = self._signal(name)
             if name in outputs and signal in recording.signals:
                 trajectories[name] = np.where(usable_samples(recording, signal), recording[signal], np.nan)
-        model, step = symbolic(self.sub), float(np.median(np.diff(recording.time)))
+        model, step = symbolic(self.sub), period(recording.time)
         window = max(3, _odd_samples(recording.time, _SPEED_WINDOW))
         for (i, name), (j, rate) in permutations(enumerate(states), 2):
             if name not in trajectories or rate in trajectories or not np.isfinite(trajectories[name]).all():
