@@ -26,7 +26,7 @@ def off(found: Trace, truth: Trace, name: str) -> float:
 
 @pytest.mark.parametrize("chosen", ["reach", "folded", "close", "raised", "boom_up"])
 def test_every_pose_and_program_runs_at_large_steps(system, chosen):
-    """Oil tears and comes together again in all of them, which no linear model of a step foresees."""
+    """Voids open and close in all of them, which no linear model of a step predicts."""
     options = {"parameters": [chosen], "record_step": 0.02}
     truth = run(system, master="hermite", step=1e-3, **options).trace
     for master in GUARDED:
@@ -36,7 +36,7 @@ def test_every_pose_and_program_runs_at_large_steps(system, chosen):
 
 
 def test_without_it_a_pose_is_lost(system):
-    """What it is for: the linear model where a void closes."""
+    """The guard is for steps in which a void closes."""
     bare = Coupling("interface-jacobian", guard=0)
     with pytest.raises(RunFailed):
         run(system, parameters=["reach"], master=bare, step=5e-3)

@@ -51,7 +51,7 @@ def test_work_cycle(system, step, lag, speed, pressure):
 
 
 def test_where_others_diverge(system):
-    """At 20 ms held and continued inputs let the machine shake itself apart."""
+    """At 20 ms runs with held or extrapolated inputs are unstable."""
     for other in (Coupling("jacobi", order=2), Coupling("hermite", passes=1, guard=0)):
         with suppress(RunFailed):
             assert worst(run(system, master=other, step=2e-2, stop=5.0), "speed") > 0.1
@@ -68,7 +68,7 @@ def test_order_four(system):
 
 
 def test_a_scenario_drives_as_the_levers_do(system):
-    """The commands as a table: driven inputs are part of what is foretold."""
+    """The commands as a table: driven inputs are part of the prediction."""
     result = run(system, data("scenarios/work_cycle.csv"), master=MASTER, step=1e-2, stop=5.0)
     # measured 1.2e-5, as with the levers
     assert worst(result, "speed") < 2e-5
@@ -92,7 +92,7 @@ def test_both_ways_to_call_fmus_give_the_same_bits(system, lag):
 
 
 def test_the_fastest_component_steps_first(system, monkeypatch):
-    """Levers and supply lead; hydraulics come before the arm, the other way round costs a factor of ten."""
+    """Operator input and supply lead; hydraulics precede the arm: the other order is ten times worse."""
     orders = []
     begin = LinearPrediction.begin
 

@@ -41,7 +41,7 @@ ROW = structure([], [("a.y", "b.u"), ("b.y", "c.u")], a=((), ("y",)), b=(("u",),
 
 @pytest.mark.parametrize("system", [LOOP, TANGLE, ROW], ids=["loop", "tangle", "row"])
 def test_components_stand_apart_in_their_columns(system):
-    """In the column that was asked for, with every connector on its edge and none on another."""
+    """In the requested column, with every connector on its edge and none on another."""
     connectors, _, diagram = system
     placed = diagram.boxes
     for i, names in enumerate(diagram.columns):

@@ -1,4 +1,4 @@
-"""FMUs from elsewhere: what they lack and what they do, under every master, in C and in Python alike."""
+"""Foreign FMUs: missing abilities and odd behaviour, with every master, called by C and by Python."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ ABLE = {
 
 
 def expected(quirk: str, fmi: int, master: Coupling) -> list[str]:
-    """What the card is to say."""
+    """The expected notes of the card."""
     order = master.extrapolation
     degree = {"jacobi": order, "gauss-seidel": order + 1, "hermite": 3}[master.master]
     notes = [STUCK] if quirk == "no rollback" and master.master == "hermite" else []
@@ -52,7 +52,7 @@ def expected(quirk: str, fmi: int, master: Coupling) -> list[str]:
 
 @pytest.mark.parametrize("quirk", ABLE)
 def test_masters_do_without(each, both, quirk):
-    """Every master gets along, in both loops alike, says what it had to do without, and stays accurate."""
+    """Every master runs, called by C and by Python, with notes on missing abilities, and stays accurate."""
     for master in MASTERS:
         result = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), master=master).result
         assert list(result.card.notes) == expected(quirk, each.fmi, master), master.text
@@ -64,13 +64,13 @@ def test_masters_do_without(each, both, quirk):
 
 
 def without_rollback(workshop: Workshop, model: str, name: str) -> Path:
-    """An FMU that cannot go back."""
+    """An FMU without rollback."""
     able = {"canGetAndSetFMUstate" if workshop.fmi == 2 else "canGetAndSetFMUState": "false"}
     return workshop.make(model, name, interpolates=workshop.fmi == 2, able=able)
 
 
 def test_only_what_is_repeated_must_go_back(each, both):
-    """A source and what hears from it alone step once; two that hear from each other are repeated."""
+    """A source and its target step once; two components that feed each other are repeated."""
     pair = circle(each, "circle")
     files = {"s": without_rollback(each, "source", "wave"), "f": without_rollback(each, "quirk", "follower")}
     files |= {name: component.source.path for name, component in pair.components.items()}
@@ -82,7 +82,7 @@ def test_only_what_is_repeated_must_go_back(each, both):
 
 
 def test_what_hears_from_what_is_repeated_is_repeated_too(each, both):
-    """It works with other inputs in the second pass, so it has to go back."""
+    """It has other inputs in the second pass, so it must go back."""
     pair = circle(each, "circle")
     files = {"l": without_rollback(each, "quirk", "listener")}
     files |= {name: component.source.path for name, component in pair.components.items()}
@@ -103,14 +103,14 @@ def test_an_fmu_for_one_instance_is_not_used_twice(each):
 
 @pytest.mark.parametrize("quirk", ABLE)
 def test_both_loops_foretell_alike(each, both, quirk):
-    """interface-jacobian, of FMUs that do not tell how they change: their past goes on."""
+    """interface-jacobian extrapolates inputs from FMUs without directional derivatives."""
     result = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), Coupling("interface-jacobian")).result
     # as for the others: h^2 / 2 at worst, where all derivatives are at most 1
     assert np.abs(result.trace["q.y"] - np.sin(result.trace.time)).max() < 0.1**2 / 2
 
 
 def lacking(workshop: Workshop, function: bytes) -> Workshop:
-    """The same FMUs without a function of the library: its name is another one."""
+    """The same FMUs with a renamed function of the library."""
     assert function in workshop.library
     folder = workshop.folder / function.decode()
     folder.mkdir(exist_ok=True)
@@ -120,7 +120,7 @@ def lacking(workshop: Workshop, function: bytes) -> Workshop:
 
 
 def test_a_missing_function_matters_where_it_is_called(each, both):
-    """Only a master that goes back needs to save states; what is not there then is named."""
+    """Only a master with rollback needs the functions for states; the message names a missing one."""
     name = {2: b"fmi2GetFMUstate", 3: b"fmi3GetFMUState"}[each.fmi]
     system = circle(lacking(each, name), "no_save")
     assert both(system, "jacobi").error == ""
@@ -130,7 +130,7 @@ def test_a_missing_function_matters_where_it_is_called(each, both):
 
 
 def test_slopes_of_a_missing_function_follow_from_differences(each, both):
-    """A declaration that the binary does not keep is no reason to stop."""
+    """A declared ability that the binary lacks does not end the run."""
     name = {2: b"fmi2GetRealOutputDerivatives", 3: b"fmi3GetOutputDerivatives"}[each.fmi]
     notes = both(circle(lacking(each, name), "no_tell"), HERMITE).result.card.notes
     assert "slopes from differences of values, because the FMUs give none: q.y, p.y" in notes
@@ -155,13 +155,13 @@ def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor):
 @pytest.mark.parametrize("factor", [3, 7])
 @pytest.mark.parametrize("master", ["jacobi", "hermite"])
 def test_steps_of_its_own_begin_where_the_last_one_ended(each, both, master, factor):
-    """To the last bit: the FMU asks for it."""
+    """Bit for bit, as the FMU requires."""
     outcome = both(circle(each, "strict"), Coupling(master, factors={"q": factor}), stop=6.0)
     assert outcome.error == ""
 
 
 def test_an_fmu_for_slopes_of_states_only(each, both):
-    """It refuses those of other outputs: these follow from differences, the others are told."""
+    """It refuses slopes of some outputs: these follow from differences, and a note names them."""
     more = {"fmi2": "Real", "fmi3": "Float64"}[f"fmi{each.fmi}"]
     alias = 'name="idle" valueReference="0" causality="output" variability="continuous"'
     extra = f"<{more} {alias}/>" if each.fmi == 3 else f"<ScalarVariable {alias}><Real/></ScalarVariable>"
@@ -199,7 +199,7 @@ def test_failures_lose_nothing(each, both, where, how):
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_a_step_done_in_part_is_told(each, both, master):
-    """Masters that cannot go back stop there, and tell how far the FMU got."""
+    """Masters without rollback end the run; the message has the time that the FMU reached."""
     outcome = both(circle(each, "slow", longest=0.03, when=0.25), master=master)
     assert outcome.error.endswith("with status discard (the FMU got as far as t = 0.03 s)")
     assert outcome.result.trace.time.tolist() == [0.0]
@@ -221,7 +221,7 @@ def test_an_fmu_may_end_the_run(each, both, master):
 
 
 def test_an_estimate_of_the_error_covers_what_there_is(each):
-    """All runs end at the wish; what they have in common is compared."""
+    """All runs end where the FMU asks for it; their common points are compared."""
     system = circle(each, "enough", when=0.45, how=ENOUGH)
     card = run(system, master="jacobi", step=0.1, stop=1.0, error_estimate=True).card
     assert [e.name for e in card.errors]
@@ -229,7 +229,7 @@ def test_an_estimate_of_the_error_covers_what_there_is(each):
 
 
 def test_an_end_before_the_first_step_is_an_end_too(each, both):
-    """The record has the start, which is what there is."""
+    """The record contains only the start."""
     outcome = both(circle(each, "unwilling", when=0.0, how=ENOUGH))
     assert outcome.result.complete
     assert outcome.result.trace.time.tolist() == [0.0]
@@ -242,7 +242,7 @@ def test_a_return_that_was_not_allowed_is_an_error(fmus3, both):
 
 
 def test_a_wish_for_event_handling_passes(fmus3, both):
-    """As a warning; the numbers are those of an FMU without wishes."""
+    """As a warning; the values are those of an FMU without such a request."""
     wishing = both(circle(fmus3, "eventful", when=0.45, how=EVENT), master=HERMITE).result
     plain = both(circle(fmus3, "plain"), master=HERMITE).result
     assert "q: the FMU asks for event handling, which it was told to do itself" in wishing.card.warnings[0]
@@ -251,7 +251,7 @@ def test_a_wish_for_event_handling_passes(fmus3, both):
 
 @pytest.mark.parametrize("how", [WARNING, TALK])
 def test_warnings_pass_in_every_call(each, both, how):
-    """With the numbers of an FMU that is silent; each message has the time at which it came."""
+    """The values are those of a silent FMU; each message has its time."""
     talking = both(circle(each, "talking", when=0.05, how=how, where=-1), master=HERMITE).result
     plain = both(circle(each, "plain"), master=HERMITE).result
     np.testing.assert_array_equal(talking.trace["q.y"], plain.trace["q.y"])
@@ -275,7 +275,7 @@ def test_a_number_that_is_none_ends_the_record(each, both, master):
 
 
 def test_the_number_is_told_before_what_follows_from_it(each, both):
-    """An FMU that fails on what is no number is not the cause."""
+    """An FMU that fails because of NaN is not the cause."""
     files = {"q": each.make("quirk", "source_of_nan"), "f": each.make("quirk", "victim")}
     start = {"q.when": 0.25, "q.how": NOT_A_NUMBER, "f.when": 0.65, "f.how": FAULT}
     outcome = both(assemble(files, ["q.y -> f.u"], start))
@@ -321,7 +321,7 @@ def test_messages_are_those_of_the_steps_that_stand(each, both, longest):
 
 
 def test_an_error_that_a_shorter_step_avoids_is_none(each, both):
-    """The FMU is terminated properly in the end, and what it said is not told."""
+    """The FMU is terminated, and its withdrawn messages are not reported."""
     outcome = both(circle(each, "tender", longest=0.03, how=FAULT), master=HERMITE)
     assert outcome.error == ""
     assert outcome.result.card.warnings == ()
@@ -330,7 +330,7 @@ def test_an_error_that_a_shorter_step_avoids_is_none(each, both):
 
 @pytest.mark.parametrize("quirk", [quirk for quirk in ABLE if quirk != "equal steps"])
 def test_adaptive_steps_do_without(each, both, quirk):
-    """Errors stay at what is asked for, in both loops alike, whatever the FMUs lack."""
+    """Errors stay below the tolerance, called by C and by Python, with any missing ability."""
     for master in ADAPTIVE:
         system = circle(each, quirk.replace(" ", "_"), **ABLE[quirk])
         outcome = both(system, master=master, stop=2.0)
@@ -355,14 +355,14 @@ def test_adaptive_steps_need_fmus_that_vary_theirs(each):
 @pytest.mark.parametrize("master", ADAPTIVE, ids=lambda m: f"{m.text} {m.adaptive}")
 @pytest.mark.parametrize("how", [DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH])
 def test_adaptive_runs_end_alike(each, both, master, how):
-    """Whatever an FMU does in the middle of one: the same words, numbers and farewells in both loops."""
+    """Any failure inside a step has the same messages and values, called by C and by Python."""
     outcome = both(circle(each, "ending", when=0.45, how=how), master=master, stop=2.0)
     assert bool(outcome.error) == (how != ENOUGH)
     assert 0.3 < outcome.result.trace.time[-1] < 0.6
 
 
 def test_an_input_that_is_only_watched_is_left_alone(each, both):
-    """One that an FMU moves at its rate input goes on so through all steps of its own."""
+    """An input that an FMU varies by its rate input does so in all substeps."""
     files, wires = {"sum": each["drift"], "mass": each["mass_b"]}, ["mass.x -> sum.u", "mass.v -> sum.u_rate"]
     system = assemble(files, wires, {"mass.spring": 1.0})
     whole, twice = (

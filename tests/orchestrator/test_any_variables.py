@@ -1,4 +1,4 @@
-"""Variables of all kinds, on wires and from scenarios, under every master, in C and in Python alike."""
+"""Variables of all types, in connections and scenarios, with every master, called by C and by Python."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from orchestrator import Problem, Trace, assemble, run
 
 @pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
 def test_all_kinds_pass_on_wires_and_from_scenarios(each, both, master):
-    """Real, whole, true or false, one of a list; a text keeps its start value."""
+    """Real, Integer, Boolean, Enumeration; a String keeps its start value."""
     kinds = ("real", "int", "bool", "enum")
     system = assemble({"p": each["types"], "q": each["types"]}, [f"p.{k}_out -> q.{k}_in" for k in kinds])
     columns = {"real_in": [0.0, 1.0], "int_in": [3, 4], "bool_in": [0, 1], "enum_in": [1, 2]}
@@ -37,7 +37,7 @@ def text_input(workshop: Workshop) -> str:
 
 
 def test_a_text_as_input_is_left_alone(each, both):
-    """It is neither recorded nor driven, and can be given at the start."""
+    """It is neither recorded nor driven, but can have a start value."""
     fmu = each.make("types", "eared", more=text_input(each))
     result = both(assemble({"p": fmu}), set={"p.ear": "listen"}).result
     assert "p.ear" not in result.trace.signals
@@ -55,7 +55,7 @@ SMALL, LARGE = -(2**31), 2**31 - 1  # what a run keeps of whole numbers
 
 @pytest.mark.parametrize("kind", WIDTHS)
 def test_whole_numbers_pass_up_to_their_limits(fmus3, both, kind):
-    """From a scenario into an FMU, over a wire, and to the record; what does not fit is refused by name."""
+    """From a scenario, along a connection, to the record; a value that does not fit is refused by name."""
     name, (low, high) = kind.lower(), LIMITS[kind]
     system = assemble({"p": fmus3["wide"], "q": fmus3["wide"]}, [f"p.int64_out -> q.{name}_in"])
     ends = np.array([max(low, -LARGE), min(high, LARGE)], float)
@@ -71,7 +71,7 @@ def test_whole_numbers_pass_up_to_their_limits(fmus3, both, kind):
 
 @pytest.mark.parametrize("kind", ["UInt32", "Int64", "UInt64"])
 def test_whole_numbers_beyond_32_bits_are_refused(fmus3, both, kind):
-    """By name, on their way out of an FMU and in a scenario; never cut."""
+    """By name, from an FMU and from a scenario; never truncated."""
     name, (_, high) = kind.lower(), LIMITS[kind]
     outcome = both(assemble({"p": fmus3["wide"]}), set={f"p.{name}_in": high})
     assert outcome.error == f"{name}_out: expected a value in the range of int32, got {high}"
@@ -83,7 +83,7 @@ def test_whole_numbers_beyond_32_bits_are_refused(fmus3, both, kind):
 
 
 def test_wires_of_whole_numbers_keep_whole_numbers(each, both):
-    """A factor that is none is refused."""
+    """A factor that is not an integer is refused."""
     files = {"p": each["types"], "q": each["types"]}
     doubled = assemble(files, [("p.int_out", "q.int_in", 2, -3)], {"p.int_in": 4})
     np.testing.assert_array_equal(both(doubled).result.trace["q.int_in"], 7)
@@ -110,14 +110,14 @@ def test_single_precision_passes(fmus3, both, master):
 
 
 def test_what_is_too_large_for_single_precision_is_infinite(fmus3, both):
-    """In both loops, without a word from NumPy; the record refuses it."""
+    """Called by C and by Python, without a warning of NumPy; the record refuses it."""
     ramp = Trace(np.array([0.0, 1.0]), {"p.float32_in": np.array([0.0, 1e300])})
     outcome = both(assemble({"p": fmus3["wide"]}), scenario=ramp, step=0.5)
     assert outcome.error == "p.float32_out: expected a finite value, got inf at t = 0.5 s"
 
 
 def test_two_names_of_one_variable_go_side_by_side(each, both):
-    """The same value under both, on a wire and in the record."""
+    """Both names give the same value, in a connection and in the record."""
     other = 'name="same" valueReference="1" causality="output" variability="continuous"'
     more = f"<ScalarVariable {other}><Real/></ScalarVariable>" if each.fmi == 2 else ""
     aliases = {"y": "same"} if each.fmi == 3 else None

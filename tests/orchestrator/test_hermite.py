@@ -13,7 +13,7 @@ ONE = Coupling("hermite", guard=0, passes=1)
 
 
 def error(trace, exact):
-    """Of the first position, over the largest."""
+    """Error of the first position, relative to the largest."""
     truth = exact(trace.time)[:, 0]
     return np.abs(trace["a.x"] - truth).max() / np.abs(truth).max()
 
@@ -34,7 +34,7 @@ def test_the_undamped_oscillator_over_ten_seconds(moving, exact, coupling, step,
 
 
 def test_passes_end_when_the_tolerance_is_met(moving):
-    """A stricter tolerance takes more passes, and each of them a smaller share of the error."""
+    """A stricter tolerance takes more passes, each of which reduces the error."""
     tolerances = (1e-2, 1e-4, 1e-6, 1e-8)
     results = [
         run(moving, master=Coupling("hermite", guard=0, tolerance=x), step=2e-2, stop=1.0) for x in tolerances
@@ -53,7 +53,7 @@ def test_passes_end_when_the_tolerance_is_met(moving):
 
 
 def test_passes_have_a_limit(moving):
-    """A tolerance below rounding is never met, and no reason to go on for ever."""
+    """A tolerance below rounding is never met; the number of passes is limited."""
     card = run(
         moving, master=Coupling("hermite", guard=0, passes=5, tolerance=1e-300), step=2e-2, stop=0.2
     ).card
@@ -62,7 +62,7 @@ def test_passes_have_a_limit(moving):
 
 @pytest.mark.parametrize("in_c", [False, True])
 def test_a_chain_takes_one_pass(fmus, in_c):
-    """Where nothing feeds back, sources step first and all is right in the first pass."""
+    """Without feedback sources step first, and the first pass is final."""
     files = {"sum": fmus.make("fails", "last", interpolates=True), "sine": fmus["source"]}
     system = assemble(files, ["sine.y -> sum.u"])
     result = run(
@@ -77,7 +77,7 @@ def test_a_chain_takes_one_pass(fmus, in_c):
 
 
 def test_what_hears_nothing_is_not_repeated(fmus, moving):
-    """A source and what it drives step once, while the masses step as often as there are passes."""
+    """A source and its target step once, the masses once in each pass."""
     counts = dict.fromkeys("absk", 0)
 
     def counted(component):
@@ -101,7 +101,7 @@ def test_what_hears_nothing_is_not_repeated(fmus, moving):
 
 @pytest.mark.parametrize("bend", [0.0, 0.5, 0.53125])
 def test_corners_of_free_sources(fmus, bend):
-    """A ramp that begins at a communication point is a ramp; inside a step it is smeared over that step only.
+    """A ramp from a communication point is exact; one from inside a step is smoothed over that step only.
 
     The integral of the ramp from t = bend on. An FMU tells at a corner the slope of what follows, with which
     a cubic would rise before the corner: by h^2 / 12 = 3e-4 of the integral too much.
@@ -118,7 +118,7 @@ def test_corners_of_free_sources(fmus, bend):
 
 
 def test_without_rollback_it_is_one_pass(oscillators):
-    """Bit for bit what one pass is, and a note says why."""
+    """The result equals that of one pass, bit for bit, with a note on the reason."""
     stuck = oscillators("curves", canGetAndSetFMUstate="false")
     results = [run(s, master=m, step=1e-2, stop=1.0) for s, m in ((stuck, "hermite"), (oscillators(), ONE))]
     assert "hermite computes every step once: a, b cannot go back to a saved state" in results[0].card.notes
@@ -135,7 +135,7 @@ def test_it_stays_stable_where_held_inputs_run_away(moving, exact):
 
 
 def test_the_guard_divides_steps_that_would_go_wrong(moving, exact):
-    """Steps longer than a period of the faster mode: lost without it, within its tolerance with it."""
+    """Steps longer than a period of the faster mode: unusable without the guard, accurate with it."""
     lost, kept = (run(moving, master=Coupling("hermite", guard=g), step=0.2, stop=10.0) for g in (0, None))
     np.testing.assert_array_equal(lost.trace.time, kept.trace.time)  # recorded where it was asked for
     assert kept.card.repeated > 0

@@ -18,7 +18,7 @@ NEAR = 0.06  # of the order: measured within 0.04 at these steps
 
 
 def errors(system, exact, coupling, steps, stop=1.0):
-    """Of the first position at each step, over the largest position."""
+    """Error of the first position at each step, relative to the largest position."""
     found = []
     for h in steps:
         trace = run(system, master=coupling, step=h, stop=stop).trace
@@ -28,7 +28,7 @@ def errors(system, exact, coupling, steps, stop=1.0):
 
 
 def order(system, exact, coupling, steps=FINE):
-    """What the last two steps measure."""
+    """The order that the last two steps measure."""
     *_, before, after = errors(system, exact, coupling, steps)
     return np.log2(before / after)
 
@@ -37,7 +37,7 @@ def order(system, exact, coupling, steps=FINE):
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 @pytest.mark.parametrize("follow", ["curves", "lines", "rates"])
 def test_a_source_continued_at_order_n_gives_order_n_plus_one(oscillators, exact, master, n, follow):
-    """Inputs follow it as cubics, or as the straight lines nearest to them, which loses h^4 only."""
+    """Inputs are cubics, or the nearest straight lines, whose error is of the order h^4."""
     found = order(oscillators(follow), exact, Coupling(master, n), (4e-3, 2e-3) if n == 3 else FINE)
     assert found == pytest.approx(n + 1, abs=NEAR)
 
@@ -45,14 +45,14 @@ def test_a_source_continued_at_order_n_gives_order_n_plus_one(oscillators, exact
 @pytest.mark.parametrize("n", [0, 1, 2])
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_the_correction_raises_the_order_by_one(oscillators, exact, master, n):
-    """The mean that a continuation loses comes back one step later: what is left is its change."""
+    """The deficit of the mean is corrected one step later, so only its change remains."""
     coupling = Coupling(master, n, correct=True)
     steps = (4e-3, 2e-3) if n == 2 else FINE
     assert order(oscillators(), exact, coupling, steps) == pytest.approx(n + 2, abs=NEAR)
 
 
 def test_one_pass_of_hermite_has_order_four(moving, exact):
-    """Cubic continuation, and cubics to what has stepped."""
+    """Cubic extrapolation, and cubic interpolation for sources that have stepped."""
     found = order(moving, exact, Coupling("hermite", guard=0, passes=1), (4e-3, 2e-3))
     assert found == pytest.approx(4, abs=NEAR)
 
@@ -76,7 +76,7 @@ def test_rates_of_fmi_3_do_as_well(oscillators, exact):
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_fmus_that_hold_their_inputs_keep_order_two(oscillators, exact, fmi):
-    """They get the mean: what is left is the first moment, h^2 of the slope; repeating cannot mend that."""
+    """Held inputs have the right mean; the error of the first moment remains, also after repetition."""
     found = order(
         oscillators("held", fmi), exact, Coupling("hermite", guard=0, **CONVERGED), (1.6e-2, 8e-3, 4e-3)
     )
@@ -86,7 +86,7 @@ def test_fmus_that_hold_their_inputs_keep_order_two(oscillators, exact, fmi):
 @pytest.mark.parametrize("n", [1, 2])
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 def test_fmus_that_hold_their_inputs_gain_from_slopes(oscillators, exact, master, n):
-    """The mean of the continued source makes order 2 of 1.
+    """The mean of the extrapolated source raises the order from 1 to 2.
 
     The force of the first mass follows its input at once, which it holds: its FMU tells a slope that lacks
     that of the input, by which the mean would be wrong in first order. Differences of values are not.
@@ -102,13 +102,13 @@ def test_fmus_that_hold_their_inputs_gain_from_slopes(oscillators, exact, master
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
 @pytest.mark.parametrize("n", [1, 2])
 def test_without_slopes_continuing_has_order_two(oscillators, exact, master, n, follow):
-    """No slope is known in the first step: its inputs are held, an error of h^2 that stays."""
+    """In the first step there are no slopes: inputs are held, and an error of h^2 remains."""
     system = oscillators(follow, slopes=False)
     assert order(system, exact, Coupling(master, n)) == pytest.approx(2, abs=NEAR)
 
 
 def test_without_slopes_a_flat_start_has_the_full_order(fmus):
-    """Where the first step has nothing to lose, differences of values are as good as slopes of FMUs.
+    """Without an error in the first step, differences of values are as good as slopes of FMUs.
 
     An integrator behind a sine from its top on; the sine tells no slope.
     """
@@ -122,7 +122,7 @@ def test_without_slopes_a_flat_start_has_the_full_order(fmus):
 
 
 def test_without_slopes_iterated_hermite_keeps_order_four(oscillators, exact):
-    """Differences over four values are exact for cubics, and passes mend the first step.
+    """Differences over four values are exact for cubics, and passes correct the first step.
 
     They reach back three steps, so that short steps are needed for the order: it comes down to 4 from above.
     """

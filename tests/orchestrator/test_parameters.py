@@ -1,4 +1,4 @@
-"""Parameter sets that a user chooses: from a file or by name from the SSP, with units, over what is bound."""
+"""Parameter sets of a user: from a file or by name from the SSP, with units; they override bound ones."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ SSD = f"""<SystemStructureDescription xmlns="{COMMON}Description" version="1.0" 
 
 
 def ssv(unit="", **values):
-    """The text of a parameter set; of names with "__" for the dot."""
+    """The text of a parameter set; in the names "__" stands for the dot."""
     written = unit and f"unit={unit!r}"
     rows = "".join(
         f'<Parameter name="{n.replace("__", ".")}"><Real value="{v}" {written}/></Parameter>'
@@ -33,12 +33,12 @@ def system(fmus, zip_ssp):
 
 
 def factor(system, **options):
-    """What the gain multiplies with."""
+    """The factor of the gain."""
     return run(system, step=0.5, stop=0.5, **{"set": {"u": 1.0}} | options).trace["g.y"][-1]
 
 
 def test_a_set_of_the_ssp_wins_over_the_bound_one(system):
-    """And later sets over earlier ones, and single values over all."""
+    """Later sets override earlier ones, and single values override all."""
     assert factor(system) == 2.0
     assert factor(system, parameters=["steep"]) == 9.0
     assert factor(system, parameters=["steep", "plain"]) == 2.0
@@ -46,7 +46,7 @@ def test_a_set_of_the_ssp_wins_over_the_bound_one(system):
 
 
 def test_a_set_of_an_unpacked_ssp(fmus, tmp_path):
-    """The folder resources/ beside the .ssd file."""
+    """The folder resources/ next to the .ssd file."""
     (tmp_path / "resources").mkdir()
     (tmp_path / "SystemStructure.ssd").write_text(SSD, encoding="utf-8")
     (tmp_path / "resources" / "gain.fmu").write_bytes(fmus["gain"].read_bytes())
@@ -67,7 +67,7 @@ def test_a_file_with_units_for_an_assembled_system(fmus, tmp_path):
 
 
 def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
-    """Tools that pass nothing on at initialisation need it; here what feeds the input wins."""
+    """Some tools need it at initialisation; here the source of the input overrides it."""
     file = tmp_path / "own.ssv"
     file.write_text(ssv(q__u=7.0, p__u=3.0), encoding="utf-8")
     chain = assemble({"p": fmus["gain"], "q": fmus["gain"]}, ["p.y -> q.u"])
@@ -88,7 +88,7 @@ def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
     ],
 )
 def test_sets_that_do_not_fit_are_refused(system, tmp_path, monkeypatch, name, message):
-    """In one line: the set or file, the variable, expected and found."""
+    """In one line: the set or file, the variable, expected and got."""
     monkeypatch.chdir(tmp_path)
     for file, values in (("odd", {"g__fctor": 1}), ("output", {"g__y": 1}), ("text", {"g__factor": "x"})):
         (tmp_path / f"{file}.ssv").write_text(ssv(**values), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Choices about the coupling: their mistakes, how they meet, and that a run is told what it was."""
+"""Choices about the coupling: mistakes, combinations, and their record in the metadata."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from orchestrator.engine.result import read_metadata, write_metadata
 
 
 def test_every_master_has_a_name_and_an_order():
-    """The tables of settings and of masters list the same."""
+    """The table of names and that of plans have the same masters."""
     assert set(MASTERS) == set(MADE) == set(DEFAULT_ORDERS)
 
 
@@ -70,14 +70,14 @@ def test_a_wrong_value_is_told(choices, message):
     ],
 )
 def test_a_choice_without_effect_is_refused(choices, message):
-    """Also one that happens to be what the master does anyway."""
+    """Also a choice that equals the default of the master."""
     with pytest.raises(Problem) as told:
         Coupling(**choices)
     assert str(told.value).startswith(message)
 
 
 def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
-    """Single settings change, factors by component; a master stands for itself."""
+    """Single choices change, factors by component; a master replaces the others."""
     usual = Coupling("hermite", passes=3, factors={"a": 2, "b": 3})
     assert merge_choices({"passes": 2, "factors": {"a": 5}}, usual) == Coupling(
         "hermite", passes=2, factors={"a": 5, "b": 3}
@@ -89,7 +89,7 @@ def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
 
 
 def test_the_text_tells_what_is_not_usual():
-    """Nothing but the name where nothing was chosen."""
+    """Only the name of the master if nothing else was chosen."""
     assert Coupling("hermite").text == "hermite"
     more = Coupling(
         "jacobi", 1, correct=True, factors={"a": 4, "b": 1, "c": 2}, adaptive=1e-3, control="energy"
@@ -127,7 +127,7 @@ def test_the_settings_are_those_with_an_effect():
     ],
 )
 def test_the_settings_make_the_same_coupling(coupling):
-    """What is noted beside a trace can be given to a run again."""
+    """The coupling in the metadata of a trace can be used for another run."""
     again = Coupling(**coupling.settings)
     assert again.settings == coupling.settings
 
@@ -140,7 +140,7 @@ def test_a_name_is_a_coupling_with_defaults(oscillator):
 
 
 def test_a_factor_of_no_component_is_told(oscillator):
-    """With the name that may have been meant, or those there are."""
+    """The message has a similar name, or all names."""
     with pytest.raises(Problem, match="factor of c: unknown component; there are a, b"):
         run(oscillator, master=Coupling(factors={"c": 2}), stop=0.1)
 
@@ -178,7 +178,7 @@ def test_the_estimate_of_an_adaptive_run_is_near_its_error(oscillator, exact):
 
 
 def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillator):
-    """Two such runs share no points; a note tells what helps."""
+    """Two such runs have no common points; a note suggests a record step."""
     card = run(oscillator, master=Coupling(adaptive=1e-2), stop=0.5, error_estimate=True).card
     assert not card.errors
     assert (
@@ -206,7 +206,7 @@ def test_times_that_adaptive_steps_cannot_tell_are_refused(oscillator, options, 
 
 
 def test_adaptive_steps_get_no_shorter_than_the_times_can_tell(oscillator):
-    """A tolerance that nothing meets ends at the smallest step, which has to bring the time forward."""
+    """A tolerance that is never met leads to the smallest step, which must still advance the time."""
     at = 1e9  # [s], where times differ by 1e-7 s at least
     hopeless = Coupling("jacobi", adaptive=1e-300, smallest=1e-300)
     card = run(oscillator, master=hopeless, start=at, stop=at + 1e-2, step=1e-3).card

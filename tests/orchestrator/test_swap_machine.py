@@ -1,4 +1,4 @@
-"""The machine with other FMUs in it: it stands still, whatever stands in it, and tells what does not fit."""
+"""The machine with other FMUs: it stays at rest, and messages list ports that do not fit."""
 
 import re
 
@@ -28,7 +28,7 @@ def machine(fmu_dir):
 
 @pytest.mark.parametrize(("folder", "pose"), [("fmu_dir", "reach"), ("fmi3_dir", "nominal")])
 def test_the_machine_stands_still_with_every_variant(machine, request, folder, pose):
-    """The start wires reach the new FMU, also one of FMI 3.0 in a system of FMI 2.0."""
+    """Connections reach the new FMU, also one of FMI 3.0 in a system of FMI 2.0."""
     files = sorted((request.getfixturevalue(folder) / "variants").glob("*.fmu"))
     swaps = [(c, f) for f in files for c in machine.components if f.stem.startswith(f"{c}_")]
     assert len(swaps) == len(files) > 0
@@ -38,14 +38,14 @@ def test_the_machine_stands_still_with_every_variant(machine, request, folder, p
 
 
 def test_without_start_wires_the_machine_falls(machine, fmu_dir):
-    """That the machine stands still says something."""
+    """Without the holding force the boom falls, so a machine at rest is evidence."""
     cut = machine.without("boom_stick.boom_holding_force")
     options = {"swap": {"boom_stick": fmu_dir / "boom_stick.fmu"}, "parameters": ["still"], "stop": 0.3}
     assert speed(run(cut, set={"boom_stick.boom_holding_force": 0.0}, **options)) > 100 * STILL
 
 
 def test_an_actuator_without_start_wires_needs_cuts(machine, fmu_dir, tmp_path):
-    """As a look-up table has; its message says how to run it."""
+    """The message of an FMU without the holding forces lists the necessary cuts."""
     changes = [renamed(f"{rod}_holding_force", f"{rod}_unused") for rod in ("boom", "stick")]
     table = edited(fmu_dir / "boom_stick.fmu", tmp_path / "table.fmu", *changes)
     cuts = "--cut boom_stick.boom_holding_force --cut boom_stick.stick_holding_force"
@@ -56,7 +56,7 @@ def test_an_actuator_without_start_wires_needs_cuts(machine, fmu_dir, tmp_path):
 
 
 def test_rates_may_be_missing_on_both_sides(machine, fmu_dir, tmp_path):
-    """An actuator that knows no rates: power wires stay, the machine still stands still."""
+    """An actuator without rate ports: power connections are kept, and the machine stays at rest."""
     rates = ["boom_force_rate", "stick_force_rate", "boom_acceleration", "stick_acceleration"]
     plain = edited(
         fmu_dir / "boom_stick.fmu", tmp_path / "plain.fmu", *(renamed(r, f"no_{r}") for r in rates)
