@@ -123,7 +123,7 @@ def test_a_recording_without_commands_is_told_what_ran(capsys):
     shutil.copy(REFERENCE, "own.csv")
     Path("own.toml").write_text('[signals."manipulator.boom_angle"]\nunit = "rad"\n', encoding="utf-8")
     assert main(["validate", "--reference", "own.csv", "--stop", "0.2"]) == 0
-    assert "note: no --scenario given: ran what the system plays by itself" in capsys.readouterr().out
+    assert "note: no --scenario given: the inputs are those of the system" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("here")
@@ -158,7 +158,7 @@ def test_a_run_that_begins_elsewhere_than_the_recording_is_told(capsys):
     table.to_csv(own, index=False)
     assert main(["validate", "--reference", str(own), "--stop", "0.2"]) == 1  # 0.3 rad is beyond the limit
     told = " ".join(capsys.readouterr().out.split())
-    assert "note: the run begins elsewhere than the reference: manipulator.boom_angle by -0.3 rad;" in told
+    assert "note: the start of the run differs from the reference: manipulator.boom_angle by -0.3 rad;" in told
 
 
 @pytest.mark.usefixtures("here")
@@ -185,7 +185,7 @@ def test_a_recorded_supply_is_played_where_it_is_asked_for(system, fmu_dir, caps
         assert np.ptp(read("build/run.csv")["swing.supply_pressure"]) == 0
     capsys.readouterr()
     assert main(["validate", f"build/{system}", "--reference", "own.csv", "--play", "*.presure"]) == 2
-    assert "--play *.presure: no such signal in own.csv" in capsys.readouterr().err
+    assert "--play *.presure: expected a signal of own.csv" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("here")

@@ -50,8 +50,8 @@ def table(part: str, found: Comparison, cost: Mapping[str, float]) -> str:
         if one is not found.reference:
             worst = [row for kind in KINDS if (row := found.worst(one.label, kind))]
             told = ", ".join(f"{percentage(row.metrics.nrmse)} {row.signal}" for row in worst)
-        assert one.facts is not None
-        whole = 1e3 * one.facts.wall / one.facts.simulated
+        assert one.metadata is not None
+        whole = 1e3 * one.metadata.wall / one.metadata.simulated
         size = states(FAMILIES[part][one.label])
         lines.append(f"{one.label:<20}{size:>6}{cost[one.label]:>10.2f}{whole:>10.1f}   {told}")
     return "\n".join(lines)

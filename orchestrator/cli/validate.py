@@ -46,5 +46,5 @@ def validate(
 
     defaults = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
-    if not validate_system(system, case.scenario, reference, layout, out, usual=defaults, **options):
+    if not validate_system(system, case.scenario, reference, layout, out, default=defaults, **options):
         raise typer.Exit(1)

@@ -1,1 +1,1 @@
-"""Validation and comparison of results: references, metrics, reports."""
+"""Validation and comparison of results: metrics, reports, figures."""

@@ -1,6 +1,6 @@
-"""A comparison of runs as text for the terminal, as numbers for programs and as a picture for people.
+"""Report of a comparison of runs: text, comparison.json, and a figure.
 
-In the picture signals of several runs lie over each other, with their differences from the reference below.
+The figure shows each signal of all runs, and below it the differences from the reference.
 """
 
 from __future__ import annotations
@@ -28,49 +28,49 @@ from orchestrator.engine.result import RunMetadata
 from orchestrator.results.comparison import CONSTANT, DEFAULT_QUANTITIES, Comparison, Run
 from orchestrator.results.validation import ValidatedSignal
 
-PANELS = 6  # more rows than these do not fit on a page
-EACH = 3  # of one quantity
-ALIKE = 0.01  # of its range: two curves that are nearer cannot be distinguished in the picture
+MOST_PANELS = 6  # of a figure on one page
+MOST_OF_QUANTITY = 3  # panels
+SAME_CURVE = 0.01  # relative to the range: curves that are closer cannot be distinguished in the figure
 
 
 def chosen(comparison: Comparison) -> list[str]:
-    """The signals that fit into one picture: of each quantity those that differ most, in their order."""
+    """The signals of the figure: of each quantity those with the largest differences, in their order."""
     groups: dict[str, list[ValidatedSignal]] = {}
     for validation in comparison.against.values():
         for row in validation.rows:
             if row.signal in comparison.signals:
                 groups.setdefault(row.group, []).append(row)
-    most = EACH if len(groups) > 1 else PANELS
-    kept = {row.signal for rows in groups.values() for row in _distinct(rows, most)}
-    return [signal for signal in comparison.signals if signal in kept][:PANELS]
+    most = MOST_OF_QUANTITY if len(groups) > 1 else MOST_PANELS
+    shown = {row.signal for rows in groups.values() for row in _distinct(rows, most)}
+    return [signal for signal in comparison.signals if signal in shown][:MOST_PANELS]
 
 
 def _distinct(rows: Sequence[ValidatedSignal], most: int) -> list[ValidatedSignal]:
-    """The rows with the largest differences, without those that look like one before."""
-    found: list[ValidatedSignal] = []
+    """The rows with the largest differences, without those that look like an earlier one."""
+    distinct: list[ValidatedSignal] = []
     for row in sorted(rows, key=lambda r: -r.metrics.maximum_error):
-        if len(found) < most and not any(_alike(row, other) for other in found):
-            found.append(row)
-    return found
+        if len(distinct) < most and not any(_same_curve(row, other) for other in distinct):
+            distinct.append(row)
+    return distinct
 
 
-def _alike(row: ValidatedSignal, other: ValidatedSignal) -> bool:
-    """The same signal, or another one that lies on it."""
+def _same_curve(row: ValidatedSignal, other: ValidatedSignal) -> bool:
+    """Whether the rows are of one signal, or of two signals with the same curves."""
     if row.signal == other.signal or len(row.time) != len(other.time):
         return row.signal == other.signal
-    apart = [
+    differences = [
         np.abs(a - b).max() for a, b in ((row.reference, other.reference), (row.simulation, other.simulation))
     ]
-    return bool(max(apart) < ALIKE * np.ptp(row.reference))
+    return bool(max(differences) < SAME_CURVE * np.ptp(row.reference))
 
 
 def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure:
-    """The picture; `signals` default to those of the comparison that differ most."""
+    """The figure; default signals: those of the comparison with the largest differences."""
     reference = comparison.reference
     styles = {reference.label: {"color": PALETTE.faint, "linewidth": 2.8, "alpha": 0.6}}
-    for place, run in enumerate(run for run in comparison.runs if run.label in comparison.against):
-        dashes = LINE_STYLES[place % len(LINE_STYLES)]
-        styles[run.label] = {"color": PALETTE.colour(place), "linewidth": 1.2, "linestyle": dashes}
+    for i, run in enumerate(run for run in comparison.runs if run.label in comparison.against):
+        dashes = LINE_STYLES[i % len(LINE_STYLES)]
+        styles[run.label] = {"color": PALETTE.colour(i), "linewidth": 1.2, "linestyle": dashes}
     names = list(signals) if signals is not None else chosen(comparison)
     key = [
         legend_entry(f"{label} (reference)" if label == reference.label else label, **style)
@@ -86,9 +86,9 @@ def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name
     lines = []
     for label, style in styles.items():
         trace = runs[label]
-        seen = (trace.time >= comparison.window[0]) & (trace.time <= comparison.window[1])
-        values = convert(trace[name][seen], trace.units.get(name, unit), reader_unit(unit), name)
-        lines.append(TraceLine(trace.time[seen], values, style))
+        in_window = (trace.time >= comparison.window[0]) & (trace.time <= comparison.window[1])
+        values = convert(trace[name][in_window], trace.units.get(name, unit), reader_unit(unit), name)
+        lines.append(TraceLine(trace.time[in_window], values, style))
     rows = {label: validation[name] for label, validation in comparison.against.items()}
     error_unit = error_display_unit(next(iter(rows.values())).unit).display if rows else ""
     errors = [
@@ -113,66 +113,66 @@ def text(comparison: Comparison) -> str:
 
 
 def _notes(comparison: Comparison) -> Iterator[str]:
-    """What concerns all first, then what is true for single runs."""
+    """Notes on all runs first, then on single runs."""
     yield from comparison.notes
-    about: dict[str, list[str]] = {}
+    labels_by_note: dict[str, list[str]] = {}
     for label, validation in comparison.against.items():
         for note in validation.notes:
-            about.setdefault(note, []).append(label)
+            labels_by_note.setdefault(note, []).append(label)
     rows = (comparison.worst(label, q) for label in comparison.against for q in comparison.quantities())
     if any(row and CONSTANT in row.notes for row in rows):
         yield f"{CONSTANT}: its NRMSE is over the range of the other run"
-    for note, labels in about.items():
+    for note, labels in labels_by_note.items():
         yield note if len(labels) == len(comparison.against) else f"{', '.join(labels)}: {note}"
 
 
 def _costs(comparison: Comparison) -> list[str]:
-    """What is known of each run; nothing where nothing is known."""
+    """Table of masters, steps and times of the runs; empty without metadata."""
     runs, reference = comparison.runs, comparison.reference
-    if not any(run.facts for run in runs):
+    if not any(run.metadata for run in runs):
         return []
     times = ["times real time", "wall us/ms", "FMUs us/ms", f"x {reference.label}", "of them"]
     rows = [_cost(run, reference) for run in runs]
-    note = "us/ms: per millisecond simulated; FMUs: the steps of all FMUs, calls from Python included"
+    note = "us/ms: per simulated millisecond; FMUs: the steps of all FMUs, calls from Python included"
     return [*TextTable(["run", "master", "step", *times], rows, left=(0, 1, 7)).lines(), note]
 
 
 def _cost(run: Run, reference: Run) -> list[str]:
-    if run.facts is None:
+    if run.metadata is None:
         return [run.label, *[NO_VALUE] * 6, ""]
-    known, length = run.facts, run.facts.simulated or float("nan")
-    inside, usual = _inside(known), sum(_inside(reference.facts).values())
+    meta, length = run.metadata, run.metadata.simulated or float("nan")
+    inside, of_reference = _inside(meta), sum(_inside(reference.metadata).values())
     ranked = sorted(inside.items(), key=lambda entry: -entry[1])
     each = ", ".join(f"{name} {number(spent, 2)}" for name, spent in ranked)
-    factor = number(length / known.wall if known.wall else None)
-    wall, whole = number(1e3 * known.wall / length), sum(inside.values())
-    times = number(whole / usual if usual else None, 2)
+    factor = number(length / meta.wall if meta.wall else None)
+    wall, total = number(1e3 * meta.wall / length), sum(inside.values())
+    times = number(total / of_reference if of_reference else None, 2)
     return [
-        _named(run.label, known),
-        known.master,
-        f"{known.step:.3g} s mean" if known.adaptive else f"{known.step:g} s",
+        _with_swaps(run.label, meta),
+        meta.master,
+        f"{meta.step:.3g} s mean" if meta.adaptive else f"{meta.step:g} s",
         factor,
         wall,
-        number(whole, 2),
+        number(total, 2),
         times,
         each,
     ]
 
 
-def _inside(known: RunMetadata | None) -> dict[str, float]:
-    """Component -> time in its steps [us] for each millisecond simulated."""
-    length = (known.simulated if known else 0) or float("nan")
-    return {name: 1e3 * spent / length for name, spent in known.inside.items()} if known else {}
+def _inside(meta: RunMetadata | None) -> dict[str, float]:
+    """Component -> time in its steps [us] per simulated millisecond."""
+    length = (meta.simulated if meta else 0) or float("nan")
+    return {name: 1e3 * spent / length for name, spent in meta.inside.items()} if meta else {}
 
 
-def _named(label: str, known: RunMetadata) -> str:
-    """A run, with the FMUs that were swapped in."""
-    swaps = ", ".join(f"{component}={Path(file).stem}" for component, file in known.swapped.items())
+def _with_swaps(label: str, meta: RunMetadata) -> str:
+    """Label of a run with its swapped FMUs."""
+    swaps = ", ".join(f"{component}={Path(file).stem}" for component, file in meta.swapped.items())
     return f"{label} ({swaps})" if swaps else label
 
 
 def _worst(comparison: Comparison, label: str) -> list[str]:
-    """The worst signals of each quantity, of all signals: speeds, pressures and angles first."""
+    """Table of the worst signal of each quantity; speeds, pressures and angles first."""
     groups = comparison.quantities()
     order = [q for q in DEFAULT_QUANTITIES if q in groups] + [
         q for q in groups if q not in DEFAULT_QUANTITIES
@@ -183,95 +183,97 @@ def _worst(comparison: Comparison, label: str) -> list[str]:
         most = largest.metrics.maximum_error
         nrmse = percentage(worst.metrics.nrmse) if worst else NO_VALUE
         same = "the same" if worst and largest.signal == worst.signal else largest.signal
-        rows.append([quantity, str(len(groups[quantity])), nrmse, _who(worst)])
+        rows.append([quantity, str(len(groups[quantity])), nrmse, _worst_signal(worst)])
         rows[-1] += [error_display_unit(largest.unit).ascii(most), same if most else ""]
     against = f"{label} against {comparison.reference.label}, all signals"
     head = [against, "number", "largest NRMSE", "of", "largest difference", "of"]
     return TextTable(head, rows, left=(0, 3, 5)).lines()
 
 
-def _who(worst: ValidatedSignal | None) -> str:
-    """The signal with the largest NRMSE, if there is any."""
+def _worst_signal(worst: ValidatedSignal | None) -> str:
+    """Name of the signal with the largest NRMSE; empty if there is no difference."""
     if worst is None:
-        return "none of them moves"
+        return "all are at rest"
     return (
         f"{worst.signal}{f' ({CONSTANT})' if CONSTANT in worst.notes else ''}" if worst.metrics.rmse else ""
     )
 
 
 def _signals(comparison: Comparison) -> list[str]:
-    """NRMSE and largest difference of the chosen signals, a column for each run."""
+    """Table of NRMSE and largest difference of the shown signals, a column for each run."""
     by_run = [{row.signal: row for row in v.rows} for v in comparison.against.values()]
-    rows, before = [], ""
+    rows, group = [], ""
     for signal in comparison.signals:
         row = by_run[0][signal]
-        if row.group != before:
+        if row.group != group:
             rows.append([f"{row.group}"] + [""] * len(by_run))
-        before = row.group
-        rows.append([f"  {signal}", *(", ".join(_cells(rows_[signal])) for rows_ in by_run)])
+        group = row.group
+        rows.append([f"  {signal}", *(", ".join(_cells(of_run[signal])) for of_run in by_run)])
     return TextTable(["NRMSE, largest difference", *comparison.against], rows).lines()
 
 
 def _cells(row: ValidatedSignal) -> tuple[str, str]:
-    """NRMSE, of a reference that stands still none, and the largest difference in the unit of a reader."""
+    """NRMSE, none for a constant reference, and the largest difference in a convenient unit."""
     m = row.metrics
-    still = any(note.startswith("the reference is") for note in row.metrics.notes)
-    nrmse = NO_VALUE if still and m.rmse else percentage(m.nrmse)
+    is_constant = any(note.startswith("the reference is") for note in row.metrics.notes)
+    nrmse = NO_VALUE if is_constant and m.rmse else percentage(m.nrmse)
     return nrmse, error_display_unit(row.unit).ascii(m.maximum_error)
 
 
 def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path]:
     """Write comparison.png and comparison.json to a folder; returns both."""
-    picture = Path(folder) / "comparison.png"
-    numbers = write_json(picture.with_suffix(".json"), data(comparison))
-    picture.write_bytes(png(draw(comparison)))
-    return picture, numbers
+    figure = Path(folder) / "comparison.png"
+    json = write_json(figure.with_suffix(".json"), as_dict(comparison))
+    figure.write_bytes(png(draw(comparison)))
+    return figure, json
 
 
-def data(comparison: Comparison) -> Mapping[str, Any]:
-    """All numbers: of each run its cost, the difference of each common signal, the worst of each quantity."""
+def as_dict(comparison: Comparison) -> Mapping[str, Any]:
+    """The comparison for comparison.json: cost of each run, and differences of all signals."""
     return {
         "reference": comparison.reference.label,
         "shown": list(comparison.signals),
-        "runs": {run.label: _about(run) | _difference_data(comparison, run.label) for run in comparison.runs},
+        "runs": {
+            run.label: _run_data(run) | _difference_data(comparison, run.label) for run in comparison.runs
+        },
         "notes": list(comparison.notes),
     }
 
 
-def _about(run: Run) -> dict[str, Any]:
-    known = run.facts
-    if known is None:
+def _run_data(run: Run) -> dict[str, Any]:
+    meta = run.metadata
+    if meta is None:
         return {"file": run.file}
     return {
         "file": run.file,
-        "system": known.system,
-        "fmus": dict(known.fmus),
-        "swapped": dict(known.swapped),
-        "given": dict(known.given),
-        "master": known.master,
-        "coupling": dict(known.coupling),
-        "step [s]": known.step,
-        "steps": known.steps,
-        "passes": known.passes,
-        "repeated": known.repeated,
-        "simulated [s]": known.simulated,
-        "wall [s]": known.wall,
-        "inside [s]": dict(known.inside),
-        "times real time": known.simulated / known.wall if known.wall else None,
+        "system": meta.system,
+        "fmus": dict(meta.fmus),
+        "swapped": dict(meta.swapped),
+        "given": dict(meta.given),
+        "master": meta.master,
+        "coupling": dict(meta.coupling),
+        "step [s]": meta.step,
+        "steps": meta.steps,
+        "passes": meta.passes,
+        "repeated": meta.repeated,
+        "simulated [s]": meta.simulated,
+        "wall [s]": meta.wall,
+        "inside [s]": dict(meta.inside),
+        "times real time": meta.simulated / meta.wall if meta.wall else None,
     }
 
 
 def _difference_data(comparison: Comparison, label: str) -> dict[str, Any]:
     if label not in comparison.against:
         return {}
-    found = comparison.against[label]
+    validation = comparison.against[label]
     worst = {q: row.signal for q in comparison.quantities() if (row := comparison.worst(label, q))}
     return {
-        "window [s]": list(found.window),
-        "notes": list(found.notes),
+        "window [s]": list(validation.window),
+        "notes": list(validation.notes),
         "worst": worst,
         "largest": {q: comparison.largest(label, q).signal for q in comparison.quantities()},
-        "signals": {row.signal: _row(row) for row in found.rows},
+        "signals": {row.signal: _row(row) for row in validation.rows},
     }
 
 

@@ -1,11 +1,11 @@
-"""What a report shows, as data: figures and moving points by signal name, from a TOML file.
+"""Layout of a report: its figures and moving points by signal name, read from a TOML file.
 
 title = "My machine"
 [[figure]]
 title = "Boom"
 panels = [{ label = "Angle", signals = ["arm.boom_angle"] }]
 [motion]
-angle = "arm.swing_angle"      # turns the plane of the arm about the vertical; left out: a planar machine
+angle = "arm.swing_angle"      # rotates the plane of the arm about the vertical; default: planar
 points = [{ label = "tip", radius = "arm.tip_radius", height = 1.2 }]     # signals or numbers [m]
 """
 
@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.data.trace import Trace
-from orchestrator.results.motion import Motion
+from orchestrator.results.motion import MachineMotion
 
 
 @dataclass(frozen=True)
 class PanelSpec:
-    """One row of a figure: signals of one quantity over time; `names` tells two of them apart."""
+    """One row of a figure: signals of one quantity over time; `names` are their labels."""
 
     label: str
     signals: tuple[str, ...]
@@ -35,7 +35,7 @@ class PanelSpec:
 
 @dataclass(frozen=True)
 class FigureSpec:
-    """A figure: its rows from top to bottom."""
+    """A figure with its rows from top to bottom."""
 
     title: str
     panels: tuple[PanelSpec, ...]
@@ -52,13 +52,13 @@ class MovingPoint:
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """The signals that move it."""
+        """The signals of radius and height."""
         return tuple(v for v in (self.radius, self.height) if isinstance(v, str))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Title, figures and moving points of a report; `source` is the file it comes from."""
+    """Title, figures and moving points of a report; `source` is the file of the layout, for messages."""
 
     title: str = ""
     figures: tuple[FigureSpec, ...] = ()
@@ -71,55 +71,55 @@ class Layout:
 
     @property
     def signals(self) -> tuple[tuple[str, str], ...]:
-        """All signals with the places where they are used, (place, signal)."""
+        """All signals with the part of the layout that uses them, (part, signal)."""
         used = [(f"figure {f.title!r}", s) for f in self.figures for p in f.panels for s in p.signals]
         used += [(f"[motion] point {p.label!r}", s) for p in self.points for s in p.signals]
         return tuple(used + ([("[motion] angle", self.angle)] if self.angle else []))
 
     def check(self, trace: Trace) -> None:
-        """Refuse a layout with a signal that the run does not have."""
+        """Refuse a signal that the run lacks."""
         for where, signal in self.signals:
             if signal not in trace.signals:
                 raise UnknownSignal(signal, trace.signals, f"{self.source}: {where}: ")
 
     def within(self, trace: Trace) -> Layout:
-        """The layout without what the trace lacks: signals, rows and figures left empty, the motion."""
-        figures = tuple(replace(f, panels=_known(f.panels, trace)) for f in self.figures)
-        kept = replace(self, figures=tuple(f for f in figures if f.panels))
-        return kept if self.motion(trace) else replace(kept, points=(), angle="", lines=(), tip="")
+        """The layout without the signals that the trace lacks; empty rows and figures are left out."""
+        figures = tuple(replace(f, panels=_available(f.panels, trace)) for f in self.figures)
+        layout = replace(self, figures=tuple(f for f in figures if f.panels))
+        return layout if self.motion(trace) else replace(layout, points=(), angle="", lines=(), tip="")
 
-    def motion(self, trace: Trace) -> Motion | None:
-        """The moving points over time; None when the layout has none or the trace lacks a signal of them."""
-        needed = {s for p in self.points for s in p.signals} | ({self.angle} - {""})
-        if not self.points or needed - set(trace.signals):
+    def motion(self, trace: Trace) -> MachineMotion | None:
+        """The moving points over time; None if there are none, or if the trace lacks one of their signals."""
+        required = {s for p in self.points for s in p.signals} | ({self.angle} - {""})
+        if not self.points or required - set(trace.signals):
             return None
-        turn = trace[self.angle] if self.angle else np.zeros_like(trace.time)
+        angle = trace[self.angle] if self.angle else np.zeros_like(trace.time)
 
-        def values(of: str | float) -> NDArray[np.float64]:
-            return trace[of] if isinstance(of, str) else np.full(trace.time.shape, float(of))
+        def values(source: str | float) -> NDArray[np.float64]:
+            return trace[source] if isinstance(source, str) else np.full(trace.time.shape, float(source))
 
         points = {
             p.label: np.column_stack(
-                (values(p.radius) * np.cos(turn), values(p.radius) * np.sin(turn), values(p.height))
+                (values(p.radius) * np.cos(angle), values(p.radius) * np.sin(angle), values(p.height))
             )
             for p in self.points
         }
-        return Motion(trace.time, points, self.lines, self.tip, bool(self.angle), self.ground)
+        return MachineMotion(trace.time, points, self.lines, self.tip, bool(self.angle), self.ground)
 
 
-def _known(panels: Sequence[PanelSpec], trace: Trace) -> tuple[PanelSpec, ...]:
-    """The panels with only the signals that the trace has, and only those that have any."""
-    kept = []
+def _available(panels: Sequence[PanelSpec], trace: Trace) -> tuple[PanelSpec, ...]:
+    """The panels with the signals that the trace has; panels without signals are left out."""
+    available = []
     for panel in panels:
-        places = [k for k, signal in enumerate(panel.signals) if signal in trace.signals]
-        signals = tuple(panel.signals[k] for k in places)
-        names = tuple(panel.names[k] for k in places if k < len(panel.names))
-        kept += [replace(panel, signals=signals, names=names)] if places else []
-    return tuple(kept)
+        indices = [k for k, signal in enumerate(panel.signals) if signal in trace.signals]
+        signals = tuple(panel.signals[k] for k in indices)
+        names = tuple(panel.names[k] for k in indices if k < len(panel.names))
+        available += [replace(panel, signals=signals, names=names)] if indices else []
+    return tuple(available)
 
 
 @dataclass(frozen=True)
-class _Motion:
+class _MotionTable:
     """The table [motion] of the file."""
 
     angle: str = ""
@@ -135,11 +135,11 @@ class _File:
 
     title: str = ""
     figure: tuple[FigureSpec, ...] = ()
-    motion: _Motion = _Motion()
+    motion: _MotionTable = _MotionTable()
 
 
 def read_layout(path: Path) -> Layout:
-    """Read a layout; a key that is unknown, missing or of the wrong type is a Problem."""
+    """Read a layout; raises a Problem if a key is unknown, missing or of the wrong type."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:

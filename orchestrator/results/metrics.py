@@ -1,4 +1,4 @@
-"""How far a simulated signal is from its reference, as numbers.
+"""Metrics of the error of a simulated signal against its reference.
 
 With the error e = simulation - reference y over n common samples:
 
@@ -6,12 +6,12 @@ With the error e = simulation - reference y over n common samples:
     RMSE            sqrt(mean(e^2))                     [unit of the signal]
     NRMSE           RMSE / (max y - min y)              over the range of the whole reference
     fit             100 (1 - ||e|| / ||y - mean y||)    [%]
-    VAF             100 (1 - var e / var y)             [%]  variance accounted for: blind to an offset
+    VAF             100 (1 - var e / var y)             [%]  variance accounted for; ignores an offset
     ISO/TS 18571    rating 0..1 of corridor, phase, magnitude and slope: iso18571.py
 
-A constant reference has no range: NRMSE then falls back to the magnitude of the reference, fit and VAF
-are None, and a note says so. Which of the numbers is judged, and its limit, stand in the description of the
-reference (`orchestrator.data.description.Tolerance`).
+A constant reference has no range: then NRMSE uses the magnitude of the reference, fit and VAF are None, and
+a note is added. The description of the reference declares which metric is judged, and its limit
+(`orchestrator.data.description.Tolerance`).
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 from orchestrator.results import iso18571
 
-# The rating compares shapes over the whole window, so it is computed on this many equal steps.
-# (The standard's 10 kHz is meant for crash pulses of 0.1 s: the same 1000 samples.)
+# Samples of the rating at equal steps. The 10 kHz of the standard are meant for crash pulses of 0.1 s, which
+# also have 1000 samples.
 ISO_SAMPLES = 1000
 ISO_MINIMUM = 30
-# Below this share of its magnitude the range of a signal is rounding of the digits in a CSV file.
-CONSTANT = 1e-9
-# Outside these magnitudes squares leave the range of a float: smaller counts as zero, larger is refused.
+CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
+# Magnitudes whose squares leave the range of a float: smaller ones count as zero, larger ones are refused.
 TINY, HUGE = 1e-150, 1e150
 
 
@@ -47,34 +46,34 @@ class Rating:
 
     @property
     def grade(self) -> str:
-        """The standard's word for the overall rating."""
+        """Grade of the overall rating in the standard."""
         if self.overall is None:
             return "not rated"
         grades = ((0.94, "excellent"), (0.80, "good"), (0.58, "fair"))
-        return next((word for limit, word in grades if self.overall > limit), "poor")
+        return next((grade for limit, grade in grades if self.overall > limit), "poor")
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """Numbers of one signal; None where a number is undefined, with a note that says why."""
+    """Metrics of one signal; None if a metric is undefined, with the reason in the notes."""
 
     maximum_error: float
     time_of_maximum: float  # [s]
     maximum_relative: float | None  # max |e| / |y|, sample by sample
     rmse: float
     nrmse: float | None
-    normalised_by: float  # what NRMSE divides by, in the signal's unit
+    normalised_by: float  # denominator of NRMSE, in the unit of the signal
     fit: float | None  # [%]
     vaf: float | None  # [%]
     iso: Rating
     notes: tuple[str, ...] = ()
 
     def value(self, metric: str) -> float | None:
-        """The number of a metric by its name in a description."""
+        """Value of a metric by its name in a description."""
         if metric == "maximum":
             return self.maximum_error
-        found: float | None = self.iso.overall if metric == "iso" else getattr(self, metric)
-        return found
+        value: float | None = self.iso.overall if metric == "iso" else getattr(self, metric)
+        return value
 
 
 def measure(
@@ -83,47 +82,51 @@ def measure(
     reference: Array,
     *,
     span: float | None = None,
-    whole: Array | None = None,
+    recording: Array | None = None,
     rate: bool = True,
     where: str,
 ) -> Metrics:
     """Metrics of one signal on common samples, all arrays of shape (n,).
 
-    span    what NRMSE divides by instead of the range of the reference
-    whole   the recording, shape (m,), of which `reference` is a part: its range is the range of the reference
-    rate    compute the ISO/TS 18571 rating too
-    where   file and signal, for messages
+    span       denominator of NRMSE instead of the range of the reference
+    recording  the recording, shape (m,), that contains `reference`; its range is the range of the reference
+    rate       whether to compute the ISO/TS 18571 rating
+    where      file and signal, for messages
     """
     _check(time, simulation, reference, where)
     error = simulation - reference
-    worst = int(np.argmax(np.abs(error)))
+    largest = int(np.argmax(np.abs(error)))
     rmse = float(np.sqrt(np.mean(error**2)))
-    whole = reference if whole is None else whole
-    by, notes = _normaliser(whole, span)
-    spread = float(np.linalg.norm(reference - reference.mean()))
-    flat = constant(reference, whole)
-    if flat and not constant(whole):
-        notes = (*notes, "the reference stands still in this window: no fit, VAF or ISO rating")
-    iso = Rating(reason="not asked for")
+    recording = reference if recording is None else recording
+    denominator, notes = _denominator(recording, span)
+    norm = float(np.linalg.norm(reference - reference.mean()))
+    is_constant = constant(reference, recording)
+    if is_constant and not constant(recording):
+        notes = (*notes, "the reference is constant in this window: no fit, VAF or ISO rating")
+    iso = Rating(reason="not requested")
     if rate:
-        iso = Rating(reason="the reference is constant") if flat else iso_rating(time, simulation, reference)
+        iso = (
+            Rating(reason="the reference is constant")
+            if is_constant
+            else iso_rating(time, simulation, reference)
+        )
     return Metrics(
-        maximum_error=float(abs(error[worst])),
-        time_of_maximum=float(time[worst]),
+        maximum_error=float(abs(error[largest])),
+        time_of_maximum=float(time[largest]),
         maximum_relative=_relative(error, reference),
         rmse=rmse,
-        nrmse=rmse / by if by > 0 else (0.0 if rmse == 0 else None),
-        normalised_by=by,
-        fit=None if flat else 100 * (1 - float(np.linalg.norm(error)) / spread),
-        vaf=None if flat else 100 * (1 - float(np.var(error) / np.var(reference))),
+        nrmse=rmse / denominator if denominator > 0 else (0.0 if rmse == 0 else None),
+        normalised_by=denominator,
+        fit=None if is_constant else 100 * (1 - float(np.linalg.norm(error)) / norm),
+        vaf=None if is_constant else 100 * (1 - float(np.var(error) / np.var(reference))),
         iso=iso,
         notes=notes,
     )
 
 
-def constant(signal: Array, whole: Array | None = None) -> bool:
-    """Whether the signal, perhaps a part of a whole, stands still but for the rounding of a text file."""
-    magnitude = float(np.max(np.abs(signal if whole is None else whole)))
+def constant(signal: Array, recording: Array | None = None) -> bool:
+    """Whether a signal, possibly a part of a recording, is constant within the rounding of a text file."""
+    magnitude = float(np.max(np.abs(signal if recording is None else recording)))
     return bool(np.ptp(signal) <= max(TINY, CONSTANT * magnitude))
 
 
@@ -135,21 +138,21 @@ def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
         return Rating(reason=f"{len(time)} samples are fewer than {ISO_MINIMUM}")
     if np.array_equal(simulation, reference):
         return Rating(1.0, 1.0, 1.0, 1.0, 1.0)
-    even = np.linspace(time[0], time[-1], ISO_SAMPLES)
-    curves = (np.interp(even, time, y) for y in (simulation, reference))
-    with np.errstate(all="ignore"):  # a part of a signal may stand still: 0 divided by 0
+    equal_steps = np.linspace(time[0], time[-1], ISO_SAMPLES)
+    curves = (np.interp(equal_steps, time, y) for y in (simulation, reference))
+    with np.errstate(all="ignore"):  # a part of a signal may be constant: 0 divided by 0
         parts = iso18571.rate(*curves)
     if not np.all(np.isfinite(parts)):
-        return Rating(reason="the shifted reference stands still, its slope cannot be rated")
+        return Rating(reason="the shifted reference is constant, its slope cannot be rated")
     return Rating(*parts)
 
 
 def _check(time: Array, simulation: Array, reference: Array, where: str) -> None:
-    """Same length, at least two samples, finite."""
+    """Refuse different lengths, fewer than two samples, and values that are not finite."""
     if not len(time) == len(simulation) == len(reference) or len(time) < 2:
         lengths = f"{len(time)}, {len(simulation)}, {len(reference)}"
         raise Problem(
-            f"{where}: expected as many samples (2 or more) in time, simulation and reference, got {lengths}"
+            f"{where}: expected equal numbers of samples, got {lengths} of time, simulation and reference"
         )
     for name, values in (("time", time), ("simulation", simulation), ("reference", reference)):
         bad = np.flatnonzero(~(np.abs(values) < HUGE))
@@ -159,8 +162,8 @@ def _check(time: Array, simulation: Array, reference: Array, where: str) -> None
             )
 
 
-def _normaliser(reference: Array, span: float | None) -> tuple[float, tuple[str, ...]]:
-    """What NRMSE divides by, and a note when it is not the range of the reference."""
+def _denominator(reference: Array, span: float | None) -> tuple[float, tuple[str, ...]]:
+    """Denominator of NRMSE, and a note if it is not the range of the reference."""
     if span is not None:
         return span, (f"NRMSE over the given range of {span:g}",)
     if not constant(reference):
@@ -168,12 +171,12 @@ def _normaliser(reference: Array, span: float | None) -> tuple[float, tuple[str,
     magnitude = float(np.max(np.abs(reference)))
     if magnitude > TINY:
         return magnitude, ("the reference is constant: NRMSE over its magnitude, no fit, VAF or ISO rating",)
-    return 0.0, ("the reference is zero throughout: no NRMSE unless the error is zero too; judge it by rmse",)
+    return 0.0, ("the reference is zero: NRMSE is undefined unless the error is zero, too; judge it by rmse",)
 
 
 def _relative(error: Array, reference: Array) -> float | None:
-    """max |e| / |y| over the samples, None where y is zero and e is not."""
-    off = error != 0
-    if np.any(np.abs(reference[off]) <= TINY):
+    """max |e| / |y| over the samples; None if y is zero at a sample and e is not."""
+    differs = error != 0
+    if np.any(np.abs(reference[differs]) <= TINY):
         return None
-    return float(np.max(np.abs(error[off] / reference[off]), initial=0.0))
+    return float(np.max(np.abs(error[differs] / reference[differs]), initial=0.0))

@@ -1,4 +1,4 @@
-"""The outcome of a validation in words: values and limits of each signal, and the summary for a terminal."""
+"""Text of a validation: values and limits of each signal, and the summary for a terminal."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ NAMES = {
 
 
 def percent(value: float | None) -> str:
-    """Fit or VAF [%], rounded down: only a perfect one shows 100 %."""
+    """Fit or VAF [%], rounded down, so that only a perfect one is shown as 100 %."""
     return NO_VALUE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
 
 
-def judged(row: ValidatedSignal, value: float | None) -> str:
-    """A value or limit of the row's tolerance in the words of its metric."""
+def judged_text(row: ValidatedSignal, value: float | None) -> str:
+    """A value or limit of the judged metric with its unit or percent sign."""
     if row.tolerance is None or value is None:
         return NO_VALUE
     if row.tolerance.in_unit:
@@ -41,27 +41,27 @@ def judged(row: ValidatedSignal, value: float | None) -> str:
     return percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
 
 
-def limit(row: ValidatedSignal) -> str:
+def limit_text(row: ValidatedSignal) -> str:
     """The limit with its metric, such as `NRMSE ≤ 0.5 %`."""
     if row.tolerance is None:
         return NO_VALUE
     sign = "≤" if METRICS[row.tolerance.metric] else "≥"
-    return f"{NAMES[row.tolerance.metric]} {sign} {judged(row, row.tolerance.limit)}"
+    return f"{NAMES[row.tolerance.metric]} {sign} {judged_text(row, row.tolerance.limit)}"
 
 
-def miss(row: ValidatedSignal) -> str:
-    """By how much a failed row misses, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
+def miss_text(row: ValidatedSignal) -> str:
+    """How much a failed row exceeds its limit, such as `NRMSE 0.73 %, limit 0.5 % (1.46 times)`."""
     if row.tolerance is None or row.passed:
         return ""
     metric, allowed, value = NAMES[row.tolerance.metric], row.tolerance.limit, row.judged_value
-    limits = f"limit {judged(row, allowed)}"
+    limits = f"limit {judged_text(row, allowed)}"
     if value is None:
-        why = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
-        return f"no {metric}, {limits}" + (f" ({why})" if why else "")
+        reason = row.metrics.iso.reason if row.tolerance.metric == "iso" else "; ".join(row.notes)
+        return f"no {metric}, {limits}" + (f" ({reason})" if reason else "")
     if not row.tolerance.upper:
-        return f"{metric} {judged(row, value)}, {limits} ({judged(row, allowed - value)} short)"
+        return f"{metric} {judged_text(row, value)}, {limits} ({judged_text(row, allowed - value)} short)"
     ratio = value / allowed
-    return f"{metric} {judged(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
+    return f"{metric} {judged_text(row, value)}, {limits} ({number(ratio, 3 if ratio > 1.01 else 9)} times)"
 
 
 def outcome(row: ValidatedSignal) -> str:
@@ -69,8 +69,8 @@ def outcome(row: ValidatedSignal) -> str:
     return {True: "pass", False: "fail", None: NO_VALUE}[row.passed]
 
 
-def rating(row: ValidatedSignal) -> str:
-    """The ISO/TS 18571 rating with the standard's word for it."""
+def rating_text(row: ValidatedSignal) -> str:
+    """The ISO/TS 18571 rating with its grade."""
     iso = row.metrics.iso
     return f"{iso.overall:.3f} {iso.grade}" if iso.overall is not None else "not rated"
 
@@ -83,7 +83,7 @@ _LEGEND = "NRMSE: over the range of the whole reference; ISO: ISO/TS 18571, 0 to
 
 @dataclass(frozen=True)
 class Summary:
-    """First what failed and by how much, then the table, the notes and the verdict as last line."""
+    """Failed signals, table, notes, and the verdict as last line."""
 
     validation: Validation
 
@@ -97,53 +97,55 @@ class Summary:
 
 
 def summary(validation: Validation) -> Summary:
-    """What `harvester validate` prints about a comparison."""
+    """The summary that `harvester validate` prints."""
     return Summary(validation)
 
 
 def _missed(validation: Validation) -> Iterator[Text]:
-    """The signals that miss their limits, the worst first."""
+    """The signals that exceed their limits, the worst first."""
     if validation.passed:
         return
     failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
     failed.sort(key=lambda entry: -entry[0])
     verb = "misses its limit" if len(failed) == 1 else "miss their limits"
     yield Text(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}", _COLOUR[False])
-    yield from (Text(f"! {row.signal}: {miss(row)}") for _, row in failed)
+    yield from (Text(f"! {row.signal}: {miss_text(row)}") for _, row in failed)
     yield Text()
 
 
 def _table(validation: Validation, width: int) -> Iterator[Text]:
     """Headings, then a line for each group and limit, and below it a line for each signal.
 
-    Groups share unit and limit; signals that are not judged come last. A signal has the name of its component
-    only where another one has the same name.
+    Signals of a group have the same unit and limit; signals without limit are last. The name of the component
+    is only written if another signal has the same variable.
     """
     short = {row.signal: row.signal.rpartition(".")[2] for row in validation.rows}
-    often = Counter(short.values())
-    names = {signal: name if often[name] == 1 else signal for signal, name in short.items()}
+    count = Counter(short.values())
+    names = {signal: name if count[name] == 1 else signal for signal, name in short.items()}
     sections: dict[str, list[ValidatedSignal]] = {}
     for row in sorted(validation.rows, key=lambda row: row.tolerance is None):
-        rule = limit(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
-        title = f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {rule}"
+        limit = limit_text(row).replace("≤", "<=").replace("≥", ">=") if row.tolerance else "not judged"
+        title = f"{row.group or 'signals'} [{error_display_unit(row.unit).display or '1'}]: {limit}"
         sections.setdefault(title, []).append(row)
-    room = min(max(map(len, names.values()), default=0), max(width - sum(_WIDTHS) - len(_WIDTHS) - 2, 12))
-    yield Text(_line("  ", "", room, _HEADINGS), "dim")
+    name_width = min(
+        max(map(len, names.values()), default=0), max(width - sum(_WIDTHS) - len(_WIDTHS) - 2, 12)
+    )
+    yield Text(_line("  ", "", name_width, _HEADINGS), "dim")
     for title, rows in sections.items():
         yield Text(title, "bold")
         for row in rows:
             mark, colour = ("! ", _COLOUR[False]) if row.passed is False else ("  ", "")
             colour = _COLOUR[None] if row.passed is None else colour
-            yield Text(_line(mark, names[row.signal], room, _cells(row)), colour)
+            yield Text(_line(mark, names[row.signal], name_width, _cells(row)), colour)
 
 
 def _remarks(validation: Validation) -> list[str]:
-    """Notes on signals, each once with the signals it is about."""
-    about: dict[str, list[str]] = {}
+    """Each note with its signals."""
+    signals_by_note: dict[str, list[str]] = {}
     for row in validation.rows:
         for note in row.notes:
-            about.setdefault(note, []).append(row.signal)
-    return [f"{note}: {', '.join(signals)}" for note, signals in about.items()]
+            signals_by_note.setdefault(note, []).append(row.signal)
+    return [f"{note}: {', '.join(signals)}" for note, signals in signals_by_note.items()]
 
 
 def _cells(row: ValidatedSignal) -> tuple[str, ...]:
@@ -159,8 +161,8 @@ def _cells(row: ValidatedSignal) -> tuple[str, ...]:
     )
 
 
-def _line(mark: str, name: str, room: int, cells: tuple[str, ...]) -> str:
-    """A row of the table; a name that needs more than its room stands in a line of its own."""
-    above, name = (f"{mark}{name}\n", "") if len(name) > room else ("", name)
+def _line(mark: str, name: str, name_width: int, cells: tuple[str, ...]) -> str:
+    """A row of the table; a name longer than `name_width` is in a line of its own."""
+    above, name = (f"{mark}{name}\n", "") if len(name) > name_width else ("", name)
     numbers = " ".join(cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
-    return f"{above}{mark}{name.ljust(room)} {numbers}".rstrip()
+    return f"{above}{mark}{name.ljust(name_width)} {numbers}".rstrip()

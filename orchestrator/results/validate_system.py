@@ -1,6 +1,6 @@
-"""What `harvester validate` does: run, compare with a reference, report.
+"""`harvester validate`: run a system, compare it with a reference, write the report.
 
-Without a scenario, the run plays the commands that the reference holds: what the operator did.
+Without a scenario the commands in the reference are the scenario.
 """
 
 from __future__ import annotations
@@ -26,65 +26,65 @@ from orchestrator.fmi.description import FmuVariable
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.summary import summary
-from orchestrator.results.validation import Validation, by_variable, once, validate
+from orchestrator.results.validation import Validation, by_variable, validate, without_repetitions
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Component, Port, System, coerce
 
 POSITIONS = ("rad", "m")
-APART = 0.05  # of what the reference moves: more than noise and settling
+START_TOLERANCE = 0.05  # relative to the range of the reference: more than noise and settling
 
 
-def begins_elsewhere(run: Trace, reference: Recording) -> str:
-    """A sentence on positions at which a run begins, if they are not those of the reference; else nothing.
+def start_note(run: Trace, reference: Recording) -> str:
+    """Note on start positions that differ from those of the reference; empty if there are none.
 
-    Commands alone do not say where a machine stands, and from another pose it answers them differently.
+    Commands do not determine the start position of a machine, and its response depends on that position.
     """
     recorded = reference.trace()
-    begins = recorded.at(run.time[:1])
-    off, moved = {}, 0.0
+    start = recorded.at(run.time[:1])
+    offsets, largest_range = {}, 0.0
     for name, values in recorded.signals.items():
         unit = run.units.get(name, "")
         if name in run.signals and unit in POSITIONS and unit == recorded.units[name]:
-            apart = float(run[name][0] - begins[name][0])
-            off[f"{name} by {apart:.3g} {unit}"] = abs(apart)
-            moved = max(moved, float(np.ptp(values)))
-    far = ", ".join(text for text, apart in off.items() if apart > APART * moved)
-    return f"the run begins elsewhere than the reference: {far}; --set gives a start" if far else ""
+            offset = float(run[name][0] - start[name][0])
+            offsets[f"{name} by {offset:.3g} {unit}"] = abs(offset)
+            largest_range = max(largest_range, float(np.ptp(values)))
+    large = ", ".join(text for text, size in offsets.items() if size > START_TOLERANCE * largest_range)
+    return f"the start of the run differs from the reference: {large}; --set changes it" if large else ""
 
 
 def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Trace | None:
-    """The signals of a reference that are inputs from outside the system, as a scenario; None without any.
+    """The signals of a reference that are external inputs of the system, as a scenario; None without any.
 
-    From outside are inputs that nothing feeds and those that a component without inputs of its own feeds,
-    such as levers. What another component computes stays its business: such signals are compared.
+    External inputs are not connected, or connected to a component without inputs, such as operator_input.
+    Signals that another component computes are compared instead.
 
-    also   patterns of further signals that are played all the same, such as a measured supply pressure
+    also   patterns of further signals that are played, such as a measured supply pressure
     """
     for pattern in also:
         if not any(fnmatchcase(name, pattern) for name in reference.signals):
-            told = ", ".join(reference.signals)
-            raise Problem(f"--play {pattern}: no such signal in {reference.source}, expected of {told}")
+            names = ", ".join(reference.signals)
+            raise Problem(f"--play {pattern}: expected a signal of {reference.source}: {names}")
     inputs = {str(p) for p in system.ports("input")}
     sources = {n for n, c in system.components.items() if not c.interface.of("input")}
-    outside = {str(p) for p in system.exposed}
-    outside |= {str(c.target) for c in system.connections if c.source.component in sources}
+    external = {str(p) for p in system.exposed}
+    external |= {str(c.target) for c in system.connections if c.source.component in sources}
     columns = {}
     for name in reference.signals:
-        port = _known(system, name)
-        wanted = any(fnmatchcase(name, pattern) for pattern in also)
-        if wanted and port not in inputs:
-            raise Problem(f"--play: {name} is no input of {system.name}, expected one")
-        if port not in outside and not wanted:
+        port = _name_in_system(system, name)
+        requested = any(fnmatchcase(name, pattern) for pattern in also)
+        if requested and port not in inputs:
+            raise Problem(f"--play: expected an input of {system.name}, got {name}")
+        if port not in external and not requested:
             continue
         unit = system.unit(system.port(port))
-        own = unit.name if unit else reference.file_units.get(name, reference.units[name])
-        columns[port] = convert(fill_gaps(reference, name), reference.units[name], own, name)
+        target = unit.name if unit else reference.file_units.get(name, reference.units[name])
+        columns[port] = convert(fill_gaps(reference, name), reference.units[name], target, name)
     return Trace(reference.time, columns) if columns else None
 
 
-def _known(system: System, name: str) -> str:
-    """The system's name of a signal; a system of one FMU has its variables under one name."""
+def _name_in_system(system: System, name: str) -> str:
+    """Name of a signal in the system; a system of one FMU has only one component."""
     if len(system.components) > 1:
         return name
     return str(Port(next(iter(system.components)), name.partition(".")[2]))
@@ -100,8 +100,8 @@ def judge(
 ) -> tuple[Validation, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
-    facts   what ran, in the order to show
-    rate    with the ISO/TS 18571 rating, most of the time of a comparison
+    facts   settings of the run, in the order of the report
+    rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
     """
     validation = validate(result.trace, reference, rate=rate)
     layout.check(result.trace)
@@ -124,7 +124,7 @@ def judge(
 
 
 def another_model(system: System, reference: Recording) -> str:
-    """What to say where a swapped system is compared with a simulation; empty where there is nothing."""
+    """Note on a swapped system that is compared with a simulation; empty for other references."""
     swapped = [name for name, component in system.components.items() if component.replaced]
     if not swapped or reference.metadata.get("kind") != "simulation":
         return ""
@@ -133,21 +133,27 @@ def another_model(system: System, reference: Recording) -> str:
 
 
 def describe(component: Component) -> reporting.ReportedComponent:
-    """One FMU of the run."""
+    """Data of one FMU for the report."""
     source = component.source
     file = source.members[-1] if source and source.members else source.path.name if source else ""
-    face = component.interface
+    interface = component.interface
     return reporting.ReportedComponent(
-        component.name, file, face.version, face.guid, f"{face.fmi}.0 CS", face.tool, face.description
+        component.name,
+        file,
+        interface.version,
+        interface.guid,
+        f"{interface.fmi}.0 CS",
+        interface.tool,
+        interface.description,
     )
 
 
 def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
-    """All parameters of a run; with provenance where the FMU carries its `resources/parameters.toml`."""
+    """All parameters of a run, with their sources if the FMU contains `resources/parameters.toml`."""
     for component in system.components.values():
-        known = _provenance(component)
+        sources = _provenance(component)
         for v in component.interface.of("parameter"):
-            number = known.get(v.name, {})
+            provenance = sources.get(v.name, {})
             value = component.start.get(v.name, v.start if v.start is not None else "")
             yield reporting.ReportedParameter(
                 component=component.name,
@@ -155,14 +161,14 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
                 value=float(value) if v.is_real else value,
                 unit=v.unit.name if v.unit else "",
                 text=v.description,
-                source=str(number.get("source", "")),
-                note=str(number.get("note", "")),
+                source=str(provenance.get("source", "")),
+                note=str(provenance.get("note", "")),
                 changed=_changed(v, component),
             )
 
 
 def _changed(v: FmuVariable, component: Component) -> bool:
-    """Is the value of a parameter another one than the FMU's own?"""
+    """Does the value of a parameter differ from its start value in the FMU?"""
     value = component.start.get(v.name)
     return value is not None and (v.start is None or coerce(v.name, v, v.start) != value)
 
@@ -174,7 +180,7 @@ def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
         text = component.source.member("resources/parameters.toml").read().decode("utf-8")
         tables = tomllib.loads(text).get("parameters", {})
     except (Problem, UnicodeDecodeError, tomllib.TOMLDecodeError):
-        return {}  # FMUs from elsewhere carry no such file, or another one of that name
+        return {}  # other FMUs have no such file, or a different file of that name
     return tables if isinstance(tables, dict) else {}
 
 
@@ -199,7 +205,7 @@ def _bond(residual: str, exchanged: str, share: str) -> str:
 
 
 def _figures(validation: Validation) -> tuple[FigureSpec, ...]:
-    """Without a layout: one figure, a row per compared signal."""
+    """The default layout: one figure, a row per compared signal."""
     panels = tuple(PanelSpec(row.title, (row.signal,)) for row in validation.rows)
     return (FigureSpec("Signals", panels),) if panels else ()
 
@@ -210,73 +216,73 @@ def validate_system(
     reference: Path | None,
     layout: Path | None,
     out: Path,
-    usual: tuple[Path, Path],
+    default: tuple[Path, Path],
     rate: bool = True,
     play: Sequence[str] = (),
     **options: Any,
 ) -> bool:
-    """Co-simulate, compare, write the trace and the report, print the table; True when no limit is missed.
+    """Co-simulate, compare, write the trace and the report, print the table; True if no limit is exceeded.
 
-    out     the folder of run.csv, report.html and report.json
-    usual   reference and layout where none is given; that layout may name signals that the run lacks
-    rate    with the ISO/TS 18571 rating
-    play    patterns of signals of the reference that go in, beside its commands, where there is no scenario
+    out      folder of run.csv, report.html and report.json
+    default  reference and layout if none is given; this layout may contain signals that the run lacks
+    rate     whether to compute the ISO/TS 18571 rating
+    play     patterns of signals of the reference that are played with its commands, without a scenario
     """
     if play and (scenario or not reference):
         raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
-    against = read_recording(reference or usual[0])
-    chosen = layout or (usual[1] if reference is None or system == DEFAULT_SYSTEM else None)
-    shown = read_layout(chosen) if chosen else Layout()
+    against = read_recording(reference or default[0])
+    chosen = layout or (default[1] if reference is None or system == DEFAULT_SYSTEM else None)
+    page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
     result = run_or_save(system, scenario or commands, trace, **options, every_point=False)
-    # a reference of the usual system knows signals that a swapped FMU has not
-    gone = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
-    against = against.select([name for name in against.signals if name not in gone])
+    # A reference of the default system contains signals that a swapped FMU lacks.
+    missing = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
+    against = against.select([name for name in against.signals if name not in missing])
     recorded = result.trace
     if len(result.system.components) == 1:
-        against = once(against)
-        recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in shown.signals)])
+        against = without_repetitions(against)
+        recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in page.signals)])
     notes = [
-        _drive(commands) if reference and not scenario else "",
-        _doubt(scenario, against) if scenario and not reference else "",
+        _input_note(commands) if reference and not scenario else "",
+        _default_reference_note(scenario, against) if scenario and not reference else "",
         another_model(result.system, against),
-        f"not compared, lost in a swap: {', '.join(sorted(gone))}" if gone else "",
-        begins_elsewhere(recorded, against) if commands else "",
+        f"not compared, lost in a swap: {', '.join(sorted(missing))}" if missing else "",
+        start_note(recorded, against) if commands else "",
     ]
     card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
     result = replace(result, card=card)
     write(result.trace, trace)
     write_metadata(result, trace, requested_options(scenario=scenario, **options))
     if not layout:
-        named = shown.title if reference is None and scenario is None else ""
-        title = named or f"{(scenario or system).stem} against {against.heading}"
-        shown = replace(shown.within(recorded), title=title)
+        default_title = page.title if reference is None and scenario is None else ""
+        title = default_title or f"{(scenario or system).stem} against {against.heading}"
+        page = replace(page.within(recorded), title=title)
     facts = _facts(system, scenario, against.heading, card, **options)
-    validation, html, data = judge(replace(result, trace=recorded), against, shown, out, facts, rate)
+    validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate)
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file_summary(result, trace)}")
     return validation.passed
 
 
-def _drive(commands: Trace | None) -> str:
-    """What drove the run where nobody gave a scenario."""
+def _input_note(commands: Trace | None) -> str:
+    """Note on the inputs of a run without a scenario."""
     if commands is None:
-        return "no --scenario given: ran what the system plays by itself"
+        return "no --scenario given: the inputs are those of the system"
     return f"no --scenario given: played {', '.join(commands.signals)} of the reference"
 
 
-def _doubt(scenario: Path, against: Recording) -> str:
-    """Why the usual reference may not fit."""
-    doubt = f"which may be of another scenario than {scenario}"
-    return f"no --reference given: judged against {against.heading}, {doubt}"
+def _default_reference_note(scenario: Path, against: Recording) -> str:
+    """Note on the default reference, which may not fit."""
+    other = f"which may have another scenario than {scenario}"
+    return f"no --reference given: judged against {against.heading}, {other}"
 
 
 def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **options: Any) -> dict[str, Any]:
-    """What ran, in the order to show."""
+    """Settings of the run, in the order of the report."""
     facts = {
         "system": str(system),
-        "scenario": str(scenario) if scenario else "none: what the system plays by itself",
+        "scenario": str(scenario) if scenario else "none: the inputs are those of the system",
         "reference": reference,
         "master": card.master,
         **_steps(card),

@@ -1,9 +1,9 @@
-"""A run against its reference: aligned, measured, judged.
+"""Validation of a run against a reference: resampling, metrics, limits.
 
-1. Both are brought to the samples of the coarser of the two inside the window they share, by linear
-   interpolation; the reference is converted to the unit of the run.
-2. Samples that lie in a gap of a signal of the reference are left out of that signal, and counted in a note.
-3. `metrics` measures the difference; the signal's limit, if it has one, judges one of the numbers.
+1. Run and reference are resampled by linear interpolation at the samples of the coarser one in the common
+   window; the reference is converted to the unit of the run.
+2. Samples in a gap of a signal of the reference are left out of that signal, and counted in a note.
+3. `metrics` computes the metrics of the error; one of them is judged if the signal has a limit.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ from orchestrator.engine.result import Result
 from orchestrator.results.metrics import Metrics, measure
 
 
-def by_variable(trace: Trace, wanted: Iterable[str]) -> Trace:
-    """The signals of one FMU under the names of a system of several, which differ by the component only.
+def by_variable(trace: Trace, requested: Iterable[str]) -> Trace:
+    """The signals of one FMU with the names of a system of several FMUs: only the component differs.
 
-    Wanted names that share a variable, such as a.flow and b.flow, stay unknown: the FMU has one at most.
+    Requested names with the same variable, such as a.flow and b.flow, are not used: the FMU has one at most.
     """
-    names = dict.fromkeys(wanted)
+    names = dict.fromkeys(requested)
     count = Counter(_variable(name) for name in names)
     new = {_variable(name): name for name in names if count[_variable(name)] == 1}
-    named = {own: new.get(_variable(own), own) for own in trace.signals}
+    renamed = {name: new.get(_variable(name), name) for name in trace.signals}
     return Trace(
         trace.time,
-        {named[own]: values for own, values in trace.signals.items()},
-        {named[own]: unit for own, unit in trace.units.items()},
+        {renamed[name]: values for name, values in trace.signals.items()},
+        {renamed[name]: unit for name, unit in trace.units.items()},
     )
 
 
-def once(reference: Recording) -> Recording:
-    """Without signals that are those of another one under the name of another component.
+def without_repetitions(reference: Recording) -> Recording:
+    """Leave out signals that repeat the variable and the samples of another component.
 
-    One sensor on a line that feeds two components is one variable of the FMU that holds both.
+    One sensor on a line to two components is one variable of an FMU that contains both components.
     """
     kept: dict[str, Array] = {}
     for name, values in reference.signals.items():
-        twins = [n for n in kept if _variable(n) == _variable(name)]
-        same = (np.array_equal(kept[n], values, equal_nan=True) for n in twins)
+        same_variable = [n for n in kept if _variable(n) == _variable(name)]
+        same = (np.array_equal(kept[n], values, equal_nan=True) for n in same_variable)
         if not any(same):
             kept[name] = values
     return reference.select(list(kept))
@@ -60,12 +60,12 @@ def _variable(name: str) -> str:
     return name.partition(".")[2]
 
 
-ROUNDING = 1e-6  # of a sampling interval: of times in a text file
+ROUNDING = 1e-6  # of times in a text file, relative to a sampling interval
 
 
 @dataclass(frozen=True)
 class ValidatedSignal:
-    """One compared signal: samples of shape (n,) and numbers, all in `unit`; passed None: not judged."""
+    """One compared signal: samples of shape (n,) and metrics, in `unit`; `passed` is None without a limit."""
 
     signal: str
     label: str
@@ -81,17 +81,17 @@ class ValidatedSignal:
 
     @property
     def title(self) -> str:
-        """The label, else the signal's name."""
+        """The label, or the name if there is none."""
         return self.label or self.signal
 
     @property
     def judged_value(self) -> float | None:
-        """The number that the limit judges; None where it is undefined, or where there is no limit."""
+        """Value of the judged metric; None if it is undefined, or if there is no limit."""
         return None if self.tolerance is None else self.metrics.value(self.tolerance.metric)
 
     @property
     def limit_use(self) -> float:
-        """How much of its limit the signal uses: 1 at the limit, above it when it fails; 0 without one."""
+        """Value over limit: 1 at the limit, larger for a failed signal; 0 without limit."""
         return 0.0 if self.tolerance is None else self.tolerance.fraction_used(self.judged_value)
 
 
@@ -109,10 +109,10 @@ class Validation:
     @property
     def groups(self) -> dict[str, list[ValidatedSignal]]:
         """The rows by group, in the order of the reference."""
-        found: dict[str, list[ValidatedSignal]] = {}
+        groups: dict[str, list[ValidatedSignal]] = {}
         for row in self.rows:
-            found.setdefault(row.group, []).append(row)
-        return found
+            groups.setdefault(row.group, []).append(row)
+        return groups
 
     @property
     def judged(self) -> tuple[ValidatedSignal, ...]:
@@ -131,9 +131,9 @@ class Validation:
 
     @property
     def verdict(self) -> str:
-        """The outcome in a few words."""
+        """The outcome as text."""
         if not self.judged:
-            return "not judged: the reference states no limits"
+            return "not judged: the reference has no limits"
         inside = len(self.judged) - len(self.failed)
         return (
             f"{'pass' if self.passed else 'fail'}: {inside} of {len(self.judged)} signals within their limits"
@@ -150,9 +150,9 @@ def validate(
 
     run         a result, a trace, or its .csv or .parquet file
     reference   a recording, or its data file with a .toml next to it
-    rate        with the ISO/TS 18571 rating, which takes most of the time
+    rate        whether to compute the ISO/TS 18571 rating, which takes most of the time
 
-    Raises Problem for a signal that the run lacks, a unit that differs, or no common window.
+    Raises a Problem if the run lacks a signal, if units do not match, or without a common window.
     """
     trace = run if isinstance(run, Trace) else run.trace if isinstance(run, Result) else read(run)
     reference = reference if isinstance(reference, Recording) else read_recording(reference)
@@ -171,7 +171,7 @@ def validate(
 
 
 def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...]]:
-    """The samples [s] to compare on, those of the coarser side in the common window, and what was cut off."""
+    """The common samples [s], those of the coarser side in the common window, and notes on them."""
     sides = {"run": run, "reference": reference.time}
     start = max(run[0], reference.time[0], reference.start)
     stop = min(run[-1], reference.time[-1], reference.stop)
@@ -181,37 +181,37 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
     grid = inside[coarse]
     if len(grid) < 2:
         ends = {"begins": reference.start, "ends": reference.stop}
-        asked = [f"{verb} at {t:g} s" for verb, t in ends.items() if np.isfinite(t)]
-        wanted = f"; the window asked for {' and '.join(asked)}" if asked else ""
+        limits = [f"{verb} at {t:g} s" for verb, t in ends.items() if np.isfinite(t)]
+        window = f"; the requested window {' and '.join(limits)}" if limits else ""
         raise Problem(
             f"{reference.source}: expected two or more samples in a common window, "
-            f"got {len(grid)}; {spans}{wanted}"
+            f"got {len(grid)}; {spans}{window}"
         )
     notes = [f"compared at the {len(grid)} samples of the {coarse}, {grid[0]:g} to {grid[-1]:g} s"]
     fine = "reference" if coarse == "run" else "run"
     if between := _between(grid, sides[fine]):
-        notes.append(f"{between} of them lie between the samples of the {fine}: interpolated linearly")
+        notes.append(f"{between} of them are between samples of the {fine}: interpolated linearly")
     if any(not _inside(t, grid[0], grid[-1]).all() for t in sides.values()):
         notes.append(f"the window was cut: {spans}")
     return grid, tuple(notes)
 
 
 def _inside(time: Array, start: float, stop: float) -> NDArray[np.bool_]:
-    """Which samples lie in a window [s], with room for the rounding of times in a text file."""
-    slack = 1e-9 * max([1.0, *(abs(t) for t in (start, stop) if np.isfinite(t))])
-    inside: NDArray[np.bool_] = (time >= start - slack) & (time <= stop + slack)
+    """Whether each sample is in a window [s], with a tolerance for the rounding of times in a text file."""
+    tolerance = 1e-9 * max([1.0, *(abs(t) for t in (start, stop) if np.isfinite(t))])
+    inside: NDArray[np.bool_] = (time >= start - tolerance) & (time <= stop + tolerance)
     return inside
 
 
 def _between(grid: Array, time: Array) -> int:
-    """How many points of a grid meet no sample, apart from rounding."""
-    slack = 1e-6 * float(np.median(np.diff(time)))
-    at_or_after = np.minimum(np.searchsorted(time, grid - slack), len(time) - 1)
-    return int(np.sum(np.abs(time[at_or_after] - grid) > slack))
+    """Number of points of a grid between samples, with a tolerance for rounding."""
+    tolerance = 1e-6 * float(np.median(np.diff(time)))
+    at_or_after = np.minimum(np.searchsorted(time, grid - tolerance), len(time) - 1)
+    return int(np.sum(np.abs(time[at_or_after] - grid) > tolerance))
 
 
 def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool) -> ValidatedSignal:
-    """One signal on the common samples, measured and judged."""
+    """Resample, measure and judge one signal."""
     where, values, notes = f"{reference.source}: {name}", trace[name], []
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
         raise Problem(f"run: {name}: expected finite numbers, got {values[k]} at {trace.time[k]:g} s")
@@ -219,25 +219,26 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
     unit_of_file = reference.file_units.get(name, reference.units[name])
     if not unit:
         unit = unit_of_file
-        notes.append(f"the run states no unit, {unit!r} of the reference assumed")
-    factor_and_offset(unit_of_file, unit, where)  # refuses by the unit that the user wrote
+        notes.append(f"the run has no unit, {unit!r} of the reference is assumed")
+    factor_and_offset(unit_of_file, unit, where)  # a refusal contains the unit that the user wrote
     factor, offset = factor_and_offset(reference.units[name], unit, where)
     recorded = factor * reference[name] + offset
-    there = np.isfinite(recorded)
-    kept = np.interp(grid, reference.time, ~there) < ROUNDING  # 0 at a sample that is there, 1 at a gap
-    if not kept.all():
-        notes.append(f"{int(np.sum(~kept))} of {len(grid)} samples lie in gaps of the reference, left out")
-    time = grid[kept]
+    valid = np.isfinite(recorded)
+    outside_gaps = np.interp(grid, reference.time, ~valid) < ROUNDING  # 0 at a valid sample, 1 at a gap
+    if not outside_gaps.all():
+        count = int(np.sum(~outside_gaps))
+        notes.append(f"{count} of {len(grid)} samples are in gaps of the reference, left out")
+    time = grid[outside_gaps]
     if len(time) < 2:
         raise Problem(f"{where}: expected two or more samples in the common window, got {len(time)}")
     simulated = np.interp(time, trace.time, values)
-    truth = np.interp(time, reference.time[there], recorded[there])
+    resampled = np.interp(time, reference.time[valid], recorded[valid])
     metrics = measure(
         time,
         simulated,
-        truth,
+        resampled,
         span=None if criterion.span is None else criterion.span * factor,
-        whole=recorded[there & _inside(reference.time, reference.start, reference.stop)],
+        recording=recorded[valid & _inside(reference.time, reference.start, reference.stop)],
         rate=rate,
         where=where,
     )
@@ -249,7 +250,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         unit=unit,
         time=time,
         simulation=simulated,
-        reference=truth,
+        reference=resampled,
         metrics=metrics,
         tolerance=tolerance,
         passed=None if tolerance is None else tolerance.holds(metrics.value(tolerance.metric)),

@@ -1,8 +1,8 @@
-"""The report of a validation: one self-contained HTML file, and the same numbers as JSON.
+"""Report of a validation: one self-contained HTML file, and the same values as JSON.
 
-What ran is data handed in by the caller; this module knows no system. A figure shows signals over each other
-as in the paper's Figs. 10 and 11: the reference is a broad solid line, the simulation a dotted one, and the
-strip below shows simulation - reference on a scale of its own.
+The caller supplies all data of the run. A figure shows signals as in Figs. 10 and 11 of the paper: the
+reference is a broad solid line, the simulation is dotted, and the strip below shows simulation - reference on
+its own scale.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from orchestrator.base.units import convert, reader_unit
 from orchestrator.data.trace import Trace
 from orchestrator.results import summary
 from orchestrator.results.layout import FigureSpec, PanelSpec
-from orchestrator.results.motion import Motion, frames, strobe
+from orchestrator.results.motion import MachineMotion, frames, strobe
 from orchestrator.results.validation import ValidatedSignal, Validation
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -53,7 +53,7 @@ class ReportedComponent:
 
 @dataclass(frozen=True)
 class ReportedParameter:
-    """One parameter of the run; source and note where they are known, changed when set for this run."""
+    """One parameter of the run; `changed` if it was set for this run."""
 
     component: str
     name: str
@@ -67,15 +67,15 @@ class ReportedParameter:
 
 @dataclass(frozen=True)
 class Report:
-    """What to report.
+    """Contents of a report.
 
-    facts    what ran, in the order to show: system, scenario, master, step, start, stop, command line ...
-    card     the accuracy card of the run: name -> number, text or a mapping of those
-    trace    the run: for figures of signals that were not compared, such as commands
-    motion, ghost   the machine's motion in the run and in the reference
-    warnings        what the run reported, one line each
+    facts           settings of the run in the order of the report: system, scenario, master, step, ...
+    card            accuracy card of the run: name -> number, text or a mapping of those
+    trace           the run, for figures of signals that were not compared, such as commands
+    motion, ghost   motion of the machine in the run and in the reference
+    warnings        warnings of the run, one line each
     notes           remarks on the run
-    caution         what to know before the verdict is read
+    caution         remark before the verdict
     """
 
     title: str
@@ -86,8 +86,8 @@ class Report:
     components: Sequence[ReportedComponent] = ()
     parameters: Sequence[ReportedParameter] = ()
     card: Mapping[str, Any] = field(default_factory=dict)
-    motion: Motion | None = None
-    ghost: Motion | None = None
+    motion: MachineMotion | None = None
+    ghost: MachineMotion | None = None
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
     caution: str = ""
@@ -97,29 +97,29 @@ def write_report(path: Path | str, report: Report) -> tuple[Path, Path]:
     """Write the HTML to `path` and the JSON next to it; returns both paths."""
     html = Path(path)
     html_page.write_text(html, render(report))
-    return html, html_page.write_json(html.with_suffix(".json"), numbers(report))
+    return html, html_page.write_json(html.with_suffix(".json"), as_dict(report))
 
 
-def numbers(report: Report) -> dict[str, Any]:
-    """All numbers and texts of the report, in SI or the signal's stated unit."""
-    checked = report.validation
+def as_dict(report: Report) -> dict[str, Any]:
+    """The report for the JSON file, in SI units or the declared unit of a signal."""
+    validation = report.validation
     return {
         "title": report.title,
-        "passed": checked.passed,
-        "verdict": checked.verdict,
-        "reference": {"file": checked.source, **checked.about},
-        "window": {"start": checked.window[0], "stop": checked.window[1]},
-        "signals": [_numbers(row) for row in checked.rows],
+        "passed": validation.passed,
+        "verdict": validation.verdict,
+        "reference": {"file": validation.source, **validation.about},
+        "window": {"start": validation.window[0], "stop": validation.window[1]},
+        "signals": [_signal_dict(row) for row in validation.rows],
         "facts": report.facts,
         "accuracy": report.card,
         "components": report.components,
         "parameters": report.parameters,
-        "notes": [*report.notes, *checked.notes],
+        "notes": [*report.notes, *validation.notes],
         "warnings": report.warnings,
     }
 
 
-def _numbers(row: ValidatedSignal) -> dict[str, Any]:
+def _signal_dict(row: ValidatedSignal) -> dict[str, Any]:
     metrics = asdict(row.metrics)
     metrics["iso"]["grade"] = row.metrics.iso.grade
     metrics.pop("notes")
@@ -138,20 +138,20 @@ def _numbers(row: ValidatedSignal) -> dict[str, Any]:
 
 
 def render(report: Report) -> str:
-    """The HTML text."""
-    checked, motion = report.validation, report.motion
+    """The page as HTML."""
+    validation, motion = report.validation, report.motion
     return html_page.render(
         TEMPLATES / "validation_report.html.j2",
         title=report.title,
         report=report,
-        checked=checked,
-        tiles=[_tile(name, rows) for name, rows in checked.groups.items()],
+        checked=validation,
+        tiles=[_tile(name, rows) for name, rows in validation.groups.items()],
         words=summary,
         error=lambda value, row: error_display_unit(row.unit).text(value),
         share=percentage,
         value=_value,
         figures=[
-            (spec, embed(draw(spec, checked, report.trace), f"f{k}-", spec.title))
+            (spec, embed(draw(spec, validation, report.trace), f"f{k}-", spec.title))
             for k, spec in enumerate(report.figures)
         ],
         motion=motion and html_page.script_data(frames(motion, report.ghost)),
@@ -161,7 +161,7 @@ def render(report: Report) -> str:
 
 
 def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
-    """A group in one line: how many are within limits, and the one that comes closest to its limit."""
+    """Tile of a group: number of failed signals, and the signal with the largest use of its limit."""
     judged = [(row.limit_use, row) for row in rows if row.tolerance is not None]
     use, worst = max(judged, key=lambda entry: entry[0], default=(0.0, None))
     return {
@@ -175,21 +175,21 @@ def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
 
 
 def _value(value: Any) -> str:
-    """A value of facts, card or parameters."""
+    """Text of a value of facts, card or parameters."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: NO_VALUE}[value]
     return typeset(number(value, 6)) if isinstance(value, float) else str(value)
 
 
 def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Figure:
-    """The figure of a validation; signals that were not compared, such as commands, come from the trace."""
+    """Figure of a validation; signals that were not compared, such as commands, are from the trace."""
     panels = [_panel(spec, panel, validation, trace) for panel in spec.panels]
     key = legend_entry("reference", **REFERENCE), legend_entry("simulation", **SIMULATION)
     return draw_traces(panels, validation.window, spec.title, key=key)
 
 
 def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Trace | None) -> TracePanel:
-    """The panel's signals, from the comparison where there is one, else from the trace."""
+    """Signals of a panel, from the comparison, or from the trace if they were not compared."""
     rows = {row.signal: row for row in validation.rows}
     lines, errors, compared, units = (
         list[TraceLine](),
@@ -197,9 +197,9 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
         list[tuple[str, ValidatedSignal]](),
         set[str](),
     )
-    for place, signal in enumerate(panel.signals):
-        light, dark = PALETTE.pair(place)
-        name = panel.names[place] if place < len(panel.names) else ""
+    for i, signal in enumerate(panel.signals):
+        light, dark = PALETTE.pair(i)
+        name = panel.names[i] if i < len(panel.names) else ""
         if signal in rows:
             row = rows[signal]
             units.add(reader_unit(row.unit))
@@ -217,7 +217,9 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
             values = convert(trace[signal], unit, reader_unit(unit), signal)
             lines.append(TraceLine(trace.time, values, {"color": dark, "linewidth": 1.2}, name))
         else:
-            raise Problem(f"figure {spec.title!r}: signal {signal!r} is neither compared nor in the run")
+            raise Problem(
+                f"figure {spec.title!r}: expected a signal of the comparison or of the run, got {signal!r}"
+            )
     return TracePanel(
         unit=", ".join(sorted(units)),
         lines=lines,
@@ -231,9 +233,9 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
 
 
 def _verdict(name: str, row: ValidatedSignal) -> tuple[str, str]:
-    """The judged number with its limit, and its colour."""
-    value = summary.judged(row, row.judged_value)
-    text = f"{'✓' if row.passed else '✗'} {name} {value}\n{summary.limit(row)}".replace("  ", " ")
+    """Text with the judged value and its limit, and its colour."""
+    value = summary.judged_text(row, row.judged_value)
+    text = f"{'✓' if row.passed else '✗'} {name} {value}\n{summary.limit_text(row)}".replace("  ", " ")
     return text, PALETTE.good if row.passed else PALETTE.bad
 
 

@@ -72,7 +72,7 @@ def test_a_constant_reference_counts_where_the_other_run_moves():
     assert "arm.rest (reference constant)" in told
     assert "note: reference constant: its NRMSE is over the range of the other run" in told
     alone = {"usual": trace(rest=1.0).select(["arm.rest"]), "other": trace(rest=SPEED).select(["arm.rest"])}
-    assert "none of them moves" not in text(compare(alone))
+    assert "all are at rest" not in text(compare(alone))
     assert compare({**alone, "other": alone["usual"]}).worst("other", "speed") is None
 
 
@@ -145,7 +145,9 @@ def test_signals_are_chosen_by_patterns():
     assert compare(runs).signals == ("arm.speed", "pump.pressure")
     assert compare(runs, signals=["*.pressure"]).signals == ("pump.pressure",)
     assert compare(runs).notes == ("not in all traces, so left out: arm.rest",)
-    with pytest.raises(Problem, match=r"compare: signals arm.sped: no signal .* did you mean arm.speed\?"):
+    with pytest.raises(
+        Problem, match=r"compare: signals arm.sped: no common signal .* did you mean arm.speed\?"
+    ):
         compare(runs, signals=["arm.sped"])
 
 
@@ -154,7 +156,7 @@ def test_traces_without_common_signals_are_refused():
     other = Trace(TIME, {"x": SPEED})
     with pytest.raises(Problem) as caught:
         compare({"one": trace(), "two": other})
-    told = "compare: expected signals that all have, got none: "
+    told = "compare: expected signals that all runs have, got none: "
     assert str(caught.value) == f"{told}one has arm.speed, arm.rest, pump.pressure; two has x"
 
 
@@ -261,8 +263,11 @@ def test_a_reference_with_its_own_units_is_compared_too():
         (["a.csv", "a.csv"], "harvester: compare: expected two or more traces, got a"),
         (["a.csv", "none.csv"], "harvester: none.csv: no such file"),
         (["a.csv", "gain.fmu"], "harvester: gain.fmu: expected a file name ending in .csv or .parquet"),
-        (["a.csv", "u.csv"], "harvester: compare: expected signals that all have, got none: a.csv has gain."),
-        (["a.csv", "b.csv", "--signals", "x"], "harvester: compare: signals x: no signal that all have fits"),
+        (
+            ["a.csv", "u.csv"],
+            "harvester: compare: expected signals that all runs have, got none: a.csv has gain.",
+        ),
+        (["a.csv", "b.csv", "--signals", "x"], "harvester: compare: signals x: no common signal matches"),
         (["a.csv", "b.csv", "--start", "9"], "expected two or more samples in a common window, got 0"),
         (["a.csv", "b.csv", "--out", "a.csv"], "harvester: a.csv: expected a folder, which cannot be made"),
     ],

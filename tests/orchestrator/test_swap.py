@@ -265,7 +265,7 @@ def test_signals_that_a_swap_lost_are_not_compared(fmus):
     Path("m.toml").write_text(meta, encoding="utf-8")
     Path("m.csv").write_text("time,result,g.offset\n0,0,2\n1,0,2\n", encoding="utf-8")
     system, usual = Path("build/harvester.ssp").resolve(), (Path("none.csv"), Path("none.toml"))
-    options = {"swap": {"g": str(plain)}, "step": 0.5, "stop": 1.0, "usual": usual, "rate": False}
+    options = {"swap": {"g": str(plain)}, "step": 0.5, "stop": 1.0, "default": usual, "rate": False}
     validate_system(system, None, Path("m.csv"), None, Path("out"), **options)
     report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
     assert "not compared, lost in a swap: g.offset" in str(report)
@@ -287,7 +287,7 @@ def test_a_swapped_system_is_expected_to_differ_from_a_simulation(capsys):
         "swap": {"g": "fine"},
         "step": 0.5,
         "stop": 1.0,
-        "usual": (Path("none.csv"), Path("none.toml")),
+        "default": (Path("none.csv"), Path("none.toml")),
     }
     note = "g is swapped: the reference is of another model, expect a difference"
     for kind, expected in (("simulation", True), ("measurement", False)):
@@ -309,8 +309,8 @@ def test_a_scenario_without_reference_is_told_what_judges_it(capsys):
     Path("u.csv").write_text("time,command\n0,0\n1,0\n", encoding="utf-8")
     Path("l.toml").write_text('title = "T"', encoding="utf-8")
     usual, system = (Path("m.csv"), Path("l.toml")), Path("build/harvester.ssp").resolve()
-    validate_system(system, Path("u.csv"), None, None, Path("out"), usual=usual, rate=False, step=0.5)
-    note = "no --reference given: judged against m.csv, which may be of another scenario than u.csv"
+    validate_system(system, Path("u.csv"), None, None, Path("out"), default=usual, rate=False, step=0.5)
+    note = "no --reference given: judged against m.csv, which may have another scenario than u.csv"
     assert f"note: {note}" in capsys.readouterr().out
     assert note in Path("out/report.json").read_text(encoding="utf-8")
 

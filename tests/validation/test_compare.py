@@ -103,7 +103,7 @@ def test_interpolation_is_said() -> None:
     """Where the samples of the two do not meet, a note says how many lie between."""
     t = np.linspace(0, 1, 101)
     found = validate(Trace(t, {"a.x": t}, {"a.x": "m"}), made(np.array([0.0, 0.25, 0.333, 1.0]), np.zeros(4)))
-    assert found.notes[1] == "1 of them lie between the samples of the run: interpolated linearly"
+    assert found.notes[1] == "1 of them are between samples of the run: interpolated linearly"
 
 
 def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
@@ -115,7 +115,7 @@ def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
     assert row.metrics.normalised_by == 5.0
     assert row.metrics.nrmse == pytest.approx(2e-16)  # 1e-15 m over 5 m
     assert (row.metrics.fit, row.metrics.vaf, row.metrics.iso.overall) == (None, None, None)
-    assert row.notes == ("the reference stands still in this window: no fit, VAF or ISO rating",)
+    assert row.notes == ("the reference is constant in this window: no fit, VAF or ISO rating",)
 
 
 def test_the_range_is_that_of_the_window_of_the_file() -> None:
@@ -133,7 +133,7 @@ def test_no_common_window_is_refused() -> None:
         Problem, match=r"ref.csv: expected two or more .* got 0; the run covers 0 to 1 s; the reference"
     ):
         validate(run, made(np.array([5.0, 6.0]), np.zeros(2)))
-    with pytest.raises(Problem, match="the window asked for begins at 3 s"):
+    with pytest.raises(Problem, match="the requested window begins at 3 s"):
         validate(run, made(np.array([0.0, 1.0]), np.zeros(2), start=3.0))
 
 
@@ -158,7 +158,7 @@ def test_missing_unit_of_the_run_is_said() -> None:
     """A run without unit is taken in the unit of the reference, and a note says so."""
     run = Trace(np.array([0.0, 1.0]), {"a.x": np.array([0.0, 2.0])})
     row = validate(run, made(run.time, run["a.x"], "bar"), rate=False)["a.x"]
-    assert row.notes == ("the run states no unit, 'bar' of the reference assumed",)
+    assert row.notes == ("the run has no unit, 'bar' of the reference is assumed",)
     assert row.metrics.maximum_error == 0
 
 
@@ -207,7 +207,7 @@ def test_gaps_of_the_reference_are_left_out() -> None:
     values = np.where((t > 0.305) & (t < 0.395), np.nan, t)  # nine samples, 0.31 to 0.39 s
     fine = Trace(np.linspace(0, 1, 1001), {"a.x": np.linspace(0, 1, 1001) + 0.5}, {"a.x": "m"})
     row = validate(fine, made(t, values))["a.x"]
-    assert (len(row.time), row.notes[0]) == (92, "9 of 101 samples lie in gaps of the reference, left out")
+    assert (len(row.time), row.notes[0]) == (92, "9 of 101 samples are in gaps of the reference, left out")
     # a straight line is interpolated exactly, but for rounding
     assert row.metrics.rmse == pytest.approx(0.5, rel=1e-12)
     assert row.metrics.iso.overall is not None
@@ -225,4 +225,4 @@ def test_without_limits_nothing_is_judged() -> None:
     found = validate(Trace(t, {"a.x": t}, {"a.x": "m"}), made(t, t + 5), rate=False)
     assert found.passed
     assert found.judged == ()
-    assert found.verdict == "not judged: the reference states no limits"
+    assert found.verdict == "not judged: the reference has no limits"

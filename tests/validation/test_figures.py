@@ -97,7 +97,9 @@ def test_verdict_is_written_at_the_panel(outcome: Validation, trace: Trace) -> N
 def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
     """A figure that asks for a signal nobody has is named."""
     spec = FigureSpec("Shaft", (PanelSpec("Angle", ("shaft.angel",)),))
-    with pytest.raises(Problem, match=r"figure 'Shaft': signal 'shaft.angel' is neither compared nor in the"):
+    with pytest.raises(
+        Problem, match=r"figure 'Shaft': expected a signal of the comparison or of the run, got 'shaft.angel'"
+    ):
         draw(spec, outcome, trace)
 
 

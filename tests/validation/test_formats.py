@@ -35,7 +35,7 @@ def test_parquet_and_matlab_are_compared_like_csv(folder: Path, trace: Trace, ki
     found = validate(trace, read_recording(folder / "ref.toml"), rate=False)
     expected = validate(trace, csv, rate=False)
     assert found["pump.pressure"].metrics == expected["pump.pressure"].metrics
-    assert found["shaft.angle"].notes == ("10 of 201 samples lie in gaps of the reference, left out",)
+    assert found["shaft.angle"].notes == ("10 of 201 samples are in gaps of the reference, left out",)
     assert len(found["shaft.angle"].time) == 191
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from orchestrator.base.errors import Problem
-from orchestrator.results.motion import Motion, frames, strobe
+from orchestrator.results.motion import MachineMotion, frames, strobe
 
 TIME = np.linspace(0.0, 4.0, 4001)
 
 
-def arm(radius: float = 5.0) -> Motion:
+def arm(radius: float = 5.0) -> MachineMotion:
     """A pillar 2 m high on the axis and an arm that slews a quarter turn in 4 s."""
     angle = TIME * np.pi / 8
     still = np.zeros_like(TIME)
     tip = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), still + 1.0))
-    return Motion(
+    return MachineMotion(
         TIME,
         {
             "foot": np.zeros((len(TIME), 3)),
@@ -37,7 +37,7 @@ def test_side_view_turns_with_the_arm() -> None:
 def test_side_view_of_a_planar_machine_is_fixed() -> None:
     """Without turning, the side view is the x-z plane and there is no view from above."""
     motion = arm()
-    planar = Motion(motion.time, motion.points, turning=False)
+    planar = MachineMotion(motion.time, motion.points, turning=False)
     np.testing.assert_array_equal(planar.side("tip"), planar.points["tip"][:, [0, 2]])
     assert list(frames(planar)["views"]) == ["side"]
     assert len(strobe(planar).axes) == 2  # one view and the colour bar
@@ -78,18 +78,18 @@ def test_strobe_picture_shows_both_views() -> None:
 
 def test_strobe_of_a_machine_at_rest() -> None:
     """A machine that does not move is drawn, not divided by zero."""
-    rest = Motion(TIME, {"foot": np.zeros((len(TIME), 3)), "tip": np.ones((len(TIME), 3))})
+    rest = MachineMotion(TIME, {"foot": np.zeros((len(TIME), 3)), "tip": np.ones((len(TIME), 3))})
     assert strobe(rest, poses=3).axes
 
 
 def test_mistakes_are_named() -> None:
     """Wrong shapes, positions that are no numbers and unknown labels are refused."""
     points = {"tip": np.zeros((len(TIME), 3))}
-    with pytest.raises(Problem, match=r"motion: 'tip' has shape \(3, 3\), expected \(4001, 3\)"):
-        Motion(TIME, {"tip": np.zeros((3, 3))})
-    with pytest.raises(Problem, match="motion: 'tip' expected finite positions"):
-        Motion(TIME, {"tip": np.full((len(TIME), 3), np.nan)})
-    with pytest.raises(Problem, match="motion: hand expected among the points, got tip"):
-        Motion(TIME, points, lines=(("tip", "hand"),))
-    with pytest.raises(Problem, match="motion: hand expected among the points, got tip"):
-        Motion(TIME, points, tip="hand")
+    with pytest.raises(Problem, match=r"motion: 'tip': expected shape \(4001, 3\), got \(3, 3\)"):
+        MachineMotion(TIME, {"tip": np.zeros((3, 3))})
+    with pytest.raises(Problem, match="motion: 'tip': expected finite positions"):
+        MachineMotion(TIME, {"tip": np.full((len(TIME), 3), np.nan)})
+    with pytest.raises(Problem, match="motion: expected points hand, got tip"):
+        MachineMotion(TIME, points, lines=(("tip", "hand"),))
+    with pytest.raises(Problem, match="motion: expected points hand, got tip"):
+        MachineMotion(TIME, points, tip="hand")

@@ -16,7 +16,7 @@ import pytest
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.layout import FigureSpec, PanelSpec
-from orchestrator.results.motion import Motion
+from orchestrator.results.motion import MachineMotion
 from orchestrator.results.validation import Validation, validate
 from orchestrator.results.validation_report import (
     Report,
@@ -56,7 +56,7 @@ class Page(HTMLParser):
 def report(outcome: Validation, trace: Trace) -> Report:
     """A report with everything in it."""
     tip = np.column_stack((np.cos(trace["shaft.angle"]), np.sin(trace["shaft.angle"]), trace.time * 0 + 1))
-    motion = Motion(trace.time, {"foot": np.zeros_like(tip), "tip": tip})
+    motion = MachineMotion(trace.time, {"foot": np.zeros_like(tip), "tip": tip})
     return Report(
         "Shaft & pump",
         outcome,
@@ -134,7 +134,7 @@ def test_json_has_the_same_numbers(report: Report, tmp_path: Path) -> None:
         assert (stored["signal"], stored["unit"], stored["passed"]) == (row.signal, row.unit, row.passed)
         assert (found["rmse"], found["nrmse"], found["fit"]) == (m.rmse, m.nrmse, m.fit)
         assert (found["maximum_error"], found["vaf"]) == (m.maximum_error, m.vaf)
-        assert found["iso"]["reason"] == "not asked for"
+        assert found["iso"]["reason"] == "not requested"
     assert data["signals"][1]["tolerance"]["limit"] == 2e5
     assert data["accuracy"] == {
         "real-time factor": 31.25,
@@ -202,7 +202,7 @@ def test_stays_small_for_a_long_run(report: Report, tmp_path: Path) -> None:
     ]
     outcome = replace(report.validation, rows=rows, window=(0.0, 60.0))
     points = {f"p{k}": np.column_stack((t, noise[0], noise[1])) for k in range(6)}
-    motion = Motion(t, points)
+    motion = MachineMotion(t, points)
     big = Report("Long", outcome, figures=specs, motion=motion, ghost=motion)
     assert write_report(tmp_path / "report.html", big)[0].stat().st_size < 3e6
 
@@ -229,7 +229,7 @@ def test_data_cannot_end_the_script(report: Report, tmp_path: Path) -> None:
     """A label with a closing tag in it stays data."""
     motion = report.motion
     assert motion is not None
-    odd = Motion(motion.time, {"</script><b>": motion.points["tip"]})
+    odd = MachineMotion(motion.time, {"</script><b>": motion.points["tip"]})
     page = write_report(tmp_path / "report.html", replace(report, motion=odd, ghost=None))[0].read_text(
         "utf-8"
     )

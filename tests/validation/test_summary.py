@@ -79,7 +79,7 @@ def test_a_failed_run_says_first_what_missed_and_by_how_much(
         ("rmse", 0.09999, "RMSE 100 mm, limit 100 mm (1.00010001 times)"),
         ("fit", 90, "fit 86.05 %, limit 90.00 % (3.94 % short)"),
         ("maximum_relative", 0.1, "no max. relative error, limit 10 %"),
-        ("iso", 0.9, "no ISO rating, limit 0.9 (not asked for)"),
+        ("iso", 0.9, "no ISO rating, limit 0.9 (not requested)"),
     ],
 )
 def test_a_miss_in_the_words_of_its_metric(metric: str, limit: float, told: str) -> None:
