@@ -63,9 +63,9 @@ def run(
     contents = page_content(folder, out, identified, comparison, qualities)
     if comparison:
         use = "held out" if comparison.recording.use == "test" else "used for fitting"
-        print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signal of each kind")
-        for kind, (name, error) in worst_signals(comparison).items():
-            print(f"  {kind:<10}{100 * error:5.2f} %  {name}")
+        print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")
+        for quantity, (name, error) in worst_signals(comparison).items():
+            print(f"  {quantity:<10}{100 * error:5.2f} %  {name}")
     if contents.explanation:
         print(contents.explanation.verdict)
     for line in contents.warnings:

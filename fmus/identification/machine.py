@@ -23,7 +23,7 @@ from orchestrator.data.recording import Recording
 
 Parameters = Mapping[str, Number]
 
-# Parameters that a work cycle excites. Left out, because it hardly excites them or other parameters have the
+# Parameters that a work cycle excites. Left out, because it does not excite them or other parameters have the
 # same effect: inertances and resistances of the swing's lines (time constants below a millisecond), rounding
 # and leakage of the valve, inertances of the hoses, geometry, displacement of the motor (on its type plate).
 FREE = (
@@ -185,7 +185,7 @@ def assumptions(recordings: Sequence[Recording]) -> list[str]:
     """Sentences on inputs that are not measured and therefore constant."""
     supply, constant = signal_names()["supply_pressure"], values(HARVESTER).u["supply_pressure"]
     return [
-        f"{r.source.name}: the supply pressure is not measured, taken as {constant / 1e5:g} bar throughout"
+        f"{r.source.name}: the supply pressure is not measured, assumed constant at {constant / 1e5:g} bar"
         for r in recordings
         if supply not in r.signals
     ]

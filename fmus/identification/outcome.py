@@ -45,7 +45,7 @@ def worst_signals(comparison: RecordingComparison) -> dict[str, tuple[str, float
     """The signal with the largest NRMSE of each quantity, and its NRMSE."""
     errors = comparison.nrmse()
     by_quantity = {q: {n: e for n, e in errors.items() if q in n.split("_")} for q in QUANTITIES}
-    return {q: max(own.items(), key=lambda item: item[1]) for q, own in by_quantity.items() if own}
+    return {q: max(e.items(), key=lambda item: item[1]) for q, e in by_quantity.items() if e}
 
 
 def explanation(comparison: RecordingComparison, identified: Identified) -> Explanation | None:

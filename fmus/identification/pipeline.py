@@ -1,6 +1,6 @@
 """Identification pipeline: the paper's procedures in its order, then a refinement of all parameters together.
 
-Each procedure uses the estimates of those before it. Nothing is written here.
+Each procedure uses the estimates of those before it. No file is written.
 """
 
 from __future__ import annotations

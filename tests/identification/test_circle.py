@@ -1,4 +1,4 @@
-"""The circle of the paper on a machine that the model is not: rig, identify, predict what was held out."""
+"""Identification of a machine that differs from the model: record, identify, predict a held-out cycle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.long  # the detailed machine at work takes half a minut
 
 
 def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
-    """With what was identified it meets the bars on a cycle held out, and the head is named as the cause."""
+    """It meets the limits on a held-out cycle, and the swinging head explains the residual."""
     write_all(tmp_path / "recordings", "detailed", 0, lambda _: None)
     found = identify(read_folder(tmp_path / "recordings"))
     assert not found.skipped

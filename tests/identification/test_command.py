@@ -1,4 +1,4 @@
-"""From recordings to parameters by the command line: the paper's circle, and what a stranger does wrong."""
+"""From recordings to parameters by the command line: procedures, joint refinement, and mistakes of users."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def found(file: str = "parameters.toml") -> dict[str, dict]:
 
 @pytest.mark.usefixtures("here")
 def test_the_procedures_write_parameters_and_a_page(capsys):
-    """One entry per parameter with unit, source, interval and sd; machine, page and numbers tell the same."""
+    """One entry per parameter with unit, source, interval and sd; the same values in machine, page and JSON."""
     assert main(["identify", "mine", "--no-joint"]) == 0
     printed, tables = capsys.readouterr().out, found()
     assert {"valve_area", "valve_dead_band", "swing_damping", "internal_leakage_resistance"} <= set(tables)
@@ -63,7 +63,7 @@ def test_the_procedures_write_parameters_and_a_page(capsys):
 
 @pytest.mark.usefixtures("here")
 def test_the_joint_refinement_returns_the_machine(capsys):
-    """All parameters of the default set at once, from 60 s: the truth is in nearly all of the intervals."""
+    """All parameters of the default set at once, from 60 s: nearly all intervals cover the truth."""
     for file in Path("mine").glob("*.toml"):
         if not file.stem.startswith("machine"):
             file.unlink()
@@ -84,7 +84,7 @@ def test_the_joint_refinement_returns_the_machine(capsys):
 
 @pytest.mark.usefixtures("here")
 def test_swapped_levers_are_warned_of(capsys):
-    """A model that cannot follow its own training data says so, and what to look at."""
+    """A model that does not follow its training data is a warning, with advice."""
     for file in Path("mine").glob("*.toml"):
         if file.stem != "machine_train_1":
             file.unlink()
@@ -102,8 +102,8 @@ def test_swapped_levers_are_warned_of(capsys):
 
 
 @pytest.mark.usefixtures("here")
-def test_what_cannot_be_found_does_not_hinder_the_rest(capsys):
-    """A broken experiment is told in one line, and everything else is identified."""
+def test_a_failed_procedure_does_not_stop_the_others(capsys):
+    """A broken experiment is reported in one line, and the others are identified."""
     for file in Path("mine").glob("*.toml"):
         if not file.stem.startswith(("valve", "motor")):
             file.unlink()
@@ -129,8 +129,8 @@ def test_what_cannot_be_found_does_not_hinder_the_rest(capsys):
     ],
 )
 @pytest.mark.usefixtures("here")
-def test_a_mistake_is_told_in_one_line(arguments, told, capsys):
-    """What, expected, found; exit status 2; nothing written."""
+def test_a_mistake_is_reported_in_one_line(arguments, told, capsys):
+    """Expected and actual value; exit status 2; nothing written."""
     for file in Path("mine").glob("*.toml"):
         if not file.stem.startswith("machine"):
             file.unlink()
@@ -141,8 +141,8 @@ def test_a_mistake_is_told_in_one_line(arguments, told, capsys):
     assert not list(Path().glob("parameters.*"))
 
 
-def test_a_bare_name_stands_for_all_parts_that_mean_the_same():
-    """`valve_area` is of both drives, `initial_preload` is two things, a part's own name is the short one."""
+def test_a_bare_name_refers_to_all_parts_with_one_meaning():
+    """`valve_area` is one parameter of both drives, `initial_preload` two parameters with their parts."""
     known = nominal()
     assert targets_of("valve_area", known) == ["swing.valve_area", "boom_stick.valve_area"]
     assert short_name("boom_stick.stick_hose_resistance", known) == "stick_hose_resistance"

@@ -1,4 +1,4 @@
-"""A misspelt name of a recording is not left out without a word."""
+"""Misspelt names in a recording are refused or reported."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 
-def made(procedure, names, **conditions):
+def recording(procedure, names, **conditions):
     time = np.arange(3.0)
     return Recording(
         Path("run.csv"),
@@ -40,27 +40,27 @@ def remarks(recordings):
     ],
 )
 def test_a_misspelt_signal_of_the_machine_is_refused(procedure, wrong, right):
-    """One line with the file, the signal and what may be meant, before anything is identified."""
+    """One line with the file, the signal and a similar name, before the identification starts."""
     with pytest.raises(Problem) as caught:
-        identify([made(procedure, [*signal_names().values(), wrong])])
+        identify([recording(procedure, [*signal_names().values(), wrong])])
     message = str(caught.value)
     assert message == f"run.csv: signal {wrong}: expected an input or output of the machine, such as {right}"
 
 
-def test_a_signal_unlike_any_is_named():
-    """A temperature, or a spare channel of a bench, is no mistake: it is said that it is not used."""
-    (text,) = remarks([made("machine", [*signal_names().values(), "oil_temperature"])])
+def test_an_unknown_signal_is_reported():
+    """A temperature, or a spare channel of a test bench, is not a mistake; a remark lists it as not used."""
+    (text,) = remarks([recording("machine", [*signal_names().values(), "oil_temperature"])])
     assert text == "run.csv: not a signal of the machine, not used: oil_temperature"
-    (text,) = remarks([made("valve", [*valve.SIGNALS, "oil_temperature"])])
+    (text,) = remarks([recording("valve", [*valve.SIGNALS, "oil_temperature"])])
     assert text == "run.csv: not a signal of valve, not used: oil_temperature"
-    (text,) = remarks([made("valve", ["pressure_inn"])])
+    (text,) = remarks([recording("valve", ["pressure_inn"])])
     assert "pressure_inn (misspelt pressure_in?)" in text
 
 
-def test_whatever_the_machine_shows_may_be_recorded():
-    """All that a procedure or the refinement reads raises no remark."""
-    assert remarks([made("machine", signal_names().values(), tank_pressure=1e5)]) == []
-    assert remarks([made("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
+def test_all_signals_of_the_machine_may_be_recorded():
+    """Signals and conditions that are read have no remark."""
+    assert remarks([recording("machine", signal_names().values(), tank_pressure=1e5)]) == []
+    assert remarks([recording("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
 
 
 @pytest.mark.parametrize(
@@ -68,6 +68,6 @@ def test_whatever_the_machine_shows_may_be_recorded():
     [("valve", "Edge", "edge"), ("hose_resistance", "lenght", "length"), ("damping", "Joint", "joint")],
 )
 def test_a_misspelt_condition_is_refused(procedure, wrong, right):
-    """A key of [experiment] that differs by case or a letter from one that counts."""
+    """A key of [experiment] that differs by case or a letter from one that is read."""
     with pytest.raises(Problem, match=rf"^run.csv: \[experiment\] unknown key {wrong}, expected {right}$"):
-        remarks([made(procedure, [], **{wrong: "x"})])
+        remarks([recording(procedure, [], **{wrong: "x"})])

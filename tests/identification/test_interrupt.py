@@ -1,4 +1,4 @@
-"""Ctrl-C while `harvester identify` works: what was found until then is written."""
+"""Ctrl-C during `harvester identify`: the estimates until then are written."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
 
 
 class Procedure:
-    """Finds one parameter, or is interrupted."""
+    """Estimates one parameter, or is interrupted."""
 
     SIGNALS = ()
 
@@ -40,19 +40,19 @@ class Procedure:
 
 
 def interrupt(*_: object, **__: object) -> None:
-    """Whatever was to be done."""
+    """Any function, interrupted."""
     raise KeyboardInterrupt
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Only a valve, found at once."""
+    """Only the valve, estimated without computation."""
     monkeypatch.setattr(pipeline, "PROCEDURES", {"valve": Procedure(False)})
     return monkeypatch
 
 
 def test_a_finished_procedure_is_kept(quick):
-    """An interrupt in the joint refinement, before there is any point to keep, leaves the valve."""
+    """An interrupt in the joint refinement, before its first iteration, leaves the valve."""
     quick.setattr(pipeline, "refine_together", interrupt)
     found = identify([VALVE, MACHINE])
     assert found.interrupted
@@ -61,15 +61,15 @@ def test_a_finished_procedure_is_kept(quick):
     assert identify([VALVE]).interrupted is False
 
 
-def test_nothing_found_is_an_interrupt(quick):
-    """There is nothing to write, and an earlier file stays as it is."""
+def test_an_interrupt_without_estimates_is_raised(quick):
+    """Nothing is written, and an earlier file does not change."""
     quick.setattr(pipeline, "PROCEDURES", {"valve": Procedure(True)})
     with pytest.raises(KeyboardInterrupt):
         identify([VALVE])
 
 
-def test_an_interrupted_search_is_not_begun_again(quick):
-    """The best point so far is kept; random starts are not gone through one interrupt after the other."""
+def test_an_interrupted_search_is_not_restarted(quick):
+    """The best point so far is kept, and the random starts are skipped."""
 
     class Best:
         reason = "interrupted"
@@ -78,14 +78,14 @@ def test_an_interrupted_search_is_not_begun_again(quick):
             return (replace(AREA, value=3e-5),)
 
     quick.setattr(pipeline, "refine_together", lambda *_: Best())
-    quick.setattr(pipeline, "refine_from_other_starts", lambda *_: pytest.fail("begun again"))
+    quick.setattr(pipeline, "refine_from_other_starts", lambda *_: pytest.fail("restarted"))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.parameters["swing.valve_area"].value == 3e-5
 
 
 def test_interrupted_starts_keep_the_result(quick):
-    """The refinement was done; the starts that were compared are told."""
+    """The result of the refinement is kept."""
     refined = RefinementResult.__new__(RefinementResult)
     object.__setattr__(refined, "reason", "converged")
     quick.setattr(RefinementResult, "estimates", lambda *_, **__: (AREA,))
@@ -97,7 +97,7 @@ def test_interrupted_starts_keep_the_result(quick):
 
 
 def test_the_command_writes_what_it_has(quick, tmp_path, capsys):
-    """parameters.toml of what was found, one line about it, exit status 130 as in other commands."""
+    """parameters.toml with the estimates, one line about it, exit status 130 as in other commands."""
     quick.chdir(tmp_path)
     quick.setattr(pipeline, "refine_together", interrupt)
     for name, value in {

@@ -162,7 +162,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         joint = condition(recording, "joint", CONTACTS)
         require(recording, dict.fromkeys(PRESSURES[joint], "Pa"))
         by_joint[joint].append(recording)
-    joints = [joint_damping(CONTACTS[j], own, parameters) for j, own in by_joint.items() if own]
+    joints = [joint_damping(CONTACTS[j], r, parameters) for j, r in by_joint.items() if r]
     return ProcedureResult(
         procedure="damping",
         title="Viscous damping of the joints: resistance over speed",

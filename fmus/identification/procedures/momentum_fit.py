@@ -11,7 +11,7 @@ sensors
 
 The first part of the bias is the attenuation of the paper's (13), for one joint - B var(x' noise)/mean(x'^2),
 here with all terms of the equation that contain the speed. The second part is due to the centrifugal terms.
-The residuals give a covariance of their own, whatever their cause (Newey and West 1987). Errors of the known
+The residuals give another covariance, whatever their cause (Newey and West 1987). Errors of the known
 parameters shift theta by its sensitivity.
 """
 
@@ -39,7 +39,7 @@ from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
-WEIGHT_ITERATIONS = 2  # of the weights by residuals; further ones hardly change theta
+WEIGHT_ITERATIONS = 2  # updates of the weights; further ones change theta only slightly
 MISFIT = 2.0  # standard deviation by residuals over that by noise above which noise does not explain them
 SINGULAR = 1e12  # largest condition number of the scaled normal equations
 MAX_NAMES = 3  # parameters named in a remark
@@ -228,7 +228,7 @@ class KnownParameterEffect:
 
     @property
     def sd(self) -> float:
-        """Standard deviation by those of the known parameters, which are taken as independent."""
+        """Standard deviation by those of the known parameters, which are assumed independent."""
         return math.sqrt(sum(x**2 for x in self.by_sd.values()))
 
     @property

@@ -56,7 +56,7 @@ class ValveSteps(StepMeans):
     """Means over the steps of one or several edges; drop and flow are positive if the edge is open.
 
     command       magnitude [V]
-    supply_drop   pressure drop from supply to tank [Pa]: the largest one over the edge, when it hardly opens
+    supply_drop   pressure drop from supply to tank [Pa]: the largest drop over an edge, nearly closed
     edge          "P-A", "P-B", "A-T" or "B-T"
     """
 

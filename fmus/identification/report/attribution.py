@@ -39,7 +39,7 @@ EFFECTS: Mapping[str, Mapping[str, str]] = {
 }
 STEP = 1e-3  # relative step of finite differences: errors of the solver are 1e5 times smaller
 ABOVE_NOISE = 1.5  # rms residual over the sensor's noise below which a signal is left out
-MEMORY = 0.5  # s, lag up to which samples of a residual are taken as correlated
+MEMORY = 0.5  # s, lag up to which samples of a residual are assumed to be correlated
 LEAST = 0.2  # share above which an effect is reported
 CLOSE = 0.8  # fraction of the largest share above which an effect cannot be distinguished from the largest
 SMALL = 1e-3  # rms residual over the range of a signal below which it needs no explanation
@@ -272,7 +272,7 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
         )
         close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
         if close:
-            text += f" The data hardly distinguish it from {' and '.join(close)}."
+            text += f" The data can hardly distinguish it from {' and '.join(close)}."
     unexplained = 1 - together - parameters - noise
     if parameters > LEAST / 2:
         text += (

@@ -95,7 +95,7 @@ def test_white_noise_shows_no_effect(effects):
 
 
 def test_a_residual_within_the_noise_of_the_sensors_is_left_out(effects):
-    """A signal with a residual as large as its sensor's noise is left out; without signals there are no shares."""
+    """A signal with a residual as large as its sensor's noise is left out, also if no signal remains."""
     change = effects["swinging head"]
     residual = noisy(change, 0.0)
     size = {n: float(np.sqrt(np.mean(y**2))) for n, y in residual.items()}
