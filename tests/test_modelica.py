@@ -1,4 +1,4 @@
-"""The FMUs in Modelica: what `harvester modelica` writes, and examples/modelica run by OpenModelica."""
+"""Modelica package of the machine: its code, and examples/modelica simulated by OpenModelica."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from orchestrator import Problem
 from orchestrator.modelica import write_package
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "modelica"
-HELD = ("supply_pressure", "tank_pressure")
+CONSTANT_INPUTS = ("supply_pressure", "tank_pressure")
 POSE = {"initial_swing_angle": 0.3, "initial_boom_angle": 0.5, "initial_stick_angle": -1.2}
 CASES: Mapping[str, Mapping[str, float]] = {"": {}, "OtherPose": POSE, "HeavyHead": {"head_mass": 600.0}}
 ANGLES = [f"{joint}_angle" for joint in ("swing", "boom", "stick")]
@@ -39,7 +39,7 @@ def package(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         fmu_dir / "harvester.fmu",
         fmu_dir / "variants" / "swing_detailed.fmu",
     ]
-    return write_package(files, tmp_path_factory.mktemp("modelica"), held=HELD)
+    return write_package(files, tmp_path_factory.mktemp("modelica"), constant_inputs=CONSTANT_INPUTS)
 
 
 # ---- the text
@@ -66,7 +66,7 @@ def test_each_fmu_is_a_block_with_its_parameters_and_units(package, fmu_dir):
 
 
 def test_an_output_is_computed_with_the_inputs_that_it_depends_on(package):
-    """Positions and speeds of the arm come without forces: else a tool finds an algebraic loop."""
+    """Positions and speeds of the arm do not depend on forces, so that tools find no algebraic loop."""
     calls = re.findall(
         r"\{([\w, ]+)\} =\s+Internal\.outputs\(.*?(\{[\w, ]+\}|fill\(0\.0, 0\)), \{[\d, ]+\}\)",
         block(package, "Manipulator"),
@@ -77,14 +77,14 @@ def test_an_output_is_computed_with_the_inputs_that_it_depends_on(package):
     assert "boom_force" in used["boom_acceleration"]
 
 
-def test_rates_have_no_place_in_model_exchange(package):
-    """Neither as inputs, nor the outputs that only give them on."""
+def test_rates_are_not_needed_in_model_exchange(package):
+    """Neither inputs for rates nor outputs that only pass them on are in the blocks."""
     assert not re.search(r"RealInput \w+_rate", package.read_text(encoding="utf-8"))
     assert "swing_acceleration" not in block(package, "Swing")
 
 
-def test_a_package_is_written_anew_and_nothing_else_is_overwritten(fmu_dir, tmp_path):
-    """What is in the place of the package and was not written by the command stays."""
+def test_a_package_is_replaced_and_nothing_else_is_overwritten(fmu_dir, tmp_path):
+    """A folder with the name of the package that the command did not write is kept."""
     first = write_package([fmu_dir / "swing.fmu"], tmp_path, "Drive").read_text(encoding="utf-8")
     assert write_package([fmu_dir / "swing.fmu"], tmp_path, "Drive").read_text(encoding="utf-8") == first
     (tmp_path / "Mine").mkdir()
@@ -96,7 +96,7 @@ def test_a_package_is_written_anew_and_nothing_else_is_overwritten(fmu_dir, tmp_
     assert (tmp_path / "Mine" / "package.mo").read_text() == "package Mine end Mine;"
 
 
-def test_what_cannot_be_a_block_is_told(fmi3_dir, tmp_path):
+def test_an_fmu_that_cannot_be_a_block_is_reported(fmi3_dir, tmp_path):
     """FMI 3.0; tests/test_modelica_foreign.py has the others."""
     with pytest.raises(Problem, match=r"swing\.fmu: expected an FMU 2\.0 for Model Exchange, got FMI 3\.0$"):
         write_package([fmi3_dir / "swing.fmu"], tmp_path)
@@ -116,7 +116,7 @@ def results(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (top / "build").symlink_to(fmu_dir, target_is_directory=True)
     variants = sorted((fmu_dir / "variants").glob("*.fmu"))
     files = [fmu_dir / "harvester.ssp", fmu_dir / "harvester.fmu", *variants]
-    write_package(files, fmu_dir / "modelica", held=HELD)
+    write_package(files, fmu_dir / "modelica", constant_inputs=CONSTANT_INPUTS)
     run = subprocess.run([omc, "run.mos"], cwd=folder, capture_output=True, text=True, check=False)
     (folder / "results" / "log.txt").write_text(run.stdout + run.stderr)
     return folder / "results"

@@ -171,7 +171,7 @@ def test_two_packages_serve_one_model(decay, tmp_path):
     assert end["b.y"] == pytest.approx(np.exp(-1), rel=TIGHT)
 
 
-def test_a_folder_with_blanks_and_other_letters_is_found(decay, tmp_path):
+def test_a_folder_with_spaces_and_non_ascii_letters_works(decay, tmp_path):
     """The library and the resources."""
     folder = tmp_path / "Übung 100%"
     write_package([decay()], folder, "P")
@@ -197,7 +197,7 @@ def test_a_system_has_the_values_of_its_ssp(decay, tmp_path):
 
 
 def test_an_open_input_of_a_system_can_be_bound(decay, tmp_path):
-    """It is its start value, or what a model that extends the system says."""
+    """It has its start value, or the value in a model that extends the system."""
     decay()
     write_package([ssd(tmp_path, "slow", 1.0)], tmp_path, "P")
     end = at_end(tmp_path, ["P"], "model T extends P.Systems.Slow('left arm_u' = 1); end T;")
@@ -218,12 +218,12 @@ def test_what_the_fmu_discards_ends_the_run(decay, tmp_path, fault):
     assert re.search(r"T\.a: fmi2\w+ was discarded", said)
 
 
-def test_an_fmu_that_asks_for_the_end_gets_one(decay, tmp_path):
-    """The reason is told with the name of the block."""
+def test_an_fmu_can_end_the_simulation(decay, tmp_path):
+    """The message has the name of the block and the reason."""
     write_package([decay()], tmp_path, "P")
     said, rows = simulate(tmp_path, ["P"], "model T P.FMUs.Decay a(fault = 3); equation a.u = 0; end T;")
     assert rows.empty
-    assert "T.a: the FMU asks to end the simulation" in said
+    assert "T.a: the FMU requests the end of the simulation" in said
 
 
 def test_inputs_are_set_before_the_initialisation_ends(decay, tmp_path):
@@ -237,7 +237,7 @@ def test_inputs_are_set_before_the_initialisation_ends(decay, tmp_path):
 
 
 def test_equal_fmus_are_one_block_with_two_names(decay, tmp_path):
-    """A variant that is the usual one is found under its own name, too."""
+    """A variant with the same model description is available under its own name, too."""
     text = write_package([decay(), decay("usual")], tmp_path, "P").read_text(encoding="utf-8")
     assert "block Usual = Decay;" in text
     assert [p.name for p in (tmp_path / "P" / "Resources" / "FMUs").iterdir()] == ["decay"]
@@ -273,7 +273,7 @@ def test_a_package_stays_when_the_next_one_cannot_be_written(decay, tmp_path):
 
 
 def test_an_unpacked_fmu_is_copied(decay, tmp_path):
-    """A folder in place of an archive, also one that lies in the package that is replaced."""
+    """A folder instead of an archive, also one in the package that is replaced."""
     write_package([decay()], tmp_path, "P")
     inside = tmp_path / "P" / "Resources" / "FMUs" / "decay"
     again = write_package([inside], tmp_path, "P")
@@ -285,18 +285,18 @@ def test_an_unpacked_fmu_is_copied(decay, tmp_path):
     ("change", "reason"),
     [
         (('modelIdentifier="decay"', 'modelIdentifier="decay" canBeInstantiatedOnlyOncePerProcess="true"'),
-         "expected an FMU that can be instantiated twice in a process"),
+         "expected an FMU that can be instantiated twice per process"),
         (('modelIdentifier="decay"', 'modelIdentifier="decay" needsExecutionTool="true"'),
-         "expected an FMU that runs by itself, this one needs the tool that made it"),
+         "expected an FMU that runs without the tool that made it, got needsExecutionTool"),
         (('EventIndicators="0"', 'EventIndicators="1"'),
-         "expected an FMU without event indicators, state events are not supported"),
+         "expected an FMU without event indicators, because state events are not supported"),
         (('causality="input"', 'causality="input" variability="discrete"'),
          "u: expected a continuous input, got a discrete one"),
         (('causality="output"><Real/>', 'causality="output"><Boolean/>'),
          "y: expected real inputs and outputs, got Boolean"),
         (('<Derivatives><Unknown index="8" dependencies="6 7"/></Derivatives>', '<Derivatives><Unknown index="3"/></Derivatives>'),
-         "expected continuous states with all their derivatives among the variables"),
-        (('<Real start="1" max="INF"/>', '<Real start="nan"/>'), "k: expected a number to start with, got nan"),
+         "expected variables for all continuous states and derivatives, got no complete list"),
+        (('<Real start="1" max="INF"/>', '<Real start="nan"/>'), "k: start value: expected a number, got nan"),
         (("ModelExchange", "CoSimulation"),
          "expected an FMU for model exchange, got one for co-simulation only"),
     ],
@@ -308,10 +308,10 @@ def test_an_fmu_that_cannot_be_a_block_is_refused(decay, tmp_path, change, reaso
     assert not (tmp_path / "P").exists()
 
 
-def test_names_that_are_given_wrongly_are_told(decay, tmp_path):
-    """The package's, and an input that no FMU has."""
+def test_invalid_names_are_reported(decay, tmp_path):
+    """The name of the package, and an input that no FMU has."""
     for name in ("1st", "Übung", "Modelica"):
         with pytest.raises(Problem, match=rf"package name '{name}': expected letters, digits and _"):
             write_package([decay()], tmp_path, name)
     with pytest.raises(Problem, match="no FMU has an input 'nosuch'"):
-        write_package([decay()], tmp_path, "P", held=("nosuch",))
+        write_package([decay()], tmp_path, "P", constant_inputs=("nosuch",))

@@ -1,8 +1,8 @@
-"""FMUs and systems of FMUs as a Modelica package: blocks, models with mechanical flanges, connected systems.
+"""Writes FMUs and systems of FMUs as a Modelica package: blocks, models with flanges, connected systems.
 
-A Modelica tool that imports an FMU for Model Exchange calls it as one function of all inputs, states and
-outputs, and connected FMUs become one large system of equations. Here each block calls its FMU once for each
-group of outputs that depend on the same inputs, so that the tool can sort the equations and solves none.
+The usual import for Model Exchange calls an FMU as one function of all inputs, states and outputs, so that
+connected FMUs become one large system of equations. Here a block calls its FMU once for each group of outputs
+with the same dependencies. The tool can then sort the equations and need not solve any.
 """
 
 from orchestrator.modelica.modelica_package import write_package

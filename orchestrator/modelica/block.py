@@ -1,4 +1,4 @@
-"""One FMU as a Modelica block: states and derivatives in the equations, values from the FMU's library."""
+"""Modelica code of the block of one FMU: declarations, and equations that call the library of the FMU."""
 
 from __future__ import annotations
 
@@ -18,39 +18,44 @@ TYPES = {
     "Boolean": "Boolean",
     "String": "String",
 }
-NOTHING = {"Real": "0.0", "Integer": "0", "Boolean": "0", "String": '""'}  # elements of empty arrays
-SHOWN_IN = {"Pa": "bar", "rad": "deg", "rad/s": "deg/s", "m3/s": "l/min"}  # units that Modelica tools know
-# tools take tolerance * nominal as absolute tolerance of a state: too loose for a pressure near zero; this is
-# the same share as an FMU of ours gives to a solver (fmus/export/native/exchange.c)
-FOR_TOLERANCES = 1e-3
-SIDE = 100.0  # of an icon, from its middle
+EMPTY_FILL = {"Real": "0.0", "Integer": "0", "Boolean": "0", "String": '""'}  # elements of arrays of length 0
+DISPLAY_UNITS = {"Pa": "bar", "rad": "deg", "rad/s": "deg/s", "m3/s": "l/min"}
+# Tools use tolerance * nominal as absolute tolerance of a state, which is too large for a pressure near zero.
+# The FMUs of this project give the same fraction of nominal to a solver (fmus/export/native/exchange.c).
+NOMINAL_FRACTION = 1e-3
+ICON_EDGE = 100.0  # coordinate of the edges of an icon, whose origin is in the centre
 
 
 @dataclass(frozen=True)
 class BlockParameter:
-    """A parameter of the block: its name in Modelica, the FMU's variable and its value in the FMU."""
+    """A parameter of the block: its name in Modelica, the variable of the FMU and its value in the FMU."""
 
     name: str
     variable: FmuVariable
     value: Value
 
     @property
-    def text(self) -> str:
-        """Its declaration."""
+    def declaration(self) -> str:
+        """The declaration in Modelica."""
         v = self.variable
         kind = TYPES[v.kind]
         start = literal(self.value)
         return f"  parameter {kind} {self.name}{attributes(v)} = {start} {quoted(v.description)};\n"
 
     @property
-    def passed(self) -> str:
-        """What the FMU gets."""
+    def argument(self) -> str:
+        """The expression whose value the FMU gets; 1 and 0 for booleans."""
         return f"if {self.name} then 1 else 0" if self.variable.kind == "Boolean" else self.name
 
 
 @dataclass(frozen=True)
 class OptionalInput:
-    """An input that has a value where nothing is connected, and the names that this takes."""
+    """An input that has a constant value if it is not connected.
+
+    use        name of the parameter that enables the connector
+    constant   name of the parameter with the value
+    internal   name of the variable with the input in the equations
+    """
 
     variable: FmuVariable
     value: float
@@ -59,8 +64,8 @@ class OptionalInput:
     internal: str
 
     @property
-    def text(self) -> str:
-        """Two parameters: has the input a connector, and its value if it has none."""
+    def declarations(self) -> str:
+        """Declarations of the parameters `use` and `constant`."""
         v = self.variable
         return (
             f'  parameter Boolean {self.use} = false "= true, if {v.name} comes from its connector"\n'
@@ -73,14 +78,14 @@ class OptionalInput:
 
 @dataclass(frozen=True)
 class FmuBlock:
-    """What the block of one FMU consists of.
+    """The block of one FMU.
 
-    name     of the Modelica class
-    folder   of the unpacked FMU in the package's resources
-    inputs, outputs   of the FMU, without those that are for rates
-    names    of inputs and outputs in Modelica
-    optional   inputs that have a value where nothing is connected, by name
-    scope    of the names in the block
+    name              of the Modelica class
+    folder            with the unpacked FMU in the resources of the package
+    inputs, outputs   variables of the FMU, except those that are only for rates of inputs
+    names             identifiers of inputs and outputs in Modelica
+    optional          inputs that need not be connected, by name
+    scope             all identifiers of the block
     """
 
     name: str
@@ -103,16 +108,16 @@ class FmuBlock:
         """The continuous states."""
         return [self.interface.variables[name] for name in self.interface.states]
 
-    def text(self, package: str) -> str:
-        """The block in Modelica."""
+    def to_modelica(self, package: str) -> str:
+        """The code of the block."""
         states = self.states
         text = [
             f"block {self.name} {quoted(self.interface.description)}\n"
             "  extends Modelica.Blocks.Icons.Block;\n"
         ]
-        text += [p.text for p in self.parameters]
-        text += [optional.text for optional in self.optional.values()]
-        text += signals(self, self.inputs, self.outputs)
+        text += [p.declaration for p in self.parameters]
+        text += [optional.declarations for optional in self.optional.values()]
+        text += connectors(self, self.inputs, self.outputs)
         text.append("protected\n")
         text += [
             f"  Modelica.Blocks.Interfaces.RealInput {o.internal}{attributes(o.variable)};\n"
@@ -120,9 +125,9 @@ class FmuBlock:
         ]
         text.append(self._instance(package))
         if states:
-            nominal = ", ".join(number(FOR_TOLERANCES * (v.nominal or 1.0)) for v in states)
-            always = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
-            text.append(f"  Real fmu_states[{len(states)}]({always});\n")
+            nominal = ", ".join(number(NOMINAL_FRACTION * (v.nominal or 1.0)) for v in states)
+            attributes_ = f"nominal = {{{nominal}}}, each stateSelect = StateSelect.always"
+            text.append(f"  Real fmu_states[{len(states)}]({attributes_});\n")
         text.append('  discrete Real fmu_next(start = -1e60, fixed = true) "Time of the next event";\n')
         text += self._initial_equations()
         text.append("equation\n")
@@ -130,7 +135,7 @@ class FmuBlock:
             text.append(f"  connect({self.names[name]}, {o.internal});\n")
             text.append(f"  if not {o.use} then\n    {o.internal} = {o.constant};\n  end if;\n")
         text += self._equations()
-        references, values = _references(self.inputs), _vector(self._value(v) for v in self.inputs)
+        references, values = _references(self.inputs), _vector(self._expression(v) for v in self.inputs)
         text.append(
             "  when {initial(), time >= pre(fmu_next)} then\n"
             f"    fmu_next = Internal.event(fmu_instance, time, {self._states()}, {references},\n"
@@ -143,12 +148,12 @@ class FmuBlock:
         return "".join([*text, f"end {self.name};\n"])
 
     def _instance(self, package: str) -> str:
-        """The FMU, with the parameters that it gets."""
+        """Declaration of the external object with the FMU and its parameters."""
         lists = []
-        for kind, nothing in NOTHING.items():
-            same = [p for p in self.parameters if TYPES[p.variable.kind] == kind]
-            values = _vector((p.passed for p in same), nothing)
-            lists.append(f"    {_references(p.variable for p in same)}, {values}")
+        for kind, fill in EMPTY_FILL.items():
+            parameters = [p for p in self.parameters if TYPES[p.variable.kind] == kind]
+            values = _vector((p.argument for p in parameters), fill)
+            lists.append(f"    {_references(p.variable for p in parameters)}, {values}")
         address = f"modelica://{package}/Resources/FMUs/{self.folder}"
         return (
             "  parameter String fmu_folder =\n"
@@ -160,7 +165,7 @@ class FmuBlock:
         )
 
     def _initial_equations(self) -> list[str]:
-        """States at the start, in groups that depend on the same inputs."""
+        """Initial equations of the states, one for each group with the same dependencies on inputs."""
         groups: dict[frozenset[str], list[int]] = {}
         for k, v in enumerate(self.states):
             known = frozenset() if v.initial == "exact" else self.interface.initial_dependencies.get(v.name)
@@ -169,81 +174,87 @@ class FmuBlock:
         for needed, rows in groups.items():
             started = f", {_references(self.states[k] for k in rows)}"
             call = self._call("start", "", needed, started)
-            text.append(_assigned([f"fmu_states[{k + 1}]" for k in rows], call))
+            text.append(_equation([f"fmu_states[{k + 1}]" for k in rows], call))
         return text
 
     def _equations(self) -> list[str]:
-        """Derivatives, and outputs in groups that depend on the same inputs."""
+        """Equations of the derivatives, and of each group of outputs with the same dependencies on inputs."""
         text, known = list[str](), self.interface.dependencies
         if self.states:
             needed = self._inputs_among(known.get(dx) for dx in self.interface.states.values())
             names = [f"der(fmu_states[{k + 1}])" for k in range(len(self.states))]
-            text.append(_assigned(names, self._call("derivatives", "fmu_states, ", needed, "")))
+            text.append(_equation(names, self._call("derivatives", "fmu_states, ", needed, "")))
         groups: dict[frozenset[str], list[FmuVariable]] = {}
         for y in self.outputs:
             groups.setdefault(self._inputs_among([known.get(y.name)]), []).append(y)
         for needed, outputs in groups.items():
             call = self._call("outputs", f"{self._states()}, ", needed, f", {_references(outputs)}")
-            text.append(_assigned([self.names[y.name] for y in outputs], call))
+            text.append(_equation([self.names[y.name] for y in outputs], call))
         return text
 
     def _call(self, function: str, states: str, needed: Collection[str], unknowns: str) -> str:
-        """A call of a function of the FMU with the inputs that matter to it."""
+        """A call of a function of the FMU with the needed inputs."""
         inputs = [v for v in self.inputs if v.name in needed]
-        values = _vector(self._value(v) for v in inputs)
+        values = _vector(self._expression(v) for v in inputs)
         return (
             f"Internal.{function}(fmu_instance, time, {states}{_references(inputs)},\n    {values}{unknowns})"
         )
 
     def _inputs_among(self, known: Iterable[frozenset[str] | None]) -> frozenset[str]:
-        """The inputs among what some unknowns depend on; all inputs where the FMU does not declare that."""
+        """The inputs among the dependencies of some unknowns; all inputs if dependencies are not declared."""
         inputs = frozenset(v.name for v in self.inputs)
         return frozenset().union(*(inputs if names is None else names & inputs for names in known))
 
-    def _value(self, v: FmuVariable) -> str:
-        """The value of an input in the equations."""
+    def _expression(self, v: FmuVariable) -> str:
+        """An input in the equations."""
         return self.optional[v.name].internal if v.name in self.optional else self.names[v.name]
 
     def _states(self) -> str:
         return "fmu_states" if self.states else "fill(0.0, 0)"
 
 
-def fmu_block(name: str, folder: str, component: Component, held: Collection[str]) -> FmuBlock:
-    """The block of an FMU; a Problem for one that cannot be a block.
+def fmu_block(name: str, folder: str, component: Component, constant_inputs: Collection[str]) -> FmuBlock:
+    """The block of an FMU; raises Problem if the FMU cannot be a block.
 
-    component   the FMU, read for Model Exchange, with its own values
-    held        inputs that are their start value where nothing is connected
+    component         the FMU, read for Model Exchange, with its own values
+    constant_inputs   inputs that have their start value if they are not connected
     """
     interface, scope = component.interface, Scope()
     _check(f"{component.source}", interface)
-    outputs, inputs = _useful(interface)
+    outputs, inputs = _needed_signals(interface)
     names = {v.name: scope.add(v.name) for v in [*inputs, *outputs]}
-    given = [(v.name, v) for v in interface.of("parameter") if v.start is not None]
+    named = [(v.name, v) for v in interface.of("parameter") if v.start is not None]
     states = [interface.variables[x] for x in interface.states]
-    given += [(f"{v.name}_start", v) for v in states if v.initial == "exact" and v.start is not None]
-    parameters = [BlockParameter(scope.add(n), v, component.value(v.name)) for n, v in given]
+    named += [(f"{v.name}_start", v) for v in states if v.initial == "exact" and v.start is not None]
+    parameters = [BlockParameter(scope.add(n), v, component.value(v.name)) for n, v in named]
     for p in parameters:
         if isinstance(p.value, float) and math.isnan(p.value):
-            raise Problem(f"{component.source}: {p.variable.name}: expected a number to start with, got nan")
+            raise Problem(f"{component.source}: {p.variable.name}: start value: expected a number, got nan")
     optional = {}
-    for v in (v for v in inputs if v.name in held):
-        taken = [scope.add(n) for n in (f"use_{v.name}_in", f"{v.name}_constant", f"{v.name}_internal")]
-        optional[v.name] = OptionalInput(v, float(component.value(v.name)), *taken)
+    for v in (v for v in inputs if v.name in constant_inputs):
+        identifiers = [scope.add(n) for n in (f"use_{v.name}_in", f"{v.name}_constant", f"{v.name}_internal")]
+        optional[v.name] = OptionalInput(v, float(component.value(v.name)), *identifiers)
     return FmuBlock(name, folder, component, inputs, outputs, names, parameters, optional, scope)
 
 
 def _check(where: str, interface: FmuInterface) -> None:
-    """Refuse FMUs that the functions of the package cannot run."""
+    """Raise Problem for an FMU that the functions of the package cannot run."""
     if interface.fmi != 2:
         raise Problem(f"{where}: expected an FMU 2.0 for Model Exchange, got FMI {interface.fmi}.0")
     if interface.event_indicators:
-        raise Problem(f"{where}: expected an FMU without event indicators, state events are not supported")
+        raise Problem(
+            f"{where}: expected an FMU without event indicators, because state events are not supported"
+        )
     if interface.one_per_process:
-        raise Problem(f"{where}: expected an FMU that can be instantiated twice in a process")
+        raise Problem(f"{where}: expected an FMU that can be instantiated twice per process")
     if interface.needs_execution_tool:
-        raise Problem(f"{where}: expected an FMU that runs by itself, this one needs the tool that made it")
+        raise Problem(
+            f"{where}: expected an FMU that runs without the tool that made it, got needsExecutionTool"
+        )
     if not interface.states and not interface.stateless:
-        raise Problem(f"{where}: expected continuous states with all their derivatives among the variables")
+        raise Problem(
+            f"{where}: expected variables for all continuous states and derivatives, got no complete list"
+        )
     for v in (v for v in interface.variables.values() if v.causality in ("input", "output")):
         if not v.is_real:
             raise Problem(f"{where}: {v.name}: expected real inputs and outputs, got {v.kind}")
@@ -251,11 +262,11 @@ def _check(where: str, interface: FmuInterface) -> None:
             raise Problem(f"{where}: {v.name}: expected a continuous input, got a {v.variability} one")
 
 
-def _useful(interface: FmuInterface) -> tuple[list[FmuVariable], list[FmuVariable]]:
+def _needed_signals(interface: FmuInterface) -> tuple[list[FmuVariable], list[FmuVariable]]:
     """Outputs and inputs of the block.
 
-    In Model Exchange inputs move by themselves: inputs that only are the rate of another one, and outputs
-    that only give such rates on, have no use.
+    In Model Exchange inputs change continuously. Inputs that are only the rate of another input are not
+    needed, and neither are outputs that depend on such rates.
     """
     inputs, known = {v.name for v in interface.of("input")}, interface.dependencies
     starts = [
@@ -263,69 +274,73 @@ def _useful(interface: FmuInterface) -> tuple[list[FmuVariable], list[FmuVariabl
         for x in interface.states
         if interface.variables[x].initial != "exact"
     ]
-    needed = [*(known.get(dx) for dx in interface.states.values()), *starts]
-    matter = inputs if None in needed else inputs & {name for names in needed for name in names or ()}
-    rates = set(interface.rate_inputs.values()) - matter
+    dependencies = [*(known.get(dx) for dx in interface.states.values()), *starts]
+    undeclared = None in dependencies
+    for_states = inputs if undeclared else inputs & {n for names in dependencies for n in names or ()}
+    rates = set(interface.rate_inputs.values()) - for_states
     outputs = [y for y in interface.of("output") if not rates & (known.get(y.name) or frozenset())]
     direct = [known.get(y.name) for y in outputs]
-    used = matter.union(*(inputs if names is None else names for names in direct)) - rates
+    used = for_states.union(*(inputs if names is None else names for names in direct)) - rates
     return outputs, [v for v in interface.of("input") if v.name in used]
 
 
-# ---- text --------------------------------------------------------------------------------------------------
+# ---- code --------------------------------------------------------------------------------------------------
 
 
 def attributes(v: FmuVariable) -> str:
-    """(unit="Pa", displayUnit="bar", ...) or nothing."""
+    """Attributes of a variable, (unit="Pa", displayUnit="bar", ...), or an empty string."""
     if not v.is_real:
         return ""
-    found = {}
+    result = {}
     if v.unit:
-        found["unit"] = quoted(v.unit.name)
-        if v.unit.name in SHOWN_IN:
-            found["displayUnit"] = quoted(SHOWN_IN[v.unit.name])
-    for word, bound in (("min", v.minimum), ("max", v.maximum)):
+        result["unit"] = quoted(v.unit.name)
+        if v.unit.name in DISPLAY_UNITS:
+            result["displayUnit"] = quoted(DISPLAY_UNITS[v.unit.name])
+    for name, bound in (("min", v.minimum), ("max", v.maximum)):
         if bound is not None and math.isfinite(bound) and v.causality == "parameter":
-            found[word] = number(bound)
-    return f"({', '.join(f'{k} = {x}' for k, x in found.items())})" if found else ""
+            result[name] = number(bound)
+    return f"({', '.join(f'{name} = {value}' for name, value in result.items())})" if result else ""
 
 
-def signals(
-    m: FmuBlock, inputs: Sequence[FmuVariable], outputs: Sequence[FmuVariable], at_sides: bool = True
+def connectors(
+    block: FmuBlock, inputs: Sequence[FmuVariable], outputs: Sequence[FmuVariable], at_sides: bool = True
 ) -> list[str]:
-    """Connectors for some inputs and outputs: left and right of the icon, or below and above it."""
+    """Connectors of inputs and outputs at the left and right edge of the icon, or below and above."""
     text = []
-    for kind, variables, edge in (("RealInput", inputs, -SIDE - 10), ("RealOutput", outputs, SIDE + 10)):
-        for v, along in zip(variables, places(len(variables)), strict=True):
+    for kind, variables, edge in (
+        ("RealInput", inputs, -ICON_EDGE - 10),
+        ("RealOutput", outputs, ICON_EDGE + 10),
+    ):
+        for v, along in zip(variables, positions(len(variables)), strict=True):
             place = placement(edge, along) if at_sides else placement(along, edge)
-            condition = f" if {m.optional[v.name].use}" if v.name in m.optional else ""
-            declared = f"{m.names[v.name]}{attributes(v)}{condition} {quoted(v.description)}"
+            condition = f" if {block.optional[v.name].use}" if v.name in block.optional else ""
+            declared = f"{block.names[v.name]}{attributes(v)}{condition} {quoted(v.description)}"
             text.append(f"  Modelica.Blocks.Interfaces.{kind} {declared}\n    annotation({place});\n")
     return text
 
 
 def placement(x: float, y: float) -> str:
-    """The place of a connector on the icon, -100 to 100 from below and from the left."""
+    """Annotation with the position of a connector on the icon."""
     extent = f"{{{{{x - 10:g}, {y - 10:g}}}, {{{x + 10:g}, {y + 10:g}}}}}"
     return f"Placement(transformation(extent = {extent}))"
 
 
-def places(count: int) -> list[float]:
-    """Where `count` connectors lie on a side, from above."""
-    return [SIDE - 2 * SIDE * (k + 0.5) / count for k in range(count)]
+def positions(count: int) -> list[float]:
+    """Coordinates of `count` connectors along an edge of the icon, from above."""
+    return [ICON_EDGE - 2 * ICON_EDGE * (k + 0.5) / count for k in range(count)]
 
 
 def _references(variables: Iterable[FmuVariable]) -> str:
     return _vector((str(v.reference) for v in variables), "0")
 
 
-def _vector(elements: Iterable[str], nothing: str = "0.0") -> str:
+def _vector(elements: Iterable[str], fill: str = "0.0") -> str:
     text = ", ".join(elements)
-    return f"{{{text}}}" if text else f"fill({nothing}, 0)"
+    return f"{{{text}}}" if text else f"fill({fill}, 0)"
 
 
-def _assigned(names: Sequence[str], call: str) -> str:
-    """An equation for the result of a call; OpenModelica takes no array of one element there."""
+def _equation(names: Sequence[str], call: str) -> str:
+    """An equation for the result of a call; OpenModelica does not accept an array of one element there."""
     if len(names) == 1:
         return f"  {names[0]} = sum({call});\n"
     return f"  {{{', '.join(names)}}} =\n  {call};\n"

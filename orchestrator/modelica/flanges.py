@@ -1,8 +1,8 @@
-"""Which signals of an FMU make a mechanical flange, and the model that offers it in place of the signals.
+"""Detects the signals of mechanical flanges in an FMU, and writes its model with flanges in Modelica.
 
-A rod is signals with one stem: NAME_force [N], NAME_position [m], NAME_velocity [m/s] and, from the side that
-moves, NAME_acceleration [m/s2]. A shaft likewise: NAME_torque [N.m], NAME_speed [rad/s] and, from the side
-that moves, NAME_angle [rad] and NAME_acceleration [rad/s2].
+The signals of a rod are NAME_force [N], NAME_position [m], NAME_velocity [m/s] and, if the FMU computes the
+motion, NAME_acceleration [m/s2]. The signals of a shaft are NAME_torque [N.m], NAME_speed [rad/s] and, if the
+FMU computes the motion, NAME_angle [rad] and NAME_acceleration [rad/s2].
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from orchestrator.fmi.description import FmuVariable
-from orchestrator.modelica.block import FmuBlock, placement, places, signals
+from orchestrator.modelica.block import FmuBlock, connectors, placement, positions
 from orchestrator.modelica.syntax import Scope, quoted
 
 
 @dataclass(frozen=True)
 class FlangeType:
-    """A flange: its adapter, and the words of its signals with unit and causality."""
+    """A flange: its adapter and connector, and the (suffix, unit, causality) of its signals."""
 
     adapter: str
     connector: str
@@ -28,7 +28,7 @@ ROD, SHAFT = (
     "Modelica.Mechanics.Translational.Interfaces.Flange",
     "Modelica.Mechanics.Rotational.Interfaces.Flange",
 )
-KINDS = (
+FLANGE_TYPES = (
     FlangeType(
         "MovedRod",
         f"{ROD}_a",
@@ -58,57 +58,65 @@ KINDS = (
 )
 
 
-def flanges(m: FmuBlock) -> dict[str, FlangeType]:
-    """The flanges of an FMU by their stems."""
-    shown = {v.name: v for v in [*m.inputs, *m.outputs]}
-    found = {}
-    for kind in KINDS:
-        first = f"_{kind.signals[0][0]}"
-        for stem in [name.removesuffix(first) for name in shown if name.endswith(first)]:
+def find_flanges(block: FmuBlock) -> dict[str, FlangeType]:
+    """The flanges of an FMU by the common prefix of their signals."""
+    variables = {v.name: v for v in [*block.inputs, *block.outputs]}
+    result = {}
+    for type_ in FLANGE_TYPES:
+        first = f"_{type_.signals[0][0]}"
+        for prefix in [name.removesuffix(first) for name in variables if name.endswith(first)]:
             signals = [
-                (shown.get(f"{stem}_{word}"), unit, causality) for word, unit, causality in kind.signals
+                (variables.get(f"{prefix}_{suffix}"), unit, causality)
+                for suffix, unit, causality in type_.signals
             ]
             if all(v and v.unit and (v.unit.name, v.causality) == (u, c) for v, u, c in signals):
-                found[stem] = kind
-    return found
+                result[prefix] = type_
+    return result
 
 
-def with_flanges(m: FmuBlock, wanted: Collection[str]) -> str:
-    """A model with the FMU's block and flanges in place of their signals; empty where there is none.
+def model_with_flanges(block: FmuBlock, connected_outputs: Collection[str]) -> str:
+    """Code of a model with the block of the FMU, and flanges instead of their signals; empty without flanges.
 
-    wanted   outputs that are connectors of the model, too; all others are read from its block
+    connected_outputs   outputs that become connectors of the model; the others can be read from its block
     """
-    found = flanges(m)
-    if not found:
+    flanges = find_flanges(block)
+    if not flanges:
         return ""
-    taken = {f"{stem}_{word}" for stem, kind in found.items() for word, *_ in kind.signals}
-    inputs = [v for v in m.inputs if v.name not in taken]
-    outputs = [v for v in m.outputs if v.name in wanted and v.name not in taken]
+    flange_signals = {
+        f"{prefix}_{suffix}" for prefix, type_ in flanges.items() for suffix, *_ in type_.signals
+    }
+    inputs = [v for v in block.inputs if v.name not in flange_signals]
+    outputs = [v for v in block.outputs if v.name in connected_outputs and v.name not in flange_signals]
     scope = Scope()
-    scope.taken |= m.scope.taken
-    ends = {stem: (scope.add(stem), scope.add(f"{stem}_adapter")) for stem in found}
-    text = [f"model {m.name} {quoted(m.interface.description)}\n  extends Modelica.Blocks.Icons.Block;\n"]
-    text += [p.text for p in m.parameters]
-    text += [m.optional[v.name].text for v in inputs if v.name in m.optional]
-    text += signals(m, inputs, outputs, at_sides=False)
-    for (stem, kind), place in zip(found.items(), places(len(found)), strict=True):
-        x = -110.0 if kind.connector.endswith("_a") else 110.0
-        text.append(f"  {kind.connector} {ends[stem][0]}\n    annotation({placement(x, place)});\n")
-    text.append(f'  FMUs.{m.name} block_(\n{_passed(m, inputs)}) "The FMU";\nprotected\n')
-    text += [f"  Flanges.{kind.adapter} {ends[stem][1]};\n" for stem, kind in found.items()]
+    scope.identifiers |= block.scope.identifiers
+    names = {prefix: (scope.add(prefix), scope.add(f"{prefix}_adapter")) for prefix in flanges}
+    text = [
+        f"model {block.name} {quoted(block.interface.description)}\n  extends Modelica.Blocks.Icons.Block;\n"
+    ]
+    text += [p.declaration for p in block.parameters]
+    text += [block.optional[v.name].declarations for v in inputs if v.name in block.optional]
+    text += connectors(block, inputs, outputs, at_sides=False)
+    for (prefix, type_), y in zip(flanges.items(), positions(len(flanges)), strict=True):
+        x = -110.0 if type_.connector.endswith("_a") else 110.0
+        text.append(f"  {type_.connector} {names[prefix][0]}\n    annotation({placement(x, y)});\n")
+    text.append(f'  FMUs.{block.name} block_(\n{_modifiers(block, inputs)}) "The FMU";\nprotected\n')
+    text += [f"  Flanges.{type_.adapter} {names[prefix][1]};\n" for prefix, type_ in flanges.items()]
     text.append("equation\n")
-    text += [_connect(m.names[v.name], f"block_.{m.names[v.name]}") for v in [*inputs, *outputs]]
-    for stem, kind in found.items():
-        flange, adapter = ends[stem]
+    text += [_connect(block.names[v.name], f"block_.{block.names[v.name]}") for v in [*inputs, *outputs]]
+    for prefix, type_ in flanges.items():
+        flange, adapter = names[prefix]
         text.append(_connect(flange, f"{adapter}.flange"))
-        text += [_connect(f"block_.{m.names[f'{stem}_{w}']}", f"{adapter}.{w}") for w, *_ in kind.signals]
-    return "".join([*text, f"end {m.name};\n"])
+        text += [
+            _connect(f"block_.{block.names[f'{prefix}_{suffix}']}", f"{adapter}.{suffix}")
+            for suffix, *_ in type_.signals
+        ]
+    return "".join([*text, f"end {block.name};\n"])
 
 
-def _passed(m: FmuBlock, inputs: Sequence[FmuVariable]) -> str:
-    """Parameters of the block that are those of the model."""
-    held = [m.optional[v.name] for v in inputs if v.name in m.optional]
-    names = [p.name for p in m.parameters] + [name for h in held for name in (h.use, h.constant)]
+def _modifiers(block: FmuBlock, inputs: Sequence[FmuVariable]) -> str:
+    """Modifiers that set the parameters of the block to those of the model."""
+    optional = [block.optional[v.name] for v in inputs if v.name in block.optional]
+    names = [p.name for p in block.parameters] + [name for o in optional for name in (o.use, o.constant)]
     return ",\n".join(f"    {name} = {name}" for name in names)
 
 

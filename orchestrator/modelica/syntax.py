@@ -1,4 +1,4 @@
-"""Names and values as Modelica writes them."""
+"""Identifiers and literals of Modelica."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 from orchestrator.fmi.description import Value
 
 PLAIN = r"[A-Za-z_][A-Za-z0-9_]*"
-# keywords, and names that the text of a package uses: a variable of such a name is written in quotes
+# keywords, and names that the code of a package uses; variables with these names are quoted
 RESERVED = frozenset(
     re.findall(
         r"\w+",
@@ -24,7 +24,7 @@ RESERVED = frozenset(
 
 
 def identifier(name: str) -> str:
-    """The name itself, or in quotes what Modelica would not take; two names never become one."""
+    """A name as an identifier, quoted if it is not one; different names get different identifiers."""
     if re.fullmatch(PLAIN, name) and name not in RESERVED:
         return name
     escaped = name.replace("\\", "\\\\").replace("'", "\\'")
@@ -33,7 +33,7 @@ def identifier(name: str) -> str:
 
 
 def class_name(name: str) -> str:
-    """boom_stick -> BoomStick; a name that gives no identifier in this way stays as it is."""
+    """boom_stick -> BoomStick; the name itself if this does not give an identifier."""
     parts = re.split(r"[^A-Za-z0-9]+", name)
     joined = "".join(part[:1].upper() + part[1:] for part in parts)
     return joined if re.fullmatch(PLAIN, joined) and name.isascii() else name
@@ -43,26 +43,24 @@ class Scope:
     """The identifiers of one class."""
 
     def __init__(self) -> None:
-        self.taken: set[str] = set()
+        self.identifiers: set[str] = set()
 
     def add(self, name: str) -> str:
-        """An identifier that is not taken yet: that of the name, or one with _ at its end."""
-        found = identifier(name)
-        while found in self.taken:
+        """A new identifier: that of the name, with _ at its end if it exists already."""
+        while (result := identifier(name)) in self.identifiers:
             name += "_"
-            found = identifier(name)
-        self.taken.add(found)
-        return found
+        self.identifiers.add(result)
+        return result
 
 
 def quoted(text: str) -> str:
-    """A string."""
+    """A string literal."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'
 
 
 def number(value: float) -> str:
-    """A real number."""
+    """A real literal."""
     value = float(value)
     if math.isinf(value):
         return f"{'-' if value < 0 else ''}.Modelica.Constants.inf"
@@ -70,7 +68,7 @@ def number(value: float) -> str:
 
 
 def literal(value: Value) -> str:
-    """A value of any type."""
+    """A literal of any type."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

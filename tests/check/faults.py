@@ -1,4 +1,4 @@
-"""Faults to plant in the good FMUs: one change each, and the one rule that must tell it."""
+"""Faults that are planted in the valid FMUs: one change each, and the rule that must report it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Break = Callable[[Archive], Archive]
 
 @dataclass(frozen=True)
 class Fault:
-    """One planted fault: `rule` must tell it, and no other; `says` is in the text of the finding."""
+    """One planted fault: only `rule` must report it; the message of the finding must contain `text`."""
 
     name: str
     rule: str
     break_: Break
-    says: str = ""
+    text: str = ""
     major: int = 2
     severity: str = "error"
 
@@ -26,22 +26,22 @@ class Fault:
 
 
 def xml(old: str, new: str) -> Break:
-    """Another text in modelDescription.xml."""
+    """Replace text in modelDescription.xml."""
     return lambda a: a.swap(old, new)
 
 
 def put(name: str, content: bytes | str) -> Break:
-    """One more member, or another content of it."""
+    """Add a member, or replace its content."""
     return lambda a: a.put(name, content)
 
 
 def drop(*starts: str) -> Break:
-    """Without some members."""
+    """Remove members."""
     return lambda a: a.drop(*starts)
 
 
 def both(*breaks: Break) -> Break:
-    """Several changes that make one fault."""
+    """Several changes that together are one fault."""
 
     def all_(a: Archive) -> Archive:
         for break_ in breaks:
@@ -51,9 +51,9 @@ def both(*breaks: Break) -> Break:
     return all_
 
 
-def variable(inner: str, name: str = "extra", reference: int = 9, **said: str) -> Break:
-    """One more variable at the end of the FMI 2 file."""
-    attributes = "".join(f' {k}="{v}"' for k, v in {"description": "More", **said}.items())
+def variable(inner: str, name: str = "extra", reference: int = 9, **values: str) -> Break:
+    """Add a variable at the end of the FMI 2 file."""
+    attributes = "".join(f' {k}="{v}"' for k, v in {"description": "More", **values}.items())
     text = f'<ScalarVariable name="{name}" valueReference="{reference}"{attributes}>{inner}</ScalarVariable>'
     return xml("</ModelVariables>", f"{text}\n</ModelVariables>")
 

@@ -10,7 +10,7 @@ import lief
 import pytest
 
 from check.good import TARGETS, Archive, compiled
-from check.test_faults import told
+from check.test_faults import new_findings
 
 LINUX, WINDOWS, INTEL_MAC, ARM_MAC = TARGETS
 SONAME = "libharvester_tables.so.1"
@@ -19,7 +19,7 @@ Patch = Callable[[Archive, Path], Archive]
 
 
 def flags(*options: str, target: str = LINUX) -> Patch:
-    """The library of one target compiled with more options."""
+    """The library of one target compiled with additional options."""
 
     def patch(good: Archive, folder: Path) -> Archive:
         library = compiled(folder, target, f"-DFMI={good.major}", *options)
@@ -71,7 +71,7 @@ def _prefixed(binary: lief.ELF.Binary) -> None:
 
 
 def _fortran(good: Archive, folder: Path) -> Archive:
-    """Needs the Fortran runtime, and says so where the standard asks for it."""
+    """The library needs the Fortran runtime, which is documented as the standard requires."""
     changed = elf(lambda b: b.add_library("libgfortran.so.5"))(good, folder)
     return changed.put("documentation/externalDependencies.txt", "libgfortran")
 
@@ -115,8 +115,8 @@ def _mac(good: Archive, folder: Path, change: Callable[[lief.MachO.Binary], obje
     return good.put(good.library(ARM_MAC), (folder / "changed.dylib").read_bytes())
 
 
-def _beside(good: Archive, folder: Path) -> Archive:
-    """Needs a library that lies beside it, and has no rpath to find it."""
+def _without_rpath(good: Archive, folder: Path) -> Archive:
+    """The library needs one in the same folder, and has no rpath to find it."""
     changed = elf(lambda b: b.add_library(SONAME))(good, folder)
     return changed.put(f"binaries/linux64/{SONAME}", b"")
 
@@ -139,7 +139,7 @@ FAULTS: Mapping[str, tuple[str, Patch, str]] = {
     "unsigned for Apple": ("binary.traits", _unsigned, "unsigned"),
     "Fortran runtime": ("binary.libraries", _fortran, "Fortran"),
     "rpath of the machine": ("binary.path", flags("-Wl,-rpath,/srv/anna/lib"), "/srv/anna/lib"),
-    "library beside, not found": ("binary.loader", _beside, "$ORIGIN"),
+    "library in the same folder, not found": ("binary.loader", _without_rpath, "$ORIGIN"),
     "new glibc": ("binary.glibc", data(_newer_glibc), "2.38"),
     "path of the machine": ("contents.machine", data(lambda b: b + b"\0/home/anna/lag.c\0"), "/home/anna"),
     "other machine": ("platform.format", data(_other_machine), "expected code for x86_64, got aarch64"),
@@ -152,7 +152,7 @@ FAULTS: Mapping[str, tuple[str, Patch, str]] = {
         lambda good, _: good.put("binaries/x86_64-linux/lag.so", good.members[good.library()]),
         "expected binaries/linux64",
     ),
-    "folder of nobody": (
+    "unknown folder": (
         "platform.folder",
         lambda good, _: good.put("binaries/plan9/lag.so", good.members[good.library()]),
         "plan9",
@@ -173,20 +173,20 @@ def _undefined() -> lief.ELF.Symbol:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_in_a_library_is_told_by_its_rule_alone(
+def test_a_fault_in_a_library_is_reported_by_its_rule_alone(
     good: Mapping[int, Archive], name: str, tmp_path: Path
 ) -> None:
-    """One change to a library or its place gives findings of the one rule that is about it."""
-    rule, patch, says = FAULTS[name]
-    found = told(patch(good[2], tmp_path), tmp_path)
+    """One change of a library or its folder gives findings of one rule."""
+    rule, patch, expected = FAULTS[name]
+    found = new_findings(patch(good[2], tmp_path), tmp_path)
     assert {r for r, _, _ in found} == {rule}, found
-    assert any(says in text for _, _, text in found), found
+    assert any(expected in text for _, _, text in found), found
 
 
 def test_fmi_3_needs_the_functions_of_all_kinds(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """An FMI 3 library without the constructor of a kind that the FMU does not even offer is refused."""
     broken = flags(LACKS)(good[3], tmp_path)
-    found = told(broken, tmp_path)
+    found = new_findings(broken, tmp_path)
     assert [r for r, _, _ in found] == ["binary.functions"]
     assert "fmi3InstantiateScheduledExecution" in found[0][2]
 
@@ -194,17 +194,17 @@ def test_fmi_3_needs_the_functions_of_all_kinds(good: Mapping[int, Archive], tmp
 def test_foreign_libraries_must_be_documented(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """FMI 3 asks for documentation/externalDependencies when the FMU needs other libraries."""
     broken = elf(lambda b: b.add_library("libgfortran.so.5"))(good[3], tmp_path)
-    found = {rule: severity for rule, severity, _ in told(broken, tmp_path)}
+    found = {rule: severity for rule, severity, _ in new_findings(broken, tmp_path)}
     assert found == {"binary.libraries": "warning", "binary.documented": "error"}
 
 
 def test_each_kind_may_have_its_own_binary(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """Two model identifiers are noted, and each needs a library of its name on each platform."""
     two = good[2].swap('<ModelExchange modelIdentifier="lag"', '<ModelExchange modelIdentifier="lag_me"')
-    assert {rule for rule, _, _ in told(two, tmp_path)} == {"identity.same", "platform.name"}
+    assert {rule for rule, _, _ in new_findings(two, tmp_path)} == {"identity.same", "platform.name"}
     for member in [m for m in two.members if m.startswith("binaries/")]:
         two = two.put(member.replace("lag.", "lag_me."), two.members[member])
-    assert {rule for rule, _, _ in told(two, tmp_path)} == {"identity.same"}
+    assert {rule for rule, _, _ in new_findings(two, tmp_path)} == {"identity.same"}
 
 
 @pytest.mark.parametrize("identifier", ["my lag", "2lag", "double", "läg"])
@@ -215,7 +215,7 @@ def test_a_model_identifier_is_a_c_identifier(
     named = good[2]
     for kind in ("ModelExchange", "CoSimulation"):
         named = named.swap(f'<{kind} modelIdentifier="lag"', f'<{kind} modelIdentifier="{identifier}"')
-    assert "identity.identifier" in {rule for rule, _, _ in told(named, tmp_path)}
+    assert "identity.identifier" in {rule for rule, _, _ in new_findings(named, tmp_path)}
 
 
 def test_a_keyword_as_model_identifier_is_noted(good: Mapping[int, Archive], tmp_path: Path) -> None:
@@ -225,6 +225,6 @@ def test_a_keyword_as_model_identifier_is_noted(good: Mapping[int, Archive], tmp
         named = named.swap(f'<{kind} modelIdentifier="lag"', f'<{kind} modelIdentifier="operator"')
     for member in [m for m in named.members if m.startswith("binaries/")]:
         named = named.put(member.replace("lag.", "operator."), named.members[member]).drop(member)
-    found = told(named, tmp_path)
+    found = new_findings(named, tmp_path)
     assert [(rule, severity) for rule, severity, _ in found] == [("identity.keyword", "note")]
     assert "Modelica and C++" in found[0][2]

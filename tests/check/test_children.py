@@ -1,4 +1,4 @@
-"""Child processes of the check: whatever the FMU does, they end, and nothing of them is left."""
+"""Child processes of the check end whatever the FMU does, and leave no processes or files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def group(leader: int) -> list[str]:
 
 @linux
 def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypatch):
-    """A process that the FMU has left behind does not outlive the probe."""
+    """A process that the FMU has started does not outlive the probe."""
     started = []
 
     class Noted(probe_process.Worker):
@@ -64,7 +64,7 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
 
 @linux
 def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
-    """The limit is told, and where the FMU stood."""
+    """The message contains the limit, and the last call into the FMU."""
     with use_probe_limits(ProbeLimits(call_time=PATIENCE, work_time=2.0, memory=2e8)):
         found = apply(oscillators.make(fault="eats"), tmp_path, "default")
     text = "co-simulation: uses more than 0.2 GB of memory, stopped in fmi2DoStep at t = 0.31 s"
@@ -82,7 +82,7 @@ def sleeper(monkeypatch):
 
 @bounded
 def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
-    """What a child has written to stderr is thrown away when it is more than anybody would read."""
+    """The stderr of a child process is discarded if it becomes very long."""
     errors = sleeper.folder / "errors"
     errors.write_bytes(bytes(MAX_STDERR + 1))
     ActivityRecord(sleeper.folder / "beacon").call("fmi2DoStep")
@@ -94,7 +94,7 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
 
 @bounded
 def test_a_python_that_starts_slowly_is_no_hang(sleeper):
-    """Before the first call there is no FMU to blame: only the time of the whole probe counts."""
+    """Before the first call only the time limit of the whole probe applies."""
     text = r"^not done within 0.3 s, stopped before the first call$"
     with pytest.raises(LimitExceeded, match=text) as exceeded:
         list(sleeper.messages(WorkerLimits(call_time=0.1, total_time=0.3)))
@@ -102,7 +102,7 @@ def test_a_python_that_starts_slowly_is_no_hang(sleeper):
 
 
 def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
-    """The copy in another folder goes, also when the FMU ends the process that made it."""
+    """The copy in another folder is removed, also if the FMU crashes the process that made it."""
     there = tmp_path / "temporary"
     there.mkdir()
     monkeypatch.setenv("TMPDIR", str(there))
@@ -112,8 +112,8 @@ def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
     assert list(there.iterdir()) == []
 
 
-def test_our_own_defect_is_not_told_as_one_of_the_fmu(oscillators, tmp_path):
-    """A task that stumbles is a warning that says whose fault it is."""
+def test_a_defect_of_the_check_is_not_reported_as_a_fault_of_the_fmu(oscillators, tmp_path):
+    """An exception in a task gives a warning that names a defect of the check."""
     subject = opened(oscillators.make(), tmp_path)
     outcome = probe_process.run(
         subject.folder, subject.model, "CoSimulation", "shipped_experiment:run", payload={}
@@ -129,8 +129,8 @@ def _usual_signals() -> None:
         signal.signal(number, signal.SIG_DFL)
 
 
-def _stands_in_a_step(there: Path) -> bool:
-    """Is a child in the same call of fmi2DoStep as half a second ago? A step that ends takes microseconds."""
+def _hangs_in_a_step(there: Path) -> bool:
+    """A child process is in the same call of fmi2DoStep as half a second ago."""
 
     def calls() -> set[bytes]:
         return {b.read_bytes() for b in there.glob("probe-*/beacon")}
@@ -143,7 +143,7 @@ def _stands_in_a_step(there: Path) -> bool:
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_an_interrupted_check_leaves_nothing(oscillators, tmp_path, number):
-    """Ctrl-C, a request to end and a closed terminal: no folder stays, and it takes no more than a moment."""
+    """Ctrl-C, SIGTERM and a closed terminal end the check at once and leave no folder."""
     there = tmp_path / "temporary"
     there.mkdir()
     check = subprocess.Popen(
@@ -154,7 +154,7 @@ def test_an_interrupted_check_leaves_nothing(oscillators, tmp_path, number):
         stderr=subprocess.PIPE,
         preexec_fn=_usual_signals,
     )
-    hangs = until(lambda: _stands_in_a_step(there))
+    hangs = until(lambda: _hangs_in_a_step(there))
     check.send_signal(getattr(signal, number))
     _, errors = check.communicate(timeout=PATIENCE)  # the call that hangs has a thousand seconds
     assert hangs

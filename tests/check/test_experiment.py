@@ -1,4 +1,4 @@
-"""The experiment an FMU ships: it is run and compared for any FMU; files that do not fit are told."""
+"""Experiments shipped with any FMU are run and compared; invalid files are reported."""
 
 from __future__ import annotations
 
@@ -41,8 +41,10 @@ def related(*rows: tuple[str, str, str]) -> str:
     return f"{HEAD}{lines}</fmiReferences>"
 
 
-def said(oscillators: Oscillators, folder: Path, files: Mapping[str, str], major: int = 2) -> list[Finding]:
-    """What is said of the oscillator with these files; the manifest is "manifest"."""
+def findings(
+    oscillators: Oscillators, folder: Path, files: Mapping[str, str], major: int = 2
+) -> list[Finding]:
+    """Findings on the oscillator with these files; the key of the manifest is "manifest"."""
     names = {"manifest": "fmi-ls-manifest.xml"}
     extra = {f"{FOLDER}/{names.get(n, n)}": text for n, text in files.items()}
     return list(EXPERIMENT(opened(oscillators.make(major, extra=extra), folder)))
@@ -72,17 +74,17 @@ OFTEN = OLD.format(REFERENCES).replace("0.01", "often")
 @pytest.mark.parametrize("major", [2, 3])
 def test_a_result_alone_is_that_of_the_default_experiment(oscillators, tmp_path, result, major):
     """As the Reference-FMUs ship it: a CSV file with the role result."""
-    (finding,) = said(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": result}, major)
+    (finding,) = findings(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": result}, major)
     assert finding.severity == "note"
     # the same calls give the same bits
     assert 'experiment "lag_out" agrees with lag_out.csv: NRMSE position 0' in finding.text
 
 
 def test_a_result_that_the_fmu_does_not_give_is_an_error(oscillators, tmp_path, result):
-    """Half the position is off by a quarter of its range or so."""
+    """Half the position deviates by about a quarter of its range."""
     rows = [line.split(",") for line in result.splitlines()[1:]]
     half = "time,position\n" + "".join(f"{t},{float(x) / 2!r}\n" for t, x in rows)
-    (finding,) = said(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": half})
+    (finding,) = findings(oscillators, tmp_path, {"manifest": RESULT_ONLY, "lag_out.csv": half})
     assert finding.severity == "error"
     assert "differs from lag_out.csv: NRMSE position 0." in finding.text
 
@@ -91,7 +93,7 @@ def test_a_result_that_the_fmu_does_not_give_is_an_error(oscillators, tmp_path, 
 def test_both_forms_of_experiments_are_run(oscillators, tmp_path, result, form):
     """With the times at the element itself, and in a child."""
     files = {"manifest": WITH_EXPERIMENT, "a.exp": form.format(REFERENCES), "r.csv": result}
-    (finding,) = said(oscillators, tmp_path, files)
+    (finding,) = findings(oscillators, tmp_path, files)
     assert finding.text.startswith('experiment "b" agrees with r.csv')
 
 
@@ -105,7 +107,7 @@ def test_parameters_and_inputs_of_an_experiment_are_set(oscillators, tmp_path):
         "i.csv": "time,u\n0,160\n",
         "r.csv": "time,position\n40,2\n",
     }
-    (finding,) = said(oscillators, tmp_path, files)
+    (finding,) = findings(oscillators, tmp_path, files)
     # what is left of the oscillation: exp(-0.25 * 40) = 5e-5
     assert "agrees with r.csv" in finding.text
 
@@ -147,27 +149,27 @@ def test_parameters_and_inputs_of_an_experiment_are_set(oscillators, tmp_path):
         ),
     ],
 )
-def test_files_that_do_not_fit_are_told(oscillators, tmp_path, files, text):
-    """One line that names file and fault; the rest of the check goes on."""
-    found = said(oscillators, tmp_path, files)
+def test_invalid_files_are_reported(oscillators, tmp_path, files, text):
+    """A finding in one line with the file and the fault; the check continues."""
+    found = findings(oscillators, tmp_path, files)
     assert any(text in f.text for f in found), found
     assert all(f.severity in ("warning", "note") for f in found)
     assert not any(str(tmp_path) in f.text for f in found)
 
 
-def test_a_parameter_set_that_names_strangers_is_told(oscillators, tmp_path, result):
-    """Names of the set that the model lacks, or cannot set."""
+def test_unknown_parameters_of_a_set_are_reported(oscillators, tmp_path, result):
+    """Names in the set that are not variables of the model, or cannot be set."""
     files = {
         "manifest": related((CSV, "r_out.csv", "result"), (SSV, "p.ssv", "parameter")),
         "r_out.csv": result,
         "p.ssv": PARAMETERS.replace("stiffness", "mass"),
     }
-    texts = [f.text for f in said(oscillators, tmp_path, files)]
+    texts = [f.text for f in findings(oscillators, tmp_path, files)]
     assert 'experiment "r_out": p.ssv sets mass, which is not a variable of the model' in texts
 
 
 def test_an_experiment_that_fails_is_an_error(oscillators, tmp_path, result):
-    """The text names the call and the time, and the check goes on."""
+    """The message contains the call and the time, and the check continues."""
     extra = {f"{FOLDER}/fmi-ls-manifest.xml": RESULT_ONLY, f"{FOLDER}/lag_out.csv": result}
     subject = opened(oscillators.make(fault="error", extra=extra), tmp_path)
     (finding,) = EXPERIMENT(subject)
@@ -177,19 +179,19 @@ def test_an_experiment_that_fails_is_an_error(oscillators, tmp_path, result):
 
 
 def test_inputs_belong_to_a_result_by_their_name(oscillators, tmp_path, result):
-    """model_in.csv beside model_out.csv; a pushed oscillator is another one than that of the result."""
+    """model_in.csv next to model_out.csv: with a force the oscillator differs from the result."""
     files = {"manifest": RESULT_ONLY, "lag_out.csv": result, "lag_in.csv": "time,u\n0,20\n2,20\n"}
-    (finding,) = said(oscillators, tmp_path, files)
+    (finding,) = findings(oscillators, tmp_path, files)
     assert finding.severity == "error"
 
 
 def test_an_fmu_without_manifest_has_no_experiment(oscillators, tmp_path):
-    """Nothing to say."""
-    assert said(oscillators, tmp_path, {}) == []
+    """There are no findings."""
+    assert findings(oscillators, tmp_path, {}) == []
 
 
 def test_model_exchange_alone_is_run_with_a_good_solver(oscillators, tmp_path, result):
-    """An FMU for model exchange only: CVODE comes near to what the FMU's own Heun steps gave."""
+    """An FMU for model exchange only: CVODE agrees with the Heun steps inside the co-simulation FMU."""
     extra = {f"{FOLDER}/fmi-ls-manifest.xml": RESULT_ONLY, f"{FOLDER}/lag_out.csv": result}
     path = oscillators.make(extra=extra, change=("<CoSimulation", "<!-- <CoSimulation"))
     folder = tmp_path / "fmu"

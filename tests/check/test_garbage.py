@@ -1,4 +1,4 @@
-"""Files that are no FMU, or hardly one: each becomes findings, and none stops the check."""
+"""Files that are not valid FMUs give findings and never stop the check."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DESCRIPTIONS: Mapping[str, tuple[str, str]] = {
     "no version": ("<fmiModelDescription/>", "version.known"),
     "odd version": (f"{HEAD[:-4]}2.x'/>".replace('="', "='"), "xml.schema"),
     "no variables": (f"{HEAD}/>", "xml.schema"),
-    "numbers that are none": (
+    "texts instead of numbers": (
         f'{HEAD}><ModelVariables><ScalarVariable name="a" valueReference="b"><Real start="c" min="d" max="e"'
         ' nominal="f" derivative="g"/></ScalarVariable><ScalarVariable/></ModelVariables><ModelStructure>'
         '<Outputs><Unknown index="h" dependencies="i j"/></Outputs></ModelStructure></fmiModelDescription>',
@@ -45,7 +45,7 @@ DESCRIPTIONS: Mapping[str, tuple[str, str]] = {
 
 
 def rules(path: Path) -> set[str]:
-    """Ids of all rules that found something; a rule that broke is not acceptable."""
+    """Ids of all rules with findings; a rule that raises an exception fails the test."""
     found = {f.rule for f in check(path, run=False).findings}
     assert DEFECT not in found, check(path, run=False).text()
     return found
@@ -53,7 +53,7 @@ def rules(path: Path) -> set[str]:
 
 @pytest.mark.parametrize("name", GARBAGE)
 def test_a_file_that_is_no_archive_gives_a_finding(name: str, tmp_path: Path) -> None:
-    """What cannot be unpacked is told by one rule, with what the file seems to be."""
+    """A file that cannot be unpacked is reported by one rule, with its probable format."""
     content, rule = GARBAGE[name]
     path = tmp_path / "lag.fmu"
     path.write_bytes(content)
@@ -69,7 +69,7 @@ def test_nonsense_in_the_description_gives_findings(name: str, tmp_path: Path) -
 
 
 def test_an_archive_without_description_names_what_it_holds(tmp_path: Path) -> None:
-    """An FMU that was zipped with its folder is told so."""
+    """For an FMU that was zipped with its folder, the message contains the path of the description."""
     path = Archive(2, {f"lag/{DESCRIPTION}": b"<a/>"}).write(tmp_path / "lag.fmu")
     found = check(path, run=False).findings
     assert [f.rule for f in found if f.severity == "error"] == ["archive.description"]
@@ -94,22 +94,22 @@ def test_an_exponent_that_is_no_number_is_wrong(
 
 
 def test_a_system_given_by_mistake_is_named(tmp_path: Path) -> None:
-    """An SSP is told to be one, and what to do with it."""
+    """For an SSP the message names the format and the command to run it."""
     path = Archive(2, {"SystemStructure.ssd": b"<a/>", "resources/lag.fmu": b""}).write(tmp_path / "lag.ssp")
     (found,) = [f for f in check(path, run=False).findings if f.severity == "error"]
     assert found.rule == "archive.description"
     assert found.text.startswith("expected an FMU, got a system (SSP)")
 
 
-def test_what_is_no_fmu_is_not_told_to_have_failed_to_run(tmp_path: Path) -> None:
-    """Nothing is said of probes, and nothing of temporary folders."""
+def test_probes_report_nothing_on_a_file_that_is_not_an_fmu(tmp_path: Path) -> None:
+    """There are no findings of probes, and no paths of temporary folders."""
     path = tmp_path / "lag.fmu"
     path.write_bytes(b"hello")
     assert {f.rule for f in check(path).findings} == {"archive.zip"}
 
 
 def test_members_may_not_be_links(good: Mapping[int, Archive], tmp_path: Path) -> None:
-    """A symbolic link in the archive is told; the standards forbid it."""
+    """A symbolic link in the archive is reported; the standards forbid it."""
     path = good[2].write(tmp_path / "lag.fmu")
     link = zipfile.ZipInfo("resources/link")
     link.external_attr = 0o120777 << 16
@@ -126,16 +126,16 @@ def test_members_may_not_be_compressed_with_anything(good: Mapping[int, Archive]
     assert rules(path) == {"archive.method"}
 
 
-def test_a_member_twice_is_told(good: Mapping[int, Archive], tmp_path: Path) -> None:
-    """Two members of one name are told; tools take the first or the last."""
+def test_a_duplicate_member_is_reported(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Two members with one name are reported; tools use the first or the last one."""
     path = good[2].write(tmp_path / "lag.fmu")
     with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr("documentation/index.html", "other")
     assert rules(path) == {"archive.twice"}
 
 
-def test_a_damaged_member_is_told(good: Mapping[int, Archive], tmp_path: Path) -> None:
-    """A member whose checksum is wrong is told by its name."""
+def test_a_damaged_member_is_reported(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """A member with a wrong checksum is reported with its name."""
     path = tmp_path / "lag.fmu"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         for name, data in {**good[2].members, "resources/table.csv": b"0123456789"}.items():
@@ -155,7 +155,7 @@ def test_nothing_is_written_outside_of_the_folder(tmp_path: Path) -> None:
 
 
 def test_a_huge_archive_is_not_unpacked_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What unpacks to more than the limit is told, and left."""
+    """An archive that is too large is reported and not unpacked completely."""
     monkeypatch.setattr("orchestrator.check.subject.MAX_BYTES", 1000)
     path = Archive(2, {DESCRIPTION: b"<a/>", "resources/big": bytes(2000)}).write(tmp_path / "lag.fmu")
     assert "archive.size" in rules(path)
@@ -169,15 +169,15 @@ def test_a_large_file_is_noted(
     assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
 
 
-def test_another_suffix_is_told(good: Mapping[int, Archive], tmp_path: Path) -> None:
-    """Tools open .fmu files; one that is named .zip is told so."""
+def test_another_suffix_is_reported(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Tools open .fmu files; a .zip file is reported."""
     assert rules(good[2].write(tmp_path / "lag.zip")) == {"archive.suffix"}
 
 
 def test_fmpy_speaks_where_no_rule_does(
     good: Mapping[int, Archive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What FMPy says and no rule covers is told in FMPy's words."""
+    """A fault that only FMPy finds is reported with the message of FMPy."""
     lacking = good[2].swap('<Unknown index="5" dependencies="2 3 4"/>', "")
     path = lacking.write(tmp_path / "lag.fmu")
     assert rules(path) == {"structure.initial"}
@@ -187,7 +187,7 @@ def test_fmpy_speaks_where_no_rule_does(
 
 @pytest.mark.parametrize(("path", "says"), [("gone.fmu", "no such file"), (".", "got a folder")])
 def test_a_path_without_file_is_the_users_mistake(path: str, says: str, tmp_path: Path) -> None:
-    """No file, no report."""
+    """Without a file there is an error message and no report."""
     with pytest.raises(Problem, match=says):
         check(tmp_path / path, run=False)
 
@@ -197,7 +197,7 @@ def test_a_path_without_file_is_the_users_mistake(path: str, says: str, tmp_path
 def test_mutations_never_stop_the_check(
     good: Mapping[int, Archive], tmp_path: Path, data: st.DataObject
 ) -> None:
-    """Whatever is cut out of, or doubled in, the description: findings, and no rule that breaks."""
+    """Deleted or duplicated parts of the description give findings, and no rule raises an exception."""
     archive = good[data.draw(st.sampled_from([2, 3]))].drop("binaries")
     text = archive.members[DESCRIPTION].decode()
     for _ in range(data.draw(st.integers(1, 4))):

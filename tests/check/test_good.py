@@ -1,4 +1,4 @@
-"""FMUs without fault: the check has nothing against them."""
+"""FMUs without faults have no findings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from orchestrator.check.report import ANY, TOOLS
 
 @pytest.mark.parametrize("major", [2, 3])
 def test_the_complete_fmu_gives_no_finding(good: Mapping[int, Archive], major: int, tmp_path: Path) -> None:
-    """An FMU that has all the rules ask for gives no finding; FMI 3 alone is noted, as some tools lack it."""
+    """An FMU that fulfils all rules has no findings; only FMI 3 gives a note, because some tools lack it."""
     report = check(good[major].write(tmp_path / "lag.fmu"), run=False)
     assert [f.rule for f in report.findings] == (["version.new"] if major == 3 else [])
     assert report.summary() == ("nothing found" if major == 2 else "0 errors, 0 warnings, 1 note")
@@ -25,7 +25,7 @@ def test_the_complete_fmu_gives_no_finding(good: Mapping[int, Archive], major: i
 def test_the_complete_fmi_2_fmu_suits_every_tool(
     good: Mapping[int, Archive], tool: str, tmp_path: Path
 ) -> None:
-    """No tool's profile finds fault with the complete FMI 2 FMU."""
+    """The complete FMI 2 FMU has no findings for any tool."""
     report = check(good[2].write(tmp_path / "lag.fmu"), tool, run=False)
     assert report.findings == ()
     assert not report.failed

@@ -1,4 +1,4 @@
-"""The experiment that our FMUs carry: it is that of the equations, and every FMU meets it."""
+"""The experiments shipped with the project's FMUs: solved on the equations, reproduced by each FMU."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def built(folder: Path, name: str) -> Path:
     )
 
 
-def test_the_source_without_states_carries_nothing():
+def test_the_source_without_states_ships_no_experiment():
     """Its outputs follow its inputs at once."""
     assert ls_ref_files(ALL["supply"]) == {}
 
@@ -62,7 +62,7 @@ def compared(path: Path, folder: Path) -> ExperimentComparison:
 
 @pytest.mark.parametrize("major", [2, 3])
 @pytest.mark.parametrize("name", SUBSYSTEMS)
-def test_each_fmu_meets_the_experiment_it_carries(request, tmp_path, name, major):
+def test_each_fmu_reproduces_the_experiment_it_ships(request, tmp_path, name, major):
     """CS with the FMU's own solver against CVODES on the equations: 1e-5 of range on every signal."""
     folder = request.getfixturevalue({2: "fmu_dir", 3: "fmi3_dir"}[major])
     result = compared(built(folder, name), tmp_path)
@@ -74,7 +74,7 @@ def test_each_fmu_meets_the_experiment_it_carries(request, tmp_path, name, major
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
 def test_another_importer_reproduces_the_result(fmu_dir, name):
-    """FMPy sets the inputs of the file at each communication point and holds them: the result comes out."""
+    """FMPy reproduces the result when it sets the inputs of the file at each communication point."""
     path = built(fmu_dir, name)
     with zipfile.ZipFile(path) as archive, archive.open(f"{FOLDER}/result.csv") as file:
         result = np.genfromtxt(file, delimiter=",", names=True)
@@ -134,8 +134,8 @@ def test_what_is_compared_moves_and_does_not_jump():
     assert "swing_void_volume" not in shown
 
 
-def test_an_fmu_with_other_numbers_carries_and_meets_the_same_experiment(tmp_path):
-    """The parameter set brings the numbers of the experiment, whatever the FMU was built with."""
+def test_an_fmu_with_other_values_reproduces_the_same_experiment(tmp_path):
+    """The parameter set contains the values of the experiment, whatever values the FMU was built with."""
     v = values(SWING)
     other = replace(v, p={**v.p, "initial_preload": 3e6, "gear_ratio": 1.1 * v.p["gear_ratio"]})
     path = build(SWING, tmp_path, values=other)
@@ -143,13 +143,13 @@ def test_an_fmu_with_other_numbers_carries_and_meets_the_same_experiment(tmp_pat
     assert max(result.errors.values()) < NRMSE_LIMIT
 
 
-def test_a_subsystem_without_reference_carries_none(tmp_path):
-    """Somebody's own subsystem is built as before."""
+def test_a_subsystem_without_reference_ships_none(tmp_path):
+    """A user's subsystem is built without an experiment."""
     assert ls_ref_files(replace(SWING, values=tmp_path / "parameters.toml")) == {}
 
 
-def test_a_subsystem_with_other_variables_does_not_carry_the_wrong_experiment():
-    """A variant of a subsystem beside the same files: what they name is not there, so they stay out."""
+def test_a_subsystem_with_other_variables_does_not_ship_the_wrong_experiment():
+    """A variant does not ship files with variables that it does not have."""
     assert ls_ref_files(replace(SWING, outputs=SWING.states)) == {}
 
 

@@ -1,4 +1,4 @@
-"""The probes of `harvester check`: each planted fault is found by the probe meant, good FMUs give nothing."""
+"""Probes of `harvester check`: each planted fault is found by its probe; valid FMUs have no findings."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
 @dataclass(frozen=True)
 class Planted:
-    """A fault in the binary, or a changed text; the probe that tells it, and words that it says."""
+    """A fault in the binary or in a text, the probe that must report it, and a part of its message."""
 
     probe: str
-    says: str
+    text: str
     fault: str = "none"
     change: tuple[str, str] = ("", "")
     major: int = 2
@@ -105,8 +105,7 @@ FAULTS = (
 
 @pytest.fixture(autouse=True)
 def _short() -> Iterator[None]:
-    """Work for two seconds at most, which leaves time for all steps on a busy machine; there a call that
-    takes microseconds may stand still for seconds, and only a minute is a hang."""
+    """Limits for a busy machine: two seconds of work per probe, and a minute until a call is a hang."""
     with use_probe_limits(ProbeLimits(call_time=60.0, total_time=300.0, work_time=2.0)):
         yield
 
@@ -119,25 +118,25 @@ def opened(path: Path, folder: Path) -> Subject:
 
 
 def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
-    """What some probes say of an FMU; all of them when none is named."""
+    """Findings of some probes on an FMU; without names, of all probes."""
     subject = opened(path, folder)
     return [found for name in probes or RULES for found in RULES[name](subject)]
 
 
 @pytest.mark.parametrize("planted", FAULTS, ids=str)
 def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, planted):
-    """One finding of the right severity, which says what happens where."""
+    """One finding has the right severity, and a message with the fault and the call."""
     path = oscillators.make(planted.major, planted.fault, planted.change)
     with use_probe_limits(
         replace(probe_limits(), call_time=2.0 if planted.fault == "hang" else probe_limits().call_time)
     ):
         found = apply(path, tmp_path, planted.probe)
-    assert any(planted.says in f.text and f.severity == planted.severity for f in found), found
+    assert any(planted.text in f.text and f.severity == planted.severity for f in found), found
     assert all(f.rule == f"run.{planted.probe}" for f in found)
 
 
 def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
-    """Where it stood is told, also when no single call took long enough to count as a hang."""
+    """The message contains the last call, also if no single call took long enough to be a hang."""
     for probe in (1.0, 4.0, 16.0, 64.0):
         with use_probe_limits(ProbeLimits(call_time=1000.0, total_time=probe, work_time=2.0)):
             found = apply(oscillators.make(fault="hang"), tmp_path / f"{probe:g}", "default")
@@ -148,7 +147,7 @@ def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
 
 
 def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path):
-    """A note that says what is there, and nothing else."""
+    """The only finding is a note with the platforms that exist."""
     subject = opened(oscillators.make(), tmp_path)
     (binary,) = (tmp_path / "binaries").iterdir()
     binary.rename(binary.with_name("amiga68k"))
@@ -162,21 +161,21 @@ def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path
 
 
 def test_an_fmu_that_takes_summed_times_only_is_probed_that_way(oscillators, tmp_path):
-    """It is told once, by the probe meant, and everything else is looked at."""
+    """One probe reports it, and all other probes still run."""
     found = apply(oscillators.make(fault="strict"), tmp_path)
     assert {f.rule for f in found} == {"run.drift"}
     assert "is rejected at the counted time" in found[0].text
 
 
-def test_an_fmu_that_can_be_made_only_once_is_made_only_once(oscillators, tmp_path):
-    """Each process makes one instance of an FMU that declares so; what needs two is left out."""
+def test_an_fmu_that_can_be_instantiated_once_is_instantiated_once(oscillators, tmp_path):
+    """Each process creates one instance of an FMU that declares so; tasks that need two are skipped."""
     name = 'modelIdentifier="oscillator"'
     change = (name, f'{name} canBeInstantiatedOnlyOncePerProcess="true"')
     assert apply(oscillators.make(2, "only", change), tmp_path) == []
 
 
-def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
-    """Where two thousand instances take too long, nothing is said of leaks."""
+def test_a_slow_instantiation_is_not_a_leak(oscillators, tmp_path):
+    """If two thousand instances take too long, leaks are not reported."""
     with use_probe_limits(ProbeLimits(call_time=60.0, total_time=300.0, work_time=0.02)):
         found = apply(oscillators.make(fault="slow"), tmp_path, "leak")
     assert {(f.severity, f.text) for f in found} == {
@@ -185,25 +184,25 @@ def test_an_fmu_that_is_slow_to_make_is_not_blamed(oscillators, tmp_path):
 
 
 @pytest.mark.parametrize("major", [2, 3])
-def test_a_good_fmu_gives_nothing(oscillators, tmp_path, major):
-    """No probe has anything to say of the oscillator without fault."""
+def test_a_valid_fmu_has_no_findings(oscillators, tmp_path, major):
+    """No probe has findings on the oscillator without fault."""
     assert apply(oscillators.make(major), tmp_path) == []
 
 
 @pytest.mark.parametrize(("fault", "what"), [("soon", "the time"), ("states", "states")])
-def test_a_late_call_that_is_refused_is_named_alone(oscillators, tmp_path, fault, what):
-    """Not also those that the FMU refuses because it has refused one."""
+def test_only_the_rejected_late_call_is_reported(oscillators, tmp_path, fault, what):
+    """Calls that fail only because of an earlier failure are not reported."""
     found = apply(oscillators.make(2, fault), tmp_path, "late")
     assert [f.text.split(": ")[1].split(" cannot")[0] for f in found] == [what]
 
 
-def test_a_mode_that_grows_is_not_stiff(oscillators, tmp_path):
-    """No step of any solver makes it decay, and Euler follows it as others do."""
+def test_a_growing_mode_is_not_stiff(oscillators, tmp_path):
+    """A growing mode sets no limit to the step of explicit Euler."""
     assert apply(oscillators.make(2, "grows"), tmp_path, "default", "stiff") == []
 
 
 def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
-    """Of this FMU one instance can live at a time, and each probe makes some."""
+    """This FMU allows one instance at a time, and each probe creates some."""
     subject = opened(oscillators.make(2, "once"), tmp_path)
     trial = Trial(subject.folder, subject.model, "ModelExchange", ActivityRecord(tmp_path / "beacon"))
     for task in (importing_solver.nominals, importing_solver.late, importing_solver.stiff) * 2:
@@ -211,14 +210,14 @@ def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
 
 
 def test_rounding_around_zero_is_no_difference(oscillators, tmp_path):
-    """-0 for 0, and 8e-15 of a nominal value of 1: neither by restored states nor by other instances."""
+    """-0 for 0, and 8e-15 at a nominal value of 1, are no differences between runs."""
     for major in (2, 3):
         path = oscillators.make(major, "zero")
         assert apply(path, tmp_path / f"{major}", "state", "serialize", "reset", "instances") == []
 
 
-def test_folders_of_compilers_are_no_platforms(oscillators, tmp_path):
-    """Static libraries lie in folders below their platform: binaries/win32/VisualStudio10/x.lib."""
+def test_folders_of_compilers_are_not_platforms(oscillators, tmp_path):
+    """Static libraries are in folders below their platform: binaries/win32/VisualStudio10/x.lib."""
     subject = opened(oscillators.make(), tmp_path)
     (binary,) = (tmp_path / "binaries").iterdir()
     below = binary.with_name("win32") / "VisualStudio10"
@@ -229,7 +228,7 @@ def test_folders_of_compilers_are_no_platforms(oscillators, tmp_path):
 
 
 def test_a_table_that_doubles_is_no_leak():
-    """What grows in one half of the instances only has come to an end; what grows in both goes on."""
+    """Memory that grows in one half of the instances only is not a leak."""
     window = leaks.WINDOW
     steady = [1000.0 * window * n for n in range(9)]
     once = [0.0] * 6 + [1e6] * 3

@@ -1,4 +1,4 @@
-"""FMUs that need Python: the check says so."""
+"""FMUs that need Python are reported."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def pump(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_needs_python_on_the_target(pump: Path) -> None:
-    """PythonFMU's libraries call Python without bringing it; the finding says why and where that hurt."""
+    """The libraries of PythonFMU call Python and do not contain it; the finding has the evidence."""
     found = {f.rule: f for f in check(pump, run=False).findings}
     assert "needs Python on the target" in found["python.needed"].text
     assert "PythonFMU#192" in found["python.needed"].thread
@@ -48,7 +48,7 @@ def test_it_needs_python_on_the_target(pump: Path) -> None:
 
 @pytest.mark.parametrize("tool", ["simulink", "dymola", "amesim"])
 def test_it_is_an_error_where_tools_fail_with_python(pump: Path, tool: str) -> None:
-    """For tools whose threads tell of crashes and failed starts, needing Python is an error."""
+    """Needing Python is an error for tools with threads about crashes and failed starts."""
     report = check(pump, tool, run=False)
     assert report.failed
     assert "error" in {f.severity for f in report.findings if f.rule == "python.needed"}

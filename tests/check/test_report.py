@@ -1,4 +1,4 @@
-"""What the user sees: order, counts, tools, the command, and the table of rules in the docs."""
+"""Report of the check: order, counts, tools, the command, and the table of rules in the docs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from orchestrator.check.report import MAX_PRINTED, TOOLS, table
 from orchestrator.check.rules import STATIC
 
 DOCS = Path(__file__).parents[2] / "docs/check.md"
-# told of files as a whole, or together with another rule: these have tests of their own
+# rules on whole files, or with findings of another rule at the same time; separate tests cover them
 ELSEWHERE = {
     "archive.zip", "archive.link", "archive.method", "archive.size", "archive.suffix",
     "archive.description", "binary.documented", "contents.size", "fmpy.validate", "identity.identifier",
@@ -38,21 +38,21 @@ def bad(good: Mapping[int, Archive], tmp_path: Path) -> Path:
 
 
 def test_every_rule_has_a_planted_fault() -> None:
-    """A rule that no test triggers may as well be broken."""
+    """Each rule is triggered by a test."""
     planted = {f.rule for f in (*FILE_FAULTS, *XML_FAULTS)} | {rule for rule, _, _ in FAULTS.values()}
     assert {r.id for r in STATIC} - planted - ELSEWHERE == set()
     assert ELSEWHERE & planted == set()
 
 
-def test_rules_have_ids_of_their_own() -> None:
-    """No two rules share an id, and each says what must hold."""
+def test_ids_of_rules_are_unique() -> None:
+    """Ids of rules are unique, and each rule has a text."""
     everything = all_rules()
     assert len({r.id for r in everything}) == len(everything)
     assert all(r.text and "." in r.id for r in everything)
 
 
 def test_verdicts_of_tools_are_about_rules() -> None:
-    """A tool's verdict on a rule that does not exist would never show."""
+    """All verdicts of tools refer to existing rules."""
     known = {r.id for r in all_rules()}
     assert {rule for tool in TOOLS.values() for rule in tool.verdicts} <= known
 
@@ -66,8 +66,10 @@ def test_the_worst_comes_first(bad: Path) -> None:
     assert text.endswith("1 error, 1 warning, 1 note")
 
 
-def test_many_findings_of_a_kind_are_cut_in_print(good: Mapping[int, Archive], tmp_path: Path) -> None:
-    """A fault in each of many variables does not bury the rest; the file for programs has all."""
+def test_many_findings_of_a_rule_are_cut_in_the_text_report(
+    good: Mapping[int, Archive], tmp_path: Path
+) -> None:
+    """The text report cuts many findings of one rule; the JSON file has all."""
     more = "".join(
         f'<ScalarVariable name="v{i}" valueReference="{i}"><Real unit="Hz"/></ScalarVariable>'
         for i in range(10, 30)
@@ -79,19 +81,19 @@ def test_many_findings_of_a_kind_are_cut_in_print(good: Mapping[int, Archive], t
     assert len(json.loads(report.json())["findings"]) == len(report.findings)
 
 
-def test_a_tool_makes_a_finding_worse(good: Mapping[int, Archive], tmp_path: Path) -> None:
-    """Structured names are worth a note; in Simulink they become buses, which is worth a warning."""
+def test_a_tool_raises_the_severity_of_a_finding(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Structured names give a note; for Simulink, which turns them into buses, a warning."""
     break_ = both(STRUCTURED, xml('name="rate"', 'name="rate.y"'), xml('name="u"', 'name="p.u"'))
     archive = break_(good[2]).drop("terminalsAndIcons/terminalsAndIcons.xml")
     path = archive.write(tmp_path / "lag.fmu")
-    told = {tool: check(path, tool, run=False) for tool in ("any", "simulink", "dymola")}
-    found = {t: [f.severity for f in r.findings if f.rule == "name.structured"] for t, r in told.items()}
+    reports = {tool: check(path, tool, run=False) for tool in ("any", "simulink", "dymola")}
+    found = {t: [f.severity for f in r.findings if f.rule == "name.structured"] for t, r in reports.items()}
     assert found == {"any": ["note"], "simulink": ["warning"], "dymola": ["note"]}
-    assert "makes buses" in told["simulink"].text()
-    assert "not by running the tool" in told["simulink"].text()
+    assert "makes buses" in reports["simulink"].text()
+    assert "not by running the tool" in reports["simulink"].text()
 
 
-def test_the_command_tells_by_its_status(
+def test_the_exit_status_depends_on_the_findings(
     bad: Path, good: Mapping[int, Archive], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit status 0 without errors, 1 with errors, 2 for mistakes of the user."""

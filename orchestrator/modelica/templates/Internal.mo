@@ -1,21 +1,21 @@
-package Internal "Functions of an FMU"
+package Internal "Calls of FMUs by external functions"
   extends Modelica.Icons.InternalPackage;
 
-  class Instance "An FMU with its parameters"
+  class Instance "An FMU with the values of its parameters"
     extends ExternalObject;
 
     function constructor
       extends Modelica.Icons.Function;
-      input String name "Of the block, for messages";
-      input String folder "Of the unpacked FMU";
+      input String name "Name of the block for messages";
+      input String folder "Folder of the unpacked FMU";
       input String model_identifier;
-      input String guid "Of its model description";
+      input String guid "GUID of the model description";
       input Integer real_reference[:] "Value references of parameters";
       input Real real_value[size(real_reference, 1)];
       input Integer integer_reference[:];
       input Integer integer_value[size(integer_reference, 1)];
       input Integer boolean_reference[:];
-      input Integer boolean_value[size(boolean_reference, 1)] "1 and 0: tools pass arrays of Boolean in several ways";
+      input Integer boolean_value[size(boolean_reference, 1)] "1 and 0, because tools differ in how they pass arrays of Boolean";
       input Integer string_reference[:];
       input String string_value[size(string_reference, 1)];
       output Instance fmu;
@@ -35,7 +35,7 @@ package Internal "Functions of an FMU"
     end destructor;
   end Instance;
 
-  function start "States at the start"
+  function start "Initial states"
     extends Modelica.Icons.Function;
     input Instance fmu;
     input Real t;
@@ -59,7 +59,7 @@ package Internal "Functions of an FMU"
       annotation(Include = "#include \"@PACKAGE@.h\"", IncludeDirectory = "modelica://@PACKAGE@/Resources/Include");
   end derivatives;
 
-  function outputs "Outputs that depend on the same inputs"
+  function outputs "Outputs with the same dependencies on inputs"
     extends Modelica.Icons.Function;
     input Instance fmu;
     input Real t;
@@ -72,7 +72,7 @@ package Internal "Functions of an FMU"
       annotation(Include = "#include \"@PACKAGE@.h\"", IncludeDirectory = "modelica://@PACKAGE@/Resources/Include");
   end outputs;
 
-  function event "The next time at which a derivative jumps"
+  function event "Time of the next time event"
     extends Modelica.Icons.Function;
     input Instance fmu;
     input Real t;

@@ -1,10 +1,10 @@
-/* An FMU 2.0 for Model Exchange as functions of its states and inputs, for external functions of Modelica.
+/* External functions of Modelica that evaluate an FMU 2.0 for Model Exchange at given time, states and inputs.
 
-   There are two instances: `first` stays in initialization mode and gives the states at the start, `running` is in
-   continuous-time mode. A function sets only the inputs that its results depend on; as these are the inputs that
-   modelDescription.xml declares for them, each is a function of its arguments alone.
+   There are two instances. `initializing` remains in initialization mode and computes the initial states, `running` is
+   in continuous-time mode. A function sets only the inputs on which its results depend by modelDescription.xml, so
+   the results are functions of the arguments only.
 
-   All names begin with that of the package: a model can use two packages. */
+   All names get the name of the package as a prefix, because a model can use two packages. */
 
 #ifndef FMU_FOR_MODELICA_H
 #define FMU_FOR_MODELICA_H
@@ -27,7 +27,7 @@
 #define FMU_FILE "linux64/%s.so"
 #endif
 
-/* ---- the types of FMI 2.0 that are used here */
+/* ---- types of FMI 2.0 */
 
 typedef struct {
     int new_discrete_states_needed, terminate_simulation, nominals_changed, values_changed, next_time_defined;
@@ -42,14 +42,14 @@ typedef struct {
     void *environment;
 } FmuCallbacks;
 
-/* Parameters of one type. */
+/* Parameter values of one type. */
 typedef struct {
     size_t n;
     unsigned *reference;
     void *value;
 } FmuValues;
 
-/* An instance; `ready` once its first mode was reached without an error. */
+/* An instance; `ready` after its mode was reached without an error. */
 typedef struct {
     void *fmu;
     int ready;
@@ -58,8 +58,8 @@ typedef struct {
 typedef struct {
     char *name, *identifier, *guid, *location;
     void *library;
-    int is_lost; /* after fmi2Fatal nothing may be called */
-    FmuInstance first, running;
+    int has_failed; /* fmi2Fatal: nothing may be called any more */
+    FmuInstance initializing, running;
     FmuCallbacks callbacks;
     FmuValues reals, integers, booleans, strings;
     void *(*instantiate)(const char *, int, const char *, const char *, const FmuCallbacks *, int, int);
@@ -91,54 +91,54 @@ static void fmu_log(void *environment, const char *name, int status, const char 
 
 static void *fmu_symbol(Fmu *f, const char *name) {
 #ifdef _WIN32
-    void *found = (void *)GetProcAddress((HMODULE)f->library, name);
+    void *symbol = (void *)GetProcAddress((HMODULE)f->library, name);
 #else
-    void *found = dlsym(f->library, name);
+    void *symbol = dlsym(f->library, name);
 #endif
-    if (!found) ModelicaFormatError("%s: the library has no function %s", f->name, name);
-    return found;
+    if (!symbol) ModelicaFormatError("%s: the library has no function %s", f->name, name);
+    return symbol;
 }
 
 static void *fmu_memory(size_t size) {
-    void *found = calloc(1, size + 1);
-    if (!found) ModelicaError("out of memory");
-    return found;
+    void *memory = calloc(1, size + 1);
+    if (!memory) ModelicaError("out of memory");
+    return memory;
 }
 
 static char *fmu_copy(const char *text) {
     return strcpy(fmu_memory(strlen(text)), text);
 }
 
-/* With fmi2Discard, too: a Modelica tool takes an error as a request for another step. */
-static void fmu_done(Fmu *f, int status, const char *call) {
+/* Also fmi2Discard is an error: a Modelica tool then tries another step. */
+static void fmu_check(Fmu *f, int status, const char *call) {
     if (status < 2) return;
-    f->is_lost |= status == 4;
+    f->has_failed |= status == 4;
     ModelicaFormatError("%s: %s %s, see the messages before", f->name, call, status == 2 ? "was discarded" : "failed");
 }
 
-/* The folder of the FMU. Where a tool leaves the URI of a resource as it is, it is found from this file. */
-static char *fmu_folder(const char *given) {
-    const char *uri = strstr(given, "modelica://"), *here = __FILE__;
+/* The folder of the FMU. If a tool does not resolve the URI of the resource, the folder relative to this file. */
+static char *fmu_folder(const char *location) {
+    const char *uri = strstr(location, "modelica://"), *header = __FILE__;
     const char *inside = uri ? strstr(uri, "/FMUs/") : NULL;
-    if (!inside) return fmu_copy(given);
-    size_t length = strlen(here);
-    while (length > 0 && here[length - 1] != '/' && here[length - 1] != '\\') length--;
+    if (!inside) return fmu_copy(location);
+    size_t length = strlen(header);
+    while (length > 0 && header[length - 1] != '/' && header[length - 1] != '\\') length--;
     char *folder = fmu_memory(length + strlen(inside) + 4);
-    memcpy(folder, here, length);
+    memcpy(folder, header, length);
     strcpy(folder + length, "..");
     return strcat(folder, inside);
 }
 
-/* The URI of the resources: bytes that an address cannot hold are written as %XX. */
+/* The URI of the resources; bytes that are not allowed in a URI are written as %XX. */
 static char *fmu_location(const char *folder) {
-    static const char plain[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._~/:";
+    static const char allowed[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._~/:";
     char *uri = fmu_memory(3 * strlen(folder) + 32);
-    size_t at = (size_t)sprintf(uri, folder[0] == '/' ? "file://" : "file:///");
+    size_t length = (size_t)sprintf(uri, folder[0] == '/' ? "file://" : "file:///");
     for (const char *c = folder; *c; c++) {
         const char byte = *c == '\\' ? '/' : *c;
-        at += (size_t)sprintf(uri + at, strchr(plain, byte) ? "%c" : "%%%02X", (unsigned char)byte);
+        length += (size_t)sprintf(uri + length, strchr(allowed, byte) ? "%c" : "%%%02X", (unsigned char)byte);
     }
-    strcpy(uri + at, "/resources");
+    strcpy(uri + length, "/resources");
     return uri;
 }
 
@@ -159,14 +159,14 @@ static void fmu_open_library(Fmu *f, const char *folder) {
     if (!f->library) ModelicaFormatError("%s: cannot load %s: %s", f->name, path, reason);
 }
 
-/* ---- life */
+/* ---- instances */
 
-/* Values of one type, copied. */
+/* A copy of values of one type. */
 static FmuValues fmu_values(const int *reference, size_t n, const void *value, size_t size) {
-    FmuValues found = {n, fmu_memory(n * sizeof(unsigned)), fmu_memory(n * size)};
-    for (size_t i = 0; i < n; i++) found.reference[i] = (unsigned)reference[i];
-    if (n) memcpy(found.value, value, n * size);
-    return found;
+    FmuValues values = {n, fmu_memory(n * sizeof(unsigned)), fmu_memory(n * size)};
+    for (size_t i = 0; i < n; i++) values.reference[i] = (unsigned)reference[i];
+    if (n) memcpy(values.value, value, n * size);
+    return values;
 }
 
 static void fmu_find_functions(Fmu *f) {
@@ -189,13 +189,13 @@ static void fmu_find_functions(Fmu *f) {
 }
 
 /* name: of the block in the model, for messages */
-static void *fmu_new(const char *name, const char *given, const char *identifier, const char *guid,
+static void *fmu_new(const char *name, const char *location, const char *identifier, const char *guid,
                      const int *real, size_t reals, const double *real_value,
                      const int *integer, size_t integers, const int *integer_value,
                      const int *boolean, size_t booleans, const int *boolean_value,
                      const int *string, size_t strings, const char **string_value) {
     Fmu *f = fmu_memory(sizeof *f);
-    char *folder = fmu_folder(given);
+    char *folder = fmu_folder(location);
     f->name = fmu_copy(name);
     f->identifier = fmu_copy(identifier);
     f->guid = fmu_copy(guid);
@@ -214,27 +214,27 @@ static void *fmu_new(const char *name, const char *given, const char *identifier
     return f;
 }
 
-/* A new instance in initialization mode, with the parameters set, in place of one that failed. */
+/* A new instance in initialization mode with the parameter values; it replaces one that failed. */
 static void fmu_instantiate(Fmu *f, FmuInstance *instance, double time) {
-    if (f->is_lost) ModelicaFormatError("%s: the FMU failed, see the messages before", f->name);
+    if (f->has_failed) ModelicaFormatError("%s: the FMU failed, see the messages before", f->name);
     if (instance->fmu) f->free_instance(instance->fmu);
     instance->fmu = f->instantiate(f->name, 0, f->guid, f->location, &f->callbacks, 0, 0);
-    void *made = instance->fmu;
-    if (!made) ModelicaFormatError("%s: fmi2Instantiate failed, see the messages before", f->name);
-    fmu_done(f, f->setup(made, 0, 0.0, time, 0, 0.0), "fmi2SetupExperiment");
+    void *fmu = instance->fmu;
+    if (!fmu) ModelicaFormatError("%s: fmi2Instantiate failed, see the messages before", f->name);
+    fmu_check(f, f->setup(fmu, 0, 0.0, time, 0, 0.0), "fmi2SetupExperiment");
     const FmuValues *r = &f->reals, *i = &f->integers, *b = &f->booleans, *s = &f->strings;
-    if (r->n) fmu_done(f, f->set_real(made, r->reference, r->n, r->value), "fmi2SetReal");
-    if (i->n) fmu_done(f, f->set_integer(made, i->reference, i->n, i->value), "fmi2SetInteger");
-    if (b->n) fmu_done(f, f->set_boolean(made, b->reference, b->n, b->value), "fmi2SetBoolean");
-    if (s->n) fmu_done(f, f->set_string(made, s->reference, s->n, s->value), "fmi2SetString");
-    fmu_done(f, f->enter_initialization(made), "fmi2EnterInitializationMode");
+    if (r->n) fmu_check(f, f->set_real(fmu, r->reference, r->n, r->value), "fmi2SetReal");
+    if (i->n) fmu_check(f, f->set_integer(fmu, i->reference, i->n, i->value), "fmi2SetInteger");
+    if (b->n) fmu_check(f, f->set_boolean(fmu, b->reference, b->n, b->value), "fmi2SetBoolean");
+    if (s->n) fmu_check(f, f->set_string(fmu, s->reference, s->n, s->value), "fmi2SetString");
+    fmu_check(f, f->enter_initialization(fmu), "fmi2EnterInitializationMode");
 }
 
 static void fmu_free(void *object) {
     Fmu *f = object;
     if (!f) return;
-    if (f->first.fmu && !f->is_lost) f->free_instance(f->first.fmu);
-    if (f->running.fmu && !f->is_lost) f->free_instance(f->running.fmu);
+    if (f->initializing.fmu && !f->has_failed) f->free_instance(f->initializing.fmu);
+    if (f->running.fmu && !f->has_failed) f->free_instance(f->running.fmu);
     for (size_t i = 0; i < f->strings.n; i++) free(((char **)f->strings.value)[i]);
     FmuValues *values[] = {&f->reals, &f->integers, &f->booleans, &f->strings};
     for (int i = 0; i < 4; i++) free(values[i]->reference), free(values[i]->value);
@@ -246,72 +246,74 @@ static void fmu_free(void *object) {
 static void fmu_set(Fmu *f, void *instance, const int *reference, size_t n, const double *value) {
     for (size_t i = 0; i < n; i++) {
         const unsigned r = (unsigned)reference[i];
-        fmu_done(f, f->set_real(instance, &r, 1, &value[i]), "fmi2SetReal");
+        fmu_check(f, f->set_real(instance, &r, 1, &value[i]), "fmi2SetReal");
     }
 }
 
 static void fmu_get(Fmu *f, void *instance, const int *reference, size_t n, double *value) {
     for (size_t i = 0; i < n; i++) {
         const unsigned r = (unsigned)reference[i];
-        fmu_done(f, f->get_real(instance, &r, 1, &value[i]), "fmi2GetReal");
+        fmu_check(f, f->get_real(instance, &r, 1, &value[i]), "fmi2GetReal");
     }
 }
 
-/* States at the start. */
+/* Initial states. */
 static void fmu_start(void *object, double time, const int *input, size_t nu, const double *u, const int *state,
                       size_t nx, double *x) {
     Fmu *f = object;
-    if (!f->first.ready) fmu_instantiate(f, &f->first, time);
-    f->first.ready = 1;
-    fmu_set(f, f->first.fmu, input, nu, u);
-    fmu_get(f, f->first.fmu, state, nx, x);
+    if (!f->initializing.ready) fmu_instantiate(f, &f->initializing, time);
+    f->initializing.ready = 1;
+    fmu_set(f, f->initializing.fmu, input, nu, u);
+    fmu_get(f, f->initializing.fmu, state, nx, x);
 }
 
 static double fmu_next_time(Fmu *f) {
     void *running = f->running.fmu;
     FmuEventInfo info;
     memset(&info, 0, sizeof info);
-    do fmu_done(f, f->new_discrete_states(running, &info), "fmi2NewDiscreteStates");
+    do fmu_check(f, f->new_discrete_states(running, &info), "fmi2NewDiscreteStates");
     while (info.new_discrete_states_needed && !info.terminate_simulation);
-    if (info.terminate_simulation) ModelicaFormatError("%s: the FMU asks to end the simulation", f->name);
-    if (info.values_changed) ModelicaFormatError("%s: states that jump at an event are not supported", f->name);
-    fmu_done(f, f->enter_continuous(running), "fmi2EnterContinuousTimeMode");
+    if (info.terminate_simulation) ModelicaFormatError("%s: the FMU requests the end of the simulation", f->name);
+    if (info.values_changed) ModelicaFormatError("%s: states that change at an event are not supported", f->name);
+    fmu_check(f, f->enter_continuous(running), "fmi2EnterContinuousTimeMode");
     return info.next_time_defined ? info.next_time : 1e60;
 }
 
-static void fmu_at(Fmu *f, double time, const double *x, size_t nx, const int *input, size_t nu, const double *u) {
+/* Set time, inputs and states of the running instance. */
+static void fmu_set_point(Fmu *f, double time, const double *x, size_t nx, const int *input, size_t nu,
+                          const double *u) {
     if (!f->running.ready) {
         fmu_instantiate(f, &f->running, time);
         fmu_set(f, f->running.fmu, input, nu, u);
-        fmu_done(f, f->exit_initialization(f->running.fmu), "fmi2ExitInitializationMode");
+        fmu_check(f, f->exit_initialization(f->running.fmu), "fmi2ExitInitializationMode");
         fmu_next_time(f);
         f->running.ready = 1;
     }
-    fmu_done(f, f->set_time(f->running.fmu, time), "fmi2SetTime");
+    fmu_check(f, f->set_time(f->running.fmu, time), "fmi2SetTime");
     fmu_set(f, f->running.fmu, input, nu, u);
-    if (nx > 0) fmu_done(f, f->set_states(f->running.fmu, x, nx), "fmi2SetContinuousStates");
+    if (nx > 0) fmu_check(f, f->set_states(f->running.fmu, x, nx), "fmi2SetContinuousStates");
 }
 
 static void fmu_derivatives(void *object, double time, const double *x, size_t nx, const int *input, size_t nu,
                             const double *u, double *dx) {
     Fmu *f = object;
-    fmu_at(f, time, x, nx, input, nu, u);
-    fmu_done(f, f->get_derivatives(f->running.fmu, dx, nx), "fmi2GetDerivatives");
+    fmu_set_point(f, time, x, nx, input, nu, u);
+    fmu_check(f, f->get_derivatives(f->running.fmu, dx, nx), "fmi2GetDerivatives");
 }
 
 static void fmu_outputs(void *object, double time, const double *x, size_t nx, const int *input, size_t nu,
                         const double *u, const int *output, size_t ny, double *y) {
     Fmu *f = object;
-    fmu_at(f, time, x, nx, input, nu, u);
+    fmu_set_point(f, time, x, nx, input, nu, u);
     fmu_get(f, f->running.fmu, output, ny, y);
 }
 
-/* The next time at which a derivative jumps, 1e60 where none is known. */
+/* Time of the next time event, 1e60 if there is none. */
 static double fmu_event(void *object, double time, const double *x, size_t nx, const int *input, size_t nu,
                         const double *u) {
     Fmu *f = object;
-    fmu_at(f, time, x, nx, input, nu, u);
-    fmu_done(f, f->enter_event(f->running.fmu), "fmi2EnterEventMode");
+    fmu_set_point(f, time, x, nx, input, nu, u);
+    fmu_check(f, f->enter_event(f->running.fmu), "fmi2EnterEventMode");
     return fmu_next_time(f);
 }
 
