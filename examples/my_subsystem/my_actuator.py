@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Quantity
-from fmus.export.python import Model, some
+from fmus.export.python import Model, subgroup
 from fmus.parameters import values
 
 TABLE = np.loadtxt(Path(__file__).with_name("valve_map.csv"), delimiter=",")
@@ -33,8 +33,8 @@ class Parameters:
 
 # Wires of the machine find what they look for: names and units are those of the drives.
 FORCES = "boom_force", "stick_force"
-State = some("State", BOOM_STICK.outputs, *FORCES)
-Outputs = some(
+State = subgroup("State", BOOM_STICK.outputs, *FORCES)
+Outputs = subgroup(
     "Outputs", BOOM_STICK.outputs, *FORCES, *(f"{f}_rate" for f in FORCES), "supply_flow", "return_flow"
 )
 

@@ -200,7 +200,7 @@ def test_an_input_that_was_held_and_jumps_asks_for_an_event(chamber):
 
 
 def test_a_solver_that_is_ahead_of_the_output_is_told_as_well(chamber):
-    """A solver that interpolates at outputs computes no derivative between the changes; it must restart too."""
+    """A solver that interpolates at outputs computes no derivative in between; it must restart too."""
     fmu = running(chamber)
     fmu.derivatives()
     for _ in range(3):  # outputs inside one step of the solver

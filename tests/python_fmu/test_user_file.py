@@ -14,7 +14,7 @@ from fmpy.validation import validate_fmu
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import quantities
-from fmus.export.python import some
+from fmus.export.python import subgroup
 from fmus.export.python.build import build_user
 from orchestrator.__main__ import main
 from orchestrator.base.errors import Problem
@@ -169,14 +169,14 @@ def test_the_command_line_overwrites_no_native_fmu(tmp_path, capsys):
 
 def test_ports_are_taken_from_the_part_that_a_model_stands_for():
     """Variables have the requested order and their units; for an unknown name a similar one is suggested."""
-    group = some("Own", BOOM_STICK.outputs, "stick_force", "boom_force")
+    group = subgroup("Own", BOOM_STICK.outputs, "stick_force", "boom_force")
     assert dict(quantities(group)) == {
         n: quantities(BOOM_STICK.outputs)[n] for n in ("stick_force", "boom_force")
     }
     with pytest.raises(
         Problem, match=r"^Own: BoomStickOutputs has no boom_forces, expected a name such as boom_force"
     ):
-        some("Own", BOOM_STICK.outputs, "boom_forces")
+        subgroup("Own", BOOM_STICK.outputs, "boom_forces")
 
 
 # ---- while it runs

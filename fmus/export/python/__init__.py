@@ -1,5 +1,7 @@
-"""FMUs whose code is Python: from the same declarations as the native ones, or from a class of a user."""
+"""FMUs whose code is Python: of a `Subsystem`, or of a `Model` that a user writes."""
 
-from fmus.export.python.user_model import Model, some
+from fmus.export.python.user_model import Model, subgroup
 
-__all__ = ["Model", "some"]
+some = subgroup  # its name until version 0.1
+
+__all__ = ["Model", "some", "subgroup"]

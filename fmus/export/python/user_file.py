@@ -16,7 +16,7 @@ import numpy as np
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import Unknowns
 from fmus.export.python.instance import Instance
-from fmus.export.python.user_model import Model, UserModel, sealed
+from fmus.export.python.user_model import Model, UserModel, read_only
 from fmus.solver import Array
 from orchestrator.base.errors import Problem
 
@@ -71,7 +71,7 @@ def load(path: Path) -> Model:
         raise Problem(f"{path.name}: expected one subclass of Model, got {names}")
     if not models[0].name:
         models[0].name = path.stem
-    return sealed(models[0]())
+    return read_only(models[0]())
 
 
 def _read(path: Path) -> ast.Module:

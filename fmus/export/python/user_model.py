@@ -11,8 +11,8 @@
             return LagOutputs(y=x.y)
 
 The groups are frozen dataclasses with fields `Annotated[float, Quantity(unit, text)]`; the default of a field
-is the start value. `some` selects fields of another group. `examples/my_subsystem` is an example. An instance
-runs a `UserModel`: the model with its FMI interface, and with checks of all that its methods return.
+is the start value. `subgroup` selects fields of another group. `examples/my_subsystem` is an example. An
+instance runs a `UserModel`: the model with its FMI interface, and with checks of all that its methods return.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Nothing:
     """The group without variables."""
 
 
-def some(name: str, group: type[Any], *variables: str) -> type[Any]:
+def subgroup(name: str, group: type[Any], *variables: str) -> type[Any]:
     """A group of some variables of another one, such as outputs of the component that the model replaces."""
     declared = quantities(group)
     for variable in variables:
@@ -73,7 +73,7 @@ class Model:
     inner_step: ClassVar[float] = math.inf
 
     def initial(self, x: Any, u: Any, p: Any) -> Mapping[str, float]:
-        """Initial values of the states that are not their start values; x: start values."""
+        """Initial values of states that are computed from start values x, inputs and parameters."""
         return {}
 
     def step(self, x: Any, u: Any, p: Any, t: float, h: float) -> Any:
@@ -89,7 +89,7 @@ class Model:
         return {}
 
     def __setattr__(self, name: str, value: object) -> None:
-        if "_sealed" in self.__dict__:
+        if "_read_only" in self.__dict__:
             raise Problem(
                 f"{_caller()}self.{name} = ... stores a value outside State, so saved states do not "
                 "contain it: declare it in State and return it from step()"
@@ -106,12 +106,12 @@ def _caller() -> str:
     return f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}: "
 
 
-def sealed(model: Model) -> Model:
-    """The model, after its attributes were made read-only, and the elements of its arrays."""
+def read_only(model: Model) -> Model:
+    """The model with read-only attributes and arrays."""
     for value in vars(model).values():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
-    object.__setattr__(model, "_sealed", True)
+    object.__setattr__(model, "_read_only", True)
     return model
 
 

@@ -64,11 +64,11 @@ static void log_error(const Instance *self, const char *text) {
 
 /* Logs messages. Each is a digit (the status), the category and the text, both with a terminating zero. */
 static void log_messages(const Instance *self, const Blob *messages) {
-    const char *at = messages->bytes, *end = at + messages->size;
-    while (at < end && self->logger) {
-        const char *category = at + 1, *text = category + strlen(category) + 1;
-        self->logger(self->environment, self->name, (fmi2Status)(*at - '0'), category, text);
-        at = text + strlen(text) + 1;
+    const char *position = messages->bytes, *end = position + messages->size;
+    while (position < end && self->logger) {
+        const char *category = position + 1, *text = category + strlen(category) + 1;
+        self->logger(self->environment, self->name, (fmi2Status)(*position - '0'), category, text);
+        position = text + strlen(text) + 1;
     }
 }
 
@@ -76,14 +76,14 @@ static void log_messages(const Instance *self, const Blob *messages) {
 static fmi2Status call_locked(PyObject *function, const Bytes arguments[], size_t n, Blob **messages,
                               Blob **value, PyObject **object) {
     PyObject *tuple = tuple_of(arguments, n);
-    PyObject *answer = tuple ? py.PyObject_CallObject(function, tuple) : NULL;
-    PyObject *code = answer ? py.PyTuple_GetItem(answer, 0) : NULL;
-    const fmi2Status status = code ? (fmi2Status)py.PyLong_AsLong(code) : fmi2Error;
-    if (answer) *messages = item(answer, 1);
-    if (answer && value) *value = item(answer, 2);
-    if (answer && object && (*object = py.PyTuple_GetItem(answer, 2))) py.Py_IncRef(*object);
+    PyObject *result = tuple ? py.PyObject_CallObject(function, tuple) : NULL;
+    PyObject *status_object = result ? py.PyTuple_GetItem(result, 0) : NULL;
+    const fmi2Status status = status_object ? (fmi2Status)py.PyLong_AsLong(status_object) : fmi2Error;
+    if (result) *messages = item(result, 1);
+    if (result && value) *value = item(result, 2);
+    if (result && object && (*object = py.PyTuple_GetItem(result, 2))) py.Py_IncRef(*object);
     if (tuple) py.Py_DecRef(tuple);
-    if (answer) py.Py_DecRef(answer);
+    if (result) py.Py_DecRef(result);
     return status;
 }
 
@@ -148,10 +148,10 @@ static PyObject *start_function(void) {
     PyObject *module = py.PyImport_AddModule("_fmu_start");
     PyObject *names = module ? py.PyModule_GetDict(module) : NULL;
     PyObject *code = names ? py.Py_CompileString(START, "fmu_start.py", 257 /* a file */) : NULL;
-    PyObject *done = code ? py.PyEval_EvalCode(code, names, names) : NULL;
+    PyObject *result = code ? py.PyEval_EvalCode(code, names, names) : NULL;
     if (code) py.Py_DecRef(code);
-    if (done) py.Py_DecRef(done);
-    return done ? py.PyDict_GetItemString(names, "start") : NULL;
+    if (result) py.Py_DecRef(result);
+    return result ? py.PyDict_GetItemString(names, "start") : NULL;
 }
 
 static void start_slave(Instance *self, const Bytes arguments[], size_t n) {
