@@ -60,7 +60,7 @@ def join(
     numbers   parameter and start values by component; default: those of the subsystems
     """
     numbers = numbers or {name: values(sub) for name, sub in subsystems.items()}
-    constant = {f"{n}.{v}": value for n, own in numbers.items() for v, value in own.u.items()}
+    constant = {f"{n}.{v}": value for n, group in numbers.items() for v, value in group.u.items()}
     coupled = couple(subsystems, connections, inputs, constant)
     return Monolith(
         states=coupled.states,

@@ -3,8 +3,8 @@
 import pytest
 
 from fmus.contract import quantities
-from fmus.machine.build import numbered_parts
-from fmus.machine.one_block import whole
+from fmus.machine.build import parts_with_parameters
+from fmus.machine.one_block import composed_machine
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import parameter_sets
@@ -26,7 +26,7 @@ MASS = '[parameters.head_mass]\nvalue = 400.0\nunit = "kg"\nsource = "identified
 def machine(tmp_path):
     """All parts with a set of three numbers."""
     (tmp_path / "set.toml").write_text(VALVE + PRELOAD + MASS, encoding="utf-8")
-    usual, others = numbered_parts(tmp_path / "set.toml")
+    usual, others = parts_with_parameters(tmp_path / "set.toml")
     return {**usual, **{sub.name: sub for sub in others}}
 
 
@@ -65,7 +65,7 @@ def test_what_the_set_leaves_out_stays(machine):
 
 def test_the_whole_and_the_poses_follow(machine):
     """The one block and the poses of the system are of the same machine as the parts."""
-    block = values(whole({name: machine[name] for name in SUBSYSTEMS})).p
+    block = values(composed_machine({name: machine[name] for name in SUBSYSTEMS})).p
     assert (block["valve_area"], block["swing_initial_preload"], block["head_mass"]) == (4.1e-5, 1.2e6, 400.0)
     pose = parameter_sets(machine["manipulator"])[NOMINAL]
     assert pose == pose_set(POSES[NOMINAL], machine["manipulator"])
@@ -102,7 +102,7 @@ def test_a_mistake_is_told_in_one_line(text, told, tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     (tmp_path / "set.toml").write_text(text, encoding="utf-8")
     with pytest.raises(Problem):
-        numbered_parts(tmp_path / "set.toml")
+        parts_with_parameters(tmp_path / "set.toml")
     assert main(["build", "--parameters", "set.toml"]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"harvester: set.toml: {told}")

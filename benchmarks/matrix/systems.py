@@ -15,12 +15,12 @@ from benchmarks.matrix.cells import percent, remark, two
 from benchmarks.matrix.present import PARTS, Master, Tool
 from benchmarks.matrix.running import Outcome, Rows, carried_out
 from fmus.machine.build import data
-from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES, Wires
+from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, SUPPLY_WIRES, Connections
 
 STEP, CYCLE = 1e-3, 42.0  # s
 WIRES = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES
 RATES = ("_rate", "_acceleration")
-OPEN_WIRES: Wires = tuple(wire for wire in WIRES if not wire[1].endswith(RATES))
+OPEN_WIRES: Connections = tuple(wire for wire in WIRES if not wire[1].endswith(RATES))
 JOINTS = ("swing", "boom", "stick")
 SIGNALS = (
     *(f"manipulator.{j}_{kind}" for kind in ("speed", "angle") for j in JOINTS),

@@ -131,7 +131,7 @@ class DriveOutputs(Group):
 class BoomStickOutputs(BoomStickState, boom=DriveOutputs, stick=DriveOutputs):
     """States, forces (to the mechanics), flows (to the supply), and energies of both drives."""
 
-    supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply line", 1e-3)
+    supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return line", 1e-3)
     stored_energy: Scalar = Quantity("J", "Energy of oil compression and of the moving oil columns", 1e3)
     dissipated_power: Scalar = Quantity("W", "Power dissipated by metering edges and hoses", 1e4)

@@ -294,7 +294,7 @@ def rates(line: Line, x: LineState, inlet: Scalar, outlet: Scalar) -> LineState:
         chamber.pressure_rate(p, q_in - q_out, _capacitance(line, p) / n, 1 / n)
         for p, (q_in, q_out) in zip(x.pressures, pairwise(x.flows), strict=True)
     )
-    layers = tuple(layer_rates(line, q, own) for q, own in zip(x.flows, x.layers, strict=False))
+    layers = tuple(layer_rates(line, q, q_i) for q, q_i in zip(x.flows, x.layers, strict=False))
     return LineState(flows, pressures, layers)
 
 
@@ -311,7 +311,7 @@ def stored_energy(line: Line, x: LineState) -> Scalar:
         for p in x.pressures
     )
     kinetic = sum(w * q**2 for w, q in zip(length_fractions(n), x.flows, strict=True))
-    layers = sum(w * layer_energy(line, own) for w, own in zip(length_fractions(n), x.layers, strict=False))
+    layers = sum(w * layer_energy(line, q_i) for w, q_i in zip(length_fractions(n), x.layers, strict=False))
     return elastic / n + line.inertance * kinetic / 2 + layers
 
 

@@ -1,8 +1,6 @@
-"""Swing drive, boom and stick drives and manipulator joined: commands in, motion out.
+"""The machine (swing drive, boom and stick drives, manipulator) as one subsystem and one FMU, `harvester`.
 
-Nothing is declared here but what a user of the one block sees otherwise than a user of the parts.
-
-The whole machine as one block.
+Inputs are the commands and the supply. Only differences from the declarations of the parts are listed here.
 """
 
 from __future__ import annotations
@@ -15,14 +13,14 @@ from fmus.composition import compose
 from fmus.contract import Subsystem
 from fmus.machine.parts import CONNECTIONS, HOLDING, INPUTS, RATES, SUBSYSTEMS
 
-# wires inside the block; accelerations stay, somebody may have measured them
+# signals of internal connections; accelerations stay visible, because they can be measured
 HIDDEN = tuple(source for source, _ in RATES + HOLDING if not source.endswith("acceleration"))
 
 TEXTS = {
-    "supply_flow": "Flow taken from the supply line by all three drives",
-    "return_flow": "Flow given to the return line by all three drives, with the case drain",
-    "stored_energy": "Energy of compression and of the moving oil columns of all three drives",
-    "dissipated_power": "Heat of metering edges, hoses, lines and leakage, and of joint and piston friction",
+    "supply_flow": "Flow from the supply line into all three drives",
+    "return_flow": "Flow into the return line from all three drives, with the case drain",
+    "stored_energy": "Energy of oil compression and of the moving oil columns of all three drives",
+    "dissipated_power": "Power dissipated by edges, hoses, lines, leakage, friction of joints and pistons",
     "swing_acceleration": "Acceleration of the swing column",
     "boom_acceleration": "Acceleration of the boom piston",
     "stick_acceleration": "Acceleration of the stick piston",
@@ -30,8 +28,8 @@ TEXTS = {
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power")
 
 
-def whole(parts: Mapping[str, Subsystem]) -> Subsystem:
-    """The machine of swing, boom_stick and manipulator, with their numbers."""
+def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
+    """The machine composed of swing, boom_stick and manipulator, with their parameter values."""
     return compose(
         name="harvester",
         text="Forestry harvester: swing, boom and stick drives and the manipulator as one block",
@@ -46,6 +44,6 @@ def whole(parts: Mapping[str, Subsystem]) -> Subsystem:
     )
 
 
-HARVESTER = whole(SUBSYSTEMS)
+HARVESTER = composed_machine(SUBSYSTEMS)
 
-__all__ = ["HARVESTER", "whole"]
+__all__ = ["HARVESTER", "composed_machine"]

@@ -1,4 +1,4 @@
-"""The machine: which subsystems there are and how they are wired."""
+"""Structure of the machine: subsystems, their variants, and their connections."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from fmus.supply import SUPPLY
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
 
-# all there is of each part, the usual variant first
+# variants of each part, the default one first
 FAMILIES: Mapping[str, Mapping[str, Subsystem]] = {
     "swing": swing.VARIANTS,
     "boom_stick": boom_stick.VARIANTS,
     "manipulator": manipulator.VARIANTS,
     "supply": supply.VARIANTS,
 }
-# the machine; and what is built: the machine, its supply and its operator
+# default variants: of the machine, and of the machine with supply and operator
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
 ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, OPERATOR.name: OPERATOR}
-Wires: TypeAlias = tuple[tuple[str, str], ...]
+Connections: TypeAlias = tuple[tuple[str, str], ...]
 
-# power ports: what flows over each port and back
-SIGNALS: Wires = (
+# power ports: both signals of each port
+SIGNALS: Connections = (
     ("swing.swing_torque", "manipulator.swing_torque"),
     ("manipulator.swing_speed", "swing.swing_speed"),
     ("boom_stick.boom_force", "manipulator.boom_force"),
@@ -39,8 +39,8 @@ SIGNALS: Wires = (
     ("manipulator.stick_velocity", "boom_stick.stick_velocity"),
 )
 
-# rate ports: the exact time derivatives of those signals, optional
-RATES: Wires = (
+# rate ports: exact time derivatives of these signals, optional
+RATES: Connections = (
     ("swing.swing_torque_rate", "manipulator.swing_torque_rate"),
     ("manipulator.swing_acceleration", "swing.swing_acceleration"),
     ("boom_stick.boom_force_rate", "manipulator.boom_force_rate"),
@@ -49,23 +49,23 @@ RATES: Wires = (
     ("manipulator.stick_acceleration", "boom_stick.stick_acceleration"),
 )
 
-# used only to initialise: pressures that hold the pose
-HOLDING: Wires = (
+# only for initialisation: holding forces of the pose, from which the initial pressures follow
+HOLDING: Connections = (
     ("manipulator.boom_holding_force", "boom_stick.boom_holding_force"),
     ("manipulator.stick_holding_force", "boom_stick.stick_holding_force"),
 )
 
 CONNECTIONS = SIGNALS + RATES + HOLDING
 
-# from the operator, each with its rate
-COMMAND_WIRES: Wires = tuple(
+# commands of the operator and their rates
+COMMAND_WIRES: Connections = tuple(
     (f"operator_input.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
     for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
     for suffix in ("", "_rate")
 )
 
-# from the controller, where it stands in the place of the operator; and what it measures
-CONTROL_WIRES: Wires = (
+# commands of the controller, which replaces the operator, and its measured signals
+CONTROL_WIRES: Connections = (
     *((source.replace(OPERATOR.name, CONTROLLER.name), target) for source, target in COMMAND_WIRES),
     *(
         (f"manipulator.{axis}_{kind}", f"controller.{axis}_{kind}")
@@ -81,9 +81,9 @@ CONTROL_WIRES: Wires = (
     *((f"supply.{line}_pressure", f"controller.{line}_pressure") for line in ("supply", "tank")),
 )
 
-# from and to the supply; without them the drives see an ideal source
+# between supply and drives; without them the drives have constant pressures
 DRIVES = ("swing", "boom_stick")
-SUPPLY_WIRES: Wires = (
+SUPPLY_WIRES: Connections = (
     *(
         (f"supply.{v}", f"{d}.{v}")
         for d in DRIVES
@@ -92,7 +92,7 @@ SUPPLY_WIRES: Wires = (
     *((f"{d}.{v}", f"supply.{v}_{d}") for d in DRIVES for v in ("supply_flow", "return_flow")),
 )
 
-# inputs of the machine without operator and the component inputs they feed
+# external inputs of the machine without operator -> component inputs
 INPUTS: Mapping[str, tuple[str, ...]] = {
     **{end.split(".")[1]: (end,) for _, end in COMMAND_WIRES},
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),
@@ -102,23 +102,24 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
 
 
 def parts(**variants: str) -> dict[str, Subsystem]:
-    """The parts of the machine by name: the usual ones, or of a part named here the variant of that name.
+    """Parts of the machine by name, in their default variants except for the variants in the arguments.
 
-    parts(boom_stick="detailed", supply="engine_pump"); the supply is among them only if it is named.
+    Example: parts(boom_stick="detailed", supply="engine_pump"). The supply is included only if it is an
+    argument.
     """
     for part, variant in variants.items():
-        known = FAMILIES.get(part)
-        if known is None or variant not in known:
+        family = FAMILIES.get(part)
+        if family is None or variant not in family:
             expected = (
-                f"a variant of {part}: {', '.join(known)}" if known else f"a part: {', '.join(FAMILIES)}"
+                f"a variant of {part}: {', '.join(family)}" if family else f"a part: {', '.join(FAMILIES)}"
             )
             raise Problem(f"{part}={variant}: expected {expected}")
     return {**SUBSYSTEMS} | {part: FAMILIES[part][variant] for part, variant in variants.items()}
 
 
-def wiring(chosen: Mapping[str, Subsystem]) -> tuple[Wires, Mapping[str, tuple[str, ...]]]:
-    """Connections and inputs of a machine of these parts; the supply, if there, stands for its inputs."""
+def wiring(chosen: Mapping[str, Subsystem]) -> tuple[Connections, Mapping[str, tuple[str, ...]]]:
+    """Connections and external inputs of a machine of these parts, with or without supply."""
     if SUPPLY.name not in chosen:
         return CONNECTIONS, INPUTS
-    fed = {target for _, target in SUPPLY_WIRES}
-    return CONNECTIONS + SUPPLY_WIRES, {n: ends for n, ends in INPUTS.items() if not fed & set(ends)}
+    supplied = {target for _, target in SUPPLY_WIRES}
+    return CONNECTIONS + SUPPLY_WIRES, {n: ends for n, ends in INPUTS.items() if not supplied & set(ends)}

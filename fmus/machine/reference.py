@@ -1,22 +1,23 @@
-"""Reference results: the work cycle of the machine, and one experiment for each FMU, which carries it as its
-proof.
+"""Reference results: the work cycle of the machine, and one reference experiment for each FMU (FMI-LS-REF).
 
     python -m fmus.machine.reference DATA_FOLDER
 
-writes scenario and trace of the work cycle, the program of the operator, and the experiments. It is to be run
-whenever equations or numbers have changed.
+writes scenario and trace of the work cycle, the program of the operator, and the experiments. Run it after
+every change of equations or parameter values.
 
-The trace comes from the monolithic model (`fmus.monolith`), which shares no coupling and no solver with FMUs.
-Its meta file, `data/reference/work_cycle.toml`, is written by hand and says why the trace changed last.
+The trace is calculated with the monolithic model (`fmus.monolith`), which has neither coupling nor solver in
+common with the FMUs. Its meta file, `data/reference/work_cycle.toml`, is written by hand and contains the
+reason of the last change of the trace.
 
-An experiment takes its inputs from the machine at work and its result from the equations of the subsystem
-alone. At each communication point the inputs are set; within a step input i moves as the FMU moves it,
+Inputs of an experiment are signals of the machine in operation. Its result is calculated with the equations
+of the subsystem alone. Inputs are set at each communication point. Within a step input i is extrapolated as
+in the FMU,
 
-    u_i(tau) = u_i + r_i tau + s_i tau^2 / 2 + ...      r, s: the inputs that carry its derivatives, as set
+    u_i(tau) = u_i + r_i tau + s_i tau^2 / 2 + ...      r, s: the rate inputs of u_i, as set
 
 (docs/design.md, "Inputs inside a step"), and CVODES solves dx/dt = f(x, u(tau), p) from step to step. So a
-tool that sets the inputs at the communication points and holds them reproduces the result, whatever the step
-does to the accuracy of a coupling.
+tool that sets the inputs at the communication points and holds them reproduces the result for any coupling
+accuracy.
 """
 
 from __future__ import annotations
@@ -54,85 +55,90 @@ from fmus.parameters import Values, values, write
 from orchestrator.base.files import write_columns
 
 Array = NDArray[np.float64]
-STOP = 8.0  # s: each lever moved both ways, or nearly
-EXPERIMENT_EVERY = 4  # steps between two rows of the result
+STOP = 8.0  # s, with strokes of each lever
+EXPERIMENT_EVERY = 4  # communication steps between two rows of the result
 EXPERIMENT_TOLERANCE = 1e-11  # relative, and absolute times the nominal value
 INPUT_DIGITS, RESULT_DIGITS = 10, 9
-REST = 1e-6  # of the nominal value: a signal that moves less is at rest
+CONSTANT = 1e-6  # range over nominal value below which a signal counts as constant
 
 
-def machine() -> dict[str, Array]:
-    """`component.variable` -> samples (n,) every STEP from 0 to STOP: all signals of the machine at work."""
+def machine_signals() -> dict[str, Array]:
+    """Signals of the machine in operation, `component.variable` -> samples (n,), every STEP up to STOP."""
     count = round(STOP / STEP)
-    time = np.arange(2 * count + 1) * STEP / 2  # corners of the strokes lie on this grid, too
+    time = np.arange(2 * count + 1) * STEP / 2  # half steps, so that all corners of the strokes are samples
     commanded = symbolic(OPERATOR).function().map(time.size)
     p = np.tile(list(values(OPERATOR).p.values()), (time.size, 1)).T
     commands = np.asarray(commanded(time[None, :], ca.DM(0, time.size), p)[1])
-    known = {
+    recorded = {
         f"operator_input.{n}": row for n, row in zip(quantities(OPERATOR.outputs), commands, strict=True)
     }
-    known["operator_input.clock"] = time
+    recorded["operator_input.clock"] = time
     model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
-    sources = {end: known[source] for source, end in COMMAND_WIRES}
+    sources = {end: recorded[source] for source, end in COMMAND_WIRES}
     constant = dict(zip(model.inputs, model.u, strict=True))
     driven = {n: sources.get(ends[0], np.full(time.size, constant[n])) for n, ends in INPUTS.items()}
     _, outputs = simulate(model, time, np.column_stack(list(driven.values())), tolerance=EXPERIMENT_TOLERANCE)
-    known |= dict(zip(model.output_names, outputs.T, strict=True))
-    known |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
+    recorded |= dict(zip(model.output_names, outputs.T, strict=True))
+    recorded |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
     wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
-    known |= {target: known[source] for source, target in wires if source in known}
-    known |= {f"controller.{n}": samples for n, samples in experiment_inputs(time).items()}
-    known |= {f"controller.{n}_lever": known[f"operator_input.{n}_command"] for n in AXES}
-    return {name: samples[::2] for name, samples in (known | driven).items()}
+    recorded |= {target: recorded[source] for source, target in wires if source in recorded}
+    recorded |= {f"controller.{n}": samples for n, samples in experiment_inputs(time).items()}
+    recorded |= {f"controller.{n}_lever": recorded[f"operator_input.{n}_command"] for n in AXES}
+    return {name: samples[::2] for name, samples in (recorded | driven).items()}
 
 
-def stimuli(sub: Subsystem, known: Mapping[str, Array]) -> dict[str, Array]:
-    """Inputs that move and matter -> samples (n,), rounded to the digits of the file."""
+def stimuli(sub: Subsystem, recorded: Mapping[str, Array]) -> dict[str, Array]:
+    """Inputs that vary and affect the subsystem -> samples (n,), rounded to the digits of the file."""
     model, declared = symbolic(sub), quantities(sub.inputs)
     equations, rates = column(model.dx, model.y), {q.rate for q in declared.values()}
-    found = {}
+    inputs = {}
     for i, name in enumerate(declared):
-        samples = known.get(f"{sub.component}.{name}", known.get(name))
-        used = name in rates or ca.depends_on(equations, model.u[i])  # else it only initialises
+        samples = recorded.get(f"{sub.component}.{name}", recorded.get(name))
+        used = name in rates or ca.depends_on(equations, model.u[i])  # otherwise only for initialisation
         if used and samples is not None and np.ptp(samples) > 0:
-            found[name] = np.array([float(f"{x:.{INPUT_DIGITS}g}") for x in samples])
-    return found
+            inputs[name] = np.array([float(f"{x:.{INPUT_DIGITS}g}") for x in samples])
+    return inputs
 
 
-def start_values(sub: Subsystem, moving: Mapping[str, Array]) -> Values:
-    """The numbers of the experiment: those of the subsystem, inputs as the machine starts."""
+def start_values(sub: Subsystem, inputs: Mapping[str, Array]) -> Values:
+    """Values of the experiment: those of the subsystem, with the first samples of the inputs."""
     v = values(sub)
-    return Values(v.p, {n: float(moving[n][0]) if n in moving else u for n, u in v.u.items()}, v.x)
+    return Values(v.p, {n: float(inputs[n][0]) if n in inputs else u for n, u in v.u.items()}, v.x)
 
 
-# ---- the solution
+# ---- result of an experiment
 
 
-def solve(sub: Subsystem, v: Values, moving: Mapping[str, Array], count: int) -> dict[str, Array]:
-    """Outputs -> samples (count + 1,): at the end of each step, the inputs as they have moved by then."""
+def solve(sub: Subsystem, v: Values, inputs: Mapping[str, Array], count: int) -> dict[str, Array]:
+    """Outputs -> samples (count + 1,) at the end of each step, with the extrapolated inputs."""
     model = symbolic(sub)
     nominal = np.array([q.nominal for q in quantities(sub.states).values()])
     tau, z = ca.SX.sym("tau"), ca.SX.sym("z", nominal.size)
-    at = _moved(sub, model.u, tau)
+    extrapolated = _extrapolated(sub, model.u, tau)
     f, g = model.function(), model.initial()
-    ode = {"x": z, "t": tau, "p": column(model.u, model.p), "ode": f(z * nominal, at, model.p)[0] / nominal}
+    ode = {
+        "x": z,
+        "t": tau,
+        "p": column(model.u, model.p),
+        "ode": f(z * nominal, extrapolated, model.p)[0] / nominal,
+    }
     options = {"reltol": EXPERIMENT_TOLERANCE, "abstol": EXPERIMENT_TOLERANCE, "max_num_steps": 1_000_000}
     step = ca.integrator("step", "cvodes", ode, 0.0, STEP, options)
     end = ca.Function(
-        "end", [model.x, model.u, model.p], [f(model.x, ca.substitute(at, tau, STEP), model.p)[1]]
+        "end", [model.x, model.u, model.p], [f(model.x, ca.substitute(extrapolated, tau, STEP), model.p)[1]]
     )
-    inputs = [[float(moving[n][k]) if n in moving else u for n, u in v.u.items()] for k in range(count + 1)]
+    samples = [[float(inputs[n][k]) if n in inputs else u for n, u in v.u.items()] for k in range(count + 1)]
     p = list(v.p.values())
-    x = g(list(v.x.values()), inputs[0], p).full()[:, 0]
-    rows = [f(x, inputs[0], p)[1].full()[:, 0]]
-    for u in inputs[:-1]:
+    x = g(list(v.x.values()), samples[0], p).full()[:, 0]
+    rows = [f(x, samples[0], p)[1].full()[:, 0]]
+    for u in samples[:-1]:
         x = step(x0=x / nominal, p=[*u, *p])["xf"].full()[:, 0] * nominal
         rows.append(end(x, u, p).full()[:, 0])
     return dict(zip(quantities(sub.outputs), np.array(rows).T, strict=True))
 
 
-def _moved(sub: Subsystem, u: ca.SX, tau: ca.SX) -> Any:
-    """The inputs at tau, each moved by the inputs that carry its derivatives."""
+def _extrapolated(sub: Subsystem, u: ca.SX, tau: ca.SX) -> Any:
+    """Inputs at tau, each extrapolated by its rate inputs."""
     declared = quantities(sub.inputs)
     names = list(declared)
     terms = []
@@ -146,62 +152,64 @@ def _moved(sub: Subsystem, u: ca.SX, tau: ca.SX) -> Any:
     return column(*terms)
 
 
-def signals(sub: Subsystem, moving: Mapping[str, Array], found: Mapping[str, Array]) -> list[str]:
-    """What is compared: outputs that move and that do not jump when the next inputs are set.
+def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mapping[str, Array]) -> list[str]:
+    """Outputs of the result: those that vary and do not jump when the next inputs are set.
 
-    Inputs without a rate jump at each communication point. Watched outputs are warnings, not signals.
+    Inputs without a rate jump at each communication point. Outputs with warnings are excluded.
     """
     model, outputs = symbolic(sub), quantities(sub.outputs)
     jumping = [
-        model.u[i] for i, (n, q) in enumerate(quantities(sub.inputs).items()) if n in moving and not q.rate
+        model.u[i] for i, (n, q) in enumerate(quantities(sub.inputs).items()) if n in inputs and not q.rate
     ]
     return [
         name
         for i, (name, q) in enumerate(outputs.items())
         if q.warn_above is None
-        and np.ptp(found[name]) > REST * q.nominal
+        and np.ptp(result[name]) > CONSTANT * q.nominal
         and not ca.depends_on(model.y[i], column(*jumping))
     ]
 
 
 def write_experiments() -> None:
-    """Write the experiments of all variants, of the operator and of the whole."""
-    known = machine()
+    """Write the experiments of all variants, operator, controller and composed machine."""
+    recorded = machine_signals()
     for sub in (
         *(v for variants in FAMILIES.values() for v in variants.values()),
         OPERATOR,
         CONTROLLER,
         HARVESTER,
     ):
-        write_reference(sub, known)
+        write_reference(sub, recorded)
 
 
-def write_reference(sub: Subsystem, known: Mapping[str, Array]) -> None:
-    """Write the files of the experiment beside the subsystem; its variants have the inputs in common."""
-    moving = stimuli(sub, known)
+def write_reference(sub: Subsystem, recorded: Mapping[str, Array]) -> None:
+    """Write the files of the experiment to the folder of the subsystem; its variants share the inputs."""
+    inputs = stimuli(sub, recorded)
     count = round(STOP / STEP)
     time = np.arange(count + 1) * STEP
-    if moving and sub.name == sub.component:
-        rows = np.column_stack([time, *moving.values()])
-        write_columns(data_file(sub, "input.csv"), ("time", *moving), rows, INPUT_DIGITS)
+    if inputs and sub.name == sub.component:
+        rows = np.column_stack([time, *inputs.values()])
+        write_columns(data_file(sub, "input.csv"), ("time", *inputs), rows, INPUT_DIGITS)
     if not quantities(sub.states):
-        return  # outputs that follow the inputs at once: nothing to solve, nothing to prove
-    v = start_values(sub, moving)
-    found = solve(sub, v, moving, count)
-    shown = signals(sub, moving, found)
-    rows = np.column_stack([time, *(found[n] for n in shown)])[::EXPERIMENT_EVERY]
-    write_columns(data_file(sub, "result.csv"), ("time", *shown), rows, RESULT_DIGITS)
-    face = interface_of(sub, v)
+        return  # outputs are algebraic functions of the inputs, so there is nothing to solve
+    v = start_values(sub, inputs)
+    result = solve(sub, v, inputs, count)
+    compared = compared_outputs(sub, inputs, result)
+    rows = np.column_stack([time, *(result[n] for n in compared)])[::EXPERIMENT_EVERY]
+    write_columns(data_file(sub, "result.csv"), ("time", *compared), rows, RESULT_DIGITS)
+    interface = interface_of(sub, v)
     settable = {
-        x.name: x.start for x in (*face.parameters, *face.inputs, *face.states) if x.start is not None
+        x.name: x.start
+        for x in (*interface.parameters, *interface.inputs, *interface.states)
+        if x.start is not None
     }
     data_file(sub, "parameters.ssv").write_bytes(reference_parameters(sub, settable))
 
 
 # ---- the work cycle
 
-TOLERANCE = 1e-11  # relative, of CVODES
-EVERY = 4  # the trace keeps every 4th sample: 50 Hz, above twice the fastest structural mode (17 Hz)
+TOLERANCE = 1e-11  # relative tolerance of CVODES
+EVERY = 4  # samples per row of the trace: 50 Hz, above twice the fastest structural mode (17 Hz)
 SIGNALS = (
     *("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"),
     *(f"manipulator.{joint}_{kind}" for kind in ("angle", "speed") for joint in ("swing", "boom", "stick")),
@@ -224,7 +232,7 @@ SIGNALS = (
 
 
 def work_cycle() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Time (n,) and commands (n, 3) of the work cycle, rounded so that ten digits hold them."""
+    """Time (n,) and commands (n, 3) of the work cycle, rounded to fit into ten digits."""
     time, commands = sample(WORK_CYCLE, WORK_CYCLE_STOP)
     return time, np.round(commands, 9)
 
@@ -239,24 +247,24 @@ def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     driven = {
         target: inputs[:, model.inputs.index(name)] for name, targets in INPUTS.items() for target in targets
     }
-    known = driven | dict(zip(model.output_names, outputs.T, strict=True))
-    return time, np.column_stack([known[name] for name in SIGNALS])
+    recorded = driven | dict(zip(model.output_names, outputs.T, strict=True))
+    return time, np.column_stack([recorded[name] for name in SIGNALS])
 
 
 def main(folder: Path) -> None:
-    """Write scenario and trace below `folder`; the operator's program and experiments beside the models."""
+    """Write scenario and trace to `folder`; operator's program and experiments to the models' folders."""
     write(OPERATOR.folder / "parameters.toml", program_numbers())
     time, commands = work_cycle()
     write_columns(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10
     )
     time, signals = trace()
-    kept = np.column_stack([time, signals])[::EVERY]
-    write_columns(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), kept, 9)
+    rows = np.column_stack([time, signals])[::EVERY]
+    write_columns(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), rows, 9)
     write_experiments()
 
 
 if __name__ == "__main__":
     if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
-        sys.exit("expected one argument, the folder data: python -m fmus.machine.reference data")
+        sys.exit("python -m fmus.machine.reference: expected one argument, the folder data")
     main(Path(sys.argv[1]))

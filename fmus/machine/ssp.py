@@ -1,7 +1,7 @@
-"""The systems of the machine as SSPs, with poses and programs as parameter sets.
+"""Systems of the machine as SSP files, with poses and programs as parameter sets.
 
-harvester.ssp           the machine, its supply and its operator
-harvester_control.ssp   the controller in the place of the operator; its sets are poses and starts of paths
+harvester.ssp           machine, supply and operator; parameter sets: poses, programs
+harvester_control.ssp   machine, supply and controller; parameter sets: poses, starts of paths
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.write import write_ssp
 
 NAME, CONTROL = "harvester", "harvester_control"
-VIEW = Path(__file__).parent / NAME / "view.toml"  # what `harvester view` shows and drives
+VIEW = Path(__file__).parent / NAME / "view.toml"  # displays and controls of `harvester view`
 CONTROL_STOP = 20.0  # s
-# some tools initialise in the order of the file: holding forces and supply pressure come first
+# some tools initialise in the order of the file, so sources of holding forces and supply pressure are first
 ORDER = ("manipulator", "supply", "boom_stick", "swing")
 
 
@@ -31,9 +31,9 @@ def write_system(
 ) -> Path:
     """Write harvester.ssp to `folder` from the .fmu files by component; `step` is the communication step [s].
 
-    manipulator   with the numbers that the poses are for
+    manipulator   manipulator for which the poses are calculated
 
-    Without inputs of the system, which Ecos and libcosim refuse and FMPy passes on a step late.
+    The system has no inputs: Ecos and libcosim reject them, and FMPy delays them by one step.
     """
     wires, files = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, OPERATOR.name)}
     return write_ssp(
@@ -53,7 +53,7 @@ def write_control(
     manipulator: Subsystem = MANIPULATOR,
     boom_stick: Subsystem = BOOM_STICK,
 ) -> Path:
-    """Write harvester_control.ssp, as `write_system`; it stands still until the controller is driven."""
+    """Write harvester_control.ssp like `write_system`; the machine is at rest without inputs."""
     wires, files = CONNECTIONS + CONTROL_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, "controller")}
     poses = controlled_poses(manipulator).items()
     return write_ssp(
@@ -67,7 +67,7 @@ def write_control(
 
 
 def parameter_sets(manipulator: Subsystem = MANIPULATOR) -> dict[str, dict[str, float]]:
-    """Poses and programs of the operator by name, each with its values by "component.variable"."""
+    """Parameter sets by name, values by "component.variable": poses, and programs of the operator."""
     sets = {name: pose_set(pose, manipulator) for name, pose in POSES.items()}
     for name, moves in PROGRAMS.items():
         sets[name] = {f"{OPERATOR.name}.{p}": value for p, value in program(moves).items()}

@@ -1,7 +1,7 @@
-"""What the commands `harvester variants` and `harvester parameters` print.
+"""Tables of `harvester variants` and `harvester parameters`.
 
-Variants: which fidelity there is of each part, its range of validity, its cost. Parameters: value, unit and
-source of each number of the model.
+Variants: size, range of validity and cost of each variant of each part. Parameters: value, unit and source of
+each parameter and start value.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from fmus.parameters import SOURCES, Number, complete
 from orchestrator.base.errors import Problem
 
 Costs = Mapping[tuple[str, str], float]  # (part, variant) -> time per step [us]
-LEAST = 0.1  # us: a lower cost is that of the call
-LEGEND = "\n".join(f"{word:<11} {meaning}" for word, meaning in SOURCES.items())
+CALL_COST = 0.1  # us: cost of the call itself; ratios to a lower cost are not printed
+LEGEND = "\n".join(f"{source:<11} {meaning}" for source, meaning in SOURCES.items())
 
 
 def variant_names() -> list[tuple[str, str]]:
-    """(part, variant) of all, the usual variant of each part first."""
+    """(part, variant) of all variants, the default variant of each part first."""
     return [(part, variant) for part, variants in FAMILIES.items() for variant in variants]
 
 
 def variant_lines(costs: Costs) -> Iterator[str]:
-    """The table of variants as text; a variant that is not in `costs` shows none."""
+    """Lines of the table of variants; the cost is empty for a variant that is not in `costs`."""
     head = f"{'states':>8}{'inputs':>8}{'parameters':>12}{'us per 1 ms':>13}{'to the usual':>14}"
     for part, variants in FAMILIES.items():
         usual = next(iter(variants))
@@ -38,45 +38,45 @@ def variant_lines(costs: Costs) -> Iterator[str]:
             sizes = (len(quantities(group)) for group in (sub.states, sub.inputs, sub.parameters))
             counts = "".join(f"{n:>{width}}" for n, width in zip(sizes, (8, 8, 12), strict=True))
             cost, base = costs.get((part, variant)), costs.get((part, usual))
-            shown = "" if cost is None else f"{cost:.2f}"
-            ratio = "" if cost is None or not base or base < LEAST else f"{cost / base:.2f}"
-            yield f"{label:<20}{counts}{shown:>13}{ratio:>14}"
+            cost_text = "" if cost is None else f"{cost:.2f}"
+            ratio = "" if cost is None or not base or base < CALL_COST else f"{cost / base:.2f}"
+            yield f"{label:<20}{counts}{cost_text:>13}{ratio:>14}"
             for text in (sub.text, f"holds: {sub.validity}"):
                 yield _indented(text, 110)
         yield ""
 
 
 def print_parameters(name: str | None = None, source: str | None = None) -> None:
-    """Print the table of one subsystem, or of the machine, or what has one source.
+    """Print the parameters of a subsystem (default: all of the machine), optionally of one source only.
 
-    The operator's program is no number of the machine; it has a table of its own.
+    The program of the operator is not part of the machine; its table is that of `operator_input`.
     """
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
-    known = {**ALL, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
-    if name is not None and name not in known:
-        raise Problem(f"unknown subsystem {name!r}, expected one of {', '.join(known)}")
+    by_name = {**ALL, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
+    if name is not None and name not in by_name:
+        raise Problem(f"unknown subsystem {name!r}, expected one of {', '.join(by_name)}")
     if source is not None and source not in SOURCES:
         raise Problem(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
-    subs = [known[name]] if name else list(SUBSYSTEMS.values())
+    subs = [by_name[name]] if name else list(SUBSYSTEMS.values())
     for table in filter(None, ("\n".join(_parameter_lines(sub, source)) for sub in subs)):
         print(f"{table}\n")
     print(f"{LEGEND}\n\n{_count(subs, source)}")
 
 
 def _parameter_lines(sub: Subsystem, source: str | None) -> Iterator[str]:
-    """The numbers of one subsystem, with its start values; or those of one source."""
-    found = [
+    """Table of parameter and start values of one subsystem, optionally of one source only."""
+    rows = [
         (f"{name} (start)" if section == "start" else name, name, n)
         for section, entries in complete(sub).items()
         for name, n in entries.items()
         if source in (None, n.source)
     ]
-    if not found:
+    if not rows:
         return
     declared = quantities(sub.parameters) | quantities(sub.inputs) | quantities(sub.states)
-    width = max(len(label) for label, _, _ in found)
+    width = max(len(label) for label, _, _ in rows)
     yield f"{sub.name}: {sub.text}"
-    for label, name, n in found:
+    for label, name, n in rows:
         yield f"\n{label:<{width}}  {_value(n):>12} {n.unit:<13} {n.source}"
         yield from (_indented(text, 100) for text in (declared[name].text, n.note))
 
@@ -91,8 +91,8 @@ def _indented(text: str, width: int) -> str:
 
 
 def _count(subs: Iterable[Subsystem], source: str | None) -> str:
-    """How many numbers come from where, start values included: `11 of 90 numbers: paper`."""
-    found = Counter(n.source for sub in subs for entries in complete(sub).values() for n in entries.values())
+    """Numbers of parameter and start values by source, for example `11 of 90 numbers: paper`."""
+    counts = Counter(n.source for sub in subs for entries in complete(sub).values() for n in entries.values())
     if source is not None:
-        return f"{found[source]} of {found.total()} numbers: {source}"
-    return f"{found.total()} numbers: " + ", ".join(f"{found[s]} {s}" for s in SOURCES if found[s])
+        return f"{counts[source]} of {counts.total()} numbers: {source}"
+    return f"{counts.total()} numbers: " + ", ".join(f"{counts[s]} {s}" for s in SOURCES if counts[s])

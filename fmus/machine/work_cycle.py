@@ -1,8 +1,8 @@
-"""Operator commands built from one primitive: a trapezoid with linear ramps.
+"""Work cycle and other programs of the operator, as lists of joystick strokes with linear ramps.
 
-An electronic joystick amplifier ramps its valve current linearly; `Move` is one such stroke of a
-joystick axis. A scenario is a list of moves, sampled at 200 Hz (the paper's rate). All corners lie on the
-sampling grid, so linear interpolation between the samples gives the moves back exactly.
+An electronic joystick amplifier ramps its valve current linearly; `Move` is one stroke of a joystick axis. A
+scenario is a list of moves, sampled at 200 Hz (the rate of the paper). All corners are samples, so linear
+interpolation between the samples is exact.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import quantities
-from fmus.operator_input.model import AXES, OPERATOR, STROKES, WORDS, stroke_name
+from fmus.operator_input.model import AXES, OPERATOR, STROKE_FIELDS, STROKES, stroke_name
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 
-RATE = 200.0  # samples per second, section 4 of the paper
+RATE = 200.0  # Hz, sampling rate in section 4 of the paper
 COMMANDS = ("swing_command", "boom_command", "stick_command")
 
 
@@ -26,7 +26,8 @@ COMMANDS = ("swing_command", "boom_command", "stick_command")
 class Move:
     """One stroke of a joystick axis: from `start` [s] ramp to `command` [V], hold, ramp back to zero.
 
-    rise, hold, fall [s]; a swing needs a long fall, because the valve brakes the arm's inertia.
+    rise, hold, fall: durations [s]. A swing needs a long fall, because the valve brakes the inertia of the
+    arm.
     """
 
     axis: str
@@ -43,12 +44,12 @@ class Move:
 
 
 # Two trees: slew out and reach, place the head, grip and cut, lift and fold, slew back, set down.
-# The motion of the arm only: the mass at its end does not change, no stem hangs there.
+# Only the motion of the arm: the mass of the head is constant, without a stem.
 WORK_CYCLE: tuple[Move, ...] = (
     Move("boom", 1.0, 3.2, 0.30, 0.70, 0.50),  # lift the head off the ground
     Move("swing", 1.5, 3.6, 0.50, 1.50, 1.50),  # slew out to the left ...
     Move("stick", 2.0, -3.4, 0.40, 1.30, 0.50),  # ... while reaching out
-    Move("boom", 4.2, -2.6, 0.40, 1.10, 0.60),  # lower beside the tree
+    Move("boom", 4.2, -2.6, 0.40, 1.10, 0.60),  # lower next to the tree
     Move("stick", 5.4, -2.2, 0.30, 0.50, 0.40),  # last bit of reach
     Move("swing", 6.6, 1.8, 0.40, 0.40, 0.80),  # close in sideways: grip and cut until 10 s
     Move("boom", 10.0, 4.2, 0.40, 1.30, 0.60),  # lift the stem
@@ -72,7 +73,7 @@ WORK_CYCLE: tuple[Move, ...] = (
 )
 WORK_CYCLE_STOP = 42.0  # s
 
-# programs of the operator by name; boom_up is also data/scenarios/boom_up.csv
+# programs of the operator by name; boom_up is also the scenario data/scenarios/boom_up.csv
 DEFAULT = "work_cycle"
 PROGRAMS: Mapping[str, tuple[Move, ...]] = {
     DEFAULT: WORK_CYCLE,
@@ -92,19 +93,19 @@ def sample(moves: Sequence[Move], stop: float) -> tuple[NDArray[np.float64], NDA
 
 
 def program(moves: Sequence[Move]) -> dict[str, float]:
-    """The same moves as parameters of the operator; strokes that are not used are all zero."""
-    values = {stroke_name(lever, n, word): 0.0 for lever in AXES for n in STROKES for word in WORDS}
+    """The moves as parameters of the operator; all parameters of unused strokes are zero."""
+    values = {stroke_name(lever, n, field): 0.0 for lever in AXES for n in STROKES for field in STROKE_FIELDS}
     for lever in AXES:
-        mine = [move for move in moves if move.axis == lever]
-        if len(mine) > len(STROKES):
-            raise Problem(f"{lever} lever: {len(mine)} strokes, expected at most {len(STROKES)}")
-        for n, move in zip(STROKES, mine, strict=False):
-            values |= {stroke_name(lever, n, word): getattr(move, word) for word in WORDS}
+        strokes = [move for move in moves if move.axis == lever]
+        if len(strokes) > len(STROKES):
+            raise Problem(f"{lever} lever: {len(strokes)} strokes, expected at most {len(STROKES)}")
+        for n, move in zip(STROKES, strokes, strict=False):
+            values |= {stroke_name(lever, n, field): getattr(move, field) for field in STROKE_FIELDS}
     return values
 
 
 def program_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
-    """The content of the operator's parameters.toml."""
+    """Content of the operator's parameters.toml."""
     units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
     values = program(moves)
     used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith("_command") and value}

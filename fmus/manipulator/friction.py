@@ -3,7 +3,7 @@
     R = s0 z + s1(v) z' + b v        z' = v - s0 a(v) z / g(v)        for each contact, v its speed
 
 is the LuGre model of `fmus.components.friction`, dry and viscous friction together. The initial deflections
-are zero, so a machine in balance stands still.
+are zero, so a machine in balance is at rest.
 
 Validity: friction independent of pressure and load, unlike that of real seals and pins. The viscous
 coefficients are those of `rigid`, which represent all losses, so dry and viscous friction together are too

@@ -1,4 +1,4 @@
-"""The operator: plays a program of lever strokes."""
+"""Operator input: a program of lever strokes over time."""
 
 from fmus.operator_input.model import OPERATOR
 

@@ -1,13 +1,13 @@
-r"""The operator: plays a program of up to ten strokes on each of three levers.
+r"""Operator input: a program of up to ten strokes on each of three levers.
 
     command |    ______
             |   /      \
-          0 |__/        \____     start, then rise, hold and fall: as a joystick amplifier ramps its current
+          0 |__/        \____     start, rise, hold, fall: ramps as in the current of a joystick amplifier
 
     d clock / dt = 1        command = sum of the strokes at `clock`, each a trapezoid
 
-The rates are the derivatives of the commands to the right of each instant, so that an FMU which continues
-value + rate * time follows the ramps exactly when their corners lie on the communication grid.
+The rates are the right-hand derivatives of the commands. So an FMU that extrapolates value + rate * time
+follows the ramps exactly if their corners are communication points.
 
 Signs: a positive command turns left, raises the boom, extends the stick cylinder.
 """
@@ -24,12 +24,12 @@ import casadi as ca
 from fmus.components import ports
 from fmus.contract import Group, Quantity, Scalar, Subsystem, make_group
 
-AHEAD = 5e-7  # s, see `sample`
+AHEAD = 5e-7  # s, lead of the time at which corners are evaluated, see `sample`
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """Begin [s], command at the top [V], durations of ramp up, top and ramp back [s]."""
+    """One stroke: start [s], command at the top [V], durations of ramp up, top and ramp back [s]."""
 
     start: Scalar
     command: Scalar
@@ -39,16 +39,17 @@ class Stroke:
 
 
 def sample(stroke: Stroke, time: Scalar) -> tuple[Scalar, Scalar]:
-    """Command [V] and its rate [V/s] at `time` [s]; at a corner the rate to the right of it.
+    """Command [V] and its right-hand derivative [V/s] at `time` [s].
 
-    It is looked for 0.5 us ahead: a clock that adds up steps may be short of a corner by rounding (measured:
-    0.3 us after an hour in steps of 1 ms), and the rate of the left side would hold for one step more.
+    Corners are evaluated 0.5 us ahead. A clock that adds up steps may be short of a corner by rounding
+    (measured: 0.3 us after an hour in steps of 1 ms), and would keep the left-hand derivative for one more
+    step.
     """
     s = stroke
     up = s.start + s.rise
     down = up + s.hold
     end = down + s.fall
-    rising, falling = s.command / _not_zero(s.rise), -s.command / _not_zero(s.fall)
+    rising, falling = s.command / _nonzero(s.rise), -s.command / _nonzero(s.fall)
     pieces = (
         (s.start, 0, 0),
         (up, rising * (time - s.start), rising),
@@ -64,64 +65,64 @@ def sample(stroke: Stroke, time: Scalar) -> tuple[Scalar, Scalar]:
     return value, rate
 
 
-def wait(stroke: Stroke, time: Scalar) -> Scalar:
-    """Seconds from `time` to the next corner, as `sample` sees it; infinite for none."""
+def time_to_corner(stroke: Stroke, time: Scalar) -> Scalar:
+    """Time [s] from `time` to the next corner as in `sample`; infinite after the last one."""
     s = stroke
     up = s.start + s.rise
     down = up + s.hold
-    found: Scalar = math.inf
+    remaining: Scalar = math.inf
     for corner in (down + s.fall, down, up, s.start):
-        found = ca.if_else(time + AHEAD < corner, corner - time, found)
-    return ca.if_else(s.command == 0, math.inf, found)
+        remaining = ca.if_else(time + AHEAD < corner, corner - time, remaining)
+    return ca.if_else(s.command == 0, math.inf, remaining)
 
 
-def _not_zero(duration: Scalar) -> Scalar:
-    """The duration; 1 for none, whose piece is never looked at but must not divide by zero."""
+def _nonzero(duration: Scalar) -> Scalar:
+    """The duration, or 1 if it is zero; the ramp of duration zero is never used, but must be finite."""
     return ca.if_else(duration > 0, duration, 1)
 
 
 AXES = ("swing", "boom", "stick")
 STROKES = range(1, 11)
-WORDS = ("start", "command", "rise", "hold", "fall")  # of one stroke, as in `stroke.Stroke`
+STROKE_FIELDS = ("start", "command", "rise", "hold", "fall")  # of `Stroke`, in the names of parameters
 
 
 def _stroke(lever: str, number: int) -> tuple[Quantity, ...]:
-    """The parameters of one stroke, in the order of WORDS."""
-    which = f"stroke {number} of the {lever} lever"
+    """Declaration of the parameters of one stroke, in the order of STROKE_FIELDS."""
+    stroke = f"stroke {number} of the {lever} lever"
     return (
-        Quantity("s", f"Time at which {which} begins", group=f"{lever.capitalize()} lever"),
-        Quantity("V", f"Command at the top of {which}", 10.0, -10.0, 10.0),
-        Quantity("s", f"Duration of the ramp up of {which}", minimum=0.0),
-        Quantity("s", f"Duration of the top of {which}", minimum=0.0),
-        Quantity("s", f"Duration of the ramp back to zero of {which}", minimum=0.0),
+        Quantity("s", f"Time at which {stroke} begins", group=f"{lever.capitalize()} lever"),
+        Quantity("V", f"Command at the top of {stroke}", 10.0, -10.0, 10.0),
+        Quantity("s", f"Duration of the ramp up of {stroke}", minimum=0.0),
+        Quantity("s", f"Duration of the top of {stroke}", minimum=0.0),
+        Quantity("s", f"Duration of the ramp back to zero of {stroke}", minimum=0.0),
     )
 
 
-def stroke_name(lever: str, number: int, word: str) -> str:
-    """The name of a parameter: boom_1_start."""
-    return f"{lever}_{number}_{word}"
+def stroke_name(lever: str, number: int, field: str) -> str:
+    """Name of a parameter, for example boom_1_start."""
+    return f"{lever}_{number}_{field}"
 
 
-# 150 parameters from one pattern; their numbers and sources are in parameters.toml
+# 150 parameters from one pattern; values and sources are in parameters.toml
 OperatorParameters = make_group(
     "OperatorParameters",
     {
-        stroke_name(lever, number, word): quantity
+        stroke_name(lever, number, field): quantity
         for lever in AXES
         for number in STROKES
-        for word, quantity in zip(WORDS, _stroke(lever, number), strict=True)
+        for field, quantity in zip(STROKE_FIELDS, _stroke(lever, number), strict=True)
     },
 )
 
 
 class OperatorState(Group):
-    """How far the program is."""
+    """Clock of the program."""
 
-    clock: Scalar = Quantity("s", "Time in the program; starts at 0, whatever the start time")
+    clock: Scalar = Quantity("s", "Time in the program; starts at 0, independent of the start time")
 
 
 class OperatorInputs(Group):
-    """None."""
+    """No inputs."""
 
 
 class OperatorOutputs(Group):
@@ -135,13 +136,13 @@ class OperatorOutputs(Group):
     stick_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
 
 
-def _strokes(which: str, p: Any) -> list[Stroke]:
-    return [Stroke(*(getattr(p, stroke_name(which, n, word)) for word in WORDS)) for n in STROKES]
+def _strokes(lever: str, p: Any) -> list[Stroke]:
+    return [Stroke(*(getattr(p, stroke_name(lever, n, f)) for f in STROKE_FIELDS)) for n in STROKES]
 
 
-def _lever(which: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
+def _lever(lever: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
     """Command and rate of one lever; strokes that overlap add up."""
-    values, rates = zip(*(sample(stroke, clock) for stroke in _strokes(which, p)), strict=True)
+    values, rates = zip(*(sample(stroke, clock) for stroke in _strokes(lever, p)), strict=True)
     return sum(values), sum(rates)
 
 
@@ -152,19 +153,19 @@ def dynamics(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorState:
 
 def observe(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorOutputs:
     """Outputs."""
-    shown: dict[str, Scalar] = {}
-    for which in AXES:
-        shown[f"{which}_command"], shown[f"{which}_command_rate"] = _lever(which, x.clock, p)
-    return OperatorOutputs(**shown)
+    outputs: dict[str, Scalar] = {}
+    for lever in AXES:
+        outputs[f"{lever}_command"], outputs[f"{lever}_command_rate"] = _lever(lever, x.clock, p)
+    return OperatorOutputs(**outputs)
 
 
 def next_event(x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
-    """Seconds to the next corner of a stroke: a solver at rest would step over a whole one."""
-    found: Scalar = math.inf
-    for which in AXES:
-        for stroke in _strokes(which, p):
-            found = ca.fmin(found, wait(stroke, x.clock))
-    return found
+    """Time [s] to the next corner of a stroke; otherwise a solver at rest would step over a stroke."""
+    remaining: Scalar = math.inf
+    for lever in AXES:
+        for stroke in _strokes(lever, p):
+            remaining = ca.fmin(remaining, time_to_corner(stroke, x.clock))
+    return remaining
 
 
 OPERATOR = Subsystem(

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.machine.parts import Wires, parts, wiring
+from fmus.machine.parts import Connections, parts, wiring
 from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.monolith import Monolith, join, simulate
@@ -268,7 +268,7 @@ _VARIANTS: Mapping[str, Mapping[str, str]] = {
 
 
 @cache
-def _monolith(machine: str) -> tuple[Monolith, Wires, Mapping[str, tuple[str, ...]]]:
+def _monolith(machine: str) -> tuple[Monolith, Connections, Mapping[str, tuple[str, ...]]]:
     """The machine as one model, its connections, and its inputs with the variables that they set."""
     components = parts(**_VARIANTS[machine])
     wires, inputs = wiring(components)

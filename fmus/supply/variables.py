@@ -37,7 +37,7 @@ class SupplyOutputs(Group):
         "Pa/s", "Rate port: exact time derivative of supply_pressure", 1e8
     )
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return lines", 1e5)
-    supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply line by all drives", 1e-3)
+    supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line into all drives", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return lines from all drives", 1e-3)
     hydraulic_power: Scalar = Quantity(
         "W", "Hydraulic power into the drives: pressure times flow, supply minus return", 1e4

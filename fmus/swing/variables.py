@@ -113,7 +113,7 @@ class SwingOutputs(SwingState):
 
     swing_torque: Scalar = Quantity("N.m", "Hydraulic torque on the swing column", 1e4)
     swing_torque_rate: Scalar = Quantity("N.m/s", "Rate port: exact time derivative of swing_torque", 1e5)
-    supply_flow: Scalar = Quantity("m3/s", "Flow taken from the supply line", 1e-3)
+    supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return line, with the case drain", 1e-3)
     swing_motor_pressure_a: Scalar = Quantity("Pa", "Pressure P_1 at motor port A", 1e7)
     swing_motor_pressure_b: Scalar = Quantity("Pa", "Pressure P_2 at motor port B", 1e7)

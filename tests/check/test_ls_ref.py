@@ -25,7 +25,14 @@ from fmus.export.ls_ref import (
 )
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
-from fmus.machine.reference import RESULT_DIGITS, machine, signals, solve, start_values, stimuli
+from fmus.machine.reference import (
+    RESULT_DIGITS,
+    compared_outputs,
+    machine_signals,
+    solve,
+    start_values,
+    stimuli,
+)
 from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
@@ -100,7 +107,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
 
 def test_the_committed_experiments_are_those_of_the_equations():
     """`python -m fmus.machine.reference` writes the same inputs, parameters and beginning of each result."""
-    known = machine()
+    known = machine_signals()
     for sub in SUBSYSTEMS.values():
         moving = stimuli(sub, known)
         v = start_values(sub, moving)
@@ -128,7 +135,7 @@ def test_what_is_compared_moves_and_does_not_jump():
     n = 11
     moving = {"swing_acceleration": np.linspace(0, 1, n), "swing_speed": np.linspace(0, 1, n)}
     found = {name: np.linspace(0, 10 * q.nominal, n) for name, q in quantities(SWING.outputs).items()}
-    shown = signals(SWING, moving, found)
+    shown = compared_outputs(SWING, moving, found)
     assert "swing_torque" in shown  # of the speed, which moves by the acceleration
     assert "swing_torque_rate" not in shown  # of the acceleration
     assert "swing_void_volume" not in shown

@@ -9,7 +9,7 @@ from fmus.contract import quantities, symbolic
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE
 from fmus.export.python.instance import of_subsystem
-from fmus.machine.build import controller_of, numbered_parts
+from fmus.machine.build import controller_of, parts_with_parameters
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import numbers, values
 
@@ -169,7 +169,7 @@ def test_a_set_of_numbers_changes_the_controller_too(tmp_path):
     )
     path = tmp_path / "set.toml"
     path.write_text(text, encoding="utf-8")
-    found = values(controller_of(numbered_parts(path)[0], path)).p
+    found = values(controller_of(parts_with_parameters(path)[0], path)).p
     expected = {
         **{
             "valve_area": 4.1e-5,

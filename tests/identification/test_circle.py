@@ -7,7 +7,7 @@ import pytest
 from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
-from fmus.machine.build import numbered_parts
+from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values, write
 from fmus.rig import write_all
 
@@ -34,7 +34,7 @@ def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     assert told is not None
     assert told.effect == "swinging head"
     write(tmp_path / "own.toml", {"parameters": {n: e.number() for n, (e, _) in found.estimates.items()}})
-    usual, others = numbered_parts(tmp_path / "own.toml")
+    usual, others = parts_with_parameters(tmp_path / "own.toml")
     for sub in (*usual.values(), *others):
         own = values(sub).p
         for name, (estimate, _) in found.estimates.items():

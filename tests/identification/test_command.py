@@ -11,7 +11,7 @@ import pytest
 
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
-from fmus.machine.build import numbered_parts
+from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
 from fmus.rig import write_all
 from orchestrator.__main__ import main
@@ -57,7 +57,7 @@ def test_the_procedures_write_parameters_and_a_page(capsys):
         n: t["value"] for n, t in tables.items()
     }
     assert all(procedure in printed for procedure in PROCEDURES)
-    usual, _ = numbered_parts(Path("parameters.toml"))
+    usual, _ = parts_with_parameters(Path("parameters.toml"))
     assert values(usual["swing"]).p["valve_area"] == tables["valve_area"]["value"]
 
 
