@@ -295,7 +295,7 @@ def test_an_unpacked_fmu_is_copied(decay, tmp_path):
         (('causality="output"><Real/>', 'causality="output"><Boolean/>'),
          "y: expected real inputs and outputs, got Boolean"),
         (('<Derivatives><Unknown index="8" dependencies="6 7"/></Derivatives>', '<Derivatives><Unknown index="3"/></Derivatives>'),
-         "expected variables for all continuous states and derivatives, got no complete list"),
+         "expected a variable for each continuous state and derivative, some are missing"),
         (('<Real start="1" max="INF"/>', '<Real start="nan"/>'), "k: start value: expected a number, got nan"),
         (("ModelExchange", "CoSimulation"),
          "expected an FMU for model exchange, got one for co-simulation only"),

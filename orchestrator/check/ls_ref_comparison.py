@@ -233,7 +233,7 @@ def _missing(related: list[Related]) -> Iterator[Finding]:
 def cases(folder: Path, related: list[Related]) -> tuple[list[ShippedExperiment], list[str]]:
     """The experiments of the manifest, then results without experiment; and messages about the others."""
     present = [r for r in related if r.path is not None and r.path.is_file()]
-    found: list[ShippedExperiment] = []
+    shipped: list[ShippedExperiment] = []
     problems: list[str] = []
     for r in present:
         if r.path is None or r.role.partition("/")[0] != "experiment":
@@ -241,19 +241,19 @@ def cases(folder: Path, related: list[Related]) -> tuple[list[ShippedExperiment]
         try:
             for case in experiments(folder, r.path):
                 if isinstance(case, ShippedExperiment):
-                    found.append(case)
+                    shipped.append(case)
                 else:
                     problems.append(f"{relative(folder, r.path)}: {case}")
         except Problem as problem:
             problems.append(_inside(folder, problem))
-    used = {case.reference for case in found}
+    used = {case.reference for case in shipped}
     sets = [r.path for r in present if r.role == "parameter" and str(r.path).endswith(".ssv")]
     for r in present:
         if r.path is None or r.role != "result" or r.path in used or r.path.suffix.lower() != ".csv":
             continue
         parameters = sets[0] if len(sets) == 1 else None  # several sets are variants, none is the default
-        found.append(ShippedExperiment(r.path.stem, r.path, parameters, _inputs_of(r.path)))
-    return found, problems
+        shipped.append(ShippedExperiment(r.path.stem, r.path, parameters, _inputs_of(r.path)))
+    return shipped, problems
 
 
 def _inputs_of(result: Path) -> Path | None:

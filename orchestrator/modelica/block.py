@@ -168,8 +168,9 @@ class FmuBlock:
         """Initial equations of the states, one for each group with the same dependencies on inputs."""
         groups: dict[frozenset[str], list[int]] = {}
         for k, v in enumerate(self.states):
-            known = frozenset() if v.initial == "exact" else self.interface.initial_dependencies.get(v.name)
-            groups.setdefault(self._inputs_among([known]), []).append(k)
+            exact = v.initial == "exact"
+            dependencies = frozenset() if exact else self.interface.initial_dependencies.get(v.name)
+            groups.setdefault(self._inputs_among([dependencies]), []).append(k)
         text = ["initial equation\n"] if groups else []
         for needed, rows in groups.items():
             started = f", {_references(self.states[k] for k in rows)}"
@@ -179,14 +180,14 @@ class FmuBlock:
 
     def _equations(self) -> list[str]:
         """Equations of the derivatives, and of each group of outputs with the same dependencies on inputs."""
-        text, known = list[str](), self.interface.dependencies
+        text, dependencies = list[str](), self.interface.dependencies
         if self.states:
-            needed = self._inputs_among(known.get(dx) for dx in self.interface.states.values())
+            needed = self._inputs_among(dependencies.get(dx) for dx in self.interface.states.values())
             names = [f"der(fmu_states[{k + 1}])" for k in range(len(self.states))]
             text.append(_equation(names, self._call("derivatives", "fmu_states, ", needed, "")))
         groups: dict[frozenset[str], list[FmuVariable]] = {}
         for y in self.outputs:
-            groups.setdefault(self._inputs_among([known.get(y.name)]), []).append(y)
+            groups.setdefault(self._inputs_among([dependencies.get(y.name)]), []).append(y)
         for needed, outputs in groups.items():
             call = self._call("outputs", f"{self._states()}, ", needed, f", {_references(outputs)}")
             text.append(_equation([self.names[y.name] for y in outputs], call))
@@ -200,10 +201,10 @@ class FmuBlock:
             f"Internal.{function}(fmu_instance, time, {states}{_references(inputs)},\n    {values}{unknowns})"
         )
 
-    def _inputs_among(self, known: Iterable[frozenset[str] | None]) -> frozenset[str]:
+    def _inputs_among(self, dependencies: Iterable[frozenset[str] | None]) -> frozenset[str]:
         """The inputs among the dependencies of some unknowns; all inputs if dependencies are not declared."""
         inputs = frozenset(v.name for v in self.inputs)
-        return frozenset().union(*(inputs if names is None else names & inputs for names in known))
+        return frozenset().union(*(inputs if names is None else names & inputs for names in dependencies))
 
     def _expression(self, v: FmuVariable) -> str:
         """An input in the equations."""
@@ -253,7 +254,7 @@ def _check(where: str, interface: FmuInterface) -> None:
         )
     if not interface.states and not interface.stateless:
         raise Problem(
-            f"{where}: expected variables for all continuous states and derivatives, got no complete list"
+            f"{where}: expected a variable for each continuous state and derivative, some are missing"
         )
     for v in (v for v in interface.variables.values() if v.causality in ("input", "output")):
         if not v.is_real:
@@ -268,18 +269,18 @@ def _needed_signals(interface: FmuInterface) -> tuple[list[FmuVariable], list[Fm
     In Model Exchange inputs change continuously. Inputs that are only the rate of another input are not
     needed, and neither are outputs that depend on such rates.
     """
-    inputs, known = {v.name for v in interface.of("input")}, interface.dependencies
+    inputs, declared = {v.name for v in interface.of("input")}, interface.dependencies
     starts = [
         interface.initial_dependencies.get(x)
         for x in interface.states
         if interface.variables[x].initial != "exact"
     ]
-    dependencies = [*(known.get(dx) for dx in interface.states.values()), *starts]
+    dependencies = [*(declared.get(dx) for dx in interface.states.values()), *starts]
     undeclared = None in dependencies
     for_states = inputs if undeclared else inputs & {n for names in dependencies for n in names or ()}
     rates = set(interface.rate_inputs.values()) - for_states
-    outputs = [y for y in interface.of("output") if not rates & (known.get(y.name) or frozenset())]
-    direct = [known.get(y.name) for y in outputs]
+    outputs = [y for y in interface.of("output") if not rates & (declared.get(y.name) or frozenset())]
+    direct = [declared.get(y.name) for y in outputs]
     used = for_states.union(*(inputs if names is None else names for names in direct)) - rates
     return outputs, [v for v in interface.of("input") if v.name in used]
 

@@ -218,7 +218,7 @@ def _number(element: Entry, name: str) -> float | None:
         return None
 
 
-@DEFAULT_EXPERIMENT.rule("experiment.there", "The FMU has a default experiment with stop time and step size")
+@DEFAULT_EXPERIMENT.rule("experiment.exists", "The FMU has a default experiment with stop time and step size")
 def exists(subject: Subject) -> Iterator[Finding]:
     if not subject.model.variables:
         return

@@ -46,8 +46,8 @@ def display(subject: Subject) -> Iterator[Finding]:
         elif v.unit in displays and display_unit not in displays[v.unit]:
             yield error(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit}")
     for unit in subject.model.units:
-        for name, said in unit.display_units.items():
-            if _float(said.get("factor", "1")) == 0:
+        for name, attributes in unit.display_units.items():
+            if _float(attributes.get("factor", "1")) == 0:
                 yield error(f"{_at(unit)}: DisplayUnit {name} has factor 0")
 
 
@@ -73,17 +73,17 @@ def wrong(subject: Subject) -> Iterator[Finding]:
     for unit in subject.model.units:
         if unit.base_unit is None or unit.name not in WELL_KNOWN:
             continue
-        known = parse(unit.name)
-        exponents = {b: str(known.base().get(b, 0)) for b in DIMENSIONS}
+        usual = parse(unit.name)
+        exponents = {b: str(usual.base().get(b, 0)) for b in DIMENSIONS}
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
         factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))
         if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
             yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}")
         elif not (  # factors have five digits or more
-            math.isclose(factor, known.factor, rel_tol=1e-4)
-            and math.isclose(offset, known.offset, abs_tol=1e-2)
+            math.isclose(factor, usual.factor, rel_tol=1e-4)
+            and math.isclose(offset, usual.offset, abs_tol=1e-2)
         ):
-            expected = f"expected factor {known.factor:.6g} and offset {known.offset:g}"
+            expected = f"expected factor {usual.factor:.6g} and offset {usual.offset:g}"
             yield error(f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}")
 
 
@@ -209,7 +209,7 @@ def icons(subject: Subject) -> Iterator[Finding]:
         yield error("terminalsAndIcons/icon.svg without icon.png, which the standard requires next to it")
 
 
-@TERMINALS.rule("terminal.there", "An FMU with many ports has terminals (FMI 3)")
+@TERMINALS.rule("terminal.exists", "An FMU with many ports has terminals (FMI 3)")
 def exist(subject: Subject) -> Iterator[Finding]:
     ports = len(subject.model.of("input", "output"))
     if subject.major == 3 and FILE not in subject.files and ports > 8:
