@@ -40,7 +40,7 @@ def found(file: str = "parameters.toml") -> dict[str, dict]:
 
 @pytest.mark.usefixtures("here")
 def test_the_procedures_write_parameters_and_a_page(capsys):
-    """One entry per parameter with unit, source, interval and sd; the same values in machine, page and JSON."""
+    """One entry per parameter with unit, source, interval and sd; equal values in machine, page and JSON."""
     assert main(["identify", "mine", "--no-joint"]) == 0
     printed, tables = capsys.readouterr().out, found()
     assert {"valve_area", "valve_dead_band", "swing_damping", "internal_leakage_resistance"} <= set(tables)

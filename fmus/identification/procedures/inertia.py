@@ -68,13 +68,12 @@ STANDARD = ("column J_0", *(f"{link} {moment}" for link in ("boom", "stick") for
 UNITS = ("kg.m2", *(unit for _ in ("boom", "stick") for unit in MOMENTS.values()))
 # order in which independent standard parameters are chosen: moments about the pivots before masses
 PREFERRED = [0, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 1, 7]
+STATES = 200  # random states from which the base parameters are determined
 RANK_TOLERANCE = 1e-9  # relative diagonal of R below which a regressor depends on others
 
 
-def identify(
-    recordings: Sequence[Recording], parameters: Mapping[str, Number], free: Sequence[str] = FREE
-) -> ProcedureResult:
-    """Masses and inertias `free` of the manipulator, from recordings of the machine, else of its joints.
+def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
+    """Masses and inertias `FREE` of the manipulator, from recordings of the machine, else of its joints.
 
     The least determined parameter is dropped until all remaining ones are determined.
     """
@@ -87,7 +86,7 @@ def identify(
         )
     training, p = training_recordings(recordings, source, SIGNALS), parameter_vector(parameters)
     records = [smoothed_recording(r, JOINTS, p, window=WINDOW, every=EVERY) for r in training]
-    names, dropped = list(free), list[str]()
+    names, dropped = list(FREE), list[str]()
     while True:
         theta = tuple(f"manipulator.{n}" for n in (*names, *DAMPINGS))
         solution = solve(records, JOINTS, theta, p)
@@ -203,12 +202,12 @@ class Grouping:
         return names
 
 
-def grouping(p: Array, states: int = 200) -> Grouping:
+def grouping(p: Array) -> Grouping:
     """Base parameters that any motion can determine, from the regressor at random states."""
     random = np.random.default_rng(0)  # rank and combinations do not depend on the states
-    q, w, a = (random.uniform(-2.0, 2.0, (3, states)) for _ in range(3))
+    q, w, a = (random.uniform(-2.0, 2.0, (3, STATES)) for _ in range(3))
     columns = np.array(regressor()(q, w, a, p)[2].full())
-    y = columns.reshape(3, states, len(STANDARD)).reshape(-1, len(STANDARD))
+    y = columns.reshape(3, STATES, len(STANDARD)).reshape(-1, len(STANDARD))
     scale = np.linalg.norm(y, axis=0)
     diagonal = np.abs(np.diag(scipy.linalg.qr((y / scale)[:, PREFERRED], mode="r")[0]))
     independent = diagonal > RANK_TOLERANCE * diagonal.max()

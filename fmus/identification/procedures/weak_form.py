@@ -83,14 +83,14 @@ class FilteredEquation:
     y, regressors   integrals over the windows, shape (m,) each
     noise           for each sensor its standard deviation, and the matrices by which its noise enters each
                     regressor and y (as "y")
-    factors         factor of each regressor from the parameters; by default the parameter of the same name
+    factors         factor of each regressor from the parameters
     """
 
     windows: Windows
     y: Array
     regressors: Mapping[str, Array]
     noise: Sequence[tuple[float, Mapping[str, sparse.csr_array]]]
-    factors: Callable[[Mapping[str, float]], Mapping[str, float]] = dict
+    factors: Callable[[Mapping[str, float]], Mapping[str, float]]
 
     @property
     def weight(self) -> Array:

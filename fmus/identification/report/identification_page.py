@@ -114,13 +114,11 @@ def refinement(
     refined: RefinementResult,
     names: Mapping[str, str] | None = None,
     signals: Mapping[str, str] | None = None,
-    facts: Mapping[str, str] | None = None,
     starts: MultistartResult | None = None,
 ) -> dict[str, Any]:
     """Content of the page and the JSON file for a refinement.
 
     names, signals   parameter and output of the problem -> its name in the report
-    facts            further facts, such as the computing time
     starts           the refinement from random start points, on fewer samples
 
     Keys of the result:
@@ -149,7 +147,6 @@ def refinement(
             "iterations": str(len(refined.history)),
             "ended": refined.reason,
             "95 % intervals": scatter if refined.robust else noise,
-            **(facts or {}),
         },
         "remarks": [*advice(refined), *(f"{names.get(n, n)} ended at its bound." for n in refined.at_bound)],
     }

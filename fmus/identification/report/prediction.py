@@ -19,6 +19,7 @@ from orchestrator.data.table import Array
 
 Signals = Mapping[str, Array]
 SUPPLY = "swing.supply_pressure"
+REST = 0.5  # s at the beginning of a recording, over which the initial pose is averaged
 SMOOTHING = 0.05  # s, filter against the noise of the supply pressure; the pumps are slower
 SUPPLY_TOLERANCE = 5e4  # Pa, error of the supply pressure that changes flows by 0.1 %
 COMMAND_TOLERANCE = 1e-4  # V, error of a command that changes the opening of a valve by 0.001 %
@@ -38,20 +39,20 @@ class Excitation:
     supply_pressure: Array | None = None
 
 
-def excitation(recording: Recording, rest: float = 0.5) -> Excitation:
-    """The excitation during a recording of the machine, which is at rest in its first `rest` seconds."""
-    pose = {joint: _initial_mean(recording, f"manipulator.{joint}_angle", rest) for joint in JOINTS}
+def excitation(recording: Recording) -> Excitation:
+    """The excitation during a recording of the machine, which is at rest in its first `REST` seconds."""
+    pose = {joint: _initial_mean(recording, f"manipulator.{joint}_angle") for joint in JOINTS}
     samples = np.column_stack([fill_gaps(recording, signal) for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, simplify(recording.time, samples).T, strict=True))
     return Excitation(recording.time, commands, pose, _supply_pressure(recording))
 
 
-def _initial_mean(recording: Recording, name: str, duration: float) -> float:
-    """Mean of a signal over the first `duration` seconds."""
-    values = recording[name][recording.time <= recording.time[0] + duration]
+def _initial_mean(recording: Recording, name: str) -> float:
+    """Mean of a signal over the first `REST` seconds."""
+    values = recording[name][recording.time <= recording.time[0] + REST]
     valid = values[np.isfinite(values)]
     if not valid.size:
-        raise Problem(f"{recording.source}: {name}: expected a sample in the first {duration:g} s, got none")
+        raise Problem(f"{recording.source}: {name}: expected a sample in the first {REST:g} s, got none")
     return float(valid.mean())
 
 

@@ -142,7 +142,7 @@ def attribute(
     )
 
 
-def figure(comparison: RecordingComparison, joint: str, title: str = "") -> Figure:
+def figure(comparison: RecordingComparison, joint: str) -> Figure:
     """Command, angle, speed, flow and pressures of a joint, if they were measured."""
     recording, time = comparison.recording, comparison.recording.time
     panels = [
@@ -153,7 +153,7 @@ def figure(comparison: RecordingComparison, joint: str, title: str = "") -> Figu
     return draw_traces(
         panels,
         (float(time[0]), float(time[-1])),
-        title or f"{joint.capitalize()}: {recording.title}",
+        f"{joint.capitalize()}: {recording.title}",
         footer(FIGURES[joint], [recording.kind]),
         (legend_entry("measured", **REFERENCE), legend_entry("predicted", **SIMULATION)),
     )
