@@ -1,15 +1,15 @@
-"""How fast is a study, how does it scale, and does it survive a kill?
+"""Benchmark of parameter studies: speed, scaling over workers, and results after a kill.
 
     python -m benchmarks.sweep [--runs 2000] [--seconds 10]
 
-A Latin hypercube of four numbers of build/harvester.ssp, the lumped machine in its work cycle, by the command
-line: from its start to its end, everything included. First all runs with two workers; then half of them with
-two workers, with one, and with two again, killed by SIGKILL when half is kept, and started again. Some four
-minutes. Wall times want an idle machine; processor time, of all processes together, is told beside them
-because it depends less on that.
+A Latin hypercube of four factors of build/harvester.ssp, the lumped machine in its work cycle. Each study is
+one command, timed from start to end. First all runs with two workers; then half of them with two workers,
+with one, and with two again, killed by SIGKILL when half of the runs are stored, and started again. This
+takes some four minutes. Wall times need an idle computer; the processor time of all processes, printed next
+to them, depends less on other load.
 
-Bars: LIMIT [s] for 2000 runs of 10 s on two cores; two workers RATIO times one; equal content. Exit status
-1 if one is missed.
+Limits: LIMIT [s] for 2000 runs of 10 s on two cores; two workers RATIO times as fast as one; equal results.
+Exit status 1 if one is missed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 SYSTEM = Path("build/harvester.ssp")
-LIMIT, RATIO = 180.0, 1.7  # [s] for 2000 runs of 10 s; of one worker over two
+LIMIT, RATIO = 180.0, 1.7  # [s] for 2000 runs of 10 s; wall time of one worker over that of two
 STUDY = """
 title = "Speed"
 system = "{system}"
@@ -39,7 +39,7 @@ stop = {seconds}
 
 [factors]
 "swing.motor_displacement" = {{ distribution = "uniform", minimum = 0.9, maximum = 1.1, relative = true }}
-"swing.line_capacitance" = {{ distribution = "uniform", minimum = 4.7e-13, maximum = 1.88e-12 }}
+"swing.line_capacitance" = {{ distribution = "uniform", minimum = 4.7e-13, maximum = 1.88e-12 }}  # m3/Pa
 "manipulator.head_mass" = {{ distribution = "uniform", minimum = 300, maximum = 400, unit = "kg" }}
 "supply.pressure_setting" = {{ distribution = "normal", mean = 170, sd = 5, unit = "bar" }}
 
@@ -52,71 +52,71 @@ angle = {{ signal = "manipulator.swing_angle", measure = "final" }}
 
 @dataclass(frozen=True)
 class Cost:
-    """Times of a command [s]: on the clock, and of all processors."""
+    """Times of a command [s]: wall time, and processor time of all processes."""
 
     wall: float
     cpu: float
 
     def __str__(self) -> str:
-        return f"{self.wall:6.1f} s on the clock, {self.cpu:6.1f} s of processors"
+        return f"wall time {self.wall:6.1f} s, processor time {self.cpu:6.1f} s"
 
 
-def started(study: Path, out: Path, workers: int) -> subprocess.Popen[bytes]:
-    """The command line."""
+def start(study: Path, out: Path, workers: int) -> subprocess.Popen[bytes]:
+    """Start the command."""
     command = [sys.executable, "-m", "orchestrator", "sweep", str(study), "--out", str(out), "--no-report"]
     return subprocess.Popen(
         [*command, "--workers", str(workers)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
 
 
-def timed(study: Path, out: Path, workers: int) -> Cost:
-    """A study from begin to end."""
+def time_study(study: Path, out: Path, workers: int) -> Cost:
+    """Run a study and measure its times."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    process = started(study, out, workers)
-    _, told = process.communicate()
+    process = start(study, out, workers)
+    _, messages = process.communicate()
     if process.returncode:
-        raise SystemExit(told.decode().splitlines()[-1])
+        raise SystemExit(messages.decode().splitlines()[-1])
     after, wall = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - began
     return Cost(wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
 
 
-def kept(out: Path) -> int:
-    """How many runs are finished."""
+def stored_runs(out: Path) -> int:
+    """Number of finished runs in the folder."""
     return sum(pq.read_metadata(f).num_rows for f in out.glob("parts/batch-*.parquet"))
 
 
-def killed(study: Path, out: Path, runs: int) -> int:
-    """Kill a study half-way, start it again; the runs that were kept at the kill."""
-    process = started(study, out, 2)
-    while kept(out) < runs // 2 and process.poll() is None:
+def kill_and_restart(study: Path, out: Path, runs: int) -> int:
+    """Kill a study half-way and start it again; returns the number of runs stored at the kill."""
+    process = start(study, out, 2)
+    while stored_runs(out) < runs // 2 and process.poll() is None:
         time.sleep(0.1)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    there = kept(out)
-    timed(study, out, 2)
-    return there
+    stored = stored_runs(out)
+    time_study(study, out, 2)
+    return stored
 
 
-def same(a: Path, b: Path) -> bool:
-    """Are the results the same, byte by byte?"""
+def equal_results(a: Path, b: Path) -> bool:
+    """Are the results equal, byte by byte?"""
     names = ("runs.parquet", "bands.parquet")
     return all((a / name).read_bytes() == (b / name).read_bytes() for name in names)
 
 
 @dataclass(frozen=True)
-class Bar:
-    """Something that has to be reached."""
+class Check:
+    """One measured value and its limit."""
 
-    what: str
-    found: str
-    wanted: str
-    met: bool
+    name: str
+    value: str
+    limit: str
+    passed: bool
 
 
-def table(bars: list[Bar]) -> str:
-    """A row for each bar."""
-    rows = [("bar", "found", "wanted", "")]
-    rows += [(b.what, b.found, b.wanted, "met" if b.met else "MISSED") for b in bars]
+def table(checks: list[Check]) -> str:
+    """A row for each check."""
+    rows = [("check", "value", "limit", "")]
+    rows += [(c.name, c.value, c.limit, "passed" if c.passed else "MISSED") for c in checks]
     widths = [max(len(row[i]) for row in rows) for i in range(4)]
     lines = [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
@@ -124,53 +124,53 @@ def table(bars: list[Bar]) -> str:
     return "\n".join([lines[0], "-" * (sum(widths) + 6), *lines[1:]])
 
 
-def written(home: Path, runs: int, seconds: float) -> Path:
-    """The file of a study."""
+def write_study(home: Path, runs: int, seconds: float) -> Path:
+    """Write the file of a study."""
     file = home / f"{runs}.toml"
     file.write_text(STUDY.format(system=SYSTEM.resolve(), runs=runs, seconds=seconds), encoding="utf-8")
     return file
 
 
-def measured(home: Path, runs: int, seconds: float) -> list[Bar]:
-    """All studies, told as they end; the bars."""
-    whole = timed(written(home, runs, seconds), home / "whole", 2)
-    print(f"{runs} runs, two workers: {whole}, {whole.cpu / runs:.3f} s of processors per run", flush=True)
-    half = written(home, runs // 2, seconds)
-    two = timed(half, home / "two", 2)
+def measure(home: Path, runs: int, seconds: float) -> list[Check]:
+    """Run all studies, print their times, and return the checks."""
+    every = time_study(write_study(home, runs, seconds), home / "all", 2)
+    print(f"{runs} runs, two workers: {every}, {every.cpu / runs:.3f} s per run", flush=True)
+    half = write_study(home, runs // 2, seconds)
+    two = time_study(half, home / "two", 2)
     print(f"{runs // 2} runs, two workers: {two}", flush=True)
-    one = timed(half, home / "one", 1)
+    one = time_study(half, home / "one", 1)
     print(f"{runs // 2} runs, one worker:  {one}", flush=True)
-    there = killed(half, home / "killed", runs // 2)
-    print(f"{runs // 2} runs, two workers: killed when {there} were kept, started again\n", flush=True)
+    stored = kill_and_restart(half, home / "killed", runs // 2)
+    print(f"{runs // 2} runs, two workers: killed when {stored} were stored, started again\n", flush=True)
     limit, ratio = LIMIT * runs * seconds / (2000 * 10.0), one.wall / two.wall
-    found = {
-        "one and two workers": same(home / "two", home / "one"),
-        "killed": same(home / "two", home / "killed"),
+    equal = {
+        "one and two workers": equal_results(home / "two", home / "one"),
+        "killed": equal_results(home / "two", home / "killed"),
     }
-    unlike = [name for name, equal in found.items() if not equal]
+    different = [name for name, same in equal.items() if not same]
     return [
-        Bar(f"{runs} runs of {seconds:g} s", f"{whole.wall:.1f} s", f"< {limit:g} s", whole.wall < limit),
-        Bar("one worker over two", f"{ratio:.2f}", f">= {RATIO:g}", ratio >= RATIO),
-        Bar(
-            "content: one, two, killed",
-            f"differs: {', '.join(unlike)}" if unlike else "equal",
+        Check(f"{runs} runs of {seconds:g} s", f"{every.wall:.1f} s", f"< {limit:g} s", every.wall < limit),
+        Check("one worker over two", f"{ratio:.2f}", f">= {RATIO:g}", ratio >= RATIO),
+        Check(
+            "results: one, two, killed",
+            f"differs: {', '.join(different)}" if different else "equal",
             "equal",
-            not unlike,
+            not different,
         ),
     ]
 
 
 def main() -> int:
-    """Run, tell, and judge."""
+    """Run all studies, print the checks; status 1 if one is missed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--seconds", type=float, default=10.0)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before", flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        bars = measured(Path(folder), given.runs, given.seconds)
-    print(table(bars))
-    return 0 if all(b.met for b in bars) else 1
+        checks = measure(Path(folder), arguments.runs, arguments.seconds)
+    print(table(checks))
+    return 0 if all(c.passed for c in checks) else 1
 
 
 if __name__ == "__main__":

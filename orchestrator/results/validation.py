@@ -47,13 +47,13 @@ def without_repetitions(reference: Recording) -> Recording:
 
     One sensor on a line to two components is one variable of an FMU that contains both components.
     """
-    kept: dict[str, Array] = {}
+    selected: dict[str, Array] = {}
     for name, values in reference.signals.items():
-        same_variable = [n for n in kept if _variable(n) == _variable(name)]
-        same = (np.array_equal(kept[n], values, equal_nan=True) for n in same_variable)
+        same_variable = [n for n in selected if _variable(n) == _variable(name)]
+        same = (np.array_equal(selected[n], values, equal_nan=True) for n in same_variable)
         if not any(same):
-            kept[name] = values
-    return reference.select(list(kept))
+            selected[name] = values
+    return reference.select(list(selected))
 
 
 def _variable(name: str) -> str:

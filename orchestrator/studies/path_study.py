@@ -114,20 +114,20 @@ def differences(system: System) -> list[str]:
     assumed = controller.real_parameters()
     for part, component in system.components.items():
         for name, value in {} if part == CONTROLLER else component.real_parameters().items():
-            twin = f"{part}_{name}" if f"{part}_{name}" in assumed else name
-            if twin not in assumed or _equal(assumed[twin], value):
+            assumed_name = f"{part}_{name}" if f"{part}_{name}" in assumed else name
+            if assumed_name not in assumed or _equal(assumed[assumed_name], value):
                 continue
             variable = component.interface.variables[name]
             unit = variable.unit
-            if controller.interface.variables[twin].unit == unit:
+            if controller.interface.variables[assumed_name].unit == unit:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
                 meaning = (
                     f" ({variable.description})"
-                    if 0 in (value, assumed[twin]) and variable.description
+                    if 0 in (value, assumed[assumed_name]) and variable.description
                     else ""
                 )
                 notes.append(
-                    f"{CONTROLLER}.{twin} is {assumed[twin]:.6g}{suffix}, {part}.{name} is"
+                    f"{CONTROLLER}.{assumed_name} is {assumed[assumed_name]:.6g}{suffix}, {part}.{name} is"
                     f" {value:.6g}{suffix}{meaning}: the controller assumes another machine"
                 )
     return notes

@@ -216,5 +216,5 @@ def test_a_name_that_a_variant_lacks_costs_no_search(workshop, tmp_path, monkeyp
     (tmp_path / "bent.fmu").write_bytes(workshop["bent"].read_bytes())
     file.write_text(file.read_text() + '[choices]\ngain = ["gain.fmu", "bent.fmu"]\n', encoding="utf-8")
     monkeypatch.setattr(system, "suggest", lambda *_: pytest.fail("a search"))
-    table, _ = prepare(read(file)).known()
+    table, _ = prepare(read(file)).inputs()
     assert table["start:gain.offset"].null_count == 12

@@ -110,7 +110,7 @@ def test_the_table_is_written(fmu_dir, tmp_path, capsys, monkeypatch):
     assert all(row["reached [s]"] == "0.1" and row["failure"] == "" for row in rows)
     numbers = [name for name in rows[0] if name not in ("swing", "failure")]
     assert all(float(row[name]) >= 0 for row in rows for name in numbers)  # plain, units in the header
-    assert float(rows[0]["change [share]"]) == 0
+    assert float(rows[0]["change [1]"]) == 0
     assert "1/2 lumped" in printed
     assert "us per ms is the sum over the steps of all FMUs, calls from Python included" in printed
     assert all(variant in printed for variant in few["swing"])

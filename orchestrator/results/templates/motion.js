@@ -1,4 +1,4 @@
-// Moves the machine: polylines of each view follow the frames in `data`; metres are scaled to a fixed picture.
+// Animation of the machine: draws the polylines of each view at the frames in `data`, metres scaled to the view.
 const data = JSON.parse(document.getElementById("motion-data").textContent);
 const SVG = document.createElementNS.bind(document, document.documentElement.querySelector("svg").namespaceURI);
 const count = data.views.side[0].length;
@@ -7,17 +7,17 @@ const speed = document.getElementById("speed"), clock = document.getElementById(
 const distance = document.getElementById("distance");
 let moment = 0, running = false, before = 0;
 
-function line(parent, kind) {
-  const made = SVG("polyline");
-  made.setAttribute("class", kind);
-  return parent.appendChild(made);
+function line(parent, style) {
+  const polyline = SVG("polyline");
+  polyline.setAttribute("class", style);
+  return parent.appendChild(polyline);
 }
 
-function dot(parent, kind) {
-  const made = SVG("circle");
-  made.setAttribute("class", kind);
-  made.setAttribute("r", 4.5);
-  return parent.appendChild(made);
+function dot(parent, style) {
+  const circle = SVG("circle");
+  circle.setAttribute("class", style);
+  circle.setAttribute("r", 4.5);
+  return parent.appendChild(circle);
 }
 
 function view(name) {
@@ -29,8 +29,8 @@ function view(name) {
   line(svg, "ground").setAttribute("points", name === "side" ? `0,${y(data.ground)} 540,${y(data.ground)}`
     : `${x(0) - 8},${y(0)} ${+x(0) + 8},${y(0)} ${x(0)},${y(0)} ${x(0)},${y(0) - 8} ${x(0)},${+y(0) + 8}`);
   const trail = line(svg, "trail");
-  const kinds = ["machine", "ghost"].slice(0, data.views[name].length);
-  const bodies = kinds.map((kind, m) => [m, data.lines.map(labels => [labels, line(svg, kind)])]).reverse();
+  const styles = ["machine", "ghost"].slice(0, data.views[name].length);
+  const bodies = styles.map((style, m) => [m, data.lines.map(labels => [labels, line(svg, style)])]).reverse();
   bodies[bodies.length - 1][1].forEach(([, polyline]) => svg.appendChild(polyline));
   const joints = data.labels.map(() => dot(svg, "joint"));
   return now => {

@@ -65,15 +65,15 @@ def failures(results: Results) -> tuple[Failure, ...]:
     """Failed runs by reason, the most frequent first; reasons that differ only in numbers are one."""
     failed = results.table[results.table["status"] != OK].sort_values("run")
     reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
-    found = []
+    groups = []
     for _, group in failed.groupby(without_numbers(reasons), sort=True):
         in_group, counts = reasons[group.index], {}
         for choice in results.study.compared:
             occurrences = group[choice.column].astype(str).value_counts()
             counts[choice.name] = {option: int(occurrences.get(option, 0)) for option in choice.options}
         examples = tuple(int(run) for run in group["run"].head(EXAMPLES))
-        found.append(Failure(str(in_group.iloc[0]), len(group), examples, counts, in_group.nunique() > 1))
-    return tuple(sorted(found, key=lambda failure: (-failure.count, failure.reason)))
+        groups.append(Failure(str(in_group.iloc[0]), len(group), examples, counts, in_group.nunique() > 1))
+    return tuple(sorted(groups, key=lambda failure: (-failure.count, failure.reason)))
 
 
 def _missing_factors(results: Results) -> list[str]:
@@ -168,8 +168,12 @@ def _from_independent_rows(data: OutputSamples) -> Sensitivity | str:
     """Use the independent rows of a Saltelli design as a plain sample, if it is small or many runs failed."""
     width = len(data.names) + 2
     design, count = data.blocks(width)
-    kept = len(design.y) // width
-    size = f"only {kept} of {count} base samples are complete" if kept < count else f"{count} base samples"
+    complete = len(design.y) // width
+    size = (
+        f"only {complete} of {count} base samples are complete"
+        if complete < count
+        else f"{count} base samples"
+    )
     result = sensitivity.from_sample(morris_sobol.independent(data))
     if isinstance(result, str):
         return f"{size}, too few for a Saltelli design; {result}"

@@ -90,10 +90,10 @@ def _first(finding: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[E
     top, fraction = effects[0], FRACTIONS.get(measure, "over its range")
     if _none_stands_out(effects, leaders, measure):
         others = len(leaders) - 1
-        alike = f"; {others} more cannot be distinguished from it" if others else ""
+        similar = f"; {others} more cannot be distinguished from it" if others else ""
         largest = size(top.estimates[measure], measure, finding.display)
         lead = f"the largest is {top.label} with {largest} {fraction}"
-        return f"No factor stands out for {finding.name}: {lead}{alike}."
+        return f"No factor stands out for {finding.name}: {lead}{similar}."
     names = [e.label for e in leaders]
     sizes = [size(e.estimates[measure], measure, finding.display) for e in leaders]
     ending = _direction(finding, top)

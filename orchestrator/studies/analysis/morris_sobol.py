@@ -123,25 +123,25 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
     """mu* and sigma of each factor and choice; a reason if too few trajectories are complete."""
     width = len(samples.names) + 1
     design, count = samples.blocks(width)
-    kept = len(design.y) // width
-    if kept < LEAST_TRAJECTORIES:
-        return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {kept} of {count}"
-    apart = {which: _elementary_effects(design.alone(c)) for c, which in enumerate(design.combinations)}
+    complete = len(design.y) // width
+    if complete < LEAST_TRAJECTORIES:
+        return f"expected at least {LEAST_TRAJECTORIES} complete trajectories, got {complete} of {count}"
+    apart = {name: _elementary_effects(design.alone(c)) for c, name in enumerate(design.combinations)}
     effects = [_pooled(effects) for effects in zip(*apart.values(), strict=True)] + _option_effects(
         design, width
     )
     notes = [
         "mu* is the change of the output over the whole range of a factor; it is not a fraction of a variance"
     ]
-    if kept < count:
-        notes.append(f"{count - kept} of {count} trajectories are left out, as one of their runs failed")
+    if complete < count:
+        notes.append(f"{count - complete} of {count} trajectories are left out, as one of their runs failed")
     return Sensitivity(
         MORRIS,
         MU_STAR,
-        kept,
+        complete,
         float(design.y.var()),
         ordered(effects, MU_STAR),
-        {which: ordered(found, MU_STAR) for which, found in apart.items()} if samples.crossed else {},
+        {name: ordered(effects, MU_STAR) for name, effects in apart.items()} if samples.crossed else {},
         notes=tuple(notes),
     )
 
@@ -149,10 +149,10 @@ def elementary_effects(samples: OutputSamples) -> Sensitivity | str:
 def _elementary_effects(design: OutputSamples) -> list[Effect]:
     """mu* and sigma of each factor in one combination of choices."""
     y, rng = design.y[:, 0], np.random.default_rng(SEED)
-    found = morris.analyze(
+    result = morris.analyze(
         problem(design.names), design.x, y, num_levels=LEVELS, num_resamples=RESAMPLES, seed=rng
     )
-    columns = np.array([found[key] for key in ("mu_star", "mu_star_conf", "mu", "sigma")], float).T.tolist()
+    columns = np.array([result[key] for key in ("mu_star", "mu_star_conf", "mu", "sigma")], float).T.tolist()
     directions = rank_correlations(design, y)
     return [
         Effect(
@@ -221,33 +221,37 @@ def sobol_indices(samples: OutputSamples) -> Sensitivity:
     """First-order and total indices of each factor and choice."""
     width = len(samples.names) + 2
     design, count = samples.blocks(width)
-    free, y = independent(design), design.y.reshape(-1, width, design.y.shape[1])
-    factors, kept = _sobol_effects(free, y), len(y)
+    independent_rows, y = independent(design), design.y.reshape(-1, width, design.y.shape[1])
+    factors, complete = _sobol_effects(independent_rows, y), len(y)
     notes = []
-    if kept < count:
+    if complete < count:
         notes.append(
-            f"{count - kept} of {count} base samples are left out, all {width} rows of each, as one of"
+            f"{count - complete} of {count} base samples are left out, all {width} rows of each, as one of"
             " their runs failed; the indices hold for the part of the space where runs succeed"
         )
     widest = max(e.estimates[TOTAL].ceiling - e.estimates[TOTAL].floor for e in factors)
     if widest > WIDE:
-        notes.append(f"{kept} base samples are few: an interval is {100 * widest:.0f} percentage points wide")
+        notes.append(
+            f"{complete} base samples are few: an interval is {100 * widest:.0f} percentage points wide"
+        )
     apart = {
-        which: ordered(_sobol_effects(free.alone(c), y[:, :, [c]]), TOTAL)
-        for c, which in enumerate(design.combinations)
-        if samples.crossed and free.y[:, c].std() > 0
+        name: ordered(_sobol_effects(independent_rows.alone(c), y[:, :, [c]]), TOTAL)
+        for c, name in enumerate(design.combinations)
+        if samples.crossed and independent_rows.y[:, c].std() > 0
     }
-    effects = ordered(factors + of_crossed(free), TOTAL)
-    return Sensitivity(SOBOL, TOTAL, kept, float(free.y.var()), effects, apart, notes=tuple(notes))
+    effects = ordered(factors + of_crossed(independent_rows), TOTAL)
+    return Sensitivity(
+        SOBOL, TOTAL, complete, float(independent_rows.y.var()), effects, apart, notes=tuple(notes)
+    )
 
 
-def _sobol_effects(free: OutputSamples, y: Array) -> list[Effect]:
+def _sobol_effects(independent_rows: OutputSamples, y: Array) -> list[Effect]:
     """Indices of the factors; y of shape (base samples, rows, combinations)."""
-    estimates, k = intervals(lambda rows: _indices(y, rows), len(y)), len(free.dimensions)
-    directions = rank_correlations(free, free.y.mean(axis=1))
+    estimates, k = intervals(lambda rows: _indices(y, rows), len(y)), len(independent_rows.dimensions)
+    directions = rank_correlations(independent_rows, independent_rows.y.mean(axis=1))
     return [
         Effect(d.name, d.kind, {FIRST: estimates[i], TOTAL: estimates[k + i]}, direction=directions[i])
-        for i, d in enumerate(free.dimensions)
+        for i, d in enumerate(independent_rows.dimensions)
     ]
 
 

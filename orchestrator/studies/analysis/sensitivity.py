@@ -67,20 +67,18 @@ ZERO = IntervalEstimate(0.0, 0.0, 0.0)
 
 def from_sample(samples: OutputSamples) -> Sensitivity | str:
     """First-order effects of each factor and choice; a reason if there are too few samples."""
-    kept = samples.at(samples.complete)
-    count, missing = len(kept.y), len(samples.y) - len(kept.y)
-    least = (
-        sum(len(d.options) - 1 if isinstance(d, Choice) else 1 for d in samples.dimensions)
-        + 1
-        + DEGREES_OF_FREEDOM
-    )
+    complete = samples.at(samples.complete)
+    count, missing = len(complete.y), len(samples.y) - len(complete.y)
+    coefficients = 1 + sum(len(d.options) - 1 if isinstance(d, Choice) else 1 for d in samples.dimensions)
+    least = coefficients + DEGREES_OF_FREEDOM
     if count < least:
-        return f"expected at least {least} samples with the output for {len(kept.names)} factors, got {count}"
+        factors = len(complete.names)
+        return f"expected at least {least} samples with the output for {factors} factors, got {count}"
     fast = count >= ENOUGH
     measure = FIRST if fast else REGRESSION
-    crossed = [Effect(e.name, e.kind, {measure: e.estimates[FIRST]}) for e in of_crossed(kept)]
-    mean = kept.y.mean(axis=1)
-    fits = [linear_model(kept, mean, ranks)[1] if np.ptp(mean) > 0 else 0.0 for ranks in (False, True)]
+    crossed = [Effect(e.name, e.kind, {measure: e.estimates[FIRST]}) for e in of_crossed(complete)]
+    mean = complete.y.mean(axis=1)
+    fits = [linear_model(complete, mean, ranks)[1] if np.ptp(mean) > 0 else 0.0 for ranks in (False, True)]
     reliable = fast or fits[0] >= LEAST_FIT
     values, ranks = (f"{100 * fit:.0f} %" for fit in fits)
     notes = [f"a linear model of the factors explains {values} of the variance, of ranks {ranks}"]
@@ -97,12 +95,12 @@ def from_sample(samples: OutputSamples) -> Sensitivity | str:
         FAST if fast else LINEAR,
         measure,
         count,
-        float(kept.y.var()),
-        ordered(_effects(kept, fast) + crossed, measure),
+        float(complete.y.var()),
+        ordered(_effects(complete, fast) + crossed, measure),
         {
-            combination: ordered(_effects(kept.alone(c), fast), measure)
-            for c, combination in enumerate(kept.combinations)
-            if kept.crossed and np.ptp(kept.y[:, c]) > 0
+            combination: ordered(_effects(complete.alone(c), fast), measure)
+            for c, combination in enumerate(complete.combinations)
+            if complete.crossed and np.ptp(complete.y[:, c]) > 0
         },
         {"r_squared": fits[0], "r_squared_of_ranks": fits[1]},
         tuple(notes),

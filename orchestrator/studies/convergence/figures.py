@@ -69,18 +69,18 @@ class Curve:
 
 def curves(study: ConvergenceStudy, group: str) -> list[Curve]:
     """One curve for each setting; a setting with the results of an earlier one joins its curve."""
-    found: list[Curve] = []
+    distinct: list[Curve] = []
     count: dict[str, int] = {}
     for setting in study.settings:
         runs = study.of(setting)
-        same = next((curve for curve in found if _equal_results(curve.runs, runs, group)), None)
+        same = next((curve for curve in distinct if _equal_results(curve.runs, runs, group)), None)
         if same is not None:
             same.settings.append(setting.label)
             continue
         index = count.get(setting.family, 0)
         count[setting.family] = index + 1
-        found.append(Curve([setting.label], runs, setting.family, index))
-    return found
+        distinct.append(Curve([setting.label], runs, setting.family, index))
+    return distinct
 
 
 def _equal_results(first: Sequence[SettingRun], second: Sequence[SettingRun], group: str) -> bool:

@@ -1,7 +1,7 @@
 """Reference solution of a convergence study: a recording, or a run that is finer than all others.
 
-A reference has its own instants, often far apart. A run is compared at the instants that both have: between
-them linear interpolation would be less accurate than a good master.
+The samples of a reference are often far apart. A run is compared at common instants only, because linear
+interpolation between samples would be less accurate than a good master.
 """
 
 from __future__ import annotations

@@ -170,7 +170,7 @@ def _spreads(finding: OutputAnalysis) -> Markup | None:
     spreads = [(Markup("all"), finding.spread)] if finding.spread else []
     for choice, options in finding.by_choice.items():
         name = Markup('<span class="soft">{}</span> {}')
-        spreads += [(name.format(choice, short(option)), found) for option, found in options.items()]
+        spreads += [(name.format(choice, short(option)), spread) for option, spread in options.items()]
     text = finding.display.text
     rows = [
         [name, str(s.runs)]
@@ -207,7 +207,7 @@ def _measure(effect: Effect, key: str, unit: DisplayUnit) -> str:
 def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
     """The sensitivity measure of each factor in each combination of choices."""
     measure = sensitivity.measure
-    combinations = [{e.name: e.estimates[measure] for e in found} for found in sensitivity.apart.values()]
+    combinations = [{e.name: e.estimates[measure] for e in effects} for effects in sensitivity.apart.values()]
     rows = [
         [_code(effect.name)]
         + [size(c[effect.name], measure, unit) if effect.name in c else NO_VALUE for c in combinations]
