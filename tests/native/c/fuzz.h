@@ -202,7 +202,7 @@ typedef struct {
 typedef struct {
     char *bytes;
     size_t size;
-    int genuine; /* as the FMU wrote it, or with the right check sum all the same */
+    int genuine; /* as the FMU wrote it, or with the right checksum all the same */
 } Blob;
 
 static Slot slots[SLOTS];
@@ -227,16 +227,16 @@ static Slot *slot_in(int mask) {
 /* The instance of a slot, or none once in a while. */
 static void *instance_of(const Slot *slot) { return one_in(200) ? NULL : slot->c; }
 
-/* Wrong bytes with the right check sum. */
+/* Wrong bytes with the right checksum. */
 static void forge(char *bytes) {
     const int phase = 1 << below(9);
     const double time = odd_number();
     if (one_in(4)) memcpy(bytes + sizeof(Header) + offsetof(State, phase), &phase, sizeof phase);
     if (one_in(4)) memcpy(bytes + sizeof(Header) + offsetof(State, time), &time, sizeof time);
-    snapshot_seal(bytes);
+    snapshot_add_checksum(bytes);
 }
 
-/* Bytes of a saved state, damaged: other bytes, a check sum or none, cut short, too long; or not at all. */
+/* Bytes of a saved state, damaged: other bytes, a checksum or none, cut short, too long; or not at all. */
 static Blob damaged(const Blob *blob) {
     const size_t cut = one_in(6) ? below((unsigned)blob->size + 9) : blob->size;
     Blob other = {exactly(cut), cut, 0};
@@ -246,12 +246,12 @@ static Blob damaged(const Blob *blob) {
         other.bytes[below((unsigned)cut)] = (char)next_random();
     if (cut == snapshot_size() && one_in(2)) {
         if (one_in(2)) forge(other.bytes);
-        else memset(other.bytes + offsetof(Header, seal), 0, sizeof(uint64_t));
+        else memset(other.bytes + offsetof(Header, checksum), 0, sizeof(uint64_t));
     }
-    Header head, right = header();
+    Header head, right = expected_header();
     memset(&head, 0, sizeof head);
     memcpy(&head, other.bytes, cut < sizeof head ? cut : sizeof head);
-    if (cut == snapshot_size()) right.seal = check_sum(other.bytes + sizeof head, sizeof(State));
+    if (cut == snapshot_size()) right.checksum = checksum_of(other.bytes + sizeof head, sizeof(State));
     other.genuine = memcmp(&head, &right, sizeof head) == 0;
     return other;
 }
