@@ -1,4 +1,4 @@
-"""A, B, C, D of a whole system of FMUs at an operating point, and the modes of it.
+"""Linearises a system of FMUs at an operating point: matrices A, B, C, D and modes.
 
 from orchestrator import linearize
 

@@ -1,14 +1,14 @@
-"""Modes of a linear model: eigenvalues, how much each state takes part in them, and what to call them.
+"""Modes of a linear model: eigenvalues, participation factors of the states, and names.
 
-A mode is named by the states that take part in it. Nothing here knows a machine, all comes from the model
-descriptions of the FMUs: the unit of a state says what it is (a motion, a pressure, a flow), the words of its
-name say what it belongs to, so that boom_speed and boom_rod_pressure make "boom on its oil".
+The name of a mode is derived from its participating states. It depends only on the model descriptions of the
+FMUs: the unit of a state gives its quantity (position, speed, pressure, flow), the words of its name give the
+part of the machine. The states boom_speed and boom_rod_pressure give the name "boom on its oil".
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,45 +21,46 @@ from orchestrator.base.units import DeclaredUnit
 if TYPE_CHECKING:
     from orchestrator.linear.model import LinearVariable
 
-MAIN_PARTICIPATION, MAIN_COUNT = (
-    0.8,
-    4,
-)  # states are listed until they have this share of a mode, and at most so many
-MIN_PARTICIPATION = 0.04  # a state with less is not listed
-MIN_KIND_PARTICIPATION = 0.12  # of a mode that a kind of states has to have, to be in its name
-KINDS = {  # exponents of kg, m, s without the radian
+# Main states: the fewest with this sum of participation factors, up to this number.
+MAIN_PARTICIPATION, MAIN_COUNT = 0.8, 4
+MIN_PARTICIPATION = 0.04  # smallest participation factor of a main state
+MIN_KIND_PARTICIPATION = 0.12  # smallest participation of a quantity that influences the name
+KINDS = {  # exponents of kg, m, s -> quantity, without the radian
     (0, 1, 0): "position",
     (0, 1, -1): "speed",
     (1, -1, -2): "pressure",
     (0, 3, -1): "flow",
     (0, 3, 0): "volume",
 }
-ROTATION_KINDS = {0: "position", -1: "speed"}  # with the radian: by the exponent of the second
+ROTATION_KINDS = {0: "position", -1: "speed"}  # exponent of s -> quantity, with the radian
 QUANTITIES = {"angle", "flow", "position", "pressure", "speed", "velocity", "volume"}
 MOTION = {"position", "speed"}
 OIL = {"pressure", "flow"}
 
 
 def short_names(states: Sequence[LinearVariable]) -> list[str]:
-    """Names of states without their component, where that is enough."""
+    """Names of states, without the component if the variable is unique."""
     bare = [s.name.rpartition(".")[2] for s in states]
     return [b if bare.count(b) == 1 else s.name for b, s in zip(bare, states, strict=True)]
 
 
 def mode_name(
-    value: complex, share: NDArray[np.float64], labels: Sequence[str], units: Sequence[DeclaredUnit | None]
+    value: complex,
+    participation: NDArray[np.float64],
+    labels: Sequence[str],
+    units: Sequence[DeclaredUnit | None],
 ) -> tuple[str, tuple[str, ...]]:
-    """What a mode is, and the names of the states that make most of it, the largest first."""
-    weight = dict[str, float]()
-    for part, unit in zip(share, units, strict=True):
-        weight[quantity_kind(unit)] = weight.get(quantity_kind(unit), 0.0) + float(part)
-    kinds = {k for k, total in weight.items() if total >= MIN_KIND_PARTICIPATION}
-    main = tuple(labels[i] for i in _main_states(share))
+    """The name of a mode, and the names of its main states in descending order of participation."""
+    totals = dict[str, float]()
+    for factor, unit in zip(participation, units, strict=True):
+        totals[quantity_kind(unit)] = totals.get(quantity_kind(unit), 0.0) + float(factor)
+    kinds = {kind for kind, total in totals.items() if total >= MIN_KIND_PARTICIPATION}
+    main = tuple(labels[i] for i in _main_states(participation))
     return _phrase(value, kinds, main), main
 
 
 def quantity_kind(unit: DeclaredUnit | None) -> str:
-    """What a quantity with this unit is; empty where that is not known."""
+    """The quantity that has a unit; empty if unknown."""
     if unit is None or unit.exponents is None:
         return ""
     *base, radian = unit.exponents
@@ -70,45 +71,45 @@ def quantity_kind(unit: DeclaredUnit | None) -> str:
     return KINDS.get((base[0], base[1], base[2]), "")
 
 
-def _main_states(share: NDArray[np.float64]) -> list[int]:
-    """The states to name, the largest first."""
-    order, found, total = np.argsort(-share, kind="stable"), list[int](), 0.0
+def _main_states(participation: NDArray[np.float64]) -> list[int]:
+    """Indices of the main states in descending order of participation."""
+    order, indices, total = np.argsort(-participation, kind="stable"), list[int](), 0.0
     for i in order[:MAIN_COUNT]:
-        if found and (total >= MAIN_PARTICIPATION or share[i] < MIN_PARTICIPATION):
+        if indices and (total >= MAIN_PARTICIPATION or participation[i] < MIN_PARTICIPATION):
             break
-        found.append(int(i))
-        total += float(share[i])
-    return found
+        indices.append(int(i))
+        total += float(participation[i])
+    return indices
 
 
 def _phrase(value: complex, kinds: set[str], names: Sequence[str]) -> str:
-    """The words before the list of states."""
-    what = _subject(names)
-    both = " and " in what
+    """The name of a mode from its eigenvalue, the quantities of its states and their names."""
+    subject = _subject(names)
+    both = " and " in subject
     s, its = ("", "their") if both else ("s", "its")
     if value == 0.0:
         how = "where" if kinds & MOTION else "as"
-        return f"{what} stay{s} {how} {'they are' if both else 'it is'}"
+        return f"{subject} stay{s} {how} {'they are' if both else 'it is'}"
     if value.real > 0.0:
-        return f"{what} swing{s} up" if value.imag else f"{what} drift{s} off"
+        return f"{subject} swing{s} up" if value.imag else f"{subject} drift{s} off"
     moves, oil = bool(kinds & MOTION), kinds & OIL
     if value.imag and moves:
-        return f"{what} on {its} oil" if oil else f"{what} swing{s}"
+        return f"{subject} on {its} oil" if oil else f"{subject} swing{s}"
     if value.imag:
-        return f"oil of {what} swings" if oil else f"{what} swing{s}"
+        return f"oil of {subject} swings" if oil else f"{subject} swing{s}"
     if kinds == {"position"}:
-        return f"{what} return{s} to {its} place{'s' * both}"
+        return f"{subject} return{s} to {its} place{'s' * both}"
     if moves:
-        return f"{what} against {its} oil" if oil else f"{what} come{s} to rest"
+        return f"{subject} against {its} oil" if oil else f"{subject} come{s} to rest"
     if oil == {"flow"}:
-        return f"flow of {what} follows its pressures"
-    return f"pressure of {what} settles" if oil else f"{what} settle{s}"
+        return f"flow of {subject} follows its pressures"
+    return f"pressure of {subject} settles" if oil else f"{subject} settle{s}"
 
 
 def _subject(names: Sequence[str]) -> str:
-    """The words that all names begin with, else the first words, those that stand there most often first.
+    """The common first words of names, or else the two most frequent first words.
 
-    boom_rod_pressure and boom_rod_flow are of the boom rod; boom_speed and boom_rod_pressure of the boom.
+    boom_rod_pressure and boom_rod_flow give "boom rod"; boom_speed and boom_rod_pressure give "boom".
     """
     common = list[str]()
     for words in zip(*(n.replace(".", "_").split("_") for n in names), strict=False):
@@ -122,17 +123,17 @@ def _subject(names: Sequence[str]) -> str:
 
 
 Array = NDArray[np.float64]
-ZERO_EIGENVALUE = 1e-18  # of the norm of the balanced matrix: what is left of a zero after that
+ZERO_EIGENVALUE = 1e-18  # relative to the norm of the balanced matrix; smaller eigenvalues are zero
 
 
 @dataclass(frozen=True)
 class Mode:
-    """One real eigenvalue, or a pair of complex ones of which this has the positive imaginary part.
+    """A real eigenvalue, or the one with positive imaginary part of a complex pair.
 
-    value     [1/s]
-    share     how much each state takes part in it: participation factors, the sum of which is 1
-    name      in words, from the names of these states
-    members   those that make most of it, the largest first
+    value           eigenvalue [1/s]
+    participation   participation factor of each state, with the sum 1
+    name            derived from the names of the main states
+    main_states     names in descending order of participation
     """
 
     value: complex
@@ -142,27 +143,26 @@ class Mode:
 
     @property
     def oscillates(self) -> bool:
-        """Is it a pair?"""
+        """True for a pair of complex eigenvalues."""
         return self.value.imag > 0.0
 
     @property
     def frequency(self) -> float:
-        """Of the undamped mode, |value| / 2 pi [Hz]; of a real eigenvalue 0."""
+        """Undamped natural frequency |value| / 2 pi [Hz]; 0 for a real eigenvalue."""
         return abs(self.value) / (2.0 * math.pi) if self.oscillates else 0.0
 
     @property
     def damping(self) -> float:
-        """Damping ratio [1]; of a real eigenvalue 1 where it decays, -1 where it grows, 0 where it stays."""
+        """Damping ratio [1]; 1, 0 or -1 for a negative, zero or positive real eigenvalue."""
         return -self.value.real / abs(self.value) if self.value else 0.0
 
     @property
     def time_constant(self) -> float:
-        """Of the decay [s]; negative where it grows, infinite where it stays."""
+        """Time constant of the decay [s]; negative if unstable, infinite if marginally stable."""
         return -1.0 / self.value.real if self.value.real else math.inf
 
     def as_dict(self) -> dict[str, Any]:
-        """For a file."""
-        lasts = self.time_constant
+        """The mode for a JSON file."""
         return {
             "name": self.name,
             "states": list(self.main_states),
@@ -170,50 +170,46 @@ class Mode:
             "imaginary": self.value.imag,
             "frequency": self.frequency,
             "damping": self.damping,
-            "time_constant": lasts if math.isfinite(lasts) else None,
+            "time_constant": self.time_constant if math.isfinite(self.time_constant) else None,
         }
 
 
 def modes(a: Array, states: Sequence[LinearVariable]) -> tuple[Mode, ...]:
-    """The modes of dx/dt = A x, the slowest first."""
+    """The modes of dx/dt = A x, slowest first. Modes with the same name are numbered."""
     values, left, right = eigen(a, np.array([s.nominal for s in states]))
-    labels, found = short_names(states), []
+    labels, units, result = short_names(states), [s.unit for s in states], list[Mode]()
     for k in np.lexsort((values.imag, np.abs(values))):
-        if values[k].imag >= 0.0:
-            share = np.abs(left[:, k] * right[:, k])
-            share = share / share.sum() if share.sum() else share
-            units = [s.unit for s in states]
-            found.append(
-                Mode(complex(values[k]), share, *mode_name(complex(values[k]), share, labels, units))
-            )
-    return tuple(_numbered(found))
+        value = complex(values[k])
+        if value.imag >= 0.0:
+            factors = np.abs(left[:, k] * right[:, k])
+            participation = factors / factors.sum() if factors.sum() else factors
+            result.append(Mode(value, participation, *mode_name(value, participation, labels, units)))
+    names = [m.name for m in result]
+    for k, name in enumerate(names):
+        if names.count(name) > 1:
+            result[k] = replace(result[k], name=f"{name} ({names[: k + 1].count(name)})")
+    return tuple(result)
 
 
-def _numbered(found: Sequence[Mode]) -> Iterator[Mode]:
-    """The modes, with numbers behind names that occur more than once."""
-    names = [m.name for m in found]
-    for k, mode in enumerate(found):
-        number = f" ({names[: k + 1].count(mode.name)})" if names.count(mode.name) > 1 else ""
-        yield replace(mode, name=mode.name + number)
+def eigen(a: Array, nominal: Array) -> tuple[NDArray[np.complex128], ...]:
+    """Eigenvalues, left and right eigenvectors of the matrix in scaled states.
 
+    nominal   nominal values of the states
 
-def eigen(a: Array, size: Array) -> tuple[NDArray[np.complex128], ...]:
-    """Eigenvalues, and left and right eigenvectors of the matrix in the scaled states.
-
-    States in Pa and in m3/s stand in one matrix, and rates from 0 to 1e7 1/s. So states are scaled by their
-    magnitudes, then by powers of 2 until rows and columns are alike (LAPACK's balancing). What a slow
-    eigenvalue then has as rounding of the fast ones, its Rayleigh quotient with both vectors takes off: the
-    error left is of second order.
+    The matrix combines states in Pa and in m3/s, and rates from 0 to 1e7 1/s. The states are therefore scaled
+    by their nominal values, and then by powers of 2 until the norms of rows and columns agree (balancing in
+    LAPACK). The Rayleigh quotient with left and right eigenvector then removes the rounding error of slow
+    eigenvalues in the presence of fast ones, up to an error of second order.
     """
     if not len(a):
         empty = np.zeros(0, complex)
         return empty, np.zeros((0, 0), complex), np.zeros((0, 0), complex)
-    scaled, _ = matrix_balance(a * size / size[:, None], permute=False)
+    scaled, _ = matrix_balance(a * nominal / nominal[:, None], permute=False)
     values, left, right = eig(scaled, left=True, right=True)
-    over = np.einsum("ik,ik->k", left.conj(), right)
-    upper = np.einsum("ik,ij,jk->k", left.conj(), scaled, right)
-    usable = np.abs(over) > 1e-6  # else nearly defective: left and right vectors are at right angles
-    values = np.where(usable, upper / np.where(usable, over, 1.0), values)
+    denominator = np.einsum("ik,ik->k", left.conj(), right)
+    numerator = np.einsum("ik,ij,jk->k", left.conj(), scaled, right)
+    usable = np.abs(denominator) > 1e-6  # else the matrix is nearly defective: the vectors are orthogonal
+    values = np.where(usable, numerator / np.where(usable, denominator, 1.0), values)
     values[np.abs(values) <= ZERO_EIGENVALUE * np.linalg.norm(scaled)] = 0.0
     values.imag[np.abs(values.imag) <= 1e-12 * np.abs(values)] = 0.0
     return values, left, right

@@ -1,10 +1,11 @@
-"""The components of a system in model exchange, joined: all states, all inputs, and what the wires do.
+"""The connected components of a system in Model Exchange, and their linearised equations.
 
-With the states x of all components, v all their inputs, y all their outputs and u the inputs from outside,
+With the states x, the inputs v and the outputs y of all components, and the external inputs u,
 
     dx/dt = f(x, v)     y = g(x, v)     v = L y + M u + constant
 
-and, linearised, K = 1 / (1 - L D) with the components' own D: docs/linearize.md has the equations.
+The linearised equations contain K = (1 - L D)^-1, with the matrices D of the components on the diagonal of
+D; docs/linearize.md derives them.
 """
 
 from __future__ import annotations
@@ -24,29 +25,27 @@ from orchestrator.linear.cut_system import CutSystem
 from orchestrator.ssp.system import Port
 
 Array = NDArray[np.float64]
-RELATIVE_STEP = (
-    6e-6  # of the size of a value: the cube root of the rounding, where both errors of a difference meet
-)
+RELATIVE_STEP = 6e-6  # of central differences: the cube root of the rounding error
 
 
-def differences(look: Callable[[], None], knowns: Sequence[Array], unknowns: Sequence[Array]) -> Array:
-    """d(unknowns) / d(knowns), where `look` computes the one from the other, in place."""
+def differences(evaluate: Callable[[], None], knowns: Sequence[Array], unknowns: Sequence[Array]) -> Array:
+    """Jacobian d(unknowns) / d(knowns) by central differences; `evaluate` updates the unknowns in place."""
     columns = []
     for known in knowns:
-        for j, here in enumerate(known.tolist()):
-            step, looks = RELATIVE_STEP * max(abs(here), 1.0), []
-            for value in (here + step, here - step):
+        for j, x in enumerate(known.tolist()):
+            step, results = RELATIVE_STEP * max(abs(x), 1.0), []
+            for value in (x + step, x - step):
                 known[j] = value
-                look()
-                looks.append(np.concatenate([*unknowns]))
-            columns.append((looks[0] - looks[1]) / ((here + step) - (here - step)))
-            known[j] = here
-    look()
+                evaluate()
+                results.append(np.concatenate([*unknowns]))
+            columns.append((results[0] - results[1]) / ((x + step) - (x - step)))
+            known[j] = x
+    evaluate()
     return np.array(columns).T.reshape(sum(map(len, unknowns)), -1)
 
 
 class StackedArrays(Protocol):
-    """The arrays of all components: states, inputs, outputs, and time derivatives of the states."""
+    """Stacked arrays of all components: states x, inputs v, outputs y, time derivatives f of the states."""
 
     x: Array
     v: Array
@@ -55,28 +54,27 @@ class StackedArrays(Protocol):
 
 
 class PlantComponent:
-    """One component: its places in the stacked arrays, and its calls."""
+    """One component: its slices of the stacked arrays, and its bound calls."""
 
     def __init__(self, slave: ExchangeFmu, x: slice, v: slice, y: slice) -> None:
         self.slave, self.x, self.v, self.y = slave, x, v, y
-        face = slave.interface
-        self.inputs = [u.name for u in face.of("input") if u.is_continuous]
-        self.outputs = [u.name for u in face.of("output") if u.is_continuous]
+        self.inputs = [u.name for u in slave.interface.of("input") if u.is_continuous]
+        self.outputs = [u.name for u in slave.interface.of("output") if u.is_continuous]
 
     def open(self, plant: StackedArrays) -> None:
-        """Bind the calls to the arrays of the plant."""
+        """Bind the calls of the component to the arrays of the plant."""
         f, x, v, y = plant.f[self.x], plant.x[self.x], plant.v[self.v], plant.y[self.y]
-        self._tangent = Linearisation(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
-        self.starts = [*self._tangent.state_reads, *self._rows(self.slave.reader, self.inputs, v)]
-        self.writes = self._rows(self.slave.writer, self.inputs, v)
-        self.reads = [*self._tangent.rate_reads, *self._rows(self.slave.reader, self.outputs, y)]
+        self._linearisation = Linearisation(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
+        self.starts = [*self._linearisation.state_reads, *self._calls(self.slave.reader, self.inputs, v)]
+        self.writes = self._calls(self.slave.writer, self.inputs, v)
+        self.reads = [*self._linearisation.rate_reads, *self._calls(self.slave.reader, self.outputs, y)]
         self._plant = plant
 
-    def _rows(self, make: Any, names: Sequence[str], values: Array) -> list[Call]:
+    def _calls(self, make: Any, names: Sequence[str], values: Array) -> list[Call]:
         return [make(names, values)] if names else []
 
     def evaluate(self) -> None:
-        """Set states and inputs, read derivatives and outputs."""
+        """Set states and inputs, get state derivatives and outputs."""
         self.slave.set_states(self._plant.x[self.x])
         for call in (*self.writes, *self.reads):
             call()
@@ -84,19 +82,17 @@ class PlantComponent:
     def jacobian(self) -> Array:
         """d(f, y) / d(x, v) of this component."""
         if self.slave.interface.directional_derivatives:
-            return self._tangent.matrix()
+            return self._linearisation.matrix()
         p = self._plant
         return differences(self.evaluate, (p.x[self.x], p.v[self.v]), (p.f[self.x], p.y[self.y]))
 
 
-MAX_ITERATIONS = (
-    30  # of Newton's method over the wires; without feed-through loops as many as stages are enough
-)
-AGREEMENT = 1e-13  # of the size of a signal: rounding
+MAX_ITERATIONS = 30  # of Newton's method for the connections
+AGREEMENT = 1e-13  # tolerance of connected values, relative to their magnitude
 
 
 class Matrices(NamedTuple):
-    """A, B, C, D."""
+    """The matrices A, B, C, D of a linear model."""
 
     a: Array
     b: Array
@@ -105,10 +101,14 @@ class Matrices(NamedTuple):
 
 
 class Plant:
-    """The running components of a system; `close` frees them.
+    """The running components of a system in Model Exchange; `close` frees them.
 
-    x, v, y, f      states, inputs, outputs of all components, and time derivatives of the states, now
-    states, ports   names; inputs and outputs as ports
+    x, v, y, f                current states, inputs, outputs of all components, and state derivatives
+    states, inputs, outputs   the ports of x, v and y
+    connections, input_map    the matrices L and M
+    constant                  constant part of v
+    connected                 True for inputs with a connection or an external input
+    nominal                   nominal values of the states
     """
 
     def __init__(self, choice: CutSystem) -> None:
@@ -135,7 +135,7 @@ class Plant:
         self._wire()
 
     def _wire(self) -> None:
-        """L, M and what is constant of v."""
+        """Set L, M and the constant part of v."""
         at, of = ({p: i for i, p in enumerate(ports)} for ports in (self.inputs, self.outputs))
         self.connections, self.input_map = (
             np.zeros((len(at), len(of))),
@@ -153,13 +153,13 @@ class Plant:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What to say about the components."""
-        plain = [name for name, slave in self.slaves.items() if not slave.interface.directional_derivatives]
-        text = "gives no directional derivatives, so these are finite differences"
-        return tuple(f"{name}: the FMU {text}" for name in plain)
+        """Notes on FMUs without directional derivatives."""
+        names = [name for name, slave in self.slaves.items() if not slave.interface.directional_derivatives]
+        reason = "has no directional derivatives, finite differences are used"
+        return tuple(f"{name}: the FMU {reason}" for name in names)
 
     def start(self, span: tuple[float, float]) -> None:
-        """Initialise as a run does, over the wires of the start, too; `span` in [s]."""
+        """Initialise the components as in a run; `span`: (start, stop) [s]."""
         initialise(self.system, cast(Mapping[str, Slave], self.slaves), {}, span)
         for member in self.members:
             member.open(self)
@@ -170,57 +170,55 @@ class Plant:
 
     @property
     def u(self) -> Array:
-        """What the inputs from outside are now."""
+        """The current values of the external inputs."""
         at = {p: i for i, p in enumerate(self.inputs)}
         first = [(at[inlet.targets[0][0]], inlet.targets[0][1]) for inlet in self.cut.inputs]
         return np.array([(self.v[i] - linear.offset) / linear.factor for i, linear in first])
 
     def settle(self, x: Array, u: Array) -> None:
-        """Set states and inputs, and make all agree over the wires: v = L y + M u + constant."""
+        """Set states and external inputs, and solve the connections v = L y + M u + constant for v."""
         self.x[:] = x
-        outside = self.input_map @ u + self.constant
+        external = self.input_map @ u + self.constant
         for _ in range(MAX_ITERATIONS):
             self.evaluate()
-            wanted = self.connections @ self.y + outside
-            off = wanted - self.v
-            if not np.isfinite(off).all():
+            expected = self.connections @ self.y + external
+            residual = expected - self.v
+            if not np.isfinite(residual).all():
                 break
-            if (
-                np.abs(off)
-                <= AGREEMENT * np.maximum(np.abs(wanted), np.abs(self.connections) @ np.abs(self.y))
-            ).all():
+            magnitude = np.maximum(np.abs(expected), np.abs(self.connections) @ np.abs(self.y))
+            if (np.abs(residual) <= AGREEMENT * magnitude).all():
                 return
-            self.v += self.loop_inverse(self.blocks().d) @ off
-        raise Problem(f"{self.system.name}: its wires cannot be made to agree: {self._worst(off)}")
+            self.v += self.loop_inverse(self.blocks().d) @ residual
+        raise Problem(f"{self.system.name}: the connections have no solution: {self._worst(residual)}")
 
-    def _worst(self, off: Array) -> str:
-        k = int(np.argmax(np.where(np.isfinite(off), np.abs(off), np.inf)))
-        return f"{self.inputs[k]} is off by {off[k]:.3g}"
+    def _worst(self, residual: Array) -> str:
+        k = int(np.argmax(np.where(np.isfinite(residual), np.abs(residual), np.inf)))
+        return f"{self.inputs[k]} is off by {residual[k]:.3g}"
 
     def evaluate(self) -> None:
-        """Set states and inputs as they stand in the arrays, read derivatives and outputs."""
+        """Set states and inputs of all components, get state derivatives and outputs."""
         for member in self.members:
             member.evaluate()
 
     def blocks(self) -> Matrices:
-        """The components' own matrices, side by side, with respect to all their inputs."""
+        """Block-diagonal matrices of the unconnected components, with respect to x and v."""
         nx, nv, ny = len(self.x), len(self.v), len(self.y)
-        found = Matrices(*(np.zeros(s) for s in ((nx, nx), (nx, nv), (ny, nx), (ny, nv))))
+        blocks = Matrices(*(np.zeros(s) for s in ((nx, nx), (nx, nv), (ny, nx), (ny, nv))))
         for m in self.members:
             jacobian, n = m.jacobian(), m.x.stop - m.x.start
-            found.a[m.x, m.x], found.b[m.x, m.v] = jacobian[:n, :n], jacobian[:n, n:]
-            found.c[m.y, m.x], found.d[m.y, m.v] = jacobian[n:, :n], jacobian[n:, n:]
-        return found
+            blocks.a[m.x, m.x], blocks.b[m.x, m.v] = jacobian[:n, :n], jacobian[:n, n:]
+            blocks.c[m.y, m.x], blocks.d[m.y, m.v] = jacobian[n:, :n], jacobian[n:, n:]
+        return blocks
 
     def matrices(self) -> Matrices:
-        """A, B, C, D from the inputs from outside to all outputs."""
-        own = self.blocks()
-        closed = self.loop_inverse(own.d)
-        of_x, of_u = closed @ (self.connections @ own.c), closed @ self.input_map
-        return Matrices(own.a + own.b @ of_x, own.b @ of_u, own.c + own.d @ of_x, own.d @ of_u)
+        """A, B, C, D of the connected system, from the external inputs to all outputs."""
+        a, b, c, d = self.blocks()
+        inverse = self.loop_inverse(d)
+        v_by_x, v_by_u = inverse @ (self.connections @ c), inverse @ self.input_map
+        return Matrices(a + b @ v_by_x, b @ v_by_u, c + d @ v_by_x, d @ v_by_u)
 
     def loop_inverse(self, d: Array) -> Array:
-        """K = 1 / (1 - L D). Without a loop of direct feed-through a finite sum, without rounding."""
+        """K = (1 - L D)^-1; without an algebraic loop a finite sum, which has no rounding errors."""
         through = self.connections @ d
         total = power = np.eye(len(through))
         for _ in range(len(through)):
@@ -231,7 +229,7 @@ class Plant:
         try:
             return np.asarray(np.linalg.solve(np.eye(len(through)) - through, np.eye(len(through))))
         except np.linalg.LinAlgError:
-            raise Problem(f"{self.system.name}: a loop of direct feed-through has no one solution") from None
+            raise Problem(f"{self.system.name}: the algebraic loop has no unique solution") from None
 
     def set_time(self, time: float) -> None:
         """Set the time [s]."""

@@ -65,7 +65,7 @@ def bare(group):
 
 def matched(linear, a):
     """All eigenvalues of a are those of the linear model."""
-    size = np.array([s.size for s in linear.states])
+    size = np.array([s.nominal for s in linear.states])
     wanted, found = (eigen(m, size)[0] for m in (a, linear.a))
     apart = np.abs(wanted[:, None] - found) / np.maximum(np.abs(wanted), 1e-12)[:, None]  # zero: to 1e-18
     assert apart[linear_sum_assignment(apart)].max() <= SAME
@@ -119,7 +119,7 @@ def test_a_steady_state_is_steady(found, machine, pose, speeds):
         if joint in ("swing", "boom", "stick") and kind == "angle":
             assert (x, rate) == (getattr(POSES[pose], joint), speed)
         elif state.name != "supply.reservoir_volume":
-            assert abs(rate) <= 1e-8 * state.size, state.name  # rounding: 2e-10 are seen
+            assert abs(rate) <= 1e-8 * state.nominal, state.name  # rounding: 2e-10 are seen
         if joint in ("swing", "boom", "stick") and kind == "speed":
             assert x == speed
 
