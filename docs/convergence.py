@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 from orchestrator.base.plotting import png
-from orchestrator.studies.convergence.command import convergence
+from orchestrator.studies.convergence.convergence_study import convergence
 from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
 from orchestrator.studies.convergence.runs import ConvergenceStudy
 from orchestrator.studies.convergence.tables import (

@@ -17,7 +17,7 @@ from run import M1, REFERENCE
 from orchestrator import load, read, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
-from orchestrator.studies.convergence.command import report, with_progress
+from orchestrator.studies.convergence.convergence_study import report, with_progress
 from orchestrator.studies.convergence.reference_solution import ReferenceSolution, from_run
 from orchestrator.studies.convergence.runs import ConvergenceStudy, run_settings
 from orchestrator.studies.convergence.settings import SETTINGS, Setting

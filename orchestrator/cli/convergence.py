@@ -54,7 +54,7 @@ def convergence(
     Prints tables, and writes them as CSV with figures.
     """
     from fmus.machine.build import data
-    from orchestrator.studies.convergence.command import convergence as study
+    from orchestrator.studies.convergence.convergence_study import convergence as study
 
     work_cycle = data("reference/work_cycle.csv")
     options = case.options() | {"scenario": case.scenario, "default_reference": work_cycle}

@@ -85,13 +85,14 @@ def _with_units(runs: list[Run]) -> list[Run]:
 
 
 # Quantity -> its SI unit.
-QUANTITIES = {"speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m"}
-QUANTITIES |= {"acceleration": "m/s2", "angular acceleration": "rad/s2"}
-QUANTITIES |= {"force": "N", "torque": "N.m", "flow": "m3/s", "power": "W", "voltage": "V"}
+QUANTITIES = {
+    "speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m",
+    "acceleration": "m/s2", "angular acceleration": "rad/s2", "force": "N", "torque": "N.m",
+    "flow": "m3/s", "power": "W", "voltage": "V",
+}  # fmt: skip
 DEFAULT_QUANTITIES = ("speed", "pressure", "angle")  # shown if the user names no signals
-AT_REST = (
-    1e-3  # range over the widest range of its quantity, below which a signal is at rest and has no NRMSE
-)
+# Range of a signal over the widest range of its quantity; below it the signal is at rest and has no NRMSE.
+AT_REST = 1e-3
 CONSTANT = "reference constant"
 
 

@@ -40,7 +40,7 @@ LABEL_RANGE = (0.02, 0.98)  # heights of the lowest and the highest label, fract
 
 
 @dataclass(eq=False)
-class Curve:
+class SettingCurve:
     """Runs of one setting, or of several settings with equal results."""
 
     settings: list[str]
@@ -67,9 +67,9 @@ class Curve:
         return ", ".join([self.settings[0], *(s.removeprefix(f"{first} ") for s in self.settings[1:])])
 
 
-def curves(study: ConvergenceStudy, group: str) -> list[Curve]:
+def curves(study: ConvergenceStudy, group: str) -> list[SettingCurve]:
     """One curve for each setting; a setting with the results of an earlier one joins its curve."""
-    distinct: list[Curve] = []
+    distinct: list[SettingCurve] = []
     count: dict[str, int] = {}
     for setting in study.settings:
         runs = study.of(setting)
@@ -79,7 +79,7 @@ def curves(study: ConvergenceStudy, group: str) -> list[Curve]:
             continue
         index = count.get(setting.family, 0)
         count[setting.family] = index + 1
-        distinct.append(Curve([setting.label], runs, setting.family, index))
+        distinct.append(SettingCurve([setting.label], runs, setting.family, index))
     return distinct
 
 
@@ -140,7 +140,7 @@ def _new_figure(study: ConvergenceStudy, group: str) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _plot(axes: Axes, curve: Curve, x: Callable[[SettingRun], float], group: str) -> None:
+def _plot(axes: Axes, curve: SettingCurve, x: Callable[[SettingRun], float], group: str) -> None:
     axes.plot(
         [x(r) for r in curve.stable],
         [r.error(group) for r in curve.stable],
@@ -152,7 +152,7 @@ def _plot(axes: Axes, curve: Curve, x: Callable[[SettingRun], float], group: str
     )
 
 
-def _mark_unstable(axes: Axes, every: Sequence[Curve], group: str) -> None:
+def _mark_unstable(axes: Axes, every: Sequence[SettingCurve], group: str) -> None:
     """A cross above the curves for each unstable run, side by side if there are several at one step."""
     low, high = axes.get_ylim()
     level = high * (high / low) ** 0.05
@@ -187,13 +187,13 @@ def _draw_slope_triangles(axes: Axes, steps: Sequence[float]) -> None:
         right = left / 1.08
 
 
-def _label_margin(drawn: Sequence[Curve]) -> float:
+def _label_margin(drawn: Sequence[SettingCurve]) -> float:
     """Margin for the labels, as a fraction of the width of the data."""
     width = 0.05 + LETTER_WIDTH * max((len(curve.label) for curve in drawn), default=0)
     return width / (1 - width)
 
 
-def _label_curves(axes: Axes, ends: Mapping[Curve, tuple[float, float]], left: bool) -> None:
+def _label_curves(axes: Axes, ends: Mapping[SettingCurve, tuple[float, float]], left: bool) -> None:
     """The label of each curve next to its end, moved up or down if labels would overlap."""
     to_axes = (axes.transData + axes.transAxes.inverted()).transform
     positions = {curve: to_axes(end) for curve, end in ends.items()}
