@@ -158,7 +158,9 @@ def test_a_run_that_begins_elsewhere_than_the_recording_is_told(capsys):
     table.to_csv(own, index=False)
     assert main(["validate", "--reference", str(own), "--stop", "0.2"]) == 1  # 0.3 rad is beyond the limit
     told = " ".join(capsys.readouterr().out.split())
-    assert "note: the start of the run differs from the reference: manipulator.boom_angle by -0.3 rad;" in told
+    assert (
+        "note: the start of the run differs from the reference: manipulator.boom_angle by -0.3 rad;" in told
+    )
 
 
 @pytest.mark.usefixtures("here")

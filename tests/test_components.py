@@ -1,4 +1,4 @@
-"""Physics of single parts against closed forms and properties."""
+"""Equations of the components against closed forms and physical properties."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_metering_edges_never_create_power(flow: float, supply: float, tank: flo
 
 @given(flows, pressures, commands)
 def test_port_node_conserves_oil(flow: float, tank: float, command: float) -> None:
-    """What comes from the supply goes to the tank or into the line."""
+    """Flow from the supply is the flow to the tank plus the flow into the line."""
     for node, q in zip(
         spool_valve.ports_from_flow(VALVE, command, flow, -flow, PS, tank, RHO), (flow, -flow), strict=True
     ):
@@ -101,7 +101,7 @@ def test_reversing_the_command_swaps_the_ports(command: float, flow: float) -> N
 
 @pytest.mark.parametrize("command", [0.0, 0.3, 0.6, -0.6])
 def test_closed_valve_passes_exactly_the_stated_leakage(command: float) -> None:
-    """Inside the dead band each edge is the leakage conductance and nothing else."""
+    """Inside the dead band each edge has only the leakage conductance."""
     target = 5e6
     # the line flow at which the node stands at the target pressure
     flow = VALVE.leakage * ((PS - target) - target)
@@ -178,7 +178,7 @@ def test_oil_column_starts_as_hyperbolic_tangent() -> None:
 
 
 def test_a_cavity_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
-    """1 L drawn from a closed chamber leaves it above -0.1 MPa; given back, the pressure is restored."""
+    """1 L drawn from a closed chamber leaves it above -0.1 MPa; the returned oil restores the pressure."""
     p, t = ca.SX.sym("p"), ca.SX.sym("t")
     capacitance, flow = 5e-12, 1e-3
     out = {"x": p, "t": t, "ode": chamber.pressure_rate(p * 1e5, -flow, capacitance) / 1e5}
@@ -195,7 +195,7 @@ def test_a_cavity_keeps_the_pressure_above_vacuum_and_conserves_oil() -> None:
 
 @given(st.floats(-6e4, 2e7), st.sampled_from([0.0, 7e-13, 5e-12]))
 def test_stored_energy_is_the_work_of_pressure_on_the_oil(pressure: float, capacitance: float) -> None:
-    """dE/dP = P (C + C_c(P)), by differentiation: the energy of oil and cavity, whichever rules."""
+    """dE/dP = P (C + C_c(P)), by differentiation: the energy of oil and cavity."""
     p = ca.SX.sym("p")
     slope = ca.Function("slope", [p], [ca.gradient(chamber.stored_energy(p, capacitance), p)])
     volume = capacitance + number(chamber.cavity_capacitance(pressure))
@@ -227,7 +227,7 @@ def test_holding_pressures_balance_the_load(load: float, preload: float) -> None
 
 @given(st.floats(-0.02, 0.63), st.floats(-2.0, 2.0))
 def test_end_stops_push_inwards_only(x: float, v: float) -> None:
-    """Zero inside the stroke; at an end the force points inwards whatever the speed."""
+    """Zero inside the stroke; at an end the force points inwards at any speed."""
     f = number(cylinder.stop_force(x, v, 0.61, 1e8, 5.0, 1e-3))
     if 0 <= x <= 0.61:
         assert f == 0
@@ -251,7 +251,7 @@ def test_motor_nodes_obey_line_and_leakage_resistances(p_a: float, p_b: float, s
 
 
 def test_areas_of_a_cylinder_by_hand() -> None:
-    """120 mm bore and 70 mm rod: 113.097 cm2 and 74.613 cm2, the rod's cross-section less."""
+    """120 mm bore and 70 mm rod: 113.097 cm2 and 74.613 cm2; the difference is the rod's area."""
     head, rod = cylinder.areas(0.12, 0.07)
     # stated with six digits
     assert head == pytest.approx(1.13097e-2, rel=1e-5)
@@ -269,7 +269,7 @@ def test_leakage_of_a_motor_by_hand() -> None:
 
 
 def test_leakage_of_a_closed_valve_by_hand() -> None:
-    """Both edges closed: G_leak on either side, in both writings of the port."""
+    """Both edges closed: G_leak of each edge, in both forms of the port equations."""
     leak = VALVE.leakage
     port = spool_valve.ports_from_flow(VALVE, 0.0, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
     assert number(port.supply) == pytest.approx(leak * (20e6 - number(port.pressure)), rel=1e-9, abs=0)

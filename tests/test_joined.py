@@ -1,4 +1,4 @@
-"""The whole machine as one subsystem: names, equations, and its FMU against the monolithic solution."""
+"""The machine as one composed subsystem: names, equations, and its FMU against the monolithic solution."""
 
 # ruff: noqa: ARG005  (observe and require take x, u, p, whatever a toy uses)
 
@@ -33,8 +33,8 @@ NUMBERS = values(HARVESTER)
 # ---- names and numbers -----------------------------------------------------------------------------
 
 
-def test_every_variable_of_the_components_has_a_place():
-    """States, parameters and outputs are all there under some name, and nothing else is."""
+def test_every_variable_of_the_components_has_a_name():
+    """All states, parameters and outputs have a name in the composed subsystem, and no others exist."""
     for group in ("states", "parameters", "outputs"):
         known = quantities(getattr(HARVESTER, group))
         wanted = {v: q for v, q in declared(SUBSYSTEMS, group).items() if v not in HIDDEN}
@@ -45,7 +45,7 @@ def test_every_variable_of_the_components_has_a_place():
 
 
 def test_names_are_those_a_user_expects():
-    """Plain where they are unique; oil and geometry once; the component in front where two differ."""
+    """Local names if unique; oil and geometry once; prefixed with the component if two differ."""
     parameters = quantities(HARVESTER.parameters)
     assert {"density", "valve_area", "boom_stroke", "stick_stroke", "head_mass"} <= set(parameters)
     assert {"swing_initial_preload", "boom_stick_initial_preload"} <= set(parameters)
@@ -61,7 +61,7 @@ def test_names_are_those_a_user_expects():
 
 
 def test_rates_tunables_and_warnings_stay():
-    """What the components say of a variable holds for the whole."""
+    """Declarations of the components are those of the composed subsystem."""
     assert quantities(HARVESTER.inputs)["boom_command"].rate == "boom_command_rate"
     tunable = {n for n, q in quantities(HARVESTER.parameters).items() if q.tunable}
     assert tunable == {
@@ -71,7 +71,7 @@ def test_rates_tunables_and_warnings_stay():
 
 
 def test_numbers_are_those_of_the_components():
-    """Value, unit, source and note of each parameter and start value stand in a file of a component."""
+    """Value, unit, source and note of each parameter and start value are those of a component."""
     found = numbers(HARVESTER)
     sources = {
         (section, NAMES.get(f"{c}.{n}", n)): number
@@ -103,7 +103,7 @@ def group(name: str, **members: Quantity) -> type[Any]:
 
 
 def part(name: str, gain: float = 2.0, text: str = "Gain", **quantity: Any) -> tuple[Subsystem, Any]:
-    """A lag y' = gain (u - y), and its numbers."""
+    """A lag y' = gain (u - y), and its tables."""
     way, aim = Quantity("m", "Way"), Quantity("m", "Aim")
     p, x = group("p", gain=Quantity("1/s", text, **quantity)), group("x", y=way)
     u, y = group("u", u=aim), group("y", y=way, aim=aim)
@@ -124,7 +124,7 @@ def part(name: str, gain: float = 2.0, text: str = "Gain", **quantity: Any) -> t
 
 
 def chain(first: tuple[Subsystem, Any], second: tuple[Subsystem, Any], **more: Any) -> Subsystem:
-    """Two lags, one after the other."""
+    """Two lags in series."""
     parts = {sub.name: sub for sub, _ in (first, second)}
     tables = {sub.name: table for sub, table in (first, second)}
     wires = more.pop("wires", [("a.y", "b.u")])
@@ -144,7 +144,7 @@ def chain(first: tuple[Subsystem, Any], second: tuple[Subsystem, Any], **more: A
     ],
 )
 def test_parameters_are_one_if_declared_alike_and_equal(second, expected):
-    """Same text, unit, bounds, and value; else each component keeps its own."""
+    """Same description, unit, bounds and value; otherwise each component has its own parameter."""
     whole = chain(part("a"), second)
     assert list(quantities(whole.parameters)) == expected
     assert list(values(whole).p) == expected
@@ -153,7 +153,7 @@ def test_parameters_are_one_if_declared_alike_and_equal(second, expected):
 
 
 def test_equal_requirements_of_two_parameters_name_their_component():
-    """A user can tell which gain is meant."""
+    """The requirement names the component of the gain."""
     whole = chain(part("a"), part("b", gain=3.0))
     assert symbolic(whole).statements == ("gain is positive", "b: gain is positive")
 
@@ -166,7 +166,7 @@ def test_outputs_and_states_of_one_name_get_their_component():
 
 
 def test_totals_are_sums():
-    """One output of the name, without a component."""
+    """One output with the local name."""
     whole = chain(part("a"), part("b"), totals=("aim",), hidden=("a.y", "b.y"), texts={"aim": "All aims"})
     assert {n: q.text for n, q in quantities(whole.outputs).items()} == {"aim": "All aims"}
     y = symbolic(whole).function()([1.0, 2.0], [5.0], [2.0])[1]
@@ -184,14 +184,14 @@ def test_totals_are_sums():
         ({"hidden": ["a.z"]}, "hidden: a.z is not an output of a, b"),
     ],
 )
-def test_mistakes_in_the_wiring_are_told(changes, message):
-    """In one line that names the variable."""
+def test_wrong_connections_are_refused(changes, message):
+    """The message names the variable."""
     with pytest.raises(Problem, match=message):
         chain(part("a"), part("b"), **changes)
 
 
 def test_targets_of_an_input_start_alike():
-    """One input cannot start with two values."""
+    """Targets of one input have equal start values."""
     second = part("b")
     second[1]["start"]["u"] = Number(0.25, "m", "assumed", "")
     with pytest.raises(Problem, match=r"all feeds a\.u and b\.u, expected equal unit and start value"):
@@ -202,7 +202,7 @@ def test_targets_of_an_input_start_alike():
 
 
 def test_equations_are_those_of_the_monolith():
-    """Derivatives, outputs and start at random points, parameters moved too."""
+    """Derivatives, outputs and initial states at random points and for random parameters."""
     model, whole = join(SUBSYSTEMS, CONNECTIONS, INPUTS), symbolic(HARVESTER)
     start = whole.initial()
     first = start(*(list(group.values()) for group in (NUMBERS.x, NUMBERS.u, NUMBERS.p))).full()[:, 0]

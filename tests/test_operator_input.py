@@ -1,4 +1,4 @@
-"""The levers: play their strokes as declared, with rates to the right of each corner; the built program."""
+"""Operator input: strokes as declared, right-hand derivatives at corners, and the program in the FMU."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ duration = st.integers(0, 3000).map(lambda ms: ms / 1000)
 
 @st.composite
 def moves(draw):
-    """A stroke with corners on a grid of 1 ms; ramps and top may be of no length."""
+    """A stroke with corners on a grid of 1 ms; ramps and top may have zero duration."""
     return Move(
         "boom", draw(duration), draw(st.floats(-10, 10)), draw(duration), draw(duration), draw(duration)
     )
@@ -79,7 +79,7 @@ def test_the_rate_at_a_millisecond_leads_to_the_next(move, ms):
 
 
 def test_a_clock_of_an_hour_still_meets_the_corners():
-    """Steps of 1 ms added up miss an hour by rounding, in either direction, but no corner there."""
+    """Sums of 1 ms steps differ from an hour by rounding, in either direction, but no corner is missed."""
     clock = float(np.cumsum(np.full(3_600_000, 1e-3))[-1])
     assert clock != 3600.0
     for time in (clock, 7200.0 - clock):
@@ -113,7 +113,7 @@ def test_the_fmu_plays_the_work_cycle(fmu_dir):
 
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_any_master_gets_the_same_commands(fmu_dir, kind):
-    """In co-simulation and model exchange, whatever the start time: the clock begins with the run."""
+    """In co-simulation and model exchange the clock starts with the run, at any start time."""
     rows = simulate_fmu(
         str(fmu_dir / "operator_input.fmu"),
         fmi_type=kind,
@@ -129,7 +129,7 @@ def test_any_master_gets_the_same_commands(fmu_dir, kind):
 
 
 def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):
-    """In model exchange the FMU names the corners one by one, and no event after the last one."""
+    """In model exchange the FMU announces each corner as a time event, and none after the last one."""
     corners = {round(5.0 + c, 9) for m in WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])}
     for folder in (fmu_dir, fmi3_dir):
         with exchanging(folder / "operator_input.fmu", 5.0) as following:
@@ -175,7 +175,7 @@ def exchanging(path, start):
 
 
 def test_no_event_is_lost_in_a_whole():
-    """Components with corners cannot be joined: the FMU of the whole would not tell them."""
+    """Components with time events cannot be composed, because the FMU would not announce them."""
     with pytest.raises(Problem, match="whole: operator_input has time events"):
         compose(
             "whole", "The operator alone", {"operator_input": OPERATOR}, (), {}, folder=OPERATOR.values.parent
@@ -188,7 +188,7 @@ def test_the_shipped_program_is_the_work_cycle():
 
 
 def test_programs_are_the_shipped_scenarios():
-    """data/scenarios holds the same moves for those who drive the inputs themselves."""
+    """data/scenarios contains the same moves as a scenario."""
     for name in ("work_cycle", "boom_up"):
         path = data(f"scenarios/{name}.csv")
         header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
@@ -203,7 +203,7 @@ def test_programs_are_the_shipped_scenarios():
 
 
 def test_a_program_that_is_too_long_is_refused():
-    """With the lever and both numbers."""
+    """The message contains the lever and both numbers."""
     many = [Move("stick", float(n), 1.0, 0.1, 0.1, 0.1) for n in range(11)]
     with pytest.raises(Problem, match="stick lever: 11 strokes, expected at most 10"):
         program(many)
@@ -212,7 +212,7 @@ def test_a_program_that_is_too_long_is_refused():
 
 
 def test_the_default_sets_are_the_start_values():
-    """The pose and the program that the system binds change nothing in the FMUs."""
+    """Default pose and program of the system are the values in the FMUs."""
     assert program(PROGRAMS[DEFAULT]) == values(OPERATOR).p
     from fmus.machine.parts import SUBSYSTEMS
 

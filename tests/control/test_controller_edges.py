@@ -1,4 +1,4 @@
-"""What an operator or a fault does to the controller: bounded commands, a machine that comes to rest."""
+"""Robustness of the controller against operators and faults: bounded commands, the machine comes to rest."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def resting(trace: Trace, within: float = 5e-3) -> None:
 @examples(200)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 12))
 def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_valve(seed, size):
-    """Inputs up to 1e12: every rate is a number, and a command at the end of its range is not driven on."""
+    """Inputs up to 1e12: every rate is finite, and a command at the end of its range does not go beyond."""
     rng = np.random.default_rng(seed)
     u = measured(rng.uniform(-0.4, 0.95), rng.uniform(-2.1, -0.6))
     u |= {n: rng.normal() * 10.0**size for n in rng.choice(INPUTS, 6) if not n.endswith("_angle")}
@@ -65,7 +65,7 @@ def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_val
 
 
 def test_what_is_no_number_is_an_error_of_the_step():
-    """A sensor that tells NaN: the step is refused with the name of the input, nothing goes on with it."""
+    """NaN from a sensor: the step is an error with the name of the input."""
     controller = of_subsystem(CONTROLLER).initialise(**V.u)
     with pytest.raises(Exception, match="boom_head_pressure"):
         controller.assign(**{**V.u, "boom_head_pressure": float("nan")})
@@ -88,7 +88,7 @@ RISE = [0.0, 1.0, 1.5, 12.0]
     ids=str,
 )
 def test_beyond_the_reach_the_arm_comes_to_rest(machine, wanted):
-    """A joystick held for ten seconds, outwards, into the column, down and far too fast: it stops, calm."""
+    """A joystick held for ten seconds, outwards, into the column, down, far too fast: the machine comes to rest."""
     trace = driven(machine, RISE, engaged=1, **{n: [0, 0, v, v] for n, v in wanted.items()})
     resting(trace)
     assert trace["controller.tip_error"][-1] < 0.005
@@ -115,7 +115,7 @@ def moved(**by: tuple[float, float]) -> dict[str, np.ndarray]:
     ids=["jumps by 0.5 m", "out of reach", "into the column", "a turn away"],
 )
 def test_a_path_that_jumps_is_approached_calmly(machine, by):
-    """The reference goes there at its own speed, as far as the strokes let it, and the tip with it."""
+    """Reference and tip move to the path at the limited speed, as far as the strokes allow."""
     trace = driven(machine, pose="square", **moved(**by))
     assert trace["controller.tip_error"].max() < 0.060
     if "path_angle" not in by:  # a whole turn takes a minute

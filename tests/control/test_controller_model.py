@@ -1,4 +1,4 @@
-"""The controller as a whole: bumpless, signs, what depends on what, numbers, recovery."""
+"""The complete controller: bumpless transfer, signs, dependencies, parameter values, recovery."""
 
 import casadi as ca
 import numpy as np
@@ -24,7 +24,7 @@ def outputs(x: np.ndarray, u: dict[str, float], **p: float) -> dict[str, float]:
 
 
 def test_at_rest_everything_stays():
-    """By default nobody is engaged, levers and commands are zero, the reference is where the machine is."""
+    """Default: not engaged, levers and commands zero, the reference at the machine."""
     x = start(V.u)
     np.testing.assert_allclose(rates(x, V.u), 0, atol=1e-12)
     shown = outputs(x, V.u)
@@ -33,7 +33,7 @@ def test_at_rest_everything_stays():
 
 
 def test_commands_depend_on_states_alone_and_carry_their_exact_rates():
-    """No input reaches a command at once: no algebraic loop; the rate outputs are the derivatives."""
+    """No command depends directly on an input, so no algebraic loop; rate outputs are derivatives."""
     whole = symbolic(CONTROLLER)
     for name in COMMANDS:
         assert not ca.depends_on(whole.y[OUTPUTS.index(name)], whole.u)
@@ -56,7 +56,7 @@ def test_commands_depend_on_states_alone_and_carry_their_exact_rates():
     ],
 )
 def test_signs(wanted, signs):
-    """Up raises the boom, outwards unfolds the stick, left turns left; what is not asked for stays."""
+    """Up raises the boom, outwards unfolds the stick, left turns left; other axes are at rest."""
     u = measured(0.2, -1.4, follow=1.0, **wanted)
     u |= {"path_radius": outputs(start(V.u), V.u)["reference_radius"]}
     u |= {"path_height": outputs(start(V.u), V.u)["reference_height"]}
@@ -68,7 +68,7 @@ def test_signs(wanted, signs):
 
 
 def test_feedforward_alone_uses_no_measurement():
-    """With feedback 0 and engaged, no derivative of a command or of the reference by a measured input."""
+    """With feedback 0 and engaged, commands and reference do not depend on measured inputs."""
     whole = symbolic(CONTROLLER)
     rows = [STATES.index(n) for n in STATES if n.endswith("_command") or n.startswith("reference_")]
     columns = [INPUTS.index(n) for n in FEEDBACK]
@@ -115,7 +115,7 @@ def test_engaging_a_moving_machine_is_bumpless():
 
 @pytest.mark.parametrize("engaged", [0.0, 1.0])
 def test_no_input_makes_a_command_jump(engaged):
-    """Whatever an input does, a command follows with the amplifier's lag: its state is continuous."""
+    """Commands are continuous for any input, because of the lag of the amplifier."""
     u = measured(0.2, -1.4, engaged=engaged)
     x = start(u)
     for jump in ({"engaged": 1 - engaged}, {"radial_velocity": 5.0}, {"boom_lever": 10.0}, {"follow": 1.0}):
@@ -127,7 +127,7 @@ def test_no_input_makes_a_command_jump(engaged):
 
 
 def test_the_correction_is_bounded_and_lets_go():
-    """Valves full and an error that stays: the correction ends near its limit, and lets go afterwards."""
+    """With saturated valves and a constant error the correction ends near its limit and decays afterwards."""
     u = measured(0.2, -1.4, follow=0.0, vertical_velocity=2.0)
     x = start(u)
     behind = u | {"boom_angle": 0.15, "supply_pressure": 2e6}
@@ -143,7 +143,7 @@ def test_the_correction_is_bounded_and_lets_go():
 
 
 def test_numbers_are_those_of_the_machine():
-    """Geometry, cylinders, valves and motor stand in the files of the parts, and nowhere else."""
+    """Parameters of geometry, cylinders, valves and motor are only in the files of the parts."""
     found = numbers(CONTROLLER)["parameters"]
     for part, names, prefix in (
         ("manipulator", GEOMETRY, ""),

@@ -34,13 +34,13 @@ def test_closed_form_inverts_the_arm(angles):
 
 
 def test_a_tip_out_of_reach_is_refused():
-    """In one line with what was found and what can be had."""
+    """The message contains the distance and the range of the arm."""
     with pytest.raises(Problem, match=r"tip at radius 9 m, height 1 m is 9\.18 m .* expected 0\.701 to 6\.5"):
         geometry.arm_angles(9.0, 1.0, V.p)
 
 
 @given(ANGLES, st.floats(-1, 1), st.floats(-1, 1))
-def test_joint_speeds_move_the_tip_as_wanted(angles, out, up):
+def test_joint_speeds_give_the_commanded_tip_velocity(angles, out, up):
     """J J^+ v = v inside the strokes, where nothing is damped."""
     assume(abs(math.sin(angles[1] - math.atan2(P.stick_pivot_z, P.stick_pivot_x))) > P.singular_share)
     swing, boom, stick = geometry.joint_speeds(Joints(0.0, *angles), Cylindrical(out, up, 0.3), P)
@@ -50,7 +50,7 @@ def test_joint_speeds_move_the_tip_as_wanted(angles, out, up):
 
 
 def test_integrated_rates_end_where_the_closed_form_is():
-    """1.2 m outwards in 2.4 s by RK4, not drawn to the path: the joints of the closed form, to 1e-6 rad."""
+    """1.2 m outwards in 2.4 s by RK4, without position feedback: angles of the closed form, to 1e-6 rad."""
     radius, height = tip(0.3, -1.7)
     u = measured(0.3, -1.7, follow=1.0, radial_velocity=0.5)
     x, h = start(u), 0.02
@@ -68,7 +68,7 @@ def test_integrated_rates_end_where_the_closed_form_is():
 
 
 def moved(u: dict[str, float], radius: float, height: float, time: float) -> dict[str, float]:
-    """The path's point after `time`; the machine follows exactly, so that nothing waits."""
+    """The path's point after `time`; the machine follows exactly, so that the reference does not wait."""
     now = radius + 0.5 * time
     boom, stick = geometry.arm_angles(now, height, V.p)
     return u | {"path_radius": now, "path_height": height, "boom_angle": boom, "stick_angle": stick}
@@ -76,7 +76,7 @@ def moved(u: dict[str, float], radius: float, height: float, time: float) -> dic
 
 @pytest.mark.parametrize("bend", [0.0, 1e-9, 1e-3, math.pi])
 def test_a_stretched_or_folded_arm_stays_finite(bend):
-    """Links in line: outwards the joints have no speed that helps, and get at most 1 rad/s per m/s."""
+    """Collinear links: no joint speed moves the tip outwards; joint speeds stay within 1 rad/s per m/s."""
     stick = math.atan2(P.stick_pivot_z, P.stick_pivot_x) - bend
     for out, up in ((1.0, 0.0), (0.0, 1.0), (0.7, 0.7)):
         _, *speeds = geometry.joint_speeds(Joints(0.0, 0.2, stick), Cylindrical(out, up, 0.0), P)
@@ -108,7 +108,7 @@ def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
 
 
 def test_slow_motion_away_from_the_ends_is_not_touched():
-    """Exactly the wanted speed up to 80 % of every limit: the norm of three is 1.15 at most."""
+    """Exactly the commanded speed up to 80 % of every limit: the norm of three is 1.15 at most."""
     moving = [("boom", 0.3, 0.75 * P.boom_speed_limit), ("stick", 0.35, -0.75 * P.stick_speed_limit)]
     assert float(reference.utilisation(0.75 * P.swing_speed_limit, moving, P).factor) == 1.0
 
@@ -149,8 +149,8 @@ def test_beyond_the_margin_only_the_way_back_is_open():
     assert float(reference.utilisation(0.0, [("boom", inside, -0.05), ("stick", 0.3, 0.0)], P).factor) == 1.0
 
 
-def test_the_reference_waits_for_a_machine_that_stands():
-    """A blocked arm, asked to go outwards for 20 s: the reference stays within 1.5 times the error limit."""
+def test_the_reference_waits_for_a_machine_at_rest():
+    """A blocked arm with an outward command for 20 s: the reference stays within 1.5 error limits."""
     u = measured(0.2, -1.4, radial_velocity=0.5)
     x = start(u)
     for _ in range(2000):

@@ -1,4 +1,4 @@
-"""From speed to command: the inverse of valve and oil against the valve and the oil."""
+"""Inverse of valve and oil, from speed to command, against the equations of valve and oil."""
 
 import casadi as ca
 import numpy as np
@@ -54,7 +54,7 @@ def test_inverse_of_the_ramp(v, value):
 
 @given(VALVES, st.floats(20 * FOOT, 1.0), st.sampled_from([-1, 1]))
 def test_command_opens_the_valve_as_asked(v, share, sign):
-    """The curve of the valve gives the share back, and the other edges stay closed, above the rounded foot.
+    """The curve of the valve returns the opening, and the other edges stay closed, above the rounded foot.
 
     There opening / size is short of 1 by (foot / opening)^2 / 2, 1/800 at most: 2 mV of a dead band of 1.5 V,
     and at 10 V for all that is 1 % of the smallest share here.
@@ -66,7 +66,7 @@ def test_command_opens_the_valve_as_asked(v, share, sign):
 
 
 def test_command_is_odd_and_increasing():
-    """Through the dead band, too: no edge at which a loop could hang."""
+    """Also in the dead band, so that no loop can hang at an edge."""
     v = drives()["boom"].valve
     share = np.concatenate([-np.geomspace(1, 1e-7, 200), [0], np.geomspace(1e-7, 1, 200)])
     x = ca.SX.sym("x")
@@ -107,7 +107,7 @@ def settled(a: Actuator, share: float, load: float) -> float:
 @pytest.mark.parametrize("share", [-0.8, -0.2, -0.03, 0.03, 0.2, 0.8])
 @pytest.mark.parametrize("name", ["swing", "boom", "stick"])
 def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
-    """The opening for a speed is the one at which the valve's own equations settle at it, under any load.
+    """The steady state of the valve equations at the opening for a speed is this speed, for any load.
 
     2 %: leakage, and the mean flow that stands for both ports where they are laminar; 6 % at 3 % opening.
     """
@@ -123,7 +123,7 @@ def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
 
 @pytest.mark.parametrize("name", ["swing", "boom", "stick"])
 def test_measured_and_settled_pressures_say_the_same(name):
-    """At the pressures of a steady motion both forms agree to 1 %, for roots are rounded."""
+    """At the pressures of a steady motion both forms agree to 1 %, because roots are rounded."""
     a = drives()[name]
     load = 0.2 * SUPPLY * a.rod
     full = number(valve.nominal_full_speeds(a, load, SUPPLY)[0])
@@ -147,7 +147,7 @@ def test_pressures_at_load_carry_the_load_with_the_same_oil(head, rod, load):
 
 
 def test_numbers_out_of_reach_stay_finite():
-    """Pressures beyond the supply, no supply, a speed nobody can have: a finite command within the range."""
+    """Pressures beyond the supply, no supply, an unreachable speed: a finite command within the range."""
     a = drives()["boom"]
     for head, rod, supply, speed in ((30e6, 0.0, 20e6, 5.0), (0.0, 30e6, 0.0, -5.0), (-1e5, -1e5, -1e5, 1.0)):
         full = valve.full_speeds(a, head, rod, supply, 0.0)

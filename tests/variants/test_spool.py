@@ -1,4 +1,4 @@
-"""The moving spool: second order when small, never too fast, never out of its stroke; its four edges."""
+"""Spool dynamics: second order for small motions, limits of speed and stroke, overlaps of the four edges."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_full_step_takes_the_rate_limit():
 @examples(40)
 @given(st.lists(st.floats(-5.0, 5.0), min_size=5, max_size=40), st.floats(-1.0, 1.0))
 def test_no_command_drives_the_spool_too_fast_or_out_of_its_stroke(levels, start):
-    """Whatever the commands, also beyond full: |v| <= v_max and |x| <= 1."""
+    """For any commands, also beyond full: |v| <= v_max and |x| <= 1."""
     wanted = [float(spool_valve.commanded_position(level * 10.0, 10.0)) for level in levels]
     found = follow(np.repeat(wanted, 50), start)
     # invariants of the equations; Runge-Kutta may leave them by its error of 1e-6
@@ -84,7 +84,7 @@ frequencies, dampings, fastest = st.floats(10.0, 1000.0), st.floats(0.2, 1.5), s
 
 @given(anything, anything, frequencies, dampings, fastest, st.booleans())
 def test_the_largest_speed_is_never_exceeded(x, u, w, z, v_max, up):
-    """At |v| = v_max the speed does not grow, for any position, command and numbers of the spool."""
+    """At |v| = v_max the speed does not grow, for any position, command and parameters of the spool."""
     v = v_max if up else -v_max
     _, rate = (float(r) for r in FIELD(x, v, u, w, z, v_max))
     assert math.copysign(1, v) * rate <= 1e-12 * w * v_max  # rounding
@@ -92,7 +92,7 @@ def test_the_largest_speed_is_never_exceeded(x, u, w, z, v_max, up):
 
 @given(anything, anything, frequencies, dampings, fastest)
 def test_the_stroke_is_never_exceeded(x, u, w, z, v_max):
-    """Where the speed is z w times the way left, it falls at least as fast: the end is not reached."""
+    """If the speed is z w times the distance left, it falls at least as fast: the end is not reached."""
     v = z * w * (1 - x)
     speed, rate = (float(r) for r in FIELD(x, v, u, w, z, v_max))
     assert rate + z * w * speed <= 1e-10 * w * w  # d/dt (v - z w (1 - x)); rounding

@@ -25,9 +25,9 @@ from fmus.contract import Group, Quantity, Scalar, Subsystem, column
 
 
 class ArmParameters(Group):
-    """Constants; their numbers and sources are in parameters.toml."""
+    """Parameters; values and sources are in parameters.toml."""
 
-    gravity: Scalar = Quantity("m/s2", "Acceleration of free fall", 10.0)
+    gravity: Scalar = Quantity("m/s2", "Gravitational acceleration", 10.0)
     link1_length: Scalar = Quantity("m", "Length of link 1, hinge to elbow", minimum=1e-3)
     link1_mass: Scalar = Quantity("kg", "Mass of link 1, a uniform rod", 1e2, minimum=0.0)
     elbow_mass: Scalar = Quantity("kg", "Point mass at the elbow", 1e2, minimum=0.0)

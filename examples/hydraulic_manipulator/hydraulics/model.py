@@ -24,7 +24,7 @@ from fmus.contract import Group, Quantity, Scalar, Subsystem
 
 
 class HydraulicsParameters(Group):
-    """Constants; their numbers and sources are in parameters.toml."""
+    """Parameters; values and sources are in parameters.toml."""
 
     piston_area: Scalar = Quantity("m2", "Piston area A of both sides", 1e-2, minimum=1e-6)
     cylinder_length: Scalar = Quantity("m", "Length l of both chambers together", minimum=1e-3)
