@@ -12,7 +12,6 @@ from importlib.resources import files
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.contract import Quantity, Subsystem
 from fmus.export.c_code import c_function, generated, native_sources
@@ -24,8 +23,7 @@ from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.compiler import SUFFIX, shared_library
 from orchestrator.base.errors import Problem
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 WIDTH = 8  # sensitivity columns per vector: a cache line, one to four registers of current processors
 COMPILER_FLAGS = (

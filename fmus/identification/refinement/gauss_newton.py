@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from fmus.identification.refinement.shooting import (
@@ -27,8 +26,7 @@ from fmus.identification.refinement.shooting import (
 )
 from fmus.identification.refinement.simulation import SimulationFailed
 from fmus.identification.refinement.weights import Priors, Scales, estimated_scales, sensor_scales
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 STUCK = "no step reduces the residuals"
 INTERRUPTED = "interrupted"

@@ -26,8 +26,7 @@ from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, fill_gaps
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 AT_REST = 0.1  # s: mean of the first samples for the initial state of a recording that begins at rest
 _MARGIN = 10  # samples next to an unusable one (clipped, stuck, in the dead zone) that are not used either

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from orchestrator.base.errors import Problem
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 SPREAD = 0.25  # half width of the range of initial z; a prior with a larger 2 sd replaces it
 EVERY = 4  # one of so many samples is used

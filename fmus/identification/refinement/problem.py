@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.contract import Subsystem, quantities
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.identification.estimate import Estimate, confidence_interval, coverage_factor
 from fmus.identification.refinement.compiled_model import CompiledModel
@@ -38,8 +37,7 @@ from fmus.identification.refinement.statistics import (
 )
 from fmus.identification.refinement.weights import Loss, Priors, priors
 from orchestrator.base.errors import Problem
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 SEGMENT = 2.0  # s, default length of a segment
 HORIZON = 0.5  # s, default prediction horizon of the first search

@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate
 from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.simulation import SimulationFailed, Simulator
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 LAGS = 40  # samples
 _BOUND = float(norm.ppf(0.995))  # 99 % bound of a correlation, in standard deviations

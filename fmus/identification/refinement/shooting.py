@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator
 from fmus.identification.refinement.weights import Loss, Scales
+from orchestrator.data.table import Array
 
-Array = NDArray[np.float64]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

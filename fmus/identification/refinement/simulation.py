@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 STEP = 1e-5  # relative step of the difference quotients; suits a simulation with about ten digits
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
 from fmus.identification.refinement.measured_runs import MeasuredRun, local_parabolas
@@ -21,8 +20,7 @@ from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.shooting import Shooting
 from fmus.identification.refinement.simulation import SimulationFailed
 from fmus.identification.refinement.weights import Priors
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular
 DRAWS = 24  # of the input noise: relative error of a standard deviation 1 / sqrt(2 n), 15 %

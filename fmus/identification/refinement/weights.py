@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from fmus.identification.recordings.masks import autocorrelation_time
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator
+from orchestrator.data.table import Array
 
-Array = NDArray[np.float64]
 Loss = Literal["linear", "huber", "soft_l1"]
 
 TUNING = 1.345
