@@ -88,7 +88,7 @@ RISE = [0.0, 1.0, 1.5, 12.0]
     ids=str,
 )
 def test_beyond_the_reach_the_arm_comes_to_rest(machine, wanted):
-    """A joystick held for ten seconds, outwards, into the column, down, far too fast: the machine comes to rest."""
+    """A joystick held for ten seconds, outwards, into the column, down, too fast: it comes to rest."""
     trace = driven(machine, RISE, engaged=1, **{n: [0, 0, v, v] for n, v in wanted.items()})
     resting(trace)
     assert trace["controller.tip_error"][-1] < 0.005
