@@ -121,11 +121,7 @@ def differences(system: System) -> list[str]:
             unit = variable.unit
             if controller.interface.variables[assumed_name].unit == unit:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
-                meaning = (
-                    f" ({variable.description})"
-                    if 0 in (value, assumed[assumed_name]) and variable.description
-                    else ""
-                )
+                meaning = f" ({variable.description})" if 0 in (value, assumed[assumed_name]) else ""
                 notes.append(
                     f"{CONTROLLER}.{assumed_name} is {assumed[assumed_name]:.6g}{suffix}, {part}.{name} is"
                     f" {value:.6g}{suffix}{meaning}: the controller assumes another machine"
