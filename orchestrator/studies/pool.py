@@ -30,9 +30,7 @@ CONNECT_TIMEOUT = 10.0  # [s], for the scheduler and for its first worker
 WORKER_TIMEOUT = 60.0  # [s] without workers after which the study ends; others can be started until then
 POLL_INTERVAL = 0.01  # [s]
 CONTINUE = "finished runs are stored, the same command continues"
-BATCH_TIME = (
-    1.5  # [s]: long compared with the 10 ms that Dask needs per batch, short enough to lose by a kill
-)
+BATCH_TIME = 1.5  # [s]: long compared with the 10 ms that Dask needs per batch, short to lose by a kill
 MOST_RUNS, FIRST_RUNS = 50, 2  # of a batch; of the first batches, before the duration of a run is known
 BATCHES_PER_CORE = 2  # one that runs, one that waits
 # Errors of futures, of calls to the scheduler, and of a client that has given up.

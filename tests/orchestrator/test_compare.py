@@ -50,7 +50,7 @@ def test_numbers_are_those_of_the_errors():
 
 
 def test_a_signal_at_rest_is_not_the_worst():
-    """Its error over its range says nothing; the error itself is told."""
+    """Its error over its range has no meaning; the error itself is printed."""
     noise = 1e-6 * np.sin(50 * TIME)
     calm = trace()
     calm = Trace(TIME, {**calm.signals, "arm.rest": noise}, UNITS)
@@ -140,7 +140,7 @@ def test_units_are_completed_and_converted():
 
 
 def test_signals_are_chosen_by_patterns():
-    """Only common ones; what fits nothing is told."""
+    """Only common signals are shown; a pattern without match is reported."""
     runs = {"one": trace(), "two": trace().select(["arm.speed", "pump.pressure"])}
     assert compare(runs).signals == ("arm.speed", "pump.pressure")
     assert compare(runs, signals=["*.pressure"]).signals == ("pump.pressure",)

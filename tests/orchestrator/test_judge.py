@@ -97,7 +97,7 @@ def test_another_file_of_that_name_does_no_harm(fmus, text):
 
 
 def test_the_machines_parameters_carry_their_sources(fmu_dir):
-    """Every number of the machine is told with source and note."""
+    """Every parameter of the machine has its source and note."""
     found = list(parameters(load(fmu_dir / "harvester.ssp")))
     assert {p.component for p in found} == {"swing", "boom_stick", "manipulator", "supply", "operator_input"}
     assert all(p.source and p.note and p.text for p in found)

@@ -26,7 +26,7 @@ def gain(workshop: Workshop) -> Path:
 
 @pytest.fixture(scope="session")
 def fails(workshop: Workshop) -> Path:
-    """y' = u; goes wrong in the way `how` from the time `when` on."""
+    """y' = u; fails in the way `how` from the time `when` on."""
     return workshop["fails"]
 
 

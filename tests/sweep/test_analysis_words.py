@@ -42,7 +42,7 @@ def test_a_small_sample_of_a_linear_function_is_enough() -> None:
 
 
 def test_a_small_sample_of_a_bent_function_is_refused() -> None:
-    """Where the linear model does not hold, no order is told."""
+    """If the linear model does not fit, factors are not ranked."""
     found = finding(results(ishigami, ISHIGAMI, "latin", 60))
     assert found.sensitivity is not None
     assert not found.sensitivity.reliable

@@ -34,7 +34,7 @@ LIST = ", ".join(map(str, range(40)))
 
 
 def _changes(folder: Path, fmu: Path, one: str, other: str) -> str:
-    """What is told of two texts of a study."""
+    """The reported changes between two texts of a study."""
     for name in ("up", "down"):
         (folder / f"{name}.csv").write_text("time,u\n0,0\n0.2,1\n")
     old, new = (to_json(resolve(read(study(folder, text, fmu)))[0]) for text in (one, other))
@@ -98,5 +98,5 @@ def test_another_order_of_factors_is_told(gain: Path, tmp_path: Path) -> None:
 
 
 def test_equal_studies_have_no_difference(gain: Path, tmp_path: Path) -> None:
-    """Nothing is told."""
+    """No change is reported."""
     assert _changes(tmp_path, gain, TEXT, TEXT) == ""

@@ -53,7 +53,7 @@ def listening() -> set[object]:
 
 
 def test_no_port_is_opened_on_this_machine():
-    """The workers of a local cluster are threads: nobody can reach them from outside."""
+    """The workers of a local cluster are threads that listen on no port."""
     before = listening()
     with pool.client(1):
         assert listening() <= before

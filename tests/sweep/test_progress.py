@@ -36,7 +36,7 @@ def test_a_pipe_gets_a_line_for_each_tenth() -> None:
 
 
 def test_a_study_that_goes_on_tells_what_failed() -> None:
-    """Tenths that are full already are not told again; a batch over several tenths is one line."""
+    """Tenths of stored runs are not reported again; a batch over several tenths is one line."""
     stream = io.StringIO()
     show = StudyProgress(stream)
     show(10, 4, ())
@@ -48,7 +48,7 @@ def test_a_study_that_goes_on_tells_what_failed() -> None:
 
 
 def test_the_command_line_in_a_pipe(gain, tmp_path) -> None:
-    """Progress goes to standard error, the summary alone to standard output."""
+    """Progress is on standard error, and only the summary on standard output."""
     file = study(tmp_path, GAIN, gain)
     command = [sys.executable, "-m", "orchestrator", "sweep", str(file), "--workers", "1", "--no-report"]
     done = subprocess.run(

@@ -22,7 +22,7 @@ LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 
 @pytest.fixture(scope="module")
 def long(gain, two, tmp_path_factory):
-    """The file of a study of some seconds, and its content when nobody disturbs it."""
+    """The file of a study of some seconds, and its results without a kill."""
     file = study(tmp_path_factory.mktemp("long"), LONG, gain)
     _, runs = run(file, two, "undisturbed")
     assert runs == list(range(RUNS))

@@ -52,7 +52,7 @@ def test_a_file_is_understood(file):
 
 
 def test_a_study_survives_its_file(file):
-    """What stands in study.json is the study, but for the folder, which does not count."""
+    """study.json contains the study except for its folder, which is ignored."""
     found = resolve(read(file))[0]
     assert store.from_json(store.to_json(found), found.title) == found
 
@@ -211,7 +211,7 @@ def test_what_a_scenario_drives_cannot_be_varied(file):
 
 
 def test_a_name_that_a_variant_lacks_costs_no_search(workshop, tmp_path, monkeypatch):
-    """Names that are like it are looked for where a mistake is told, not for each column of each variant."""
+    """Similar names are searched for the message of a mistake, not for each column of each variant."""
     file = study(tmp_path, GAIN.replace("gain.factor", "gain.offset"), workshop["gain"])
     (tmp_path / "bent.fmu").write_bytes(workshop["bent"].read_bytes())
     file.write_text(file.read_text() + '[choices]\ngain = ["gain.fmu", "bent.fmu"]\n', encoding="utf-8")

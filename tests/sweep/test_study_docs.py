@@ -15,7 +15,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"
 
 
 def _block(language: str, place: int) -> str:
-    """A piece of the page, as it stands there."""
+    """A code block of the page."""
     return DOCS.read_text(encoding="utf-8").split(f"```{language}\n")[1 + place].split("```")[0]
 
 
@@ -53,7 +53,7 @@ scenario = "rest.csv"
 
 
 def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
-    """docs/sweep.md shows a complete file; it is read as it stands there, beside a build."""
+    """docs/sweep.md shows a complete file; it can be read as it is, next to a build."""
     file = tmp_path / "study.toml"
     file.write_text(_block("toml", 1), encoding="utf-8")
     (tmp_path / "levers.csv").write_text("time,swing_command\n0,0\n1,3\n")
@@ -68,7 +68,7 @@ def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
 
 
 def test_the_ramp_of_a_lever_is_varied_as_the_page_says(fmu_dir, tmp_path, one):
-    """As it stands: one lever makes one stroke up to 3.6 V in all runs, with another peak in each."""
+    """Unchanged: one lever makes one stroke up to 3.6 V in all runs, with another peak in each."""
     text = _block("toml", 2)
     assert "build/harvester.ssp" in text
     more = """lever = { signal = "operator_input.swing_command", measure = "maximum" }

@@ -49,7 +49,7 @@ def test_failures_are_grouped_whatever_the_numbers_in_their_reasons() -> None:
 
 
 def test_other_kinds_are_counted() -> None:
-    """Five are told, as kinds and not as reasons."""
+    """Five groups of reasons are printed."""
     found = _failed({n: f"part {'abcdefg'[n % 7]} broke at {n} s" for n in range(14)})
     lines = summary(found).splitlines()
     assert lines[-1] == "... and for 2 other reasons"

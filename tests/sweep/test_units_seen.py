@@ -77,7 +77,7 @@ def test_the_command_line_prints_bar() -> None:
 
 
 def test_what_is_set_for_all_runs_has_its_unit(tmp_path: Path) -> None:
-    """As the results know it; a name that stands for several variables has none."""
+    """The unit is that of the results; a name that sets several variables has none."""
     found = results(lambda x: x["x1"], SPACE, "latin", 20)
     study = replace(found.study, fixed={"supply.pressure": 2.0684e7, "levers": 3.6})
     found = replace(found, study=study, units={**found.units, "start:supply.pressure": "Pa"})

@@ -107,7 +107,7 @@ def test_interpolation_is_said() -> None:
 
 
 def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
-    """A run that is cut where the signal still stands is not judged by the range of its rounding errors."""
+    """A run that ends before the signal changes is not judged by the range of its rounding errors."""
     t = np.linspace(0, 10, 1001)
     moves = np.where(t < 5, 0.0, t - 5)
     run = Trace(t[:200], {"a.x": moves[:200] + 1e-15}, {"a.x": "m"})

@@ -95,7 +95,7 @@ def test_verdict_is_written_at_the_panel(outcome: Validation, trace: Trace) -> N
 
 
 def test_unknown_signal_is_refused(outcome: Validation, trace: Trace) -> None:
-    """A figure that asks for a signal nobody has is named."""
+    """The message contains the figure and its unknown signal."""
     spec = FigureSpec("Shaft", (PanelSpec("Angle", ("shaft.angel",)),))
     with pytest.raises(
         Problem, match=r"figure 'Shaft': expected a signal of the comparison or of the run, got 'shaft.angel'"

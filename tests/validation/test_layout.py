@@ -172,5 +172,5 @@ def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
 
 
 def test_a_bare_layout_shows_nothing(trace: Trace) -> None:
-    """What `harvester validate` uses for systems that nobody made a layout for."""
+    """The default layout of `harvester validate` has a row for each signal."""
     assert Layout().motion(trace) is None

@@ -180,7 +180,7 @@ def test_iso_says_why_it_does_not_rate(reference: np.ndarray, reason: str) -> No
 
 
 def test_iso_rates_a_constant_simulation_without_warning() -> None:
-    """A simulation that stands still has no correlation; it is rated poor instead of raising a warning."""
+    """A constant simulation has no correlation; it is rated poor instead of raising a warning."""
     assert iso_rating(np.linspace(0, 4, 400), np.zeros(400), wave()).grade == "poor"
 
 

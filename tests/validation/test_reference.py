@@ -131,14 +131,14 @@ MISTAKES = [
 
 @pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
 def test_every_mistake_is_named(edited: Edit, old: str, new: str, message: str) -> None:
-    """A mistake in the TOML or the CSV is told with file, place, expected and got."""
+    """The message about a mistake in the TOML or CSV file contains file, position, expected and got."""
     path = edited(old, new)
     with pytest.raises(Problem, match=message):
         read_recording(path)
 
 
 def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
-    """Of two columns of one name nobody knows which is meant."""
+    """Two columns with one name are ambiguous."""
     edited('unit = "bar"', 'unit = "bar"\ncolumn = "shaft.angle"')
     path = edited("shaft.angle,pump.pressure", "shaft.angle,shaft.angle")
     with pytest.raises(Problem, match=r"ref.csv: column 'shaft.angle' expected once, got 2 times"):

@@ -83,7 +83,7 @@ def test_a_failed_run_says_first_what_missed_and_by_how_much(
     ],
 )
 def test_a_miss_in_the_words_of_its_metric(metric: str, limit: float, told: str) -> None:
-    """Errors are told as multiples of the limit, ratings as what is short, missing numbers with the cause."""
+    """Errors are multiples of the limit, ratings are differences from it, undefined metrics have a reason."""
     lines = shown(made(a__x=Tolerance(metric, limit)))
     assert lines[:2] == ["FAIL: 1 of 1 signals misses its limit", f"! a.x: {told}"]
 
@@ -101,7 +101,7 @@ def test_signals_that_are_not_judged_come_last() -> None:
 
 
 def test_a_name_keeps_its_component_where_it_needs_it() -> None:
-    """Two signals of one name in two components are told apart."""
+    """Two signals of one name in two components are written with their components."""
     lines = shown(made(left__x=None, right__x=None, right__y=None))
     assert [text.split()[0] for text in lines if text.startswith("  ")][1:] == ["left.x", "right.x", "y"]
 

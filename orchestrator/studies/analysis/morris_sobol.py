@@ -46,9 +46,7 @@ MORRIS = "elementary effects of a Morris design"
 SOBOL = "Sobol' indices of a Saltelli design"
 LEAST_TRAJECTORIES = 4
 LEAST_BASE_SAMPLES = 16  # for an interval
-MOST_MISSING = (
-    0.1  # fraction of base samples without output up to which the estimators of the design are used
-)
+MOST_MISSING = 0.1  # fraction of base samples without output up to which the design is used
 WIDE = 0.4  # width of the interval of a total index above which a note says so
 
 Rows = NDArray[np.intp]

@@ -54,9 +54,7 @@ LINEAR = "squared standardised coefficients of a linear model"
 GRID = "main effects on a full grid"
 ENOUGH = 200  # samples for RBD-FAST
 FAST_RESAMPLES = 100  # default of SALib, whose intervals follow from a standard deviation
-BLOCK = (
-    8  # ranks that are shuffled: a 25th of 200 samples; the wave length of the 10th harmonic is five times it
-)
+BLOCK = 8  # ranks that are shuffled; for 200 samples the 10th harmonic has a wave length of some 40 ranks
 DEGREES_OF_FREEDOM = 10  # least number of samples of a linear model beyond its coefficients
 LEAST_FIT = 0.7  # R^2 below which a linear model does not rank factors [Saltelli et al. 2004]
 ZERO = IntervalEstimate(0.0, 0.0, 0.0)
