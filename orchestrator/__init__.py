@@ -1,4 +1,4 @@
-"""Connects, steps, records and judges FMUs. Knows no equation.
+"""Co-simulates systems of FMUs: connect, step, record, validate, linearise. Contains no model equations.
 
 from orchestrator import run, validate, write
 
@@ -7,8 +7,8 @@ print(result.card.text())
 write(result.trace, "build/trace.csv")
 print(validate(result, "data/reference/work_cycle.csv").verdict)
 
-A system is read with `load` or made with `assemble`, and written with `write_ssp`. `compare` sets traces next
-to each other, `sweep` runs a `Study`, `linearize` gives A, B, C, D and modes at an operating point.
+`load` reads a system, `assemble` makes one from FMUs, `write_ssp` writes it. `compare` compares traces,
+`sweep` runs a `Study`, `linearize` computes A, B, C, D and modes at an operating point.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _MODULES = {
     "ssp.write": "write_ssp",
     "studies": "Study read_study sweep",
 }
-_WHERE = {name: module for module, names in _MODULES.items() for name in names.split()}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 __all__ = [
     "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Recording",
@@ -65,7 +65,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import on first use, so that the command line starts fast."""
-    if name not in _WHERE:
+    """Import a name on first use, so that the command line starts fast."""
+    if name not in _MODULE_OF:
         raise AttributeError(f"module 'orchestrator' has no attribute {name!r}")
-    return getattr(import_module(f"orchestrator.{_WHERE[name]}"), name)
+    return getattr(import_module(f"orchestrator.{_MODULE_OF[name]}"), name)

@@ -109,7 +109,7 @@ def test_a_failed_procedure_does_not_stop_the_others(capsys):
             file.unlink()
     for file in Path("mine").glob("motor*.toml"):
         text = file.read_text(encoding="utf-8")
-        file.write_text(text.replace('[signals.drain_flow]', '[signals.other]\ncolumn = "drain_flow"'))
+        file.write_text(text.replace("[signals.drain_flow]", '[signals.other]\ncolumn = "drain_flow"'))
     assert main(["identify", "mine"]) == 0
     assert set(found()) == {"valve_area", "valve_dead_band"}
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("motor_leakage:")]
