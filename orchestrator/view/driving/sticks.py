@@ -162,30 +162,30 @@ def _constant(word: str) -> float:
     raise ValueError(f"{word} is not JSON")
 
 
-def _number(found: Any) -> int:
-    if type(found) is not int or not 0 <= found < 2**53:
-        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(found)}")
-    return found
+def _number(value: Any) -> int:
+    if type(value) is not int or not 0 <= value < 2**53:
+        raise Problem(f"message: n: expected a whole number from 0 to 2^53 - 1, found {_short(value)}")
+    return value
 
 
-def _sticks(found: Any) -> StickAxes:
-    if not isinstance(found, list) or len(found) != 4:
-        raise Problem(f"message: sticks: expected four numbers, found {_short(found)}")
-    for value in found:
+def _sticks(value: Any) -> StickAxes:
+    if not isinstance(value, list) or len(value) != 4:
+        raise Problem(f"message: sticks: expected four numbers, found {_short(value)}")
+    for deflection in value:
         # a bool is an int in Python; the comparison is False for NaN
-        if type(value) not in (int, float) or not -1 <= value <= 1:
-            raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(value)}")
-    return StickAxes(*map(float, found))
+        if type(deflection) not in (int, float) or not -1 <= deflection <= 1:
+            raise Problem(f"message: sticks: expected numbers from -1 to 1, found {_short(deflection)}")
+    return StickAxes(*map(float, value))
 
 
-def _switch(found: Any) -> bool:
-    if not isinstance(found, bool):
-        raise Problem(f"message: dead_man: expected true or false, found {_short(found)}")
-    return found
+def _switch(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise Problem(f"message: dead_man: expected true or false, found {_short(value)}")
+    return value
 
 
-def _short(found: Any) -> str:
-    text = ascii(found)
+def _short(value: Any) -> str:
+    text = ascii(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

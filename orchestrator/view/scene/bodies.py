@@ -220,21 +220,21 @@ def _hoses(g: Geometry) -> list[Part]:
     """Hoses of the stick cylinder along the boom; of boom cylinder and swing motor at the column."""
     length, rise = g.stick_pivot_x, g.stick_pivot_z
     base: Point = (length + g.stick_base_x, rise + g.stick_base_z)
-    found: list[Part] = []
+    parts: list[Part] = []
     for y, channel in ((0.15, "stick_head"), (-0.15, "stick_rod")):
         far = base[0] + (0.12 if channel == "stick_head" else 0.55)
         along = [(0.02, 0.0), (0.14, 0.02), (0.30, 0.075), (0.42, 0.115)]
         points = [(u * length, y, v * length) for u, v in along]
         points += [(far - 0.2, y, base[1] - 0.14), (far, y * 0.9, base[1] + 0.02)]
-        found.append(tube("boom", points, HOSE, DARK, channel))
+        parts.append(tube("boom", points, HOSE, DARK, channel))
     x, z = g.boom_pivot_x, g.boom_pivot_z
     for y, channel in ((0.22, "boom_head"), (-0.22, "boom_rod"), (0.27, "swing_a"), (-0.27, "swing_b")):
         outer = channel.startswith("swing")
         top = 0.32 if outer else z - 0.25
         bend = [(x - 0.30, y, 0.02), (x - 0.30, y, top - 0.12), (x - 0.18, y, top), (x + 0.05, y, top - 0.06)]
         end = [(x + 0.20, y, 0.14), (x + 0.26, y, 0.02)] if outer else [(x + 0.22, y * 0.8, z - 0.5)]
-        found.append(tube("column", [*bend, *end], HOSE, DARK, channel))
-    return found
+        parts.append(tube("column", [*bend, *end], HOSE, DARK, channel))
+    return parts
 
 
 def head_parts(g: Geometry) -> list[Part]:

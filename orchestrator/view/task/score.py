@@ -229,23 +229,23 @@ def advance(exercise: Exercise, progress: Progress, time: float, tip: Point, spe
     """Progress after one more sample."""
     if phase(exercise, progress) == "done":
         return progress
-    found = replace(progress, origin=progress.origin or tip, now=time)
-    if found.origin is not None and found.started is None:
-        if math.dist(tip, found.origin) <= exercise.start:
-            return found
-        found = replace(found, started=time)
+    updated = replace(progress, origin=progress.origin or tip, now=time)
+    if updated.origin is not None and updated.started is None:
+        if math.dist(tip, updated.origin) <= exercise.start:
+            return updated
+        updated = replace(updated, started=time)
     # with this comparison, NaN is never in a target
-    if not distance(exercise, found, tip) <= exercise.radius:
-        return replace(found, inside=None)
-    if len(found.reached) == len(found.done):
-        found = replace(found, reached=(*found.reached, time))
+    if not distance(exercise, updated, tip) <= exercise.radius:
+        return replace(updated, inside=None)
+    if len(updated.reached) == len(updated.done):
+        updated = replace(updated, reached=(*updated.reached, time))
     if not speed <= exercise.slow:
-        return replace(found, inside=None)
-    since = time if found.inside is None else found.inside
+        return replace(updated, inside=None)
+    since = time if updated.inside is None else updated.inside
     # tolerance for rounding: the time of a frame is a multiple of the step
     if time - since >= exercise.hold - 1e-9:
-        return replace(found, inside=None, done=(*found.done, time))
-    return replace(found, inside=since)
+        return replace(updated, inside=None, done=(*updated.done, time))
+    return replace(updated, inside=since)
 
 
 def follow(exercise: Exercise, progress: Progress, samples: Samples) -> Progress:
