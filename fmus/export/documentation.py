@@ -24,7 +24,7 @@ from fmus.export.model_description import LOG_CATEGORIES
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.text import typeset
 from orchestrator.base.units import display_conversion, pretty
-from orchestrator.ssp.xml_writing import package_version
+from orchestrator.base.xml import package_version
 
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)

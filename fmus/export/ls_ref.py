@@ -15,10 +15,10 @@ from typing import NamedTuple
 from lxml import etree
 
 from fmus.contract import Subsystem, quantities
-from orchestrator.base.xml import shortest_decimal
+from orchestrator.base.xml import shortest_decimal, xml_text
 from orchestrator.fmi.description import FmuVariable
+from orchestrator.ssp.common_elements import NAMESPACES
 from orchestrator.ssp.write import parameter_set
-from orchestrator.ssp.xml_writing import NAMESPACES, xml_text
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 PAGE = "documentation/fmi-ls-ref.html"

@@ -15,8 +15,7 @@ from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import display_conversion, normalised, parse
-from orchestrator.base.xml import Element, shortest_decimal
-from orchestrator.ssp.xml_writing import generation_tool, package_version, xml_text
+from orchestrator.base.xml import Element, generation_tool, package_version, shortest_decimal, xml_text
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
 TOOL = "harvester-cosim"  # in vendor annotations and terminal kinds

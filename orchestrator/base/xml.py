@@ -1,4 +1,4 @@
-"""Reads XML files: elements by local name, attributes by type, messages with file and line.
+"""Reading of XML files: elements by local name, attributes by type, messages with file and line; writing.
 
 Numbers and booleans follow XML Schema. Python would also accept 1_000, digits of other scripts and Infinity.
 Text that other tools would read differently is refused.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from math import isfinite
 from typing import Any
 
@@ -189,3 +190,37 @@ def shortest_decimal(value: float) -> str:
     """The shortest decimal that is read back as the same number; other tools display this text."""
     short = f"{value:.15g}"
     return short if float(short) == value else repr(value)
+
+
+# ---- writing
+
+
+def as_text(value: object) -> str:
+    """A value as XML text; a float has all digits that are needed to read it back."""
+    if isinstance(value, float):
+        return shortest_decimal(value)
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def xml_text(root: Element) -> bytes:
+    """The content of the file with this root."""
+    from lxml import etree
+
+    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return text
+
+
+@cache
+def package_version() -> str:
+    """Version of the installed distribution; "0" if it is not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("harvester-cosim")
+    except PackageNotFoundError:
+        return "0"
+
+
+def generation_tool() -> str:
+    """Name and version of this program, for the attribute generationTool."""
+    return f"harvester-cosim {package_version()}"

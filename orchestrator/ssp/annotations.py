@@ -38,7 +38,7 @@ from typing import Any, NamedTuple
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
-from orchestrator.ssp.xml_writing import add
+from orchestrator.ssp.common_elements import add
 
 OWN = "harvester-cosim"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root

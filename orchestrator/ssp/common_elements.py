@@ -1,4 +1,4 @@
-"""Common elements of all file formats of SSP (namespace ssc): units, transformations, value mappings."""
+"""Common elements of all file formats of SSP: namespaces, units, transformations, value mappings."""
 
 from __future__ import annotations
 
@@ -7,10 +7,44 @@ from itertools import pairwise
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import BASES, IDENTITY, DeclaredUnit, LinearTransformation
-from orchestrator.base.xml import Element, XmlElement, finite
-from orchestrator.ssp.xml_writing import add
+from orchestrator.base.xml import Element, XmlElement, as_text, finite
 
+_SSP = "http://ssp-standard.org/SSP1/SystemStructure"  # version 2.0 has the same namespaces
+NAMESPACES = {
+    "ssc": f"{_SSP}Common",
+    "ssd": f"{_SSP}Description",
+    "ssv": f"{_SSP}ParameterValues",
+    "ssb": f"{_SSP}SignalDictionary",
+}
+# names of types by version of SSP; version 2.0 uses those of FMI 3.0
+TYPES: Mapping[str, Mapping[str, str]] = {
+    "1.0": {"Real": "Real", "Integer": "Integer", "Boolean": "Boolean", "String": "String"},
+    "2.0": {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String"},
+}
 MAPPINGS = tuple(f"{kind}MappingTransformation" for kind in ("Boolean", "Integer", "Enumeration"))
+
+
+def new_root(qualified: str, more: Mapping[str, str] | None = None, /, **attributes: str | None) -> Element:
+    """The root element of a new file; `more`: prefix -> further namespace."""
+    from lxml import etree
+
+    prefix, _, name = qualified.partition(":")
+    prefixes = ("ssc", "ssd", "ssv") if prefix == "ssd" else ("ssc", prefix)
+    namespaces = {p: NAMESPACES[p] for p in prefixes} | dict(more or {})
+    root = etree.Element(f"{{{NAMESPACES[prefix]}}}{name}", nsmap=namespaces)
+    root.attrib.update({key: text for key, text in attributes.items() if text is not None})
+    return root
+
+
+def add(parent: Element, qualified: str, /, **attributes: object) -> Element:
+    """Append a child such as "ssd:System"; attributes that are None are left out."""
+    from lxml import etree
+
+    prefix, _, name = qualified.partition(":")
+    namespace = NAMESPACES.get(prefix) or parent.nsmap[prefix]
+    texts = {key: as_text(value) for key, value in attributes.items() if value is not None}
+    return etree.SubElement(parent, f"{{{namespace}}}{name}", texts)
+
 
 # ---- units
 

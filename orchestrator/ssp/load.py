@@ -15,9 +15,16 @@ from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.ssp.annotations import ignored_annotations, read_suggestion
 from orchestrator.ssp.assembly import check_connection, open_component
 from orchestrator.ssp.parameter_sets import bound_values
-from orchestrator.ssp.signal_paths import SignalPath, signal_paths
 from orchestrator.ssp.system import Connection, Inlet, Outlet, Port, System
-from orchestrator.ssp.system_structure import DEFINITION, SINKS, Connector, FlatStructure, read_structure
+from orchestrator.ssp.system_structure import (
+    DEFINITION,
+    SINKS,
+    Connector,
+    FlatStructure,
+    SignalPath,
+    read_structure,
+    signal_paths,
+)
 
 
 def load(path: str | Path, exchange: bool = False) -> System:

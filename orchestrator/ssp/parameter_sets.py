@@ -16,10 +16,9 @@ from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, Value
 from orchestrator.ssp.common_elements import read_transformation, read_units
-from orchestrator.ssp.signal_paths import SignalPaths
 from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Port, System, check_settable, coerce
-from orchestrator.ssp.system_structure import Connector, ParameterBinding
+from orchestrator.ssp.system_structure import Connector, ParameterBinding, SignalPaths
 
 # target, transformation, table source -> target, suppression of the unit conversion
 MappingEntry = tuple[str, LinearTransformation, Mapping[str, str], bool]

@@ -14,14 +14,13 @@ from urllib.parse import quote
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_zip
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
-from orchestrator.base.xml import Element
+from orchestrator.base.xml import Element, generation_tool, xml_text
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.annotations import VENDOR_NAMESPACES, write_suggestion
-from orchestrator.ssp.common_elements import write_units
+from orchestrator.ssp.common_elements import TYPES, add, new_root, write_units
 from orchestrator.ssp.diagram import Box, Diagram, Point
 from orchestrator.ssp.system import RESOURCES, Component, Inlet, Port, System
 from orchestrator.ssp.system_structure import DEFINITION, FMU
-from orchestrator.ssp.xml_writing import TYPES, add, generation_tool, new_root, xml_text
 
 Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the variable it sets, and its value
 DICTIONARY, DICTIONARY_FILE = "signals", "signals.ssb"

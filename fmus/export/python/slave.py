@@ -37,7 +37,7 @@ from fmus.export.python.user_file import load, message
 from fmus.export.python.user_model import UserModel
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
-from orchestrator.ssp.xml_writing import package_version
+from orchestrator.base.xml import package_version
 
 MODEL_FILE = "model.json"  # in resources/: origin or file of the model, values, version, GUID
 
