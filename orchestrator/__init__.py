@@ -1,10 +1,10 @@
 """Co-simulates systems of FMUs: connect, step, record, validate, linearise. Contains no model equations.
 
-from orchestrator import run, validate, write
+from orchestrator import run, validate, write_trace
 
 result = run("build/harvester.ssp", scenario="data/scenarios/work_cycle.csv", step=1e-3)
 print(result.card.text())
-write(result.trace, "build/trace.csv")
+write_trace(result.trace, "build/trace.csv")
 print(validate(result, "data/reference/work_cycle.csv").verdict)
 
 `load` reads a system, `assemble` makes one from FMUs, `write_ssp` writes it. `compare` compares traces,
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from orchestrator.base.coupling import Coupling
     from orchestrator.base.errors import Problem
     from orchestrator.data.recording import Recording, read_recording
-    from orchestrator.data.trace import Trace, read, write
+    from orchestrator.data.trace import Trace, read, read_trace, write, write_trace
     from orchestrator.engine.job import Execution, Record
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
@@ -39,7 +39,7 @@ _MODULES = {
     "base.coupling": "Coupling",
     "base.errors": "Problem",
     "data.recording": "Recording read_recording",
-    "data.trace": "Trace read write",
+    "data.trace": "Trace read_trace write_trace read write",
     "engine.job": "Execution Record",
     "engine.result": "Card Interrupted Result RunFailed",
     "engine.run": "run",
@@ -59,8 +59,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 __all__ = [
     "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Recording",
     "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble", "compare", "linearize",
-    "load", "read", "read_recording", "read_study", "run", "sweep", "validate", "with_swaps",
-    "write", "write_ssp",
+    "load", "read", "read_recording", "read_study", "read_trace", "run", "sweep", "validate", "with_swaps",
+    "write", "write_ssp", "write_trace",
 ]  # fmt: skip
 
 

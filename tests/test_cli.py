@@ -14,7 +14,7 @@ import pytest
 from fmus.machine.build import data
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.poses import POSES
-from orchestrator import Trace, read, write
+from orchestrator import Trace, read_trace, write_trace
 from orchestrator.__main__ import main
 from orchestrator.results import validate_system
 
@@ -63,7 +63,7 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
     assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
     assert "note: the scenario replaces operator_input\n" in capsys.readouterr().out
-    own, given = (read(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
+    own, given = (read_trace(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
     np.testing.assert_allclose(own, given, rtol=0, atol=1e-9)  # the scenario has its commands to 1e-9 V
 
@@ -89,7 +89,7 @@ def test_a_scenario_of_one_column_is_enough(capsys):
     Path("mine.csv").write_text("time,boom_command\n0,0\n0.1,0\n0.2,3\n", encoding="utf-8")
     options = ["--scenario", "mine.csv", "--reference", own_reference(), "--stop", "0.3"]
     assert main(["validate", *options]) == 1  # the reference's boom stands still up to there
-    trace = read("build/run.csv")
+    trace = read_trace("build/run.csv")
     assert not trace["swing.swing_command"].any()
     assert trace["boom_stick.boom_command"][-1] == 3.0
     page = Path("build/report.html").read_text(encoding="utf-8")
@@ -132,7 +132,7 @@ def test_a_recording_plays_its_own_commands(system, fmu_dir, capsys):
     """In other units and moved in time: the run is that of the recording, whatever the levers would play."""
     time = np.arange(0.0, 2.0, 0.005)
     command = 1000.0 * np.interp(time, [0.5, 0.8, 1.4, 1.7], [0.0, 3.0, 3.0, 0.0])
-    write(Trace(time, {"BOOM": command, "ANGLE": np.full(time.size, 11.459)}), "own.csv")
+    write_trace(Trace(time, {"BOOM": command, "ANGLE": np.full(time.size, 11.459)}), "own.csv")
     Path("own.toml").write_text(
         '[signals."boom_stick.boom_command"]\ncolumn = "BOOM"\nunit = "mV"\n'
         '[signals."manipulator.boom_angle"]\ncolumn = "ANGLE"\nunit = "deg"\n',
@@ -141,7 +141,7 @@ def test_a_recording_plays_its_own_commands(system, fmu_dir, capsys):
     shutil.copy(fmu_dir / "harvester.fmu", "build/harvester.fmu")
     assert main(["validate", f"build/{system}", "--reference", "own.csv"]) == 0
     assert "played" in capsys.readouterr().out
-    trace = read("build/run.csv")
+    trace = read_trace("build/run.csv")
     own = "harvester" if system.endswith("fmu") else "boom_stick"
     at = np.interp(trace.time, time, command / 1000.0)
     # the trace is recorded on a grid of 5 ms, as the recording: exact but for rounding
@@ -169,7 +169,7 @@ def test_a_recorded_supply_is_played_where_it_is_asked_for(system, fmu_dir, caps
     """One sensor for both drives: it goes in by --play, else it is compared with the ideal source."""
     time = np.arange(0.0, 0.5, 0.005)
     sagging = 200.0 - 20.0 * time
-    write(Trace(time, {"BOOM": np.zeros(time.size), "PS": sagging}), "own.csv")
+    write_trace(Trace(time, {"BOOM": np.zeros(time.size), "PS": sagging}), "own.csv")
     line = '[signals."{}.supply_pressure"]\ncolumn = "PS"\nunit = "bar"\n'
     both = "".join(map(line.format, ("swing", "boom_stick")))
     command = '[signals."boom_stick.boom_command"]\ncolumn = "BOOM"\nunit = "V"\n'
@@ -177,14 +177,14 @@ def test_a_recorded_supply_is_played_where_it_is_asked_for(system, fmu_dir, caps
     shutil.copy(fmu_dir / "harvester.fmu", "build/harvester.fmu")
     play = ["--play", "*.supply_pressure"]
     assert main(["validate", f"build/{system}", "--reference", "own.csv", *play]) == 0
-    trace = read("build/run.csv")
+    trace = read_trace("build/run.csv")
     parts = ("harvester",) if system.endswith("fmu") else ("swing", "boom_stick")
     for part in parts:
         # recorded on the grid of the recording: exact but for rounding of 2e7 Pa
         np.testing.assert_allclose(trace[f"{part}.supply_pressure"], 1e5 * sagging, atol=1e-3)
     if len(parts) > 1:
         assert main(["validate", f"build/{system}", "--reference", "own.csv"]) == 0
-        assert np.ptp(read("build/run.csv")["swing.supply_pressure"]) == 0
+        assert np.ptp(read_trace("build/run.csv")["swing.supply_pressure"]) == 0
     capsys.readouterr()
     assert main(["validate", f"build/{system}", "--reference", "own.csv", "--play", "*.presure"]) == 2
     assert "--play *.presure: expected a signal of own.csv" in capsys.readouterr().err
@@ -237,7 +237,7 @@ def test_poses_and_programs_are_chosen_by_name():
     options = ["--parameters", "raised", "--parameters", "still"]
     options += ["--set", "manipulator.initial_swing_angle=0.5"]
     assert main(["run", *options, "--stop", "1.5"]) == 0
-    trace = read("build/trace.csv")
+    trace = read_trace("build/trace.csv")
     for name, angle in (("swing", 0.5), ("boom", POSES["raised"].boom), ("stick", POSES["raised"].stick)):
         # closed valves leak: below 0.3 mm of piston in 5 s, tests/test_machine.py
         np.testing.assert_allclose(trace[f"manipulator.{name}_angle"], angle, rtol=0, atol=5e-4)
@@ -259,7 +259,7 @@ def test_a_program_moves_the_machine_like_the_scenario_of_the_same_moves():
     chosen = ["--parameters", "boom_up"], ["--scenario", str(data("scenarios/boom_up.csv"))]
     for name, options in zip(("a.csv", "b.csv"), chosen, strict=True):
         assert main(["run", *options, "--stop", "2", "--out", name]) == 0
-    a, b = (read(name)["manipulator.boom_angle"] for name in ("a.csv", "b.csv"))
+    a, b = (read_trace(name)["manipulator.boom_angle"] for name in ("a.csv", "b.csv"))
     assert np.ptp(a) > 0.1  # rad: it moves
     np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)  # the same numbers but for the clock's rounding
 
@@ -288,7 +288,7 @@ def test_validate_passes_and_writes_its_files(capsys):
     assert "interpolated" not in printed
     assert "build/run.csv: 110 signals, 401 rows, every 0.005 s" in Path(printed).as_posix()
     assert all(Path("build", name).is_file() for name in ("report.html", "report.json"))
-    time = read("build/run.csv").time
+    time = read_trace("build/run.csv").time
     # point n is n times the step: rounding only
     np.testing.assert_allclose(time, np.arange(401) * 5e-3, rtol=0, atol=1e-15)
 
@@ -426,7 +426,7 @@ def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     )
     assert main([command, "--scenario", "burst.csv", *option]) == 2
     printed = capsys.readouterr()
-    trace = read("new/run.csv")
+    trace = read_trace("new/run.csv")
     assert 0.1 < trace.time[-1] < 0.5
     assert "the run ended early; its record up to t = " in printed.out
     assert printed.err.startswith("harvester: manipulator: the step failed at t = ")

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from fmus.components import orifice
 from fmus.contract import quantities, symbolic, unstack
 from fmus.parameters import values
-from orchestrator import read
+from orchestrator import read_trace
 from orchestrator import run as orchestrate
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
@@ -171,7 +171,7 @@ def reference():
 
 def test_joined_ode_follows_the_reference(reference):
     """The equations joined into one ODE give the authors' monolithic solution of M1."""
-    found = solve(read(run.M1), reference.time)
+    found = solve(read_trace(run.M1), reference.time)
 
     def error(name):
         return np.max(np.abs(found[name] - reference[name]))
@@ -187,7 +187,7 @@ def test_joined_ode_follows_the_reference(reference):
 
 def test_manoeuvre_starts_in_equilibrium():
     """M1 as shipped is the published one: kappa0, 10 mm to the left in 1 ms, 30 to the right in 2 ms."""
-    m1 = read(run.M1)
+    m1 = read_trace(run.M1)
     kappa0 = values(HYDRAULICS).u["kappa"]
     np.testing.assert_array_equal(m1.time, [0, 2, 2.001, 6, 6.002, 10])
     # printed with ten digits
@@ -272,7 +272,7 @@ def by_hermite(systems, step=None, **choices):
     """A run with rate ports: its result, and the largest error of s1 [m] from the joined ODE."""
     pure = {} if "adaptive" in choices else {"guard": 0}
     result = orchestrate(systems["rates"], run.M1, master=Coupling("hermite", **pure, **choices), step=step)
-    truth = solve(read(run.M1), result.trace.time)
+    truth = solve(read_trace(run.M1), result.trace.time)
     return result, float(np.max(np.abs(result.trace["arm.s1"] - truth["arm.s1"])))
 
 
@@ -295,7 +295,7 @@ def test_adaptive_steps_meet_the_ramps(systems):
     """At 1e-5 within 2e-5 m (measured 5e-7 m); the ends of the ramps are communication points."""
     result, error = by_hermite(systems, adaptive=1e-5)
     assert error < 2e-5
-    assert set(read(run.M1).time.tolist()) <= set(result.trace.time.tolist())
+    assert set(read_trace(run.M1).time.tolist()) <= set(result.trace.time.tolist())
 
 
 def test_adaptive_steps_are_fewer_than_half_of_equal_ones(systems):

@@ -20,7 +20,7 @@ from fmus.components.spool_valve import Valve
 from fmus.contract import column, quantities, symbolic
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
-from orchestrator.base.units import BASES, parse
+from orchestrator.base.units import BASES, parse_unit
 
 VALVE = Valve(
     area=4e-5,
@@ -102,7 +102,7 @@ def test_every_formula_keeps_its_dimensions(name):
     scale = dict.fromkeys(BASES, 1.0) | {"kg": 1.9, "m": 0.7, "s": 1.3, "A": 0.6}
 
     def in_other_units(values, group, per_second=0):
-        exponents = {n: parse(group[n].unit).exponents for n in values}
+        exponents = {n: parse_unit(group[n].unit).exponents for n in values}
         unit = {
             n: np.prod([scale[b] ** k for b, k in zip(BASES, ex, strict=True)]) for n, ex in exponents.items()
         }

@@ -13,7 +13,7 @@ from orchestrator.base.units import (
     display_conversion,
     factor_and_offset,
     normalised,
-    parse,
+    parse_unit,
     per_second,
     si_unit,
 )
@@ -37,8 +37,8 @@ from orchestrator.base.units import (
 )
 def test_unit_has_the_base_units_of_the_si(unit, base):
     """Each unit of the models is a product of base units with factor one."""
-    assert parse(unit).base() == base
-    assert parse(unit).factor == 1.0
+    assert parse_unit(unit).base() == base
+    assert parse_unit(unit).factor == 1.0
 
 
 @pytest.mark.parametrize(
@@ -48,13 +48,13 @@ def test_unit_has_the_base_units_of_the_si(unit, base):
 def test_other_units_have_their_factor(unit, factor):
     """A unit that is not SI carries its factor to SI."""
     # the same few multiplications in another order: a few rounding errors
-    assert parse(unit).factor == pytest.approx(factor, rel=1e-15)
+    assert parse_unit(unit).factor == pytest.approx(factor, rel=1e-15)
 
 
 def test_display_units_have_the_dimension_of_their_unit():
     """A pressure is shown in bar, not in degrees."""
     for unit, shown in DISPLAY.items():
-        assert parse(unit).exponents == parse(shown).exponents
+        assert parse_unit(unit).exponents == parse_unit(shown).exponents
         assert display_conversion(unit)[0] == shown
     # exact powers of ten and 60: rounding only
     assert display_conversion("Pa")[1] == pytest.approx(1e-5, rel=1e-15)
@@ -65,7 +65,7 @@ def test_display_units_have_the_dimension_of_their_unit():
 @pytest.mark.parametrize("unit", ["1", "rad", "rad/s", "m3/s", "Pa", "N.m", "N/s", "J/(kg.K)", "m/s2"])
 def test_derivative_unit_is_the_unit_per_second(unit):
     """The unit of a derivative has one power of the second less."""
-    assert parse(per_second(unit)).exponents == parse(unit).times(parse("s"), -1).exponents
+    assert parse_unit(per_second(unit)).exponents == parse_unit(unit).times(parse_unit("s"), -1).exponents
 
 
 @pytest.mark.parametrize(
@@ -107,11 +107,11 @@ LOGGED = [
 @pytest.mark.parametrize(("unit", "value", "si", "name"), LOGGED)
 def test_units_of_loggers_become_si(unit, value, si, name):
     """A value in a unit of a logger comes out right in the SI unit of the same quantity."""
-    found = parse(normalised(unit))
+    found = parse_unit(normalised(unit))
     assert si_unit(normalised(unit)) == name
     # the digits printed in LOGGED
     assert found.factor * value + found.offset == pytest.approx(si, rel=1e-8)
-    assert (parse(name).factor, parse(name).offset) == (1.0, 0.0)
+    assert (parse_unit(name).factor, parse_unit(name).offset) == (1.0, 0.0)
 
 
 PARTS = st.tuples(
@@ -126,7 +126,7 @@ PARTS = st.tuples(
 def test_any_product_goes_to_si_and_back(value, parts):
     """The SI unit has the same dimension and factor 1; the value comes back."""
     text = ".".join(f"{symbol}{power}" for symbol, power in parts)
-    unit, si = parse(text), parse(si_unit(text))
+    unit, si = parse_unit(text), parse_unit(si_unit(text))
     assert si.exponents == unit.exponents
     assert si.factor == 1.0
     # two roundings
@@ -135,7 +135,7 @@ def test_any_product_goes_to_si_and_back(value, parts):
 
 def test_a_temperature_in_a_product_is_a_difference():
     """J/degC is J/K: the zero of a temperature has no meaning in a product."""
-    assert parse("J/degC") == parse("J/K")
+    assert parse_unit("J/degC") == parse_unit("J/K")
 
 
 @pytest.mark.parametrize(

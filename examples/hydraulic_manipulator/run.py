@@ -21,7 +21,7 @@ from machine import build, solve
 from rich.console import Console
 from rich.table import Table
 
-from orchestrator import Problem, Result, Trace, read, run, write
+from orchestrator import Problem, Result, Trace, read_trace, run, write_trace
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.results.summary import summary
 from orchestrator.results.validation import Validation, validate
@@ -53,7 +53,7 @@ class Outcome:
 
 def simulate(system: Path, manoeuvre: Path, step: float, master: str) -> Outcome:
     """Co-simulate `manoeuvre` with the communication step [s] and compare."""
-    scenario = read(manoeuvre)
+    scenario = read_trace(manoeuvre)
     if list(scenario.signals) != ["kappa"] or len(scenario.time) < 2:
         raise Problem(f"{manoeuvre}: expected the columns time, kappa and two rows or more")
     result = run(system, scenario, master=master, step=step)
@@ -95,7 +95,7 @@ def main() -> int:
     if outcome.validation:
         console.print(summary(outcome.validation), "")
     picture = draw(outcome.result.trace, outcome.truth, outcome.reference, given.out / "result.png")
-    trace = write(outcome.result.trace, given.out / "result.csv")
+    trace = write_trace(outcome.result.trace, given.out / "result.csv")
     console.print(f"wrote {system}, {trace} and {picture}", soft_wrap=True)
     return 0 if outcome.validation is None or outcome.validation.passed else 1
 

@@ -14,7 +14,7 @@ from machine import RATES, build, solve
 from rich.console import Console
 from run import M1, REFERENCE
 
-from orchestrator import load, read, run
+from orchestrator import load, read_trace, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
 from orchestrator.studies.convergence.convergence_study import report, with_progress
@@ -41,7 +41,7 @@ PUBLISHED = {
 
 def ode_solution() -> ReferenceSolution:
     """The joined ODE at every millisecond."""
-    return from_run("the joined ODE", solve(read(M1), np.linspace(0, 10, 10001)).select(SIGNALS))
+    return from_run("the joined ODE", solve(read_trace(M1), np.linspace(0, 10, 10001)).select(SIGNALS))
 
 
 def manipulator(
@@ -59,7 +59,7 @@ def manipulator(
 
 def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
     """Draw errors of s1 over time, of some runs and of the co-simulations of the benchmark's authors."""
-    ode = solve(read(M1), np.linspace(0, 10, 10001))
+    ode = solve(read_trace(M1), np.linspace(0, 10, 10001))
     runs = {
         label: run(systems[ports], M1, coupling, step).trace
         for label, (ports, coupling, step) in DRAWN.items()

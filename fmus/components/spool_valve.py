@@ -6,7 +6,7 @@
 For an open edge P-A the meter-in flow is `EdgeFlows.supply` of port A, and the meter-out flow of the open
 edge B-T is `EdgeFlows.tank` of port B. Two ways to compute them:
 
-    edge_flows                   from the line flow, a state: lines with inertance
+    edge_flows_from_flow                   from the line flow, a state: lines with inertance
     edge_flows_from_pressure    from the chamber pressure: lines without inertance
 
 Signs: line flow is positive out of a port towards the actuator.
@@ -134,7 +134,7 @@ def turbulent_factor(drop: Scalar, transition_flow: Scalar) -> Scalar:
     return ca.sqrt(c / (1 + ca.sqrt(1 + (c * drop) ** 2)))
 
 
-def edge_flows(
+def edge_flows_from_flow(
     line_flow: Scalar,
     gain_supply: Scalar,
     gain_tank: Scalar,
@@ -176,7 +176,9 @@ def ports_from_flow(
     curve = (valve.dead_band, valve.full_command, valve.command_rounding)
     forward, backward = full * opening(command, *curve), full * opening(-command, *curve)
     edge = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    return edge_flows(flow_a, forward, backward, *edge), edge_flows(flow_b, backward, forward, *edge)
+    return edge_flows_from_flow(flow_a, forward, backward, *edge), edge_flows_from_flow(
+        flow_b, backward, forward, *edge
+    )
 
 
 def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
@@ -297,6 +299,10 @@ def spool_ports(
 
     edge = (edges.leakage, edges.transition_flow, supply_pressure, tank_pressure)
     return (
-        edge_flows(flow_a, gain(position, spool.overlap_pa), gain(-position, spool.overlap_at), *edge),
-        edge_flows(flow_b, gain(-position, spool.overlap_pb), gain(position, spool.overlap_bt), *edge),
+        edge_flows_from_flow(
+            flow_a, gain(position, spool.overlap_pa), gain(-position, spool.overlap_at), *edge
+        ),
+        edge_flows_from_flow(
+            flow_b, gain(-position, spool.overlap_pb), gain(position, spool.overlap_bt), *edge
+        ),
     )

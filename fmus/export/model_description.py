@@ -14,7 +14,7 @@ from fmus.contract import Subsystem
 from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable, dependencies, initial_dependencies
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import display_conversion, normalised, parse
+from orchestrator.base.units import display_conversion, normalised, parse_unit
 from orchestrator.base.xml import Element, generation_tool, package_version, shortest_decimal, xml_text
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
@@ -145,7 +145,7 @@ def _units(root: Element, interface: Interface, fmi: int) -> None:
 
 def base_unit(unit: str) -> dict[str, str]:
     """Attributes of FMI's and SSP's BaseUnit element."""
-    parsed = parse(unit)
+    parsed = parse_unit(unit)
     if normalised(unit) != unit:  # other tools read only this spelling
         raise Problem(f'unit "{unit}": expected "{normalised(unit)}"')
     attributes = {name: str(n) for name, n in parsed.base().items()}

@@ -18,7 +18,7 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.units import parse
+from orchestrator.base.units import parse_unit
 from orchestrator.data.description import Condition
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ def generator(seed: int, file: str, signal: str) -> np.random.Generator:
 
 def read(instrument: Instrument, true: Array, random: np.random.Generator) -> Array:
     """Readings, shape (n,), in the instrument's unit, of a true signal in SI."""
-    value = true / parse(instrument.unit).factor
+    value = true / parse_unit(instrument.unit).factor
     in_dead_zone = np.abs(value) < instrument.dead_zone
     if instrument.noise:
         value = value + random.normal(0.0, instrument.noise, value.size)

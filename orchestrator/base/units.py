@@ -95,10 +95,12 @@ class _UnknownUnit(Exception):
     """The text is not a known unit."""
 
 
-def parse(text: str, where: str = "unit") -> Unit:
+def parse_unit(text: str, where: str = "unit") -> Unit:
     """Parse a unit string such as `N.m.s/rad`, `m3/(s.Pa)`, `m s-1`, `kN` or `L/min`.
 
     where   beginning of the message for an unknown unit
+
+    Raises Problem for an unknown unit.
     """
     plain = normalised(text)
     try:
@@ -114,7 +116,7 @@ def parse(text: str, where: str = "unit") -> Unit:
 
 def si_unit(text: str) -> str:
     """The SI unit of the same quantity: "bar.min/L" gives "Pa.s/m3", "kN.m" gives "N.m"."""
-    parse(text)
+    parse_unit(text)
     plain = normalised(text)
     powers: dict[str, int] = {}
     for name, power in [(plain, 1)] if plain in _OTHER else _factors(plain):
@@ -148,7 +150,7 @@ def factor_and_offset(source: str, target: str, where: str) -> tuple[float, floa
     """(factor, offset) of the conversion: value in `target` = factor * value in `source` + offset."""
     if source == target:
         return 1.0, 0.0
-    a, b = parse(source, where), parse(target, where)
+    a, b = parse_unit(source, where), parse_unit(target, where)
     if a.exponents != b.exponents:
         raise Problem(f"{where}: unit {source!r} cannot be converted, expected a unit like {target!r}")
     return a.factor / b.factor, (a.offset - b.offset) / b.factor
@@ -172,7 +174,7 @@ def display_conversion(unit: str) -> tuple[str, float] | None:
     """The display unit of an SI unit and its factor (displayed = factor * value); None if there is none."""
     if unit not in DISPLAY:
         return None
-    return DISPLAY[unit], parse(unit).factor / parse(DISPLAY[unit]).factor
+    return DISPLAY[unit], parse_unit(unit).factor / parse_unit(DISPLAY[unit]).factor
 
 
 def pretty(unit: str) -> str:
@@ -318,7 +320,7 @@ def _with_definition(unit: DeclaredUnit) -> DeclaredUnit:
     if unit.exponents is not None:
         return unit
     try:
-        definition = parse(unit.name)
+        definition = parse_unit(unit.name)
     except Problem:
         return unit
     return DeclaredUnit(unit.name, definition.exponents, definition.factor, definition.offset)

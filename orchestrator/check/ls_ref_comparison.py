@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.finding import CheckRule, Finding, error, note, warning
-from orchestrator.check.ls_ref_files import (
+from orchestrator.check.probe_process import run
+from orchestrator.check.probes import first_run
+from orchestrator.check.read_ls_ref import (
     MANIFEST,
     Related,
     ResultTable,
@@ -28,8 +30,6 @@ from orchestrator.check.ls_ref_files import (
     relative,
     table,
 )
-from orchestrator.check.probe_process import run
-from orchestrator.check.probes import first_run
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, parse_numbers

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.toml import NOT_NEGATIVE, POSITIVE, Rule
-from orchestrator.base.units import parse
+from orchestrator.base.units import parse_unit
 from orchestrator.data.table import TextFormat
 
 # Metric -> True if smaller values are better. `maximum` and `rmse` are in the unit of the signal, `fit` and
@@ -179,15 +179,15 @@ def read_description(path: Path) -> Description:
         if description.experiment.get("use", "train") not in ("train", "test"):
             raise experiment.problem("use", "one of train, test")
     unit = description.time.unit
-    if parse(unit, f"{path}: time").exponents != parse("s").exponents:
+    if parse_unit(unit, f"{path}: time").exponents != parse_unit("s").exponents:
         raise Problem(f"{path}: time: unit: expected a unit of time such as s or ms, got {unit!r}")
     for name, value in description.experiment.items():
         if isinstance(value, Condition):
-            parse(value.unit, f"{path}: experiment: {name}")
+            parse_unit(value.unit, f"{path}: experiment: {name}")
     groups = description.tolerances
     for name, signal in description.signals.items():
         where = f"{path}: signals.{toml.quote_key(name)}"
-        parse(signal.unit, where)
+        parse_unit(signal.unit, where)
         if groups and signal.group and signal.tolerance is None and signal.group not in groups:
             raise Problem(f"{where}: group: expected one of {', '.join(groups)}, got {signal.group!r}")
     return description

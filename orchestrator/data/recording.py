@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
-from orchestrator.base.units import parse, si_unit
+from orchestrator.base.units import parse_unit, si_unit
 from orchestrator.data.description import (
     Condition,
     Description,
@@ -259,20 +259,20 @@ def _seconds(columns: Columns, description: Description) -> Array:
             f"{columns.location(k + 1)}: column {spec.column!r}:"
             f" expected increasing times, got {raw[k + 1]:.10g} after {raw[k]:.10g}"
         )
-    time: Array = parse(spec.unit).factor * raw + spec.offset
+    time: Array = parse_unit(spec.unit).factor * raw + spec.offset
     return time
 
 
 def _in_si(values: Array, spec: SignalDescription) -> Array:
     """Values of a column in SI units: calibration, then conversion from the unit of the file."""
-    scale = parse(spec.unit)
+    scale = parse_unit(spec.unit)
     result: Array = scale.factor * (spec.factor * values + spec.offset) + scale.offset
     return result
 
 
 def _sensor(spec: SignalDescription) -> Sensor | None:
     """The instrument in SI units, None if none is described; only the span is subject to a unit's offset."""
-    scale = parse(spec.unit)
+    scale = parse_unit(spec.unit)
     low, high = spec.span or (-math.inf, math.inf)
     sensor = Sensor(
         text=spec.sensor,
@@ -287,7 +287,7 @@ def _sensor(spec: SignalDescription) -> Sensor | None:
 
 def _criterion(spec: SignalDescription, description: Description) -> Criterion:
     """Presentation and limit in a comparison, in SI units."""
-    factor = parse(spec.unit).factor
+    factor = parse_unit(spec.unit).factor
     tolerance = spec.tolerance_of(description.tolerances)
     return Criterion(
         label=spec.label,
@@ -301,7 +301,7 @@ def _condition(value: str | Condition) -> str | float:
     """A text, or a value in SI units."""
     if isinstance(value, str):
         return value
-    scale = parse(value.unit)
+    scale = parse_unit(value.unit)
     return float(scale.factor * value.value + scale.offset)
 
 

@@ -69,7 +69,7 @@ class Trace:
         return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
 
 
-def read(path: str | Path | Location) -> Trace:
+def read_trace(path: str | Path | Location) -> Trace:
     """Read a trace from a .csv or .parquet file, on disk or inside an archive."""
     file = path if isinstance(path, Location) else Location(Path(path))
     check_suffix(str(file))
@@ -100,7 +100,7 @@ def _check_samples(columns: Columns) -> None:
         raise Problem(f"{columns.location(gap + 1)}: expected {expected}, got none {interval}")
 
 
-def write(trace: Trace, path: str | Path) -> Path:
+def write_trace(trace: Trace, path: str | Path) -> Path:
     """Write a trace as .csv or .parquet; reading the file gives bit-identical values."""
     file = Path(path)
     check_suffix(file)
@@ -156,3 +156,6 @@ def _gap(steps: NDArray[np.float64]) -> int | None:
     if np.abs(ratio - multiple).max() > 1e-3 or np.mean(multiple == 1) < 0.98:
         return None
     return int(np.argmax(multiple > 1)) if multiple.max() > 1 else None
+
+
+read, write = read_trace, write_trace  # names in 0.1

@@ -52,7 +52,7 @@ class _Record:
         self.reals = np.zeros((reals, points))
         self.integers = np.zeros((integers, points), dtype=np.int32)
 
-    def write(self, first: int, block: _Block, rows: NDArray[np.intp]) -> None:
+    def store(self, first: int, block: _Block, rows: NDArray[np.intp]) -> None:
         """Copy rows of a block to the points from `first` on; the arrays grow if necessary."""
         last = first + len(rows)
         if last > len(self.time):
@@ -122,7 +122,7 @@ class Recorder:
         if n == 0:
             return
         on_grid = np.arange(-self.points % self._every, n, self._every)
-        self._record.write(self._rows, self.block, np.append(on_grid, n - 1))
+        self._record.store(self._rows, self.block, np.append(on_grid, n - 1))
         self._rows, self.points, self.struct.filled = self._rows + len(on_grid), self.points + n, 0
 
     def trace(self, outlets: Sequence[Outlet] = ()) -> Trace:

@@ -9,7 +9,7 @@ from typing import Any
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.files import Location, make_folder, require_system
-from orchestrator.data.trace import Trace, check_suffix, read, write
+from orchestrator.data.trace import Trace, check_suffix, read_trace, write_trace
 from orchestrator.engine.job import Execution, Job, Record, guarded, open_slave, with_error_estimate
 from orchestrator.engine.result import Interrupted, Result, RunFailed, write_metadata
 from orchestrator.engine.scenario import Scenario, drive
@@ -113,7 +113,7 @@ def _scenario(
 ) -> tuple[Trace | None, Scenario | None]:
     if scenario is None:
         return None, None
-    trace = scenario if isinstance(scenario, Trace) else read(scenario)
+    trace = scenario if isinstance(scenario, Trace) else read_trace(scenario)
     label = "scenario" if isinstance(scenario, Trace) else str(scenario)
     return trace, drive(system, trace, label)
 
@@ -172,7 +172,7 @@ def run_or_save(
 
 def save(result: Result, out: Path, options: Mapping[str, Any]) -> None:
     """Write the trace and its metadata; print the card."""
-    write(result.trace, out)
+    write_trace(result.trace, out)
     write_metadata(result, out, options)
     print(result.card.text())
     end = f" up to t = {result.trace.time[-1]:.6g} s" if len(result.trace.time) else ""

@@ -32,7 +32,7 @@ KEPT = 1800.0  # [s]; frames of this time are kept
 MOST = 256 << 20  # bytes of memory for frames, at most
 MARGIN = 200  # oldest frames that are not read, because they may be overwritten meanwhile
 SILENT = 5.0  # [s] without a heartbeat, after which an FMU counts as hanging
-TIMEOUT = 3.0  # [s] for an orderly end, after which the process is killed
+END_TIMEOUT = 3.0  # [s] for an orderly end, after which the process is killed
 
 
 class MachineProcess:
@@ -51,7 +51,7 @@ class MachineProcess:
         memory = Memory(size(*sizes, rows))
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
-        self._worker = Worker(target, "live", TIMEOUT, descriptors=memory.descriptors)
+        self._worker = Worker(target, "live", END_TIMEOUT, descriptors=memory.descriptors)
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
         self._heartbeat, self._heard = -1, time.monotonic()

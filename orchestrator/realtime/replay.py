@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace, read
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.realtime.deadlines import speed_factor
 from orchestrator.realtime.setup import Array, Frame, Setup, Timing
 
@@ -36,7 +36,7 @@ class Replay:
         frame: float = FRAME,
     ) -> None:
         """file: a .csv or .parquet trace; signals: default: all."""
-        whole = file if isinstance(file, Trace) else read(file)
+        whole = file if isinstance(file, Trace) else read_trace(file)
         self._trace = whole if signals is None else whole.select(signals)
         if not len(whole.time):
             raise Problem("replay: expected a trace with samples, got an empty one")

@@ -11,10 +11,10 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.text import first_names
-from orchestrator.base.units import factor_and_offset, parse
+from orchestrator.base.units import factor_and_offset, parse_unit
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, read
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_metadata
 from orchestrator.results.metrics import constant
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
@@ -65,7 +65,7 @@ def _run(label: str, source: Source) -> Run:
     path = Path(source)
     if path.suffix.lower() == ".csv" and path.with_suffix(".toml").is_file():
         return Run(label, read_recording(path).trace(), None, str(path))
-    trace = read(path)
+    trace = read_trace(path)
     run_metadata = read_metadata(path)
     stored = run_metadata.units if run_metadata else {}
     units = {name: unit for name, unit in stored.items() if name in trace.signals}
@@ -195,9 +195,9 @@ def _validate(recording: Recording, run: Run) -> Validation:
 
 def quantity(unit: str) -> str:
     """The quantity of a unit; the unit in brackets if it has no name here."""
-    names: dict[tuple[int, ...], str] = {parse(u).exponents: name for name, u in QUANTITIES.items()}
+    names: dict[tuple[int, ...], str] = {parse_unit(u).exponents: name for name, u in QUANTITIES.items()}
     try:
-        name = names.get(parse(unit).exponents, "")
+        name = names.get(parse_unit(unit).exponents, "")
     except Problem:
         name = ""
     if name == "torque" and unit.endswith("J"):

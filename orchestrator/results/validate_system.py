@@ -19,7 +19,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, fill_gaps, read_recording
-from orchestrator.data.trace import Trace, write
+from orchestrator.data.trace import Trace, write_trace
 from orchestrator.engine.result import Card, Result, write_metadata
 from orchestrator.engine.run import file_summary, requested_options, run_or_save
 from orchestrator.fmi.description import FmuVariable
@@ -252,7 +252,7 @@ def validate_system(
     ]
     card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
     result = replace(result, card=card)
-    write(result.trace, trace)
+    write_trace(result.trace, trace)
     write_metadata(result, trace, requested_options(scenario=scenario, **options))
     if not layout:
         default_title = page.title if reference is None and scenario is None else ""

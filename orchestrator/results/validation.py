@@ -21,7 +21,7 @@ from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, read
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.result import Result
 from orchestrator.results.metrics import Metrics, measure
 
@@ -154,7 +154,7 @@ def validate(
 
     Raises a Problem if the run lacks a signal, if units do not match, or without a common window.
     """
-    trace = run if isinstance(run, Trace) else run.trace if isinstance(run, Result) else read(run)
+    trace = run if isinstance(run, Trace) else run.trace if isinstance(run, Result) else read_trace(run)
     reference = reference if isinstance(reference, Recording) else read_recording(reference)
     for name in reference.signals:
         if name not in trace.signals:

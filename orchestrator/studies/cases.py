@@ -16,7 +16,7 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.toml import quote_key
 from orchestrator.base.units import factor_and_offset
-from orchestrator.data.trace import Trace, read
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
@@ -83,7 +83,7 @@ def _case(study: Study, system: System, options: Options) -> StudyCase:
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
     system = with_sets(with_swaps(system, chosen), sets)
-    trace = None if scenario is None else read(scenario)
+    trace = None if scenario is None else read_trace(scenario)
     if trace is not None:
         drive(system, trace, str(scenario))
     return StudyCase(system, trace)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace, read
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
 from orchestrator.ssp.system import System
@@ -116,7 +116,7 @@ class PathRun:
 
 def follow(system: System, path: Path, machine: str, feedback: bool, **options: Any) -> PathRun:
     """Run a system along the path of a scenario; `options` go to `run`, a Problem names machine and path."""
-    scenario = read(path)
+    scenario = read_trace(path)
     points(scenario, PATH, str(path))  # a file without a path is reported before anything runs
     options["set"] = {**options.get("set", {}), FEEDBACK: float(feedback)}
     failure, limits = "", [name for name in CAUSES if system.has(name)]
@@ -154,7 +154,7 @@ def points(trace: Trace, names: Sequence[str], where: str) -> Array:
 
 def first_point(path: Path) -> tuple[float, float, float]:
     """Radius [m], height [m] and angle [rad] of the first point of the path of a scenario."""
-    scenario = read(path)
+    scenario = read_trace(path)
     points(scenario, PATH, str(path))
     radius, height, angle = (float(scenario[name][0]) for name in PATH)
     return radius, height, angle

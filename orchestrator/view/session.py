@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace, read, write
+from orchestrator.data.trace import Trace, read_trace, write_trace
 from orchestrator.realtime.setup import Array, Frame, Machine, Setup
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
@@ -169,7 +169,7 @@ class Session:
 
     def replay_file(self, path: Path, name: str = "") -> None:
         """Show any result file. Not for names that come from a page."""
-        trace = read(path)
+        trace = read_trace(path)
         if not len(trace.time):
             raise Problem(f"{path}: expected samples, found none")
         recording = self._replay(trace)
@@ -200,7 +200,7 @@ class Session:
         if not self.folders:
             raise Problem("save: no folder for results is open")
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        return write(self.trace(), self.folders[0] / f"session-{stamp}.parquet")
+        return write_trace(self.trace(), self.folders[0] / f"session-{stamp}.parquet")
 
     def trace(self) -> Trace:
         """Trace of the session. Raises `Problem` if it is empty."""

@@ -18,7 +18,7 @@ from typing import Annotated
 from orchestrator.base.errors import Problem
 from orchestrator.base.toml import Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
-from orchestrator.base.units import parse, reader_unit
+from orchestrator.base.units import parse_unit, reader_unit
 from orchestrator.realtime.setup import Axis, Frame, Machine
 from orchestrator.ssp.system import System
 
@@ -88,19 +88,19 @@ class Gauge:
     digits: int = 1
 
     def __post_init__(self) -> None:
-        parse(self.unit, f"gauge {self.name}")
+        parse_unit(self.unit, f"gauge {self.name}")
         if not self.high > self.low:
             raise Problem(f"gauge {self.name}: expected an end above {self.low:g}, got {self.high:g}")
 
     @property
     def factor(self) -> float:
         """Factor from SI to the displayed unit."""
-        return 1.0 / parse(self.unit).factor
+        return 1.0 / parse_unit(self.unit).factor
 
     @property
     def is_pressure(self) -> bool:
         """Is it a pressure? Then the bar has the colour of the pressure."""
-        return parse(self.unit).base() == parse("Pa").base()
+        return parse_unit(self.unit).base() == parse_unit("Pa").base()
 
 
 @dataclass(frozen=True)
@@ -136,12 +136,12 @@ class Chart:
     both: bool = True
 
     def __post_init__(self) -> None:
-        parse(self.unit, f"chart {self.title}")
+        parse_unit(self.unit, f"chart {self.title}")
 
     @property
     def factor(self) -> float:
         """Factor from SI to the displayed unit."""
-        return 1.0 / parse(self.unit).factor
+        return 1.0 / parse_unit(self.unit).factor
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ def of_outputs(system: System) -> ViewDescription:
 def _shown_unit(unit: str) -> str:
     """The displayed unit; "1" for an unknown unit."""
     try:
-        parse(unit)
+        parse_unit(unit)
     except Problem:
         return "1"
     return reader_unit(unit)

@@ -12,7 +12,7 @@ import pytest
 from check.oscillator import Oscillators
 from orchestrator.check.finding import Finding
 from orchestrator.check.ls_ref_comparison import EXPERIMENT
-from orchestrator.check.ls_ref_files import FOLDER
+from orchestrator.check.read_ls_ref import FOLDER
 from orchestrator.check.subject import Subject, unpacked
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"

@@ -37,8 +37,8 @@ from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
 from fmus.swing import SWING
 from orchestrator.check.ls_ref_comparison import ExperimentComparison, cases, compare
-from orchestrator.check.ls_ref_files import manifest, table
-from orchestrator.check.ls_ref_files import parameter_set as read_parameters
+from orchestrator.check.read_ls_ref import manifest, table
+from orchestrator.check.read_ls_ref import parameter_set as read_parameters
 from orchestrator.check.subject import unpacked
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in ALL]

@@ -12,7 +12,7 @@ from fmus.controller.variables import AXES
 from fmus.export.python.instance import of_subsystem
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL
-from orchestrator import Trace, read, run
+from orchestrator import Trace, read_trace, run
 
 FULL = 10.0  # V, valve_full_command
 COMMANDS = [f"controller.{n}_command" for n in AXES]
@@ -96,7 +96,7 @@ def test_beyond_the_reach_the_arm_comes_to_rest(machine, wanted):
 
 def moved(**by: tuple[float, float]) -> dict[str, np.ndarray]:
     """The square with columns that become `factor * value + offset` after 3 s."""
-    square = read(data("scenarios/square.csv"))
+    square = read_trace(data("scenarios/square.csv"))
     late = square.time > 3
     found = {n: square[n].copy() for n in square.signals}
     for name, (factor, offset) in by.items():
@@ -141,7 +141,7 @@ def test_without_supply_the_arm_stays_up(machine, pressure):
 
     The boom catches up below 0.3 rad/s, twice the speed of the side, and comes back onto the path.
     """
-    square = read(data("scenarios/square.csv"))
+    square = read_trace(data("scenarios/square.csv"))
     gone = np.clip(np.minimum((square.time - 5.5) / 0.1, (8.5 - square.time) / 0.1), 0, 1)
     supply = 20.684e6 + gone * (pressure - 20.684e6)
     columns = {n: square[n] for n in square.signals}
@@ -153,7 +153,7 @@ def test_without_supply_the_arm_stays_up(machine, pressure):
 
 def test_engaged_that_flickers_makes_no_more_than_a_smaller_motion(machine):
     """10 Hz: commands bend with blend time and amplifier, the tip stays within 0.2 m of its path."""
-    square = read(data("scenarios/square.csv"))
+    square = read_trace(data("scenarios/square.csv"))
     columns = {n: square[n] for n in square.signals} | {
         "engaged": (np.floor(20 * square.time) % 2).astype(float)
     }

@@ -6,7 +6,7 @@ from sensors import opener
 
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES
-from orchestrator import Trace, read, run
+from orchestrator import Trace, read_trace, run
 
 DETAILED = {
     "swing": "detailed",
@@ -26,7 +26,7 @@ def machine(fmu_dir):
 
 def tracked(machine, path: str, scenario: Trace | None = None, **options) -> tuple[np.ndarray, np.ndarray]:
     """Times and distances in space between the commanded point and the stick end [m]."""
-    commanded = scenario or read(data(f"scenarios/{path}.csv"))
+    commanded = scenario or read_trace(data(f"scenarios/{path}.csv"))
     options = {"record": TIP, "record_step": 0.01, "parameters": [path], **options}
     trace = run(machine, commanded, **options).trace
     radius, angle, height = (
@@ -127,7 +127,7 @@ def test_levers_go_straight_through(machine):
 
 def test_a_lost_supply_is_waited_for_and_made_up_for(machine):
     """3 MPa for 3 s on the line: the tip falls behind, catches up, and goes 20 mm too far at most."""
-    usual = read(data("scenarios/line.csv"))
+    usual = read_trace(data("scenarios/line.csv"))
     time = usual.time
     lost = 20.684e6 - 17.684e6 * np.clip(np.minimum((time - 3) / 0.2, (6 - time) / 0.2), 0, 1)
     columns = dict(usual.signals) | {"supply_pressure": lost}

@@ -88,8 +88,8 @@ def settled(a: Actuator, share: float, load: float) -> float:
         edges = (a.valve.leakage, a.valve.transition_flow, SUPPLY, TANK)
         flows = a.head * speed, -a.rod * speed
         nodes = (
-            spool_valve.edge_flows(flows[0], forward, backward, *edges),
-            spool_valve.edge_flows(flows[1], backward, forward, *edges),
+            spool_valve.edge_flows_from_flow(flows[0], forward, backward, *edges),
+            spool_valve.edge_flows_from_flow(flows[1], backward, forward, *edges),
         )
         head, rod = (
             number(n.pressure - a.resistance * q * np.sqrt(q**2 + a.valve.transition_flow**2))

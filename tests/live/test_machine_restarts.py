@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator import read, write
+from orchestrator import read_trace, write_trace
 from orchestrator.realtime import machine
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Axis, Setup
@@ -99,7 +99,7 @@ def test_its_trace_is_a_result_file_like_any_other(opened, drift, tmp_path):
     until(lambda: u(station) == 1.0)
     station.close()
     trace = station.trace()
-    again = read(write(trace, tmp_path / "session.parquet"))
+    again = read_trace(write_trace(trace, tmp_path / "session.parquet"))
     assert dict(again.units) == {"u": "m", "drift.u": "m"}
     shown = Replay(tmp_path / "session.parquet", playing=False)
     shown.seek(trace.time[-1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator import Problem, Trace, write
+from orchestrator import Problem, Trace, write_trace
 from orchestrator.realtime import replay
 from orchestrator.realtime.replay import Replay
 
@@ -32,7 +32,7 @@ def file(tmp_path):
     """x = 2 t, sampled at 200 Hz from 1 to 3 s, and y = -t."""
     t = 1.0 + 0.005 * np.arange(401)
     trace = Trace(t, {"a.x": 2 * t, "a.y": -t}, {"a.x": "m"})
-    return write(trace, tmp_path / "run.parquet")
+    return write_trace(trace, tmp_path / "run.parquet")
 
 
 def test_it_goes_at_the_speed_that_is_asked_for(clock, file):

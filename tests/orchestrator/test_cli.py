@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator import Trace, read, write
+from orchestrator import Trace, read_trace, write_trace
 from orchestrator.__main__ import main
 from orchestrator.results import validate_system
 
@@ -30,7 +30,7 @@ GUARDED = {"guard": 0.01}  # of masters that keep states, where nobody says othe
 def folder(tmp_path, monkeypatch, fmus, zip_ssp):
     """A working directory with build/harvester.ssp and a scenario."""
     monkeypatch.chdir(tmp_path)
-    write(Trace(np.array([0.0, 1.0]), {"command": np.array([0.0, 4.0])}), "cycle.csv")
+    write_trace(Trace(np.array([0.0, 1.0]), {"command": np.array([0.0, 4.0])}), "cycle.csv")
     (tmp_path / "build").mkdir()
     zip_ssp(SSD, {"resources/gain.fmu": fmus["gain"]}, "build/harvester.ssp")
     return tmp_path
@@ -40,7 +40,7 @@ def folder(tmp_path, monkeypatch, fmus, zip_ssp):
 def test_system_and_output_have_defaults(capsys):
     """The built system, and a trace beside it."""
     assert main(["run", "--scenario", "cycle.csv", "--step", "0.25"]) == 0
-    np.testing.assert_array_equal(read("build/trace.csv")["g.y"], [0, 1, 2, 3, 4])
+    np.testing.assert_array_equal(read_trace("build/trace.csv")["g.y"], [0, 1, 2, 3, 4])
     printed = capsys.readouterr().out
     assert "4 steps" in printed
     assert "build/trace.csv: 2 signals, 5 rows" in printed
@@ -49,7 +49,7 @@ def test_system_and_output_have_defaults(capsys):
 @pytest.mark.usefixtures("folder")
 def test_all_options_reach_the_run(capsys):
     """Master, times, start values, output format, error estimate."""
-    write(Trace(np.array([0.0, 9.0]), {"command": np.array([0.0, 9.0])}), "other.csv")
+    write_trace(Trace(np.array([0.0, 9.0]), {"command": np.array([0.0, 9.0])}), "other.csv")
     options = [
         "--scenario",
         "other.csv",
@@ -64,7 +64,7 @@ def test_all_options_reach_the_run(capsys):
     ]
     options += ["--set", "g.factor=3", "--set", "g.offset=1", "--out", "new/out.parquet", "--error-estimate"]
     assert main(["run", "build/harvester.ssp", *options]) == 0
-    trace = read("new/out.parquet")
+    trace = read_trace("new/out.parquet")
     assert (trace.time[0], trace.time[-1], trace["g.y"][0]) == (1.0, 3.0, 4.0)
     assert "change when the step is halved; at order p the error is" in capsys.readouterr().out
 
@@ -84,7 +84,7 @@ def test_records_at_200_hz_unless_told(options, times, capsys):
     """The default interval is 5 ms or just below, at least a step; the steps of the card stay all steps."""
     assert main(["run", "--stop", "0.012", *options]) == 0
     # point n is start + n * step: rounding only
-    np.testing.assert_allclose(read("build/trace.csv").time, times, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(read_trace("build/trace.csv").time, times, rtol=0, atol=1e-15)
     assert f"{round(0.012 / float(options[1]))} steps" in capsys.readouterr().out
 
 
@@ -158,12 +158,12 @@ def test_an_adaptive_run_records_where_it_was(capsys):
     """Every communication point; with a record step exactly its points."""
     run = ["run", "pair.ssp", "--adaptive", "0.01", "--stop", "0.1", "--out", "o.csv"]
     assert main(run) == 0
-    free, facts = read("o.csv").time, noted()
+    free, facts = read_trace("o.csv").time, noted()
     assert len(free) == facts["steps"] + 1
     assert facts["lengths"] == pytest.approx([np.diff(free).min(), np.diff(free).max()], rel=1e-6)  # 9 digits
     assert "every" not in capsys.readouterr().out.splitlines()[-1]
     assert main([*run, "--record-step", "0.02"]) == 0
-    np.testing.assert_array_equal(read("o.csv").time, [0.0, 0.02, 0.04, 0.06, 0.08, 0.1])
+    np.testing.assert_array_equal(read_trace("o.csv").time, [0.0, 0.02, 0.04, 0.06, 0.08, 0.1])
     assert "6 rows, every 0.02 s" in capsys.readouterr().out
 
 
@@ -178,7 +178,7 @@ def test_an_adaptive_run_is_validated_every_5_ms(monkeypatch):
     options = ["--master", "hermite", "--adaptive", "0.01", "--stop", "0.1", "--out", "."]
     assert main(["validate", "pair.ssp", "--reference", "m.csv", *options]) in (0, 1)
     # 9 digits in the file
-    np.testing.assert_allclose(read("run.csv").time, np.arange(21) * 0.005, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(read_trace("run.csv").time, np.arange(21) * 0.005, rtol=0, atol=1e-9)
     facts, coupling = noted("report.json")["facts"], noted("run.run.json")
     shortest, longest = coupling["lengths"]
     assert facts["tolerance of a step"] == 0.01
@@ -204,7 +204,7 @@ def test_runs_that_are_compared_are_told_apart(capsys):
 def test_a_single_fmu_runs(each, capsys):
     """`harvester run some.fmu` and `harvester signals some.fmu`, for both versions of FMI."""
     assert main(["run", str(each["source"]), "--stop", "1", "--step", "0.1", "--out", "o.csv"]) == 0
-    assert len(read("o.csv").time) == 11
+    assert len(read_trace("o.csv").time) == 11
     capsys.readouterr()
     assert main(["signals", str(each["source"])]) == 0
     assert "  source.amplitude  m" in capsys.readouterr().out
@@ -300,7 +300,7 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
     ]
     assert main(["run", str(fmus["fails"]), *options]) == 2
     printed = capsys.readouterr()
-    assert len(read("o.csv").time) == 6
+    assert len(read_trace("o.csv").time) == 6
     assert "the run ended early; its record up to t = 0.5 s is in o.csv" in printed.out
     assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
 
@@ -329,7 +329,7 @@ def test_ctrl_c_leaves_the_record(fmus):
     assert ended.returncode == 130, ended.stderr
     assert "is in o.parquet" in ended.stdout
     assert "Traceback" not in ended.stderr
-    assert len(read("o.parquet").time) > 1000
+    assert len(read_trace("o.parquet").time) > 1000
 
 
 def python(code, *arguments):

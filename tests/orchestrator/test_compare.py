@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator import Problem, Trace, assemble, run, write
+from orchestrator import Problem, Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
 from orchestrator.engine.result import read_metadata
 from orchestrator.results.comparison import compare, quantity
@@ -30,7 +30,7 @@ def folder(tmp_path, monkeypatch, fmus):
     """A working directory with three runs of a gain: a.csv, b.csv with another factor, c.parquet."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "gain.fmu").write_bytes(fmus["gain"].read_bytes())
-    write(Trace(np.array([0.0, 8.0]), {"u": np.array([0.0, 8.0])}), "u.csv")
+    write_trace(Trace(np.array([0.0, 8.0]), {"u": np.array([0.0, 8.0])}), "u.csv")
     for options in (["a.csv"], ["b.csv", "--set", "gain.factor=2"], ["c.parquet", "--step", "0.4"]):
         arguments = ["--step", "0.1", "--scenario", "u.csv", "--out", *options]
         assert main(["run", "gain.fmu", *arguments]) == 0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator import Trace, assemble, run, write
+from orchestrator import Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
@@ -51,7 +51,7 @@ def folder(tmp_path, monkeypatch, moving, zip_ssp, exact):
     zip_ssp(SSD, files, "two.ssp")
     time = np.arange(31) * 0.02
     x = exact(time)
-    write(Trace(time, {"a.x": x[:, 0], "b.x": x[:, 1]}), "exact.csv")
+    write_trace(Trace(time, {"a.x": x[:, 0], "b.x": x[:, 1]}), "exact.csv")
     Path("exact.toml").write_text(META)
     return tmp_path
 

@@ -5,7 +5,7 @@ import pytest
 
 from orchestrator import Coupling, Problem, run
 from orchestrator.base.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
-from orchestrator.data.trace import write
+from orchestrator.data.trace import write_trace
 from orchestrator.engine.masters import MASTERS as MADE
 from orchestrator.engine.result import read_metadata, write_metadata
 
@@ -154,7 +154,7 @@ def test_the_card_and_the_side_file_tell_steps_passes_and_settings(oscillator, t
     assert f"master hermite, tolerance 0.001, {card.steps} steps of {1e3 * shortest:.3g} to" in text
     assert card.passes > card.steps
     assert "passes each" in text
-    write(result.trace, tmp_path / "o.csv")
+    write_trace(result.trace, tmp_path / "o.csv")
     write_metadata(result, tmp_path / "o.csv")
     facts = read_metadata(tmp_path / "o.csv")
     assert facts.coupling == result.coupling.settings

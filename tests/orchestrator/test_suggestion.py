@@ -11,7 +11,7 @@ from pyssp_standard.ssd import SSD
 
 from orchestrator import Coupling, Problem, Trace, load, run
 from orchestrator.__main__ import main
-from orchestrator.data.trace import read
+from orchestrator.data.trace import read_trace
 
 SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 HEAD = f"""<ssd:SystemStructureDescription version="1.0" name="pair"
@@ -110,7 +110,7 @@ def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
     """Like one that is given on the command line."""
     path = make(annotated(coupling('adaptive="1e-2" smallest="1e-6" largest="0.05" control="error"')))
     assert main(["run", str(path), "--out", str(tmp_path / "o.csv")]) == 0
-    time = read(tmp_path / "o.csv").time
+    time = read_trace(tmp_path / "o.csv").time
     assert time[-1] == 0.1
     assert np.ptp(np.diff(time)) > 1e-3  # [s]: the steps are not equal
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orchestrator import Problem, Trace, read, write
+from orchestrator import Problem, Trace, read_trace, write_trace
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def trace():
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
     """What is read equals what was written, names and order included."""
-    back = read(write(trace, tmp_path / f"new/trace{suffix}"))
+    back = read_trace(write_trace(trace, tmp_path / f"new/trace{suffix}"))
     assert list(back.signals) == ["a.y", "b.x, odd"]
     np.testing.assert_array_equal(back.time, trace.time)
     np.testing.assert_array_equal(back["a.y"], trace["a.y"])
@@ -61,7 +61,7 @@ def test_mistakes_in_a_csv_are_located(tmp_path, text, message):
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(Problem, match=message) as caught:
-        read(path)
+        read_trace(path)
     assert str(caught.value).startswith(str(path))
 
 
@@ -69,25 +69,25 @@ def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
     """A recording at 200 Hz that lacks ten rows is refused; a file with irregular times is not."""
     time = np.arange(100) * 0.005
     gap, path = np.delete(time, slice(40, 50)), tmp_path / "gap.csv"
-    write(Trace(gap, {"u": gap}), path)
+    write_trace(Trace(gap, {"u": gap}), path)
     with pytest.raises(
         Problem, match=r"line 42: expected a sample every 0.005 s, got none between 0.195 and 0.25 s"
     ):
-        read(path)
+        read_trace(path)
     points = np.array([0, 0.1, 0.15, 2, 5, 20])
-    write(Trace(points, {"u": points}), path)
-    assert len(read(path).time) == 6
+    write_trace(Trace(points, {"u": points}), path)
+    assert len(read_trace(path).time) == 6
 
 
 def test_unknown_formats_and_missing_files_are_told(tmp_path, trace):
     """The file name is in the message."""
     with pytest.raises(Problem, match=r"a.txt: expected a file name ending in .csv or .parquet"):
-        write(trace, tmp_path / "a.txt")
+        write_trace(trace, tmp_path / "a.txt")
     with pytest.raises(Problem, match=r"none.csv: no such file"):
-        read(tmp_path / "none.csv")
+        read_trace(tmp_path / "none.csv")
     (tmp_path / "fake.parquet").write_text("time,u")
     with pytest.raises(Problem, match=r"fake.parquet: expected a Parquet file"):
-        read(tmp_path / "fake.parquet")
+        read_trace(tmp_path / "fake.parquet")
 
 
 def test_parquet_columns_must_be_numbers(tmp_path):
@@ -97,7 +97,7 @@ def test_parquet_columns_must_be_numbers(tmp_path):
 
     pq.write_table(pa.table({"time": [0.0, 1.0], "u": ["a", "b"]}), tmp_path / "text.parquet")
     with pytest.raises(Problem, match=r"row 1: column 'u': expected a number, got 'a'"):
-        read(tmp_path / "text.parquet")
+        read_trace(tmp_path / "text.parquet")
 
 
 def test_signals_are_plotted_in_a_panel_for_each_unit(trace):

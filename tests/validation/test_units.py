@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import convert, factor_and_offset, parse, reader_unit
+from orchestrator.base.units import convert, factor_and_offset, parse_unit, reader_unit
 
 # Unit, value in it, value in SI, SI unit: by definition (pound 0.45359237 kg, inch 25.4 mm, gallon 231 in3).
 SAMPLES = [
@@ -71,7 +71,7 @@ POWERS = ["km999", "km-999", "m100", "m" + "9" * 5000, "km99.km99", "(" * 5000 +
 def test_unknown_unit_is_refused(unit: str) -> None:
     """A unit that is not known, or can be read in two ways, is named, not guessed."""
     with pytest.raises(Problem, match=rf"file: unit '{re.escape(unit)}' is unknown, expected one like bar"):
-        parse(unit, "file")
+        parse_unit(unit, "file")
 
 
 def test_wrong_quantity_is_refused() -> None:

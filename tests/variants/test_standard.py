@@ -10,7 +10,7 @@ from fmpy.validation import validate_fmu
 
 from fmus.contract import quantities
 from fmus.export.ls_ref import COMMUNICATION_STEP
-from orchestrator.base.units import parse
+from orchestrator.base.units import parse_unit
 
 NAMES = tuple(EVERY)
 FACTORIES = {"native": native, "python": python}
@@ -37,7 +37,7 @@ def test_every_unit_is_known(name):
     sub = EVERY[name]
     for group in (sub.parameters, sub.states, sub.inputs, sub.outputs):
         for variable, quantity in quantities(group).items():
-            assert parse(quantity.unit).factor == 1.0, variable
+            assert parse_unit(quantity.unit).factor == 1.0, variable
 
 
 def test_fmpy_finds_no_problem(case):

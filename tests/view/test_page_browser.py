@@ -16,7 +16,7 @@ from matplotlib import image
 from numpy.typing import NDArray
 from view.standin import LONG, wait
 
-from orchestrator.data.trace import Trace, write
+from orchestrator.data.trace import Trace, write_trace
 from orchestrator.realtime.machine import APART, RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import server as serving
@@ -35,7 +35,7 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     results = tmp_path_factory.mktemp("results")
     times = np.linspace(0, 4, 401)
     angles = {"manipulator.boom_angle": 0.2 + 0.1 * times, "manipulator.stick_angle": -1.4 + 0 * times}
-    write(Trace(times, angles), results / "rising.csv")
+    write_trace(Trace(times, angles), results / "rising.csv")
     session = Session(MachineChoice(fmu_dir / "harvester.ssp"), RealTimeMachine, Replay, [results])
     with pytest.MonkeyPatch.context() as patient:
         # a browser may halt for some seconds where much else is done: that is no driver who went away
@@ -289,11 +289,11 @@ def test_replay(page: Any, server: Server) -> None:
 
 def test_save(page: Any, tmp_path: Path) -> None:
     """The session comes as a file that can be read, with the axes and the signals."""
-    from orchestrator.data.trace import read
+    from orchestrator.data.trace import read_trace
 
     with page.expect_download() as loaded:
         page.get_by_role("button", name="Save the session").click()
-    found = read(loaded.value.path().rename(tmp_path / "session.parquet"))
+    found = read_trace(loaded.value.path().rename(tmp_path / "session.parquet"))
     assert {"boom_command", "manipulator.boom_angle"} <= set(found.signals)
 
 

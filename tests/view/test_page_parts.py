@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 from view.modes import DESCRIPTION
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace, write
+from orchestrator.data.trace import Trace, write_trace
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.ssp.assembly import assemble
@@ -213,7 +213,7 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
     """Only files with an angle of a joint are offered; of each the header is enough."""
     still = {"manipulator.boom_angle": np.zeros(2)}
     for name, signals in (("a.csv", still), ("b.parquet", still), ("path.csv", {"tip_x": np.zeros(2)})):
-        write(Trace(np.arange(2.0), signals), tmp_path / name)
+        write_trace(Trace(np.arange(2.0), signals), tmp_path / name)
     (tmp_path / "torn.parquet").write_bytes(b"PAR1")
     (tmp_path / "text.csv").write_bytes(b"\xff")
     (tmp_path / "cut.csv").write_text("time,boom_angle\nno number")

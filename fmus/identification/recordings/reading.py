@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import parse, si_unit
+from orchestrator.base.units import parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
@@ -81,7 +81,7 @@ def require(recording: Recording, signals: Mapping[str, str]) -> None:
     """
     for name, unit in signals.items():
         recording[name]
-        if parse(recording.units[name]).exponents != parse(unit).exponents:
+        if parse_unit(recording.units[name]).exponents != parse_unit(unit).exponents:
             raise Problem(
                 f"{recording.source}: signal {name} is in {recording.unit_label(name)}, expected {unit}"
             )
@@ -152,7 +152,7 @@ def read_series(
     if unknown or not columns or rate <= 0:
         got = f"a unit of {unknown[0]}" if unknown else f"{len(columns)} columns and a rate of {rate:g} Hz"
         raise Problem(f"{path}: expected columns, their units and a rate above 0, got {got}")
-    scales = {name: parse(units.get(name, "1"), f"{path}: {name}") for name in columns}
+    scales = {name: parse_unit(units.get(name, "1"), f"{path}: {name}") for name in columns}
     indices = [column for column in columns.values() if isinstance(column, int)]
     plain_text = path.suffix.lower() not in (".mat", ".parquet")
     if indices and (len(indices) < len(columns) or not plain_text):

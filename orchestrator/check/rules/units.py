@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 
-from orchestrator.base.units import BASES, parse
+from orchestrator.base.units import BASES, parse_unit
 from orchestrator.base.xml import children
 from orchestrator.check.finding import Finding, RuleTable, error, join_variables, note, warning
 from orchestrator.check.rules.identity import violations
@@ -73,7 +73,7 @@ def wrong(subject: Subject) -> Iterator[Finding]:
     for unit in subject.model.units:
         if unit.base_unit is None or unit.name not in WELL_KNOWN:
             continue
-        usual = parse(unit.name)
+        usual = parse_unit(unit.name)
         exponents = {b: str(usual.base().get(b, 0)) for b in DIMENSIONS}
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
         factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))

@@ -10,7 +10,7 @@ from typing import Any
 
 from nicegui.element import Element
 
-from orchestrator.base.units import parse
+from orchestrator.base.units import parse_unit
 from orchestrator.realtime.setup import Frame
 from orchestrator.view.scene.canvas import SCALE, colour
 from orchestrator.view.view_description import Gauge, GaugeGroup, SignalIndex, ViewDescription
@@ -35,7 +35,7 @@ class Gauges(Element, component="gauges.js"):
         ]
         self._gauges, self._full = [line for group in kept for line in group.lines], description.full_pressure
         groups = [{"title": g.title, "gauges": [_spec(x) for x in g.lines]} for g in kept if g.lines]
-        self._props.update({"groups": groups, "full": self._full / parse("MPa").factor})
+        self._props.update({"groups": groups, "full": self._full / parse_unit("MPa").factor})
         self.update()
 
     def show(self, frame: Frame, index: SignalIndex) -> None:
