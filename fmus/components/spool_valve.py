@@ -6,7 +6,7 @@
 For an open edge P-A the meter-in flow is `EdgeFlows.supply` of port A, and the meter-out flow of the open
 edge B-T is `EdgeFlows.tank` of port B. Two ways to compute them:
 
-    edge_flows_from_flow                   from the line flow, a state: lines with inertance
+    edge_flows_from_flow        from the line flow, a state: lines with inertance
     edge_flows_from_pressure    from the chamber pressure: lines without inertance
 
 Signs: line flow is positive out of a port towards the actuator.
@@ -176,9 +176,9 @@ def ports_from_flow(
     curve = (valve.dead_band, valve.full_command, valve.command_rounding)
     forward, backward = full * opening(command, *curve), full * opening(-command, *curve)
     edge = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    return edge_flows_from_flow(flow_a, forward, backward, *edge), edge_flows_from_flow(
-        flow_b, backward, forward, *edge
-    )
+    port_a = edge_flows_from_flow(flow_a, forward, backward, *edge)
+    port_b = edge_flows_from_flow(flow_b, backward, forward, *edge)
+    return port_a, port_b
 
 
 def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
