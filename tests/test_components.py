@@ -159,7 +159,7 @@ def test_a_hose_of_any_size_has_the_speed_of_sound_and_the_impedance_of_its_bore
     assert c * beta == pytest.approx(section * length, rel=1e-12)
     # wall shear 8 mu v / d of the parabolic profile on the circumference carries the drop on the section
     drop = hose.laminar_resistance(length, bore, 0.03) * section  # at a mean speed of 1 m/s
-    assert drop * section == pytest.approx(8 * 0.03 / bore * math.pi * bore * length, rel=1e-12)
+    assert drop * section == pytest.approx(8 * 0.03 / bore * math.pi * bore * length, rel=1e-12, abs=0)
 
 
 def test_oil_column_starts_as_hyperbolic_tangent() -> None:

@@ -33,8 +33,8 @@ def made(offset: float, feedback: bool) -> PathRun:
 def test_error_is_the_distance_in_space_at_the_same_instant():
     """Largest, RMS, last error and speed of a ride beside a straight path are those of the triangle 3-4-5."""
     ride = made(0.01, True)
-    assert ride.largest == pytest.approx(0.03, rel=1e-12)  # exact but for rounding
-    assert ride.rms == pytest.approx(0.01 * np.sqrt(13 / 5), rel=1e-12)
+    assert ride.largest == pytest.approx(0.03, rel=1e-12, abs=0)  # exact but for rounding
+    assert ride.rms == pytest.approx(0.01 * np.sqrt(13 / 5), rel=1e-12, abs=0)
     assert (ride.time_of_largest, ride.speed) == (4.0, 0.5)
 
 
@@ -54,7 +54,7 @@ def test_a_tip_that_is_late_has_an_error():
     """A tip that is late on its line has the error speed times time, not that to the nearest point."""
     time = np.linspace(0, 4, 401)
     at = [np.column_stack([np.full(401, 3.0), 0.5 * (time - late), np.ones(401)]) for late in (0.0, 0.1)]
-    assert PathRun("", "", True, time, *at).largest == pytest.approx(0.05, rel=1e-12)
+    assert PathRun("", "", True, time, *at).largest == pytest.approx(0.05, rel=1e-12, abs=0)
 
 
 def test_places_are_those_of_the_manipulator():

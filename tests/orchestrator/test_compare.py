@@ -42,8 +42,8 @@ def test_numbers_are_those_of_the_errors():
     found = compare({"usual": trace(), "other": trace(0.02, -1e5)})
     row = found.against["other"]["arm.speed"]
     # constant errors: RMSE and largest error are the error itself, rounding only
-    assert row.metrics.maximum_error == pytest.approx(0.02, rel=1e-12)
-    assert row.metrics.nrmse == pytest.approx(0.02 / np.ptp(SPEED), rel=1e-12)
+    assert row.metrics.maximum_error == pytest.approx(0.02, rel=1e-12, abs=0)
+    assert row.metrics.nrmse == pytest.approx(0.02 / np.ptp(SPEED), rel=1e-12, abs=0)
     assert found.worst("other", "pressure").signal == "pump.pressure"
     assert found.reference.label == "usual"
     assert found.quantities() == {"speed": ["arm.speed", "arm.rest"], "pressure": ["pump.pressure"]}
@@ -111,7 +111,7 @@ def test_against_names_the_reference():
     found = compare(runs, against="three")
     assert list(found.against) == ["one", "two"]
     error = found.against["two"]["arm.speed"]
-    assert error.simulation[0] - error.reference[0] == pytest.approx(-0.2, rel=1e-12)  # rounding only
+    assert error.simulation[0] - error.reference[0] == pytest.approx(-0.2, rel=1e-12, abs=0)  # rounding only
     with pytest.raises(Problem, match="compare: against four: expected one of one, two, three"):
         compare(runs, against="four")
 

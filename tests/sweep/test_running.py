@@ -80,7 +80,7 @@ def test_failed_runs_have_no_numbers(failing):
     table = results.table.set_index("factor:fails.how")
     assert table["output:end"].isna().to_dict() == {0: False, 3: True, 5: True, 6: False, 10: True}
     # y' = 1 for 0.2 s, integrated exactly but for the rounding of its steps
-    assert table.loc[0, "output:end"] == pytest.approx(0.2, rel=1e-12)
+    assert table.loc[0, "output:end"] == pytest.approx(0.2, rel=1e-12, abs=0)
     early = table.loc[6, "run"]
     assert set(results.bands["run"]) == {table.loc[0, "run"], early}
     assert results.bands.loc[results.bands["run"] == early, "time"].max() < 0.2
@@ -118,5 +118,5 @@ def test_measures_see_their_window_only():
     assert measure(Output("y", "s", "maximum", stop=0.3), t, t) == t[3]
     assert measure(Output("y", "s", "minimum", start=0.3), t, t) == t[3]
     # the mean of t from 0.2 to 0.6 is its middle; the trapezoidal rule is exact for a line, but for rounding
-    assert measure(Output("y", "s", "mean", 0.2, 0.6), t, t) == pytest.approx(0.4, rel=1e-12)
+    assert measure(Output("y", "s", "mean", 0.2, 0.6), t, t) == pytest.approx(0.4, rel=1e-12, abs=0)
     assert math.isnan(measure(Output("y", "s", "mean", 2.0, 3.0), t, t))

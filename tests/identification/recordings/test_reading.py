@@ -56,7 +56,7 @@ def test_values_are_si_and_the_description_is_complete(csv, columns):
     assert math.isnan(found["pressure_in"][7])
     assert found.units == {"command": "V", "pressure_in": "Pa", "flow": "m3/s"}
     assert (found.procedure, found.use, found.text_condition("edge")) == ("valve", "train", "P-A")
-    assert found.numeric_condition("length") == pytest.approx(4 * 0.3048, rel=1e-14)
+    assert found.numeric_condition("length") == pytest.approx(4 * 0.3048, rel=1e-14, abs=0)
     sensor = found.sensor("pressure_in")
     assert (sensor.noise, sensor.resolution, sensor.low, sensor.high) == pytest.approx((1e4, 2e4, 1e5, 401e5))
     assert found.sensor("flow").dead_zone == pytest.approx(10 / 6e4)
