@@ -72,7 +72,7 @@ def test_parameters_of_one_source(capsys):
     """Only those, and how many of all they are."""
     assert main(["parameters", "--source", "paper"]) == 0
     printed = capsys.readouterr().out
-    assert "the only FERIC data" in printed
+    assert "the only data of the FERIC machine" in printed
     table = printed[: printed.index("paper       printed")]
     rows = [line.split()[-1] for line in table.splitlines() if line and not line.startswith(" ")]
     assert set(rows) - {"paper"} <= {"gear", "cylinders"}  # ends of the headlines

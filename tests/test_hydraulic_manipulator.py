@@ -367,12 +367,12 @@ def test_all_masters_in_one_call(systems):
     """The study of README.md: who is stable at which step, and the errors of a single run in its table."""
     settings = choose(["jacobi plain", "jacobi order 0", "hermite to tolerance"])
     found = steps.manipulator(systems["rates"], settings, (1e-3, 0.1), repeats=1)
-    stable = {(row.setting.label, row.step): row.stable for row in found.rows}
+    stable = {(row.setting.label, row.step): row.stable for row in found.runs}
     lost = [case for case, kept in stable.items() if not kept]
     assert lost == [("jacobi order 0", 0.1)]
     held = run.simulate(systems["held"], run.M1, 1e-3, "jacobi")
     # plain is without rate ports; the same runs but for the order in which values are summed
-    assert found.rows[0].maximum("position").maximum == pytest.approx(held.error("arm.s1"), rel=1e-6)
+    assert found.runs[0].maximum("position").maximum == pytest.approx(held.error("arm.s1"), rel=1e-6)
 
 
 def test_command_line(tmp_path):

@@ -43,7 +43,7 @@ def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, cap
     assert main(["variants"]) == 0
     printed = capsys.readouterr().out
     assert "quasistatic" in printed
-    assert printed.endswith("no costs measured; make it with: harvester build\n")
+    assert printed.endswith("so no cost was measured; build it with: harvester build\n")
     assert main(["variants", "--combinations"]) == 2
     assert "harvester.ssp: no such file; make it with: harvester build" in capsys.readouterr().err
 
