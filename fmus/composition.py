@@ -7,10 +7,12 @@ No signal is held or extrapolated: every connection is substituted symbolically,
 with X, P and Y stacked over the components and U the external inputs. The composed subsystem can be exported
 as one FMU without coupling error. Names in it:
 
-- A variable keeps its name, unless another component has a variable of the same name; then the component name
-  is prefixed.
-- Parameters with equal declarations (except `group`) and values in several components become one parameter.
-- Outputs listed in `totals` become one output, their sum.
+- External inputs have the names that `inputs` gives them.
+- Parameters of the same name become one shared parameter if their declarations (except `group`) and values
+  are equal in all components that have them.
+- Outputs of the same name become one output, their sum, if `totals` lists the name.
+- Every other parameter, state or output keeps its name, unless another variable has the same name; then it is
+  `component_variable`.
 """
 
 from __future__ import annotations
@@ -40,9 +42,9 @@ from fmus.contract import (
 from fmus.parameters import Number, Tables, numbers
 from orchestrator.base.errors import Problem
 
-Names = Mapping[str, str]  # `component.variable` -> name in the composed subsystem
+FlatNames = Mapping[str, str]  # `component.variable` -> name in the composed subsystem
 Inputs = Mapping[str, Sequence[str]]  # external input -> `component.variable` of each input that it feeds
-_EQUALITY_DEPTH = 9  # of casadi.is_equal, which compares two requirements with the same text
+_EQUALITY_DEPTH = 9  # depth to which casadi.is_equal compares the expressions of requirements of equal text
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class CoupledEquations:
     require: ca.SX
 
     def function(self, name: str, value: ca.SX) -> ca.Function:
-        """(x, u, p) -> value."""
+        """The CasADi function (x, u, p) -> value."""
         function: ca.Function = ca.Function(name, [self.x, self.u, self.p], [value])
         return function
 
@@ -84,11 +86,11 @@ def couple(
     """Couple subsystems by (source output, target input) pairs. Raises Problem on an algebraic loop.
 
     inputs     external input -> component inputs that it feeds
-    constant   values of unconnected inputs, zero by default
+    constant   `component.variable` -> value of an unconnected input, 0 if missing
     """
     components = {name: symbolic(sub) for name, sub in subsystems.items()}
 
-    def names(group: str) -> tuple[str, ...]:
+    def variables_of(group: str) -> tuple[str, ...]:
         return tuple(f"{n}.{v}" for n, s in subsystems.items() for v in quantities(getattr(s, group)))
 
     def stacked(field: str) -> Any:
@@ -96,29 +98,29 @@ def couple(
 
     external = {name: ca.SX.sym(name) for name in inputs}
     sources = {t: external[name] for name, targets in inputs.items() for t in targets}
-    outputs = names("outputs")
+    outputs = variables_of("outputs")
     y = dict(zip(outputs, ca.vertsplit(stacked("y")), strict=True))
-    _check(connections, sources, set(outputs), set(names("inputs")))
+    _check(connections, sources, set(outputs), set(variables_of("inputs")))
     sources |= {target: y[source] for source, target in connections}
     u = stacked("u")
-    values = column(*(sources.get(name, ca.SX(constant.get(name, 0.0))) for name in names("inputs")))
+    values = column(*(sources.get(name, ca.SX(constant.get(name, 0.0))) for name in variables_of("inputs")))
     dx, y_all, require = _substitute(
-        [stacked("dx"), stacked("y"), stacked("require")], u, values, names("inputs")
+        [stacked("dx"), stacked("y"), stacked("require")], u, values, variables_of("inputs")
     )
     calculated = tuple(f"{n}.{v}" for n, s in components.items() for v in s.calculated)
-    states = names("states")
+    states = variables_of("states")
     rows = [states.index(name) for name in calculated]
     x, start = stacked("x"), stacked("start")
     (start,) = _substitute(
         [start],
         column(u, *(x[i] for i in rows)),
         column(values, *(start[i] for i in rows)),
-        names("inputs") + calculated,
+        variables_of("inputs") + calculated,
     )
     return CoupledEquations(
         states=states,
         inputs=tuple(external),
-        parameters=names("parameters"),
+        parameters=variables_of("parameters"),
         outputs=outputs,
         calculated=calculated,
         statements=tuple((n, text) for n, s in components.items() for text in s.statements),
@@ -142,13 +144,13 @@ def _check(
     targets = [*fed, *(target for _, target in connections)]
     for target in targets:
         if target not in inputs:
-            raise Problem(f"{target}: expected an input of a component, got another name")
+            raise Problem(f"{target} is not an input of any component")
         if targets.count(target) > 1:
             raise Problem(f"{target}: expected one source, got {targets.count(target)}")
 
 
 def _substitute(terms: list[ca.SX], symbols: ca.SX, values: ca.SX, names: Sequence[str]) -> list[ca.SX]:
-    """Substitute values for symbols, which may occur in other values, until no symbol is left."""
+    """Replace symbols by their values, which may contain other symbols, until none is left."""
     for _ in range(symbols.numel() + 1):
         if not any(ca.depends_on(t, symbols) for t in terms):
             return terms
@@ -175,8 +177,11 @@ def flat_names(
     reserved: Collection[str],
     totals: Collection[str],
     hidden: Collection[str],
-) -> Names:
-    """Names of parameters, states and outputs, except `hidden` outputs; `reserved` names are already used."""
+) -> FlatNames:
+    """Names of parameters, states and outputs, except `hidden` outputs, in the composed subsystem.
+
+    reserved   names that are taken, those of the external inputs
+    """
     parameters, states, outputs = (declared(subsystems, g) for g in ("parameters", "states", "outputs"))
     unknown = set(hidden) - set(outputs)
     if unknown:
@@ -187,16 +192,16 @@ def flat_names(
     unshared = [v for v in local if v not in shared]
     used = [*reserved, *{local[v] for v in shared}]
     counts = Counter([*used, *(local[v] for v in unshared)])
-    names = local | {v: v.replace(".", "_") for v in unshared if counts[local[v]] > 1}
-    counts = Counter([*used, *(names[v] for v in unshared)])
+    flat = local | {v: v.replace(".", "_") for v in unshared if counts[local[v]] > 1}
+    counts = Counter([*used, *(flat[v] for v in unshared)])
     ambiguous = sorted(name for name, count in counts.items() if count > 1)
     if ambiguous:
         raise Problem(f"{', '.join(subsystems)}: the name {ambiguous[0]} is ambiguous when composed")
-    return names
+    return flat
 
 
 def _shared(parameters: Mapping[str, Quantity], tables: Mapping[str, Tables]) -> set[str]:
-    """Parameters with the same name, declaration and value in several components."""
+    """Parameters that several components have, all of them with the same declaration and value."""
     by_name: dict[str, list[str]] = {}
     for v in parameters:
         by_name.setdefault(v.partition(".")[2], []).append(v)
@@ -232,8 +237,8 @@ def compose(
     Unconnected inputs keep their start value. Components with time events (`next_event`) are not supported.
 
     inputs   external input -> component inputs that it feeds
-    tables   parameter and start values by component; default: from its parameters.toml
-    folder   folder of README.md and icon.png, if any
+    tables   parameter and start values by component; default: those of each component
+    folder   folder of README.md, icon.png, view.toml and the reference experiment, as far as they exist
     hidden   outputs, `component.variable`, that the composed subsystem does not have
     totals   names of outputs that are replaced by their sum over the components
     texts    descriptions of outputs that replace those of the components
@@ -246,13 +251,13 @@ def compose(
     tables = tables or {n: numbers(sub) for n, sub in subsystems.items()}
     start = {f"{c}.{v}": number for c, t in tables.items() for v, number in t["start"].items()}
     coupled = couple(subsystems, connections, inputs, {v: number.value for v, number in start.items()})
-    names = flat_names(subsystems, tables, inputs, totals, hidden)
+    flat = flat_names(subsystems, tables, inputs, totals, hidden)
     parameters, states, outputs = (declared(subsystems, g) for g in ("parameters", "states", "outputs"))
-    visible = _by_new_name({v: q for v, q in outputs.items() if v not in hidden}, names)
+    visible = _by_flat_name({v: q for v, q in outputs.items() if v not in hidden}, flat)
     visible |= {v: replace(visible[v], text=description) for v, description in (texts or {}).items()}
     groups = {
-        "parameters": _by_new_name(parameters, names),
-        "states": _by_new_name(states, names),
+        "parameters": _by_flat_name(parameters, flat),
+        "states": _by_flat_name(states, flat),
         "inputs": _external_inputs(name, declared(subsystems, "inputs"), inputs, start),
         "outputs": visible,
     }
@@ -263,19 +268,19 @@ def compose(
         name=name,
         text=text,
         **types,
-        **_functions(coupled, names, types["states"], types["outputs"]),
-        values=folder and folder / "parameters.toml",
-        numbers=_composed_tables(tables, names, inputs),
-        derive=lambda p: _derived(subsystems, names, p),
+        **_functions(coupled, flat, types["states"], types["outputs"]),
+        values=folder and folder / "parameters.toml",  # only for its folder: the file need not exist
+        numbers=_composed_tables(tables, flat, inputs),
+        derive=lambda p: _derived(subsystems, flat, p),
         terminals=terminals,
     )
 
 
-def _by_new_name(members: Mapping[str, Quantity], names: Names) -> dict[str, Quantity]:
-    """Quantities by their new name; of several with one name the first is used."""
+def _by_flat_name(members: Mapping[str, Quantity], flat: FlatNames) -> dict[str, Quantity]:
+    """Quantities by their name in the composed subsystem; of several with one name the first is used."""
     renamed: dict[str, Quantity] = {}
     for variable, quantity in members.items():
-        renamed.setdefault(names[variable], quantity)
+        renamed.setdefault(flat[variable], quantity)
     return renamed
 
 
@@ -288,59 +293,63 @@ def _external_inputs(
         return members[target].unit, start[target].value if target in start else 0.0
 
     external: dict[str, Quantity] = {}
-    for new_name, targets in inputs.items():
+    for external_name, targets in inputs.items():
         first = targets[0]
         for t in targets:
             if signature(t) != signature(first):
                 raise Problem(
-                    f"{name}: {new_name} feeds {first} and {t}, expected equal unit and start value"
+                    f"{name}: {external_name} feeds {first} and {t}, "
+                    "which have different units or start values"
                 )
         rate = first.partition(".")[0] + f".{members[first].rate}"
         rate_name = next((n for n, fed in inputs.items() if rate in fed), None)
-        external[new_name] = replace(members[first], rate=rate_name)
+        external[external_name] = replace(members[first], rate=rate_name)
     return external
 
 
-def _derived(subsystems: Mapping[str, Subsystem], names: Names, p: Any) -> dict[str, Scalar]:
-    """Derived parameters of the components, by their new name."""
+def _derived(subsystems: Mapping[str, Subsystem], flat: FlatNames, p: Any) -> dict[str, Scalar]:
+    """Derived parameters of the components, by their name in the composed subsystem."""
     derived: dict[str, Scalar] = {}
     for component, sub in subsystems.items():
-        new_names = {n: names[f"{component}.{n}"] for n in quantities(sub.parameters)}
-        local = SimpleNamespace(**{n: getattr(p, name) for n, name in new_names.items()})
-        derived |= {new_names[n]: value for n, value in sub.derive(local).items()}
+        parameters = quantities(sub.parameters)
+        local = SimpleNamespace(**{n: getattr(p, flat[f"{component}.{n}"]) for n in parameters})
+        derived |= {flat[f"{component}.{n}"]: value for n, value in sub.derive(local).items()}
     return derived
 
 
-def _composed_tables(tables: Mapping[str, Tables], names: Names, inputs: Inputs) -> Tables:
-    """Parameter and start values by new name; shared ones are equal, so the first is used."""
-    new_names = {**names} | {targets[0]: name for name, targets in inputs.items()}
+def _composed_tables(tables: Mapping[str, Tables], flat: FlatNames, inputs: Inputs) -> Tables:
+    """Parameter and start values by their name in the composed subsystem; of shared ones the first."""
+    all_names = {**flat} | {targets[0]: name for name, targets in inputs.items()}
     composed: dict[str, dict[str, Number]] = {"parameters": {}, "start": {}}
     for component, sections in tables.items():
         for section, entries in sections.items():
             for variable, number in entries.items():
-                if f"{component}.{variable}" in new_names:
-                    composed[section].setdefault(new_names[f"{component}.{variable}"], number)
+                if f"{component}.{variable}" in all_names:
+                    composed[section].setdefault(all_names[f"{component}.{variable}"], number)
     return composed
 
 
 def _functions(
-    coupled: CoupledEquations, names: Names, states: type[Any], outputs: type[Any]
+    coupled: CoupledEquations, flat: FlatNames, states: type[Any], outputs: type[Any]
 ) -> dict[str, Any]:
     """The functions that a Subsystem needs, by name: dynamics, observe, initial, require."""
-    rows = {n: [i for i, v in enumerate(coupled.outputs) if names.get(v) == n] for n in quantities(outputs)}
+    rows = {n: [i for i, v in enumerate(coupled.outputs) if flat.get(v) == n] for n in quantities(outputs)}
     summed = column(*(sum(coupled.y[i] for i in indices) for indices in rows.values()))
     f, g = coupled.function("f", coupled.dx), coupled.function("g", summed)
     s, r = coupled.function("s", coupled.start), coupled.function("r", coupled.require)
 
     def arguments(x: Any, u: Any, p: Any) -> tuple[Any, Any, Any]:
-        return stack(x), stack(u), column(*(getattr(p, names[v]) for v in coupled.parameters))
+        return stack(x), stack(u), column(*(getattr(p, flat[v]) for v in coupled.parameters))
 
     def initial(x: Any, u: Any, p: Any) -> dict[str, Scalar]:
         start = s(*arguments(x, u, p))
-        return {names[v]: start[coupled.states.index(v)] for v in coupled.calculated}
+        return {flat[v]: start[coupled.states.index(v)] for v in coupled.calculated}
 
     def require(x: Any, u: Any, p: Any) -> dict[str, Scalar]:
-        """Requirements by text; equal ones once, different ones of the same text with the component name."""
+        """Requirements by text; equal ones once.
+
+        Of different ones with the same text the first keeps its text, later ones get the component name.
+        """
         margins = r(*arguments(x, u, p))
         by_text: dict[str, Scalar] = {}
         for i, (component, statement) in enumerate(coupled.statements):

@@ -1,4 +1,8 @@
-"""Boom and stick drives: hydraulics of the two cylinders."""
+"""Boom and stick drives: hydraulics of the two cylinders.
+
+`VARIANTS` are their models by fidelity (dynamics of hoses and valve spools); `BOOM_STICK` is the default,
+lumped.
+"""
 
 from fmus.boom_stick import detailed, lumped, quasistatic
 from fmus.contract import family

@@ -68,8 +68,8 @@ class ActuatorCommand:
 
 
 def force(a: Actuator, m: MeasuredPressures) -> Scalar:
-    """Force or torque of the actuator."""
-    return a.head * m.head - a.rod * m.rod
+    """Force [N] or torque [N.m] of the actuator."""
+    return a.head_area * m.head - a.rod_area * m.rod
 
 
 def actuator_command(

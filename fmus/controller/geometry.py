@@ -1,11 +1,13 @@
-"""Kinematics of the arm for the controller: tip position and velocity, piston strokes, and their inverses.
+"""Kinematics of the arm for the controller: tip position and velocity, their inverses, and piston strokes.
 
-Inverse velocity kinematics by damped least squares (Nakamura and Hanafusa 1986), J the Jacobian of the tip:
+Inverse velocity kinematics by damped least squares (Nakamura and Hanafusa 1986), where J is the Jacobian of
+the tip position (r, h) = (radius, height) with respect to the angles q = (boom, stick):
 
     (r', h') = J(q) (boom', stick')        (boom', stick') = J^T (J J^T + l^2 I)^(-1) (r', h')
 
-The damping l is zero if the sine of the angle between the links exceeds `singular_share`, and rises smoothly
-to `singular_damping` in the singular position, with collinear links.
+The two links are the lines boom pivot-elbow and elbow-tip. The damping l is zero if the sine of the angle
+between the links exceeds `singular_share`; below, l rises continuously to `singular_damping` in the singular
+position, with collinear links.
 
 Inverse position kinematics by the law of cosines, in the triangle of boom pivot, elbow and tip. The elbow is
 above the line from the boom pivot to the tip; the stick cylinder cannot reach the other solution.
@@ -65,8 +67,8 @@ def distance(a: Cylindrical, b: Cylindrical) -> Scalar:
     return ca.sqrt(square + smoothing**2) - smoothing
 
 
-def piston_strokes(q: Joints, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-    """(position [m], moment arm dx/dq [m]) of the boom and of the stick piston."""
+def strokes_and_moment_arms(q: Joints, p: Any) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+    """(position x [m], moment arm dx/dq [m]) of the boom and of the stick piston; q: angle of its joint."""
     boom, stick = arm.triangles(q, p)
     return (boom.length - p.boom_closed_length, boom.arm), (stick.length - p.stick_closed_length, stick.arm)
 
@@ -103,5 +105,6 @@ def arm_angles(radius: float, height: float, p: Mapping[str, float]) -> tuple[fl
     cos_pivot = (upper**2 + reach**2 - lower**2) / (2 * upper * reach)
     cos_elbow = (reach**2 - upper**2 - lower**2) / (2 * upper * lower)
     pivot_angle, elbow_angle = (math.acos(max(-1.0, min(1.0, c))) for c in (cos_pivot, cos_elbow))
-    upper_link_offset = math.atan2(p["stick_pivot_z"], p["stick_pivot_x"])  # its angle in the boom's frame
+    # angle of the line boom pivot-elbow in the frame of the boom
+    upper_link_offset = math.atan2(p["stick_pivot_z"], p["stick_pivot_x"])
     return math.atan2(z, x) + pivot_angle - upper_link_offset, upper_link_offset - elbow_angle

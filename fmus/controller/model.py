@@ -72,7 +72,7 @@ def _measured(u: Any) -> dict[str, MeasuredPressures]:
 
 def _actuator_commands(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, ActuatorCommand]:
     """Command of the control law for each actuator."""
-    (boom_at, boom_arm), (stick_at, stick_arm) = geometry.piston_strokes(ref.joints, p)
+    (boom_at, boom_arm), (stick_at, stick_arm) = geometry.strokes_and_moment_arms(ref.joints, p)
     driven, measured = actuators((boom_at, stick_at), p), _measured(u)
     result = {}
     for name, speed, arm, error in zip(
@@ -149,7 +149,7 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
 def initial(x: Any, u: ControllerInputs, p: Any) -> dict[str, Scalar]:
     """Reference angles and loads equal to the measured ones; weight of coordinated control as `engaged`."""
     joints, pressures = measured_joints(u), _measured(u)
-    (boom, _), (stick, _) = geometry.piston_strokes(joints, p)
+    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(joints, p)
     loads = {f"{n}_load": actuator.force(a, pressures[n]) for n, a in actuators((boom, stick), p).items()}
     angles = {f"reference_{n}": getattr(joints, f"{n}_angle") for n in AXES}
     return angles | loads | {"coordination": engaged(u)}

@@ -121,8 +121,8 @@ def commanded_velocity(x: Any, u: Any, p: Any, tip: Cylindrical) -> Cylindrical:
 
 def errors(x: Any, u: Any, p: Any) -> tuple[Scalar, Scalar, Scalar]:
     """Reference minus machine: swing [rad], boom and stick piston [m]."""
-    (boom, _), (stick, _) = geometry.piston_strokes(reference_joints(x), p)
-    (boom_now, _), (stick_now, _) = geometry.piston_strokes(measured_joints(u), p)
+    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(reference_joints(x), p)
+    (boom_now, _), (stick_now, _) = geometry.strokes_and_moment_arms(measured_joints(u), p)
     return x.reference_swing - u.swing_angle, boom - boom_now, stick - stick_now
 
 
@@ -131,7 +131,7 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     q, machine, on = reference_joints(x), measured_joints(u), engaged(u)
     tip = geometry.tip_position(q, p)
     swing, boom, stick = geometry.joint_speeds(q, commanded_velocity(x, u, p, tip), p)
-    (boom_at, boom_arm), (stick_at, stick_arm) = geometry.piston_strokes(q, p)
+    (boom_at, boom_arm), (stick_at, stick_arm) = geometry.strokes_and_moment_arms(q, p)
     pistons = [("boom", boom_at, boom_arm * boom), ("stick", stick_at, stick_arm * stick)]
     used = utilisation(swing, pistons, p)
     error_limits = p.swing_error_limit, p.piston_error_limit, p.piston_error_limit

@@ -1,16 +1,23 @@
-"""Inverse of valve and oil: from the commanded speed of an actuator to its valve command.
+"""Inverse model of valve and cylinder chambers: from the speed of an actuator to its valve command.
 
-Speed of a piston at full opening, for chambers at P_h, P_r with capacitances C_h, C_r and areas A_h, A_r,
-at constant force on the piston (A_h dP_h = A_r dP_r) while oil flows through both edges:
+Speed W of a piston at full opening, for chambers at P_h, P_r with capacitances C_h, C_r and areas A_h, A_r
+(head and rod side), at constant force on the piston (A_h dP_h = A_r dP_r) while oil flows through both edges:
 
     W = K (A_h/C_h sqrt(P_s - P_h) + A_r/C_r sqrt(P_r - P_t)) / (A_h^2/C_h + A_r^2/C_r)        extending
     W = K (A_h/C_h sqrt(P_h - P_t) + A_r/C_r sqrt(P_s - P_r)) / (A_h^2/C_h + A_r^2/C_r)        retracting
 
-This is also valid while the pressures settle after a change of direction. Its limit for settled pressures,
-v^2 (A_h^3 + A_r^3) = K^2 (A_h P_s - A_r P_t - F), is used without pressure feedback. The swing motor is a
-cylinder with A_h = A_r = D. With the hose in series (C_R), v = W a/sqrt(1 + C_R K^2 a^2), a the opening.
-Small flows are laminar in the edges, so with the mean flow Q of both ports a grows by
-((Q^2 + Q_t^2)/Q^2)^(1/4), which follows from the rounded eq. (1).
+with the flow gain K of a fully open edge, supply pressure P_s and tank pressure P_t. This is also valid while
+the pressures settle after a change of direction. Without pressure feedback its limit for settled pressures is
+used, with the force F of the load and P_t = 0:
+
+    W^2 (A_h^3 + A_r^3) = K^2 (A_h P_s - F)        extending
+    W^2 (A_h^3 + A_r^3) = K^2 (A_r P_s + F)        retracting
+
+The swing motor is a cylinder with A_h = A_r = D, its displacement per angle of the column. The hose is in
+series with the edge: with its turbulent resistance C_R (`Actuator.hose_resistance`), the speed at the opening
+a is v = W a/sqrt(1 + C_R K^2 a^2). Flows below the transition flow Q_t are laminar in the edges. Therefore,
+with the mean flow Q of both ports, a is larger by the factor ((Q^2 + Q_t^2)/Q^2)^(1/4), which follows from
+`spool_valve.turbulent_drop`. `opening_for` bounds this factor at small Q.
 """
 
 from __future__ import annotations
@@ -24,67 +31,76 @@ from fmus.components.spool_valve import Valve, flow_gain
 from fmus.contract import Scalar
 
 ROUNDING = 2e5  # Pa: keeps the root real if the pressure drop over an edge is negative
-MARGIN = 5e5  # Pa: supply pressure above that which the load needs, at which the valve may open fully
+MARGIN = 5e5  # Pa: excess of supply pressure over what the load needs from which the valve may open fully
 CAP = 0.1  # width over which the opening is limited to 1
 SLOW = 1e-4  # m/s or rad/s: speed below which the two directions are blended
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """Areas A_h, A_r [m2, m3/rad], capacitances [m3/Pa], hose C_R [Pa.s2/m6], valve, density."""
+    """A cylinder or the swing motor with its hoses and its valve.
 
-    head: Scalar
-    rod: Scalar
+    head_area, rod_area                 A_h, A_r [m2]; of the swing motor the displacement D [m3/rad]
+    head_capacitance, rod_capacitance   C_h, C_r [m3/Pa]
+    hose_resistance                     C_R, turbulent resistance of each hose [Pa.s2/m6]
+    valve                               metering edges and command of the valve
+    density                             density of the oil [kg/m3]
+    """
+
+    head_area: Scalar
+    rod_area: Scalar
     head_capacitance: Scalar
     rod_capacitance: Scalar
-    resistance: Scalar
+    hose_resistance: Scalar
     valve: Valve
     density: Scalar
 
     @property
     def stiffness(self) -> Scalar:
         """Force per displacement with closed ports [N/m, N.m/rad]."""
-        return self.head**2 / self.head_capacitance + self.rod**2 / self.rod_capacitance
+        return self.head_area**2 / self.head_capacitance + self.rod_area**2 / self.rod_capacitance
 
     @property
     def gain(self) -> Scalar:
-        """K of a fully open edge."""
+        """Flow gain K of a fully open edge [m3/(s.Pa^0.5)]."""
         return flow_gain(self.valve.area, self.valve.discharge_coefficient, self.density)
 
 
-def pressures_at_load(a: Actuator, head: Scalar, rod: Scalar, load: Scalar) -> tuple[Scalar, Scalar]:
-    """Pressures [Pa] after a motion of the piston that changes the force to `load`, with the valve closed.
+def pressures_at_load(
+    a: Actuator, head_pressure: Scalar, rod_pressure: Scalar, load: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Chamber pressures [Pa] if the piston moved, with closed valve, until its force is `load` [N, N.m].
 
     L = P_h C_h/A_h + P_r C_r/A_r does not depend on the motion of the piston, only on the oil that the valve
-    lets in. Pressures from L and a filtered load therefore follow the settling of the pressures, but not the
-    oscillation of the force.
+    lets in or out. Pressures from L and a filtered load therefore follow the settling of the pressures, but
+    not the oscillation of the force.
     """
-    c_head, c_rod = a.head_capacitance / a.head, a.rod_capacitance / a.rod
-    level = head * c_head + rod * c_rod
-    size = a.head * c_rod + a.rod * c_head
-    return (load * c_rod + a.rod * level) / size, (a.head * level - load * c_head) / size
+    c_head, c_rod = a.head_capacitance / a.head_area, a.rod_capacitance / a.rod_area
+    level = head_pressure * c_head + rod_pressure * c_rod
+    size = a.head_area * c_rod + a.rod_area * c_head
+    return (load * c_rod + a.rod_area * level) / size, (a.head_area * level - load * c_head) / size
 
 
 def full_speeds(
-    a: Actuator, head: Scalar, rod: Scalar, supply: Scalar, tank: Scalar
+    a: Actuator, head_pressure: Scalar, rod_pressure: Scalar, supply: Scalar, tank: Scalar
 ) -> tuple[Scalar, Scalar]:
     """W [m/s, rad/s] extending and retracting, at these pressures [Pa]."""
 
     def root(drop: Scalar) -> Scalar:
         return ca.sqrt(positive(drop, ROUNDING))
 
-    by_head, by_rod = a.head / a.head_capacitance, a.rod / a.rod_capacitance
+    by_head, by_rod = a.head_area / a.head_capacitance, a.rod_area / a.rod_capacitance
     scale = a.gain / a.stiffness
     return (
-        scale * (by_head * root(supply - head) + by_rod * root(rod - tank)),
-        scale * (by_head * root(head - tank) + by_rod * root(supply - rod)),
+        scale * (by_head * root(supply - head_pressure) + by_rod * root(rod_pressure - tank)),
+        scale * (by_head * root(head_pressure - tank) + by_rod * root(supply - rod_pressure)),
     )
 
 
 def nominal_full_speeds(a: Actuator, load: Scalar, supply: Scalar) -> tuple[Scalar, Scalar]:
-    """W for settled pressures, a load [N, N.m] and a tank pressure of zero."""
-    cubes, width = a.head**3 + a.rod**3, ROUNDING * a.head
-    up, down = positive(a.head * supply - load, width), positive(a.rod * supply + load, width)
+    """W [m/s, rad/s] for settled pressures, a load F [N, N.m] and a tank pressure of zero."""
+    cubes, width = a.head_area**3 + a.rod_area**3, ROUNDING * a.head_area
+    up, down = positive(a.head_area * supply - load, width), positive(a.rod_area * supply + load, width)
     return a.gain * ca.sqrt(up / cubes), a.gain * ca.sqrt(down / cubes)
 
 
@@ -97,27 +113,28 @@ def supply_margins(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> t
     def factor(push: Scalar, behind: Scalar, against: Scalar) -> Scalar:
         return s_curve((push * supply - behind * tank - against) / (push * MARGIN))
 
-    return factor(a.head, a.rod, load), factor(a.rod, a.head, -load)
+    return factor(a.head_area, a.rod_area, load), factor(a.rod_area, a.head_area, -load)
 
 
 def opening_for(
     a: Actuator,
     speed: Scalar,
     full: tuple[Scalar, Scalar],
-    foot: Scalar,
+    rounding_opening: Scalar,
     factors: tuple[Scalar, Scalar] = (1, 1),
 ) -> Scalar:
     """Valve opening [1] for a speed, with the sign of the speed; above 1 if the speed cannot be reached.
 
-    full      W extending and retracting
-    foot      opening below which the laminar correction no longer grows
-    factors   reduction of the opening, extending and retracting
+    full               W extending and retracting
+    rounding_opening   opening below which the step over the dead band is rounded (see `command`) and the
+                       correction for laminar flow no longer grows
+    factors            reduction of the opening, extending and retracting
     """
     size = speed * direction(speed, SLOW)
     plain = (speed + size) / 2 / full[0] * factors[0] + (speed - size) / 2 / full[1] * factors[1]
-    hose = a.resistance * a.gain**2
-    flow = (a.head + a.rod) / 2 * speed
-    least = foot * (full[0] + full[1]) / 2 * (a.head + a.rod) / 2
+    hose = a.hose_resistance * a.gain**2
+    flow = (a.head_area + a.rod_area) / 2 * speed
+    least = rounding_opening * (full[0] + full[1]) / 2 * (a.head_area + a.rod_area) / 2
     laminar = ((flow**2 + a.valve.transition_flow**2 + least**2) / (flow**2 + least**2)) ** 0.25
     return plain * laminar / ca.sqrt(1 - hose * ca.fmin(plain**2, 1))
 
@@ -127,13 +144,14 @@ def limited(opening: Scalar) -> Scalar:
     return -capped(-capped(opening, CAP), CAP)
 
 
-def command(valve: Valve, opening: Scalar, foot: Scalar) -> Scalar:
+def command(valve: Valve, opening: Scalar, rounding_opening: Scalar) -> Scalar:
     """Command [V] for an opening [1]: the inverse of `spool_valve.opening`.
 
-    The step over the dead band is rounded for |opening| around `foot` (1 % above the exact opening at 7 times
-    that); otherwise the command would jump at a change of sign.
+    The step over the dead band is rounded for |opening| around `rounding_opening`; otherwise the command
+    would jump at a change of sign. With the values of parameters.toml the valve therefore opens less than
+    asked: by 7.7 % at 7 times `rounding_opening`, by 0.5 % at 20 times.
     """
-    size = ca.sqrt(opening**2 + foot**2)
+    size = ca.sqrt(opening**2 + rounding_opening**2)
     z = inverse_ramp(size * ramp(valve.full_command - valve.dead_band, valve.command_rounding), valve)
     return opening / size * (valve.dead_band + z)
 

@@ -21,6 +21,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.units import per_second
 
 _IDENTIFIER = r"[A-Za-z][A-Za-z0-9_]*"
+_NOT_AN_IDENTIFIER = "is not an identifier, expected a letter, then letters, digits or _"
 Kind = Literal["FIXED", "TUNABLE", "INPUT", "STATE", "CALCULATED_STATE", "DERIVATIVE", "OUTPUT"]
 
 
@@ -63,7 +64,7 @@ class Interface:
 
 
 def interface_of(sub: Subsystem, values: Values) -> Interface:
-    """The interface of a subsystem with these values; Problem for a name or value that FMI forbids."""
+    """The interface of a subsystem with these values; raises Problem for a name or value not allowed."""
     sym, parameters = _sorted_by_heading(symbolic(sub), quantities(sub.parameters))
     states, outputs = quantities(sub.states), quantities(sub.outputs)
     for i, name in enumerate(outputs):
@@ -79,7 +80,10 @@ def interface_of(sub: Subsystem, values: Values) -> Interface:
 def _sorted_by_heading(
     sym: Symbolic, declared: Mapping[str, Quantity]
 ) -> tuple[Symbolic, dict[str, Quantity]]:
-    """Parameters sorted by heading, headings by first use; parameters without a heading come first."""
+    """Parameters sorted by `Quantity.group`, their heading in the documentation.
+
+    Headings are in the order of their first use; parameters without a heading come first.
+    """
     headings = ["", *dict.fromkeys(q.group for q in declared.values())]
     names = sorted(declared, key=lambda name: headings.index(declared[name].group))
     rows = [list(declared).index(name) for name in names]
@@ -87,7 +91,7 @@ def _sorted_by_heading(
 
 
 def _select(column: ca.SX, rows: Sequence[int]) -> ca.SX:
-    """Some entries of a column, shape (n, 1), even if n = 0: CasADi's indexing may return (1, 0)."""
+    """Rows of a column, always of shape (n, 1); CasADi's own indexing may return (1, 0) for n = 0."""
     return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
 
 
@@ -99,7 +103,8 @@ def variable_groups(
 ) -> list[list[Variable]]:
     """The groups of an `Interface`, without value references.
 
-    declared     parameters, inputs, states and outputs; an output named like a state is that state
+    declared     parameters, inputs, states and outputs; an output with the name of a state is that state,
+                 not a variable of its own
     calculated   states whose initial value the model calculates
     derivatives  whether the states have derivatives
     """
@@ -144,10 +149,10 @@ def make_interface(
 def _check_names(interface: Interface) -> None:
     name, seen = interface.name, set[str]()
     if not re.fullmatch(_IDENTIFIER, name):
-        raise Problem(f'model name "{name}" is not an identifier of letters, digits and _')
+        raise Problem(f'model name "{name}" {_NOT_AN_IDENTIFIER}')
     for v in interface.variables:
         if not re.fullmatch(_IDENTIFIER, v.name):
-            raise Problem(f'{name}: variable "{v.name}" is not an identifier of letters, digits and _')
+            raise Problem(f'{name}: variable "{v.name}" {_NOT_AN_IDENTIFIER}')
         if v.name in seen:
             raise Problem(f"{name}: variable {v.name} is declared twice")
         seen.add(v.name)
@@ -160,7 +165,10 @@ def _check_names(interface: Interface) -> None:
 def _check_values(interface: Interface) -> None:
     for v in interface.variables:
         if not 0 < v.quantity.nominal < math.inf:
-            raise Problem(f"{interface.name}: nominal of {v.name} is {v.quantity.nominal:g}, expected > 0")
+            raise Problem(
+                f"{interface.name}: nominal of {v.name} is {v.quantity.nominal:g}, "
+                "expected a finite number above 0"
+            )
         if v.start is None:
             continue
         low, high = v.quantity.minimum, v.quantity.maximum
@@ -179,7 +187,10 @@ Dependencies = Mapping[str, list[tuple[Variable, str]]]
 
 
 def dependencies(interface: Interface) -> Dependencies:
-    """Derivatives and outputs -> inputs and states that they depend on, each with its dependenciesKind."""
+    """Derivatives, outputs, states -> inputs and states that they depend on, each with its dependenciesKind.
+
+    A state depends on itself; ModelStructure contains those that are outputs.
+    """
     sym = interface.equations
     known = ca.vertcat(sym.x, sym.u)
     variables = [*interface.states, *interface.inputs]
@@ -193,7 +204,10 @@ def dependencies(interface: Interface) -> Dependencies:
 
 
 def initial_dependencies(interface: Interface) -> Dependencies:
-    """Initial states, derivatives, outputs -> parameters, inputs, start values that they depend on."""
+    """Initial states, derivatives and outputs -> parameters, inputs and start values that they depend on.
+
+    Every dependenciesKind is "dependent": of the other kinds, FMI allows only "constant" in InitialUnknowns.
+    """
     sym = interface.equations
     known = ca.vertcat(sym.p, sym.u, sym.x)
     variables = [*interface.parameters, *interface.inputs, *interface.states]
@@ -210,6 +224,7 @@ def _dependency_table(
     columns: Sequence[Variable],
     interface: Interface | None,
 ) -> dict[str, list[tuple[Variable, str]]]:
+    """Row -> columns that it depends on, each with its dependenciesKind; without `interface`: "dependent"."""
     jacobian = ca.jacobian(unknown, known)
     kinds = _dependency_kinds(jacobian, interface) if interface else ["dependent"] * jacobian.nnz()
     discontinuous = [_is_discontinuous(unknown[i], known) for i in range(unknown.numel())]
@@ -220,7 +235,7 @@ def _dependency_table(
 
 
 def _is_discontinuous(value: ca.SX, known: ca.SX) -> bool:
-    """Whether the expression contains a comparison or a similar operation, whose derivative is zero."""
+    """Whether an operation in the expression may be discontinuous, which its derivative does not show."""
     function = ca.Function("f", [known], [value], {"allow_free": True})
     return any(function.instruction_id(k) in _DISCONTINUOUS for k in range(function.n_instructions()))
 

@@ -1,4 +1,7 @@
-"""Manipulator: mechanics of swing column, boom, stick and processing head."""
+"""Manipulator: mechanics of swing column, boom, stick and processing head.
+
+`VARIANTS` are its models by fidelity (dry friction, swinging head); `MANIPULATOR` is the default, rigid.
+"""
 
 from fmus.contract import family
 from fmus.manipulator.friction import FRICTION

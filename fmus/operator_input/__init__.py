@@ -1,4 +1,4 @@
-"""Operator input: a program of lever strokes over time."""
+"""Operator input: a program of lever strokes over time. `OPERATOR` is the subsystem, without variants."""
 
 from fmus.operator_input.model import OPERATOR
 

@@ -1,4 +1,7 @@
-"""Hydraulic supply: ideal pressure source, or pumps and engine."""
+"""Hydraulic supply: ideal pressure source, or pumps and engine.
+
+`VARIANTS` are these two models; `SUPPLY` is the default, the ideal source.
+"""
 
 from fmus.contract import family
 from fmus.supply import engine_pump, ideal

@@ -1,4 +1,7 @@
-"""Swing drive: hydraulics of the swing motor."""
+"""Swing drive: hydraulics of the swing motor.
+
+`VARIANTS` are its models by fidelity (dynamics of lines and valve spool); `SWING` is the default, lumped.
+"""
 
 from fmus.contract import family
 from fmus.swing import detailed, lumped, quasistatic

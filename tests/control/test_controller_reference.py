@@ -12,7 +12,7 @@ from steering import STATES, V, at, measured, rates, start
 
 from fmus.components.smooth import s_curve
 from fmus.controller import geometry, reference
-from fmus.controller.geometry import Cylindrical, Joints
+from fmus.controller.geometry import Cylindrical, Joints, strokes_and_moment_arms
 from orchestrator.base.errors import Problem
 
 P = SimpleNamespace(**V.p)
@@ -134,8 +134,9 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
         if abs(bend) > P.singular_share:
             assert abs(across) <= 1e-9 * speed
         x = x + 0.02 * dx
-        for (position, _), name in zip(geometry.piston_strokes(q, P), ("boom", "stick"), strict=True):
-            before = [float(p[0]) for p in geometry.piston_strokes(Joints(0.0, *angles), P)][name == "stick"]
+        for (position, _), name in zip(strokes_and_moment_arms(q, P), ("boom", "stick"), strict=True):
+            start_of_both = [float(p[0]) for p in strokes_and_moment_arms(Joints(0.0, *angles), P)]
+            before = start_of_both[name == "stick"]
             low = min(P.stroke_margin, before) - 1e-4
             high = max(getattr(P, f"{name}_stroke") - P.stroke_margin, before) + 1e-4
             assert low <= float(position) <= high
@@ -155,15 +156,15 @@ def test_the_reference_waits_for_a_machine_at_rest():
     x = start(u)
     for _ in range(2000):
         x = x + 0.01 * rates(x, u)
-    found = geometry.piston_strokes(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
-    there = geometry.piston_strokes(Joints(0.0, 0.2, -1.4), P)
+    found = strokes_and_moment_arms(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
+    there = strokes_and_moment_arms(Joints(0.0, 0.2, -1.4), P)
     errors = [float(a[0] - b[0]) for a, b in zip(found, there, strict=True)]
     assert math.hypot(*errors) < 1.5 * P.piston_error_limit
     # and turns round at once: half a second backwards brings it nearer
     back = u | {"radial_velocity": -0.5}
     for _ in range(50):
         x = x + 0.01 * rates(x, back)
-    found = geometry.piston_strokes(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
+    found = strokes_and_moment_arms(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
     assert math.hypot(*(float(a[0] - b[0]) for a, b in zip(found, there, strict=True))) < math.hypot(*errors)
 
 

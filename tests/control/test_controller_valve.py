@@ -86,16 +86,16 @@ def settled(a: Actuator, share: float, load: float) -> float:
         forward = a.gain * share if share > 0 else 0.0
         backward = -a.gain * share if share < 0 else 0.0
         edges = (a.valve.leakage, a.valve.transition_flow, SUPPLY, TANK)
-        flows = a.head * speed, -a.rod * speed
+        flows = a.head_area * speed, -a.rod_area * speed
         nodes = (
             spool_valve.edge_flows_from_flow(flows[0], forward, backward, *edges),
             spool_valve.edge_flows_from_flow(flows[1], backward, forward, *edges),
         )
         head, rod = (
-            number(n.pressure - a.resistance * q * np.sqrt(q**2 + a.valve.transition_flow**2))
+            number(n.pressure - a.hose_resistance * q * np.sqrt(q**2 + a.valve.transition_flow**2))
             for n, q in zip(nodes, flows, strict=True)
         )
-        return a.head * head - a.rod * rod - load
+        return a.head_area * head - a.rod_area * rod - load
 
     low, high = -3.0, 3.0  # the force that is left falls with the speed
     for _ in range(50):
@@ -113,9 +113,10 @@ def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
     """
     a = drives()[name]
     for part in (-0.3, 0.0, 0.3):
-        load = part * SUPPLY * a.rod
+        load = part * SUPPLY * a.rod_area
         speed = settled(a, share, load)
-        above_tank = load - (a.head - a.rod) * TANK  # all pressures, and so the force, less that of the tank
+        # all pressures, and so the force, less that of the tank
+        above_tank = load - (a.head_area - a.rod_area) * TANK
         full = valve.nominal_full_speeds(a, above_tank, SUPPLY - TANK)
         found = number(valve.opening_for(a, speed, full, FOOT))
         assert found == pytest.approx(share, rel=0.02 if abs(share) > 0.1 else 0.06)
@@ -125,11 +126,11 @@ def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
 def test_measured_and_settled_pressures_say_the_same(name):
     """At the pressures of a steady motion both forms agree to 1 %, because roots are rounded."""
     a = drives()[name]
-    load = 0.2 * SUPPLY * a.rod
+    load = 0.2 * SUPPLY * a.rod_area
     full = number(valve.nominal_full_speeds(a, load, SUPPLY)[0])
-    head = SUPPLY - (a.head * full / number(a.gain)) ** 2
-    rod = (a.rod * full / number(a.gain)) ** 2
-    assert a.head * head - a.rod * rod == pytest.approx(load, rel=0.01)
+    head = SUPPLY - (a.head_area * full / number(a.gain)) ** 2
+    rod = (a.rod_area * full / number(a.gain)) ** 2
+    assert a.head_area * head - a.rod_area * rod == pytest.approx(load, rel=0.01)
     assert number(valve.full_speeds(a, head, rod, SUPPLY, 0.0)[0]) == pytest.approx(full, rel=0.01)
 
 
@@ -138,10 +139,10 @@ def test_pressures_at_load_carry_the_load_with_the_same_oil(head, rod, load):
     """Their force is the load, and the oil in both chambers, seen through a free piston, is the same."""
     a = drives()["boom"]
     new = [number(p) for p in valve.pressures_at_load(a, head, rod, load)]
-    assert a.head * new[0] - a.rod * new[1] == pytest.approx(load, abs=1e-3)  # N of 1e5: rounding
+    assert a.head_area * new[0] - a.rod_area * new[1] == pytest.approx(load, abs=1e-3)  # N of 1e5: rounding
 
     def level(h: float, r: float) -> float:
-        return h * a.head_capacitance / a.head + r * a.rod_capacitance / a.rod
+        return h * a.head_capacitance / a.head_area + r * a.rod_capacitance / a.rod_area
 
     assert level(*new) == pytest.approx(level(head, rod), rel=1e-12, abs=0)
 

@@ -39,7 +39,8 @@ def test_stepwise_dependency_has_no_factor(make_toy):
 @pytest.mark.parametrize(
     ("more", "start", "words"),
     [
-        ({"nominal": 0.0}, 1.0, "nominal of u is 0, expected > 0"),
+        ({"nominal": 0.0}, 1.0, "nominal of u is 0, expected a finite number above 0"),
+        ({"nominal": float("inf")}, 1.0, "nominal of u is inf, expected a finite number above 0"),
         ({"maximum": 2.0}, 3.0, "u starts at 3, expected -inf to 2"),
         ({}, float("nan"), "u starts at nan"),
     ],
@@ -56,5 +57,7 @@ def test_name_of_the_model_must_be_an_identifier(make_toy):
     """The model name must be an identifier, because it is a file name and a prefix of C functions."""
     one = q()
     sub = make_toy("two words", {}, {}, {"u": one}, {"y": one}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
-    with pytest.raises(Problem, match='"two words" is not an identifier'):
+    with pytest.raises(
+        Problem, match='"two words" is not an identifier, expected a letter, then letters, digits or _'
+    ):
         interface_of(sub, Values({}, {"u": 0.0}, {}))

@@ -243,12 +243,22 @@ def test_directional_derivatives_go_through_the_start_equations(open_fmu):
 
 
 def test_directional_derivative_refuses_what_is_no_known(open_fmu):
-    """A parameter is not a known and an input is not an unknown; the message contains the name."""
-    fmu = open_fmu("chamber").start()
-    for unknown, known, name in (("force", "volume", "volume"), ("opening", "supply", "opening")):
+    """The message contains the name, and all that is a known or an unknown in this phase."""
+    fmu = open_fmu("chamber")
+
+    def refuse(unknown: str, known: str, text: str) -> None:
         with pytest.raises(fmpy.fmi1.FMICallException):
             fmu.fmu.getDirectionalDerivative([fmu.refs[unknown]], [fmu.refs[known]], [1.0])
-        assert f"fmi2GetDirectionalDerivative: {name} is not" in fmu.errors()[-1]
+        assert f"fmi2GetDirectionalDerivative: {text}" in fmu.errors()[-1]
+
+    fmu.fmu.setupExperiment()
+    fmu.fmu.enterInitializationMode()
+    expected = "an input, a parameter or a state with a start value"
+    refuse("force", "pressure", f"pressure is not a known, expected {expected}")
+    fmu.fmu.exitInitializationMode()
+    refuse("force", "volume", "volume is not a known, expected an input or a state")
+    expected = "an output, a derivative or a state"
+    refuse("opening", "supply", f"opening is not an unknown, expected {expected}")
 
 
 def test_model_without_states_steps(open_fmu):

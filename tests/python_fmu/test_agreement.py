@@ -119,3 +119,24 @@ def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes():
     run.enter()
     with pytest.raises(Refused, match='"valve_full_command exceeds valve_dead_band" is violated at t = 0 s'):
         run["supply_flow"]
+
+
+def test_refused_derivatives_name_what_is_possible():
+    """The messages of the native FMU: all kinds of variables that are accepted, in each phase."""
+    run = of_subsystem(SUBS["swing"])
+    torque, pressure, command, bore = (
+        run.references[n] for n in ("swing_torque", "swing_pressure_a", "swing_command", "line_bore")
+    )
+    run.setup()
+    run.enter()
+    known = "swing_pressure_a is not a known, expected an input, a parameter or a state with a start value"
+    with pytest.raises(Refused, match=known):
+        run.directional_derivative([torque], [pressure], [1.0])
+    run.exit()
+    with pytest.raises(Refused, match="line_bore is not a known, expected an input or a state"):
+        run.directional_derivative([torque], [bore], [1.0])
+    unknown = "swing_command is not an unknown, expected an output, a derivative or a state"
+    with pytest.raises(Refused, match=unknown):
+        run.directional_derivative([command], [pressure], [1.0])
+    with pytest.raises(Refused, match="swing_command is not an output or a state"):
+        run.output_derivatives([command], [1])

@@ -73,7 +73,7 @@ def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_missing_package_is_told(tmp_path):
     """If the package is not installed, the message contains what the FMU needs, in which Python."""
     out = in_new_process(BLOCKED, Path(__file__).parents[1], build_python(BOOM_STICK, tmp_path))
-    assert re.search(r"ERROR.*boom_stick needs the package harvester-cosim \S+ in the Python of \S+: ", out)
+    assert re.search(r"ERROR.*boom_stick needs the package harvester-cosim \S+ in the Python in \S+: ", out)
 
 
 def test_another_version_is_told(tmp_path, capsys):
@@ -94,8 +94,11 @@ def test_other_equations_are_told(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("origin", "said"),
     [
-        ("fmus.boom_stick:VARIANTS.old", "fmus.boom_stick:VARIANTS.old is not in the Python of "),
-        ("fmus.no_stick:VARIANTS.lumped", "fmus.no_stick:VARIANTS.lumped is not in the Python of "),
+        ("fmus.boom_stick:VARIANTS.old", "fmus.boom_stick:VARIANTS.old cannot be imported by the Python in "),
+        (
+            "fmus.no_stick:VARIANTS.lumped",
+            "fmus.no_stick:VARIANTS.lumped cannot be imported by the Python in ",
+        ),
         ("fmus.contract:Subsystem", "fmus.contract:Subsystem is of type type, expected Subsystem"),
     ],
 )

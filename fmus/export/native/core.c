@@ -264,16 +264,19 @@ static void report_failure(Core *core, const Report *report) {
                      core->work.f0[report->worst], time, state->name, value, state->unit);
         break;
     case SINGULAR:
-        core_message(core, ERROR, "the Jacobian leaves no inner step that can be solved at t = %.9g s", time);
+        core_message(core, ERROR,
+                     "the linear system of the smallest inner step that was tried is singular at t = %.9g s",
+                     time);
         break;
     case TOO_MANY_STEPS:
-        core_message(core, ERROR, "more inner steps than allowed at t = %.9g s; worst is %s = %.6g %s", time,
-                     state->name, value, state->unit);
+        core_message(core, ERROR,
+                     "more inner steps than allowed at t = %.9g s; the largest error is in %s = %.6g %s",
+                     time, state->name, value, state->unit);
         break;
     default:
         core_message(core, ERROR,
                      "tolerance %g not reached with an inner step of %.3g s at t = %.9g s; "
-                     "worst is %s = %.6g %s",
+                     "the largest error is in %s = %.6g %s",
                      core->s.tolerance, report->step, time, state->name, value, state->unit);
     }
 }

@@ -65,7 +65,7 @@ int allowed(Instance *self, const char *function, int mask) {
         return 0;
     }
     if (!(s->phase & mask)) {
-        refuse(self, "not allowed in state \"%s\"", phase_name(s->phase));
+        refuse(self, "not allowed in state \"%s\" of the FMI state machine", phase_name(s->phase));
         return 0;
     }
     if (self->log & 1u << OK) core_message(&self->core, OK, "t = %.9g s", s->time);

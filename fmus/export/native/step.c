@@ -12,13 +12,13 @@ static double rounding(double time) { return 2 * DBL_EPSILON * fabs(time); }
 static int step_allowed(Core *core, double time, double length) {
     const State *s = &core->s;
     const double end = time + length;
-    const double tolerance = 0.01 * length + rounding(time); /* a larger gap is an error of the master */
+    const double largest_gap = 0.01 * length + rounding(time); /* a larger one is an error of the master */
     if (!(length > 0.0) || !isfinite(end) || end == time)
         core_message(core, ERROR, "the step size is %g s at t = %.15g s, expected one that advances the time",
                      length, time);
-    else if (!(fabs(time - s->time) <= tolerance))
+    else if (!(fabs(time - s->time) <= largest_gap))
         core_message(core, ERROR, "the communication point is %.15g s, expected %.15g s", time, s->time);
-    else if (end > s->stop_time + tolerance)
+    else if (end > s->stop_time + largest_gap)
         core_message(core, ERROR, "the step ends at %.15g s, after the stop time %.15g s", end, s->stop_time);
     else return 1;
     return 0;
@@ -27,7 +27,8 @@ static int step_allowed(Core *core, double time, double length) {
 Status do_step(Instance *self, double time, double length) {
     State *s = &self->core.s;
     if (!step_allowed(&self->core, time, length)) return ERROR;
-    /* A gap between the master's time and that of the instance becomes part of the step; rounding does not. */
+    /* If the master's time differs from ours by more than rounding, the step covers the gap; else we take over
+       the master's time. */
     const double gap = time - s->time;
     if (fabs(gap) > rounding(time)) length += gap;
     else s->time = time;

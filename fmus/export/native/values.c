@@ -37,14 +37,16 @@ static const char *name_of(unsigned r) {
 
 int is_starting(const Instance *self) { return self->core.s.phase & (INSTANTIATED | INITIALIZATION); }
 
-/* A known is an input or a state; in initialization mode an input, a start value or a parameter. */
+/* A known is an input or a state; until the initialization is over an input, a parameter or a state with a start
+   value. */
 int is_known(Instance *self, unsigned r) {
     if (r < NUMBER_OF_VARIABLES) {
         const Kind kind = model_variables[r].kind;
         if (kind == INPUT || kind == STATE) return 1;
         if (is_starting(self) ? kind == FIXED || kind == TUNABLE : kind == CALCULATED_STATE) return 1;
     }
-    refuse(self, "%s is not a known, expected an input or a state", name_of(r));
+    refuse(self, "%s is not a known, expected %s", name_of(r),
+           is_starting(self) ? "an input, a parameter or a state with a start value" : "an input or a state");
     return 0;
 }
 
@@ -54,7 +56,7 @@ int is_unknown(Instance *self, unsigned r) {
         const Kind kind = model_variables[r].kind;
         if (kind != FIXED && kind != TUNABLE && kind != INPUT) return 1;
     }
-    refuse(self, "%s is not an unknown, expected an output or a derivative", name_of(r));
+    refuse(self, "%s is not an unknown, expected an output, a derivative or a state", name_of(r));
     return 0;
 }
 
@@ -79,7 +81,7 @@ Status values_directional(Instance *self, const unsigned unknown[], size_t n_unk
     return OK;
 }
 
-/* Orders above 1 are not provided; the standard requires zero for them. */
+/* Of outputs and states. Orders above 1 are not available; the standard requires zero for them. */
 Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, const int order[],
                                  double value[]) {
     Core *core = &self->core;
@@ -91,7 +93,7 @@ Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, c
     for (size_t i = 0; i < n; i++) {
         const Variable *v = r[i] < NUMBER_OF_VARIABLES ? &model_variables[r[i]] : NULL;
         if (!v || (v->kind != OUTPUT && v->kind != STATE && v->kind != CALCULATED_STATE))
-            return refuse(self, "%s is not an output", name_of(r[i]));
+            return refuse(self, "%s is not an output or a state", name_of(r[i]));
         if (order[i] < 1) return refuse(self, "the order of the derivative of %s is less than 1", v->name);
         value[i] = order[i] > 1 ? 0.0 : core->direction[r[i]];
         if (!isfinite(value[i])) return refuse(self, "the derivative of %s is not finite", v->name);

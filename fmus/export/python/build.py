@@ -21,7 +21,7 @@ from fmus.export.interface import Interface, interface_of
 from fmus.export.model_description import CAPABILITIES, Unknowns, model_description
 from fmus.export.package import PLACEHOLDER, common_files, guid_of
 from fmus.export.python.slave import MODEL_FILE
-from fmus.export.python.subsystem_model import fingerprint, origin, subsystem
+from fmus.export.python.subsystem_model import fingerprint, import_subsystem, origin
 from fmus.export.python.user_file import checked, declared_files, refuse_neighbours, structure
 from fmus.export.python.user_model import UserModel
 from fmus.parameters import Values
@@ -41,7 +41,7 @@ try:
     from fmus.export.python.slave import {slave}, connect
 except ImportError as problem:
     raise ImportError(
-        "{name} needs the package harvester-cosim {version} in the Python of " + sys.prefix + f": {{problem}}"
+        "{name} needs the package harvester-cosim {version} in the Python in " + sys.prefix + f": {{problem}}"
     ) from None
 
 
@@ -73,7 +73,7 @@ def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
     folder = folder / SUBFOLDER
     if model.endswith(".py"):
         return build_user(Path(model), folder, platforms=platforms)
-    return build_python(subsystem(model), folder, platforms=platforms, source=model)
+    return build_python(import_subsystem(model), folder, platforms=platforms, source=model)
 
 
 def build_python(

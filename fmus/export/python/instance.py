@@ -1,7 +1,7 @@
 """An instance of a model in Python: variables, inputs over a step, integration, checks, FMU states.
 
-The class is the counterpart of native/core.c, instance.c and step.c, with the same results and messages. It
-can be used without an FMU:
+The class is the counterpart of native/core.c, instance.c, step.c and values.c for Co-Simulation, with the
+same results and messages. It can be used without an FMU:
 
     instance = of_subsystem(SWING)
     instance.initialise(swing_command=2.0)
@@ -32,7 +32,7 @@ from orchestrator.base.errors import Problem
 LOOSEST_TOLERANCE = 1e-3  # as in native/core.h
 INSTANTIATED, INITIALIZATION, STEP_MODE, STEP_FAILED, TERMINATED = 1, 2, 4, 8, 16
 ANY = INSTANTIATED | INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED
-PHASES = {
+PHASES = {  # phase -> state of the FMI state machine
     INSTANTIATED: "instantiated",
     INITIALIZATION: "initialization mode",
     STEP_MODE: "step complete",
@@ -49,7 +49,7 @@ REASONS = {
 
 
 class Refused(Problem):
-    """A call with invalid arguments, or one that is not allowed in this state or failed."""
+    """A call that failed, has invalid arguments, or is not allowed in the present phase."""
 
 
 def of_subsystem(sub: Subsystem, values: Values | None = None) -> Instance:
@@ -76,7 +76,7 @@ class Instance:
     # ---- state machine
 
     def reset(self) -> None:
-        """Set all variables to their default values."""
+        """Return to the phase after instantiation: variables, time, tolerance, solver and warnings as new."""
         start = np.array([v.start or 0.0 for v in self.variables[: self.ends[2]]])
         p, u, x = np.split(start, self.ends[:2])
         self.state = InstanceState(
@@ -92,20 +92,20 @@ class Instance:
             tolerance=DEFAULT_TOLERANCE,
             phase=INSTANTIATED,
         )
-        self._invalidate()
+        self._discard_cache()
 
-    def _invalidate(self) -> None:
-        """Invalidate all quantities that follow from the state; they are computed on demand."""
+    def _discard_cache(self) -> None:
+        """Discard the cached initial states, derivatives and outputs; they are computed on demand."""
         self._started, self._dx, self._y = False, None, None  # type: tuple[bool, Array | None, Array | None]
 
-    def allowed(self, phases: int) -> None:
+    def require_phase(self, phases: int) -> None:
         """Refuse the call in any other phase than these."""
         if not int(self.state.phase) & phases:
-            raise Refused(f'not allowed in state "{PHASES[int(self.state.phase)]}"')
+            raise Refused(f'not allowed in state "{PHASES[int(self.state.phase)]}" of the FMI state machine')
 
     def setup(self, start: float = 0.0, stop: float | None = None, tolerance: float | None = None) -> None:
         """Define the experiment; times in [s]."""
-        self.allowed(INSTANTIATED)
+        self.require_phase(INSTANTIATED)
         if not math.isfinite(start):
             raise Refused("the start time is not finite")
         if stop is not None and not stop >= start:
@@ -119,18 +119,18 @@ class Instance:
 
     def enter(self) -> None:
         """Enter initialisation mode."""
-        self.allowed(INSTANTIATED)
+        self.require_phase(INSTANTIATED)
         self.state.phase = INITIALIZATION
 
     def exit(self) -> None:
         """Leave initialisation mode; steps may follow."""
-        self.allowed(INITIALIZATION)
+        self.require_phase(INITIALIZATION)
         self._check()
-        self.state.initial, self.state.phase = 0.0, STEP_MODE
+        self.state.initial, self.state.phase = 0.0, STEP_MODE  # all fields are float64, for to_bytes
 
     def terminate(self) -> None:
         """End the simulation; values can still be read."""
-        self.allowed(STEP_MODE | STEP_FAILED)
+        self.require_phase(STEP_MODE | STEP_FAILED)
         self.state.phase = TERMINATED
 
     def initialise(self, time: float = 0.0, tolerance: float | None = None, **start: float) -> Instance:
@@ -192,7 +192,7 @@ class Instance:
 
     def set(self, references: Sequence[int], values: Sequence[float]) -> None:
         """Set variables; none is changed if one value is refused."""
-        self.allowed(INSTANTIATED | INITIALIZATION | STEP_MODE)
+        self.require_phase(INSTANTIATED | INITIALIZATION | STEP_MODE)
         for r, value in zip(references, values, strict=True):
             self._check_value(self.variable(r), value)
         s, (np_, nu, *_) = self.state, self.ends
@@ -203,7 +203,7 @@ class Instance:
                 s.u[r - np_] = s.last_set[r - np_] = value
             else:
                 s.x[r - nu] = value
-        self._invalidate()
+        self._discard_cache()
 
     def _check_value(self, v: Variable, value: float) -> None:
         settable = v.kind in ("INPUT", "TUNABLE") or (self.state.initial and v.kind in ("FIXED", "STATE"))
@@ -222,7 +222,7 @@ class Instance:
     # ---- computed quantities
 
     def start(self) -> None:
-        """Compute the initial states, before the initialisation is over."""
+        """Compute the initial states, unless the initialisation is over or they are computed."""
         if self.state.initial and not self._started:
             s = self.state
             s.x, self._started = self.model.start(s.x, s.u, s.p), True
@@ -276,18 +276,19 @@ class Instance:
 
     def step(self, time: float, length: float) -> None:
         """A communication step from `time` over `length` [s]."""
-        self.allowed(STEP_MODE)
+        self.require_phase(STEP_MODE)
         s, end = self.state, time + length
-        tolerance = 0.01 * length + _rounding(time)  # a larger gap is an error of the master
+        largest_gap = 0.01 * length + _rounding(time)  # a larger one is an error of the master
         if not (length > 0.0 and math.isfinite(end) and end != time):
             raise Refused(
                 f"the step size is {length:g} s at t = {time:.15g} s, expected one that advances the time"
             )
-        if not abs(time - s.time) <= tolerance:
+        if not abs(time - s.time) <= largest_gap:
             raise Refused(f"the communication point is {time:.15g} s, expected {s.time:.15g} s")
-        if end > s.stop_time + tolerance:
+        if end > s.stop_time + largest_gap:
             raise Refused(f"the step ends at {end:.15g} s, after the stop time {s.stop_time:.15g} s")
-        # A gap between the master's time and the instance's becomes part of the step; rounding does not.
+        # If the master's time differs from ours by more than rounding, the step covers the gap; else we take
+        # over the master's time.
         gap = time - s.time
         if abs(gap) > _rounding(time):
             length += gap
@@ -300,7 +301,7 @@ class Instance:
     def _advance(self, length: float) -> None:
         s, begin = self.state, self.state.time
         inputs = input_polynomials.polynomials(s, self.rates)
-        self._invalidate()
+        self._discard_cache()
         try:
             s.x, s.memory = self.model.advance(s.x, s.p, inputs, begin, length, s.tolerance, s.memory)
         except Unsolved as problem:
@@ -319,13 +320,13 @@ class Instance:
         if e.why == "not finite":
             return f"the derivative of {v.name} is {e.value:g} at {when} ({value})"
         if e.why == "singular":
-            return f"the Jacobian leaves no inner step that can be solved at {when}"
+            return f"the linear system of the smallest inner step that was tried is singular at {when}"
         if e.why == "many":
-            return f"more inner steps than allowed at {when}; worst is {value}"
+            return f"more inner steps than allowed at {when}; the largest error is in {value}"
         tolerance = self.state.tolerance
         return (
             f"tolerance {tolerance:g} not reached with an inner step of {e.step:.3g} s at {when}; "
-            f"worst is {value}"
+            f"the largest error is in {value}"
         )
 
     # ---- derivatives of variables
@@ -334,7 +335,7 @@ class Instance:
         self, references: Sequence[int], orders: Sequence[int], values: Sequence[float]
     ) -> None:
         """Set derivatives of inputs of order 1 to 3 for the next step."""
-        self.allowed(INSTANTIATED | INITIALIZATION | STEP_MODE)
+        self.require_phase(INSTANTIATED | INITIALIZATION | STEP_MODE)
         for r, order, value in zip(references, orders, values, strict=True):
             v = self.variable(r)
             if v.kind != "INPUT":
@@ -350,24 +351,28 @@ class Instance:
         self, unknown: Sequence[int], known: Sequence[int], seed: Sequence[float]
     ) -> list[float]:
         """Directional derivatives of unknowns along the seed of knowns."""
-        self.allowed(INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED)
+        self.require_phase(INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED)
         direction = np.zeros(len(self.variables))
-        kinds = ["INPUT", "STATE", *(("FIXED", "TUNABLE") if self.state.initial else ("CALCULATED_STATE",))]
+        if self.state.initial:
+            kinds = {"INPUT", "STATE", "FIXED", "TUNABLE"}
+            expected = "an input, a parameter or a state with a start value"
+        else:
+            kinds, expected = {"INPUT", "STATE", "CALCULATED_STATE"}, "an input or a state"
         for r, value in zip(known, seed, strict=True):
             v = self.variable(r)
             if v.kind not in kinds:
-                raise Refused(f"{v.name} is not a known, expected an input or a state")
+                raise Refused(f"{v.name} is not a known, expected {expected}")
             direction[r] += value
         for r in unknown:
             if self.variable(r).kind in ("FIXED", "TUNABLE", "INPUT"):
                 raise Refused(
-                    f"{self.variables[r].name} is not an unknown, expected an output or a derivative"
+                    f"{self.variables[r].name} is not an unknown, expected an output, a derivative or a state"
                 )
         return self._finite_derivatives(unknown, self._along(direction))
 
     def output_derivatives(self, references: Sequence[int], orders: Sequence[int]) -> list[float]:
-        """Time derivatives of outputs; those of orders above 1 are not provided and zero."""
-        self.allowed(STEP_MODE | STEP_FAILED | TERMINATED)
+        """Time derivatives of outputs and states; orders above 1 are not available and returned as 0."""
+        self.require_phase(STEP_MODE | STEP_FAILED | TERMINATED)
         direction, (first, last, end, *_) = np.zeros(len(self.variables)), self.ends
         direction[first:last] = [
             input_polynomials.current_derivative(self.state, self.rates, i) for i in range(last - first)
@@ -376,7 +381,7 @@ class Instance:
         for r, order in zip(references, orders, strict=True):
             v = self.variable(r)
             if v.kind not in ("OUTPUT", "STATE", "CALCULATED_STATE"):
-                raise Refused(f"{v.name} is not an output")
+                raise Refused(f"{v.name} is not an output or a state")
             if order < 1:
                 raise Refused(f"the order of the derivative of {v.name} is less than 1")
         first_order = self._finite_derivatives(references, self._along(direction))
@@ -408,7 +413,7 @@ class Instance:
     def restore(self, data: bytes) -> None:
         """Restore a saved state of this or another instance of the same model."""
         self.state = self.read_state(data)
-        self._invalidate()
+        self._discard_cache()
 
 
 def _rounding(time: float) -> float:

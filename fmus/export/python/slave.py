@@ -31,7 +31,7 @@ from fmus.export.python.subsystem_model import (
     SubsystemFunctions,
     SubsystemModel,
     fingerprint,
-    subsystem,
+    import_subsystem,
 )
 from fmus.export.python.user_file import load, message
 from fmus.export.python.user_model import UserModel
@@ -127,7 +127,7 @@ class SubsystemSlave(PythonSlave):
     def _functions(self) -> SubsystemFunctions:
         key = json.dumps(self.built)
         if key not in _SHARED:
-            sub = subsystem(self.built["origin"])
+            sub = import_subsystem(self.built["origin"])
             interface = interface_of(sub, Values(**self.built["values"]))
             if fingerprint(interface) != self.built["fingerprint"]:
                 raise Problem(
@@ -271,7 +271,7 @@ def _status(kind: int, value: Callable[[Dispatcher], bytes]) -> Callable[[Dispat
     """An FMI function that returns the status of this fmi2StatusKind and refuses all others."""
 
     def get_status(calls: Dispatcher, requested: bytes) -> bytes:
-        calls.instance.allowed(ANY & ~INSTANTIATED)
+        calls.instance.require_phase(ANY & ~INSTANTIATED)
         if _integers(requested)[0] != kind:
             raise NotAvailable("there is no such status")
         return value(calls)

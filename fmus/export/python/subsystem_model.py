@@ -1,10 +1,10 @@
-"""The model of an `Instance`: a protocol, its implementation for a `Subsystem`, and the origin of that.
+"""The model that an `Instance` runs: a protocol, and its implementation for a `Subsystem`.
 
-The functions of the subsystem are evaluated by CasADi's virtual machine. Nothing is compiled, and nothing of
-the C printer is used: neither the hoisted parameter expressions nor the symbolic elimination.
+The functions of the subsystem are evaluated by CasADi's virtual machine. Nothing is compiled, and the
+optimisations of the C code (fmus.export.c_code, fmus.export.elimination) are not applied.
 
-The origin of a subsystem, from which an FMU imports it, is "module:name", or "module:name.key" for an entry
-of a mapping such as VARIANTS.
+Also the origin of a subsystem: the name under which an FMU imports it. An origin is "module:name", or
+"module:name.key" for an entry of a mapping such as VARIANTS.
 """
 
 from __future__ import annotations
@@ -31,11 +31,13 @@ class RunnableModel(Protocol):
     interface    the variables
     statements   descriptions of the requirements, whose values must be positive
     start        initial states, from their start values
-    rate         time derivatives of the states; empty if the model has none
+    rate         time derivatives of the states; empty if the model gives no derivatives. The next call may
+                 overwrite the array
     observe      outputs that are not states, and the values of the requirements
-    advance      states after `length` seconds, and the memory of the solver
-    forward      directional derivatives of x, dx/dt and the outputs, along directions of (p, u, x);
-                 with `initial`: through the initial states
+    advance      states after `length` seconds, and what the solver keeps for the next step
+    forward      directional derivatives of x, dx/dt and the outputs, along directions of (p, u, x).
+                 With `initial`: through the initial states; else the parameters are constants, whose
+                 direction is ignored
     """
 
     @property
@@ -66,9 +68,10 @@ class SubsystemFunctions:
     def __init__(self, interface: Interface) -> None:
         self.interface, sym = interface, interface.equations
         arguments = [sym.x, sym.u, sym.p]
-        vp, vu, vx, du = (
-            ca.SX.sym(n, v.numel()) for n, v in zip("puxd", (*arguments[::-1], sym.u), strict=True)
-        )
+        vp = ca.SX.sym("vp", sym.p.numel())  # v...: seeds of the directional derivatives
+        vu = ca.SX.sym("vu", sym.u.numel())
+        vx = ca.SX.sym("vx", sym.x.numel())
+        du = ca.SX.sym("du", sym.u.numel())  # time derivatives of the inputs
         xu, v_xu = ca.vertcat(sym.x, sym.u), ca.vertcat(vx, vu)
         xup, v_xup = ca.vertcat(sym.x, sym.u, sym.p), ca.vertcat(vx, vu, vp)
         vx0 = ca.jtimes(sym.start, xup, v_xup)
@@ -135,11 +138,11 @@ class SubsystemModel:
         return self._start(x, u, p)[0].copy()  # type: ignore[no-any-return]
 
     def rate(self, x: Array, u: Array, p: Array | None = None) -> Array:
-        """See `RunnableModel` and `solver.OdeSystem`."""
+        """See `RunnableModel` and `solver.OdeSystem`; the next call overwrites the array."""
         return self._rate(x, u, self._p if p is None else p)[0]  # type: ignore[no-any-return]
 
     def linearised(self, x: Array, u: Array, du: Array) -> tuple[Array, Array, Array]:
-        """See `solver.OdeSystem`."""
+        """See `solver.OdeSystem`; the next call overwrites the arrays."""
         f, jacobian, ft = self._linearised(x, u, self._p, du)
         return f, jacobian, ft
 
@@ -177,7 +180,10 @@ class SubsystemModel:
 
 
 def origin(sub: Subsystem) -> str:
-    """The shortest origin of a subsystem, preferably in the package that defines it."""
+    """The shortest origin of a subsystem, preferably in the module or package of its function `dynamics`.
+
+    That is where the subsystem is defined, except for one that `fmus.composition` composed.
+    """
     defining = str(getattr(sub.dynamics, "__module__", "")) + "."
     origins = [
         (
@@ -208,8 +214,8 @@ def _subsystems(module: str) -> Iterator[tuple[str, Any]]:
             yield from ((f"{module}:{name}.{key}", v) for key, v in value.items())
 
 
-def subsystem(origin: str) -> Subsystem:
-    """The subsystem with this origin."""
+def import_subsystem(origin: str) -> Subsystem:
+    """Import the subsystem with this origin."""
     module, _, path = origin.partition(":")
     name, _, key = path.partition(".")
     if not name:
@@ -219,7 +225,7 @@ def subsystem(origin: str) -> Subsystem:
         sub = sub[key] if key else sub
     except (ImportError, AttributeError, KeyError, TypeError) as problem:
         raise Problem(
-            f"{origin} is not in the Python of {sys.prefix}: {type(problem).__name__}: {problem}"
+            f"{origin} cannot be imported by the Python in {sys.prefix}: {type(problem).__name__}: {problem}"
         ) from None
     if not isinstance(sub, Subsystem):
         raise Problem(f"{origin} is of type {type(sub).__name__}, expected Subsystem")
@@ -227,7 +233,7 @@ def subsystem(origin: str) -> Subsystem:
 
 
 def fingerprint(interface: Interface) -> str:
-    """A hash of variables and equations, which does not depend on parameter and start values.
+    """A hash of the variables and equations that is independent of parameter values and start values.
 
     Constants enter with twelve digits, because mathematical libraries differ in the last ones.
     """

@@ -20,7 +20,7 @@ UNIFORM = 0.05  # periods; largest deviation of a time stamp on a uniform clock;
 GAP = 1.5  # periods; in a longer interval a sample is missing
 ROUNDING = 1e-6  # periods; rounding of time stamps
 CUTOFF = 0.8  # -6 dB of the anti-aliasing filter, over half the new rate, where it has -34 dB
-ORDER = 8  # of the anti-aliasing filter
+ORDER = 8  # order of the anti-aliasing filter
 MAX_RATE = 500.0  # Hz; ten times the frequency of oil in the longest hose; more only costs simulation time
 
 

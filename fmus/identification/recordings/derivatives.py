@@ -24,7 +24,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, true_intervals
 from orchestrator.data.table import Array
 
-MAX_ORDER = 2  # of a derivative
+MAX_ORDER = 2  # highest order of a derivative
 
 
 class Derivatives(NamedTuple):

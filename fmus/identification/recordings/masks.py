@@ -25,7 +25,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, Sensor
 from orchestrator.data.table import Array
 
-ORDER = 6  # of the difference; passes white noise, and 1e-3 of an oscillation at a twentieth of the rate
+ORDER = 6  # order of the difference, which passes white noise, and 1e-3 of an oscillation at rate/20
 MEDIAN_TO_SD = 0.6744897501960817  # median of |x| over the standard deviation of a normal x
 MIN_LEVELS = 8  # with fewer different values no quantisation step is estimated
 MIN_CHANGES = 0.02  # fraction of samples that differ from the one before; below it the steps are of a command

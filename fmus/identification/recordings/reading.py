@@ -1,8 +1,9 @@
-"""Readers of recordings for identification: one recording, a folder of them, a file without description.
+"""Read recordings for identification (one, a folder, or a bare data file), and select or replace samples.
 
 A recording is a data file and the TOML file of the same name that describes it, see docs/recordings.md and
-`orchestrator.data.recording`. `read_series` reads a foreign data set without a description. `take`, `window`,
-`split`, `add` and `blank` change the samples of a recording, but not its units, sensors and conditions.
+`orchestrator.data.recording`. `read_series` reads a foreign data set without a description. `take`, `window`
+and `split` select samples, `blank` replaces samples by gaps, `add` adds or replaces a signal with its unit
+and sensor. All return a new recording with the same conditions.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
 PROCEDURES = ("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping", "machine")
-FIRST_LINES = 50  # of a text file, from which its format is detected
+FIRST_LINES = 50  # number of first lines of a text file from which its decimal mark is detected
 DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
 
 
@@ -43,7 +44,7 @@ def read(path: Path | str) -> Recording:
 
 
 def read_folder(folder: Path | str) -> list[Recording]:
-    """The recordings of a folder whose description has a table [experiment], sorted by file name."""
+    """The recordings in a folder, those whose descriptions have a table [experiment], sorted by file name."""
     folder = Path(folder)
     if not folder.is_dir():
         got = "a file" if folder.is_file() else "no such file or folder"
@@ -75,12 +76,12 @@ def _data_files(folder: Path) -> list[Path]:
 
 
 def require(recording: Recording, signals: Mapping[str, str]) -> None:
-    """Raise Problem if a recording lacks one of the signals, or if its unit is of another quantity.
+    """Raise Problem if a recording lacks one of the signals, or gives it in a unit of another dimension.
 
     signals   signal -> its SI unit
     """
     for name, unit in signals.items():
-        recording[name]
+        recording[name]  # raises Problem if the signal is missing
         if parse_unit(recording.units[name]).exponents != parse_unit(unit).exponents:
             raise Problem(
                 f"{recording.source}: signal {name} is in {recording.unit_label(name)}, expected {unit}"
@@ -94,7 +95,7 @@ def take(recording: Recording, samples: slice | Mask | NDArray[np.int64]) -> Rec
 
 
 def window(recording: Recording, start: float = -np.inf, stop: float = np.inf) -> Recording:
-    """The samples from `start` to before `stop` [s]."""
+    """The samples with start <= time < stop [s]; the time window of a description includes its end."""
     part = take(recording, (recording.time >= start) & (recording.time < stop))
     if not len(part.time):
         got = f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
@@ -142,21 +143,29 @@ def read_series(
 ) -> Recording:
     """A recording from a file of numbers without a description, such as a foreign data set.
 
-    columns              signal -> index from 0 in a text file without names, or name of a column or variable
+    columns              signal -> index from 0 in a text file without names, or name of a column, or of a
+                         variable of a .mat file
     rate                 samples per second [Hz]
     units                unit of each signal, "1" by default
-    delimiter, decimal   of a text file; None: detected from its first lines
+    delimiter, decimal   of a text file; None: the delimiter is detected from the first line, the decimal mark
+                         from the first lines
     """
     path, units = Path(path), units or {}
     unknown = [name for name in units if name not in columns]
-    if unknown or not columns or rate <= 0:
-        got = f"a unit of {unknown[0]}" if unknown else f"{len(columns)} columns and a rate of {rate:g} Hz"
-        raise Problem(f"{path}: expected columns, their units and a rate above 0, got {got}")
+    if unknown:
+        raise Problem(f"{path}: a unit is given for {unknown[0]}, which is not among the columns")
+    if not columns:
+        raise Problem(f"{path}: expected at least one column, got none")
+    if rate <= 0:
+        raise Problem(f"{path}: expected a rate above 0, got {rate:g} Hz")
     scales = {name: parse_unit(units.get(name, "1"), f"{path}: {name}") for name in columns}
     indices = [column for column in columns.values() if isinstance(column, int)]
     plain_text = path.suffix.lower() not in (".mat", ".parquet")
     if indices and (len(indices) < len(columns) or not plain_text):
-        raise Problem(f"{path}: expected the names of columns, got index {indices[0]}")
+        raise Problem(
+            f"{path}: expected all columns by name, got index {indices[0]}: an index is possible only in a "
+            "text file, and not mixed with names"
+        )
     text_format = _text_format(path, delimiter, decimal, skip_lines, not indices) if plain_text else None
     table = read_columns(path, {str(column) for column in columns.values()}, text_format, named=not indices)
     raw = {name: table.values[str(column)] for name, column in columns.items()}
@@ -174,7 +183,8 @@ def _text_format(
 ) -> TextFormat:
     """Format of a text file, detected from its first lines unless it is given.
 
-    A comma between digits is decimal if something else separates the cells.
+    A comma between digits is decimal if something else separates the cells. Raises Problem if the first line
+    holds names although the columns are selected by index (`named` is false).
     """
     if not path.is_file():
         got = "a folder" if path.is_dir() else "no such file"
