@@ -156,8 +156,8 @@ class Subsystem:
     """A model that can be exported as an FMU.
 
     name       model identifier and file name of the FMU
-    values     parameters.toml with parameter and start values; README.md and icon.png in its folder are
-               copied into the FMU. Without a file the `value`s of the quantities are used
+    values     parameters.toml with parameter and start values; the FMU also contains what other files in its
+               folder describe (see `folder`). Without a file the `value`s of the quantities are used
     initial    (x, u, p) -> {state: value}: states calculated at initialisation, also from the start values x
                of other states; the other states start at their start value
     require    (x, u, p) -> {statement: expression}: requirements, fulfilled if the expression is positive.
@@ -196,7 +196,7 @@ class Subsystem:
 
     @property
     def folder(self) -> Path:
-        """Folder of README.md, icon.png and the reference experiment, as far as they exist."""
+        """Folder of README.md, icon.png, view.toml and the reference experiment, as far as they exist."""
         return Path(os.devnull) if self.values is None else self.values.parent
 
     @property

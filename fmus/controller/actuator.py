@@ -5,10 +5,13 @@
     F_load' = (F - F_load)/T_load
 
 v_ref is the reference speed with a lead that compensates the lag of amplifier, valve and oil; e is the
-position error, k the stiffness of the oil. h integrates the relative error of the feedforward, which a wrong
-area, pressure or density causes. h changes its effect with the direction of motion and is constant at rest. A
-plain integrator would hold the valve at one edge of its dead band at rest and would have to cross the dead
-band before the next motion. At constant speed both are the same.
+position error with the gains kp and ki, F the measured force and k the stiffness of the oil. v_possible is
+the speed at the limited opening, T `unwinding_time`, and v_0 `learning_share` times the speed limit.
+
+h integrates the relative error of the feedforward, which a wrong area, pressure or density causes. The effect
+of h changes sign with the direction of motion, and h is constant at rest. A plain integrator would hold the
+valve at one edge of its dead band at rest and would have to cross the dead band before the next motion. At
+constant speed both are the same.
 
 The pressure feedback damps oscillations of the force at the rate g for any inertia. The steady load F_load is
 subtracted, so the feedback does not act on it.
@@ -41,7 +44,7 @@ class MeasuredPressures:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """Reference speed, position error, and speed limit, to which v_0 is proportional."""
+    """Reference speed, position error [m, rad], and speed limit; speeds in [m/s, rad/s]."""
 
     speed: Scalar
     error: Scalar
@@ -60,7 +63,7 @@ class LoopGains:
 
 @dataclass(frozen=True)
 class ActuatorCommand:
-    """Valve command [V], h' [1/s] and F_load'."""
+    """Valve command [V], h' [1/s] and F_load' [N/s, N.m/s]."""
 
     command: Scalar
     gain_rate: Scalar

@@ -4,7 +4,8 @@
 
     command' = (target - command)/T        target = lever + m (control - lever),  m' = (engaged - m)/T_blend
 
-m is the weight of coordinated control, control the command of the actuator's control law.
+m is the weight of coordinated control, control the command of the actuator's control law, T `amplifier_time`
+and T_blend `blend_time`.
 
 Signs: radius outwards, height upwards, angle counter-clockwise seen from above. Commands have the signs of
 the levers: a positive one turns left, raises the boom, extends the stick cylinder (which folds the stick in).

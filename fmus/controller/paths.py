@@ -218,7 +218,7 @@ def _point(text: str) -> Point:
 
 
 def route_start_angles(texts: Sequence[str], arm: Mapping[str, float]) -> dict[str, float]:
-    """`start_angles` for the first of the points 'x,y,z' [m]; Problem if one is out of reach of the arm."""
+    """`start_angles` for the first of the points 'x,y,z' [m]; raises Problem if one is out of reach."""
     angles = [start_angles(f"--through {text}", start(Route((_point(text),))), arm) for text in texts]
     return angles[0]
 

@@ -2,8 +2,9 @@
 
     q' = e f g J(q)^+ v + e c (q_machine - q) + (1 - e) (q_machine' + (q_machine - q)/T)
 
-e: engaged, 0 to 1. v: commanded velocity of the tip. Without a path v is the filtered velocity of the
-joystick; with `follow` v is the unfiltered velocity of the path plus a velocity towards its point.
+e: engaged, 0 to 1. J^+: damped inverse of the Jacobian of the tip (geometry.py). T: `tracking_time`.
+v: commanded velocity of the tip. Without a path v is the filtered velocity of the joystick; with `follow` v
+is the unfiltered velocity of the path plus a velocity towards the point of the path.
 
 f: factor of the speed and stroke limits, one for all joints, so the direction of motion is kept:
 

@@ -12,7 +12,7 @@ from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE, C
 from fmus.parameters import Number, Tables, numbers, read, values
 
 GAINS = tuple(quantities(Gains))
-NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # from the start of boom_stick
+NOMINAL = ("supply_pressure", "boom_holding_force", "stick_holding_force")  # start values of boom_stick
 PRESSURES = tuple(n for n, q in quantities(ControllerInputs).items() if q.unit == "Pa")
 FILE = Path(__file__).with_name("parameters.toml")
 

@@ -21,7 +21,7 @@ from fmus.contract import column
 
 Entry = tuple[int, int]  # row and column
 
-# of a diagonal entry to the terms of its sum; at this ratio 8 of 16 digits remain, enough for tolerances
+# smallest ratio of a diagonal entry to the terms of its sum: 8 of 16 digits remain, enough for tolerances
 SMALLEST_RATIO = 1e-8
 
 

@@ -272,7 +272,7 @@ _MM_PER_UNIT = "0.1"  # so the icon is 20 mm wide
 
 
 def terminals(sub: Subsystem, interface: Interface) -> bytes:
-    """terminalsAndIcons.xml; Problem for a terminal member that is not an input or output."""
+    """terminalsAndIcons.xml; raises Problem for a terminal member that is not an input or output."""
     root = etree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     drawing = etree.SubElement(root, "GraphicalRepresentation")
     etree.SubElement(drawing, "CoordinateSystem", _SQUARE, suggestedScalingFactorTo_mm=_MM_PER_UNIT)

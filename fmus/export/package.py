@@ -16,7 +16,7 @@ from fmus.export.model_description import build_description, model_description, 
 from fmus.parameters import Values
 
 PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"  # replaced by the GUID
-VERSIONS = (2, 3)  # of FMI
+VERSIONS = (2, 3)  # supported versions of FMI
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "harvester-cosim")
 
 

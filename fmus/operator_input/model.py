@@ -83,7 +83,7 @@ def _nonzero(duration: Scalar) -> Scalar:
 
 AXES = ("swing", "boom", "stick")
 STROKES = range(1, 11)
-STROKE_FIELDS = ("start", "command", "rise", "hold", "fall")  # of `Stroke`, in the names of parameters
+STROKE_FIELDS = ("start", "command", "rise", "hold", "fall")  # fields of `Stroke` in names of parameters
 
 
 def _stroke(lever: str, number: int) -> tuple[Quantity, ...]:

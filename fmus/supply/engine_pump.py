@@ -37,7 +37,7 @@ from fmus.supply.variables import (
     supply_flow,
 )
 
-_ITERATIONS = 12  # of the search for the idle speed; each gains two digits
+_ITERATIONS = 12  # iterations of the search for the idle speed; each gains two digits
 
 
 class PumpParameters(Group):

@@ -61,7 +61,7 @@ def script(name: str, text: str, slave: str, version: str) -> str:
 
 
 MAIN = "python_fmu.c"
-SUBFOLDER = "python"  # of FMUs in Python, next to those with C code
+SUBFOLDER = "python"  # folder of FMUs in Python, next to those with C code
 RESERVED = (MODEL_FILE, "slavemodule.txt", "parameters.toml")  # names of files in resources/
 
 

@@ -156,7 +156,7 @@ def structure(user: UserModel) -> Unknowns:
 
 # ---- checks ----------------------------------------------------------------------------------------
 
-CHANGE = 0.01  # of an input, relative to its nominal value
+CHANGE = 0.01  # change of an input that tests a dependency, relative to the nominal value of the input
 POINTS, STEPS = 8, 3  # number of random points and of steps
 
 

@@ -54,7 +54,7 @@ class Model:
     """Base class of models by hand. All values that change during a simulation must be in `State`.
 
     name         identifier: name of the FMU; default: name of the file
-    Parameters, State, Inputs, Outputs   the variables; an output named like a state is that state
+    Parameters, State, Inputs, Outputs   the variables; an output with the name of a state is that state
     start        start values of inputs; default: the defaults of the fields, else 0
     depends      output -> inputs that it depends on directly; state that `initial` computes -> inputs that it
                  is computed from; outputs and states that are missing here depend on all inputs
@@ -120,7 +120,7 @@ _NO_EQUATIONS = Symbolic(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, (), _NONE, ()
 
 
 def _interface(model: Model) -> Interface:
-    """The FMI interface with start values; Problem for declarations that are not possible."""
+    """The FMI interface with start values; raises Problem for declarations that are not possible."""
     groups = {name: getattr(model, name) for name in ("Parameters", "Inputs", "State", "Outputs")}
     declared = {name: _declared(model, name, group) for name, group in groups.items()}
     unknown = set(model.start) - set(declared["Inputs"])
