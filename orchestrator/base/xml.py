@@ -109,7 +109,7 @@ def _root(file: Location) -> Element:
         root = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
         if message := _syntax_error(error, parser.error_log):
-            raise Problem(f"{file}: is not XML: {message}") from error
+            raise Problem(f"{file}: cannot be read as XML: {message}") from error
         root = etree.fromstring(text, etree.XMLParser(recover=True, **safe))
     for entity in root.iter(etree.Entity):  # entities are not resolved, so their content would be missing
         message = f"expected the content itself, got the entity {entity.text}"

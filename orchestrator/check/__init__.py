@@ -36,13 +36,13 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
     from orchestrator.check.report import ANY, TOOLS, CheckReport
     from orchestrator.check.rules import STATIC
     from orchestrator.check.rules.identity import without_repeats
-    from orchestrator.check.subject import opened
+    from orchestrator.check.subject import open_subject
 
     if tool != ANY and tool not in TOOLS:
         raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")
     if not path.is_file():
         raise Problem(f"{path}: {'expected an .fmu file, got a folder' if path.is_dir() else 'no such file'}")
-    with opened(path) as subject:
+    with open_subject(path) as subject:
         rules = all_rules() if run else STATIC
         findings = [finding for rule in rules for finding in _findings(rule, subject)]
         return CheckReport(path, _title(subject), without_repeats(findings), tool)

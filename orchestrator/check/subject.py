@@ -1,6 +1,6 @@
 """The FMU that is checked: unpacks and parses a file that may not be a valid FMU.
 
-Faults of the archive and of the XML become findings and never stop the check.
+The file must exist. Faults of the archive and of the XML become findings and never stop the check.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 DESCRIPTION = "modelDescription.xml"
 MAX_BYTES = 2 << 30  # unpacked; FMUs with half a million variables and five binaries are much smaller
 MAX_MEMBERS = 50_000
-METHODS = {zipfile.ZIP_STORED: "store", zipfile.ZIP_DEFLATED: "deflate"}
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # compression that FMI permits
 SYMBOLIC_LINK = 0o120000
 MEMBER_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, NotImplementedError, EOFError)
 
@@ -59,12 +59,11 @@ def _error(rule: str, text: str) -> Finding:
 
 
 def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
-    """Findings on the members in the directory of the archive."""
+    """Findings about the members listed in the central directory of the archive."""
     for member in members:
         name = member.orig_filename
-        if reason := unsafe(name):
-            text = f"member {name!r} {reason}; expected a relative path with forward slashes"
-            yield _error("archive.name", text)
+        if reason := why_unsafe(name):
+            yield _error("archive.name", f"member {name!r} {reason}")
         if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
             yield _error("archive.link", f"member {name!r} is a symbolic link, expected a file")
         if member.compress_type not in METHODS:
@@ -90,27 +89,27 @@ def _duplicates(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
         yield _error("archive.twice", f"member {name!r} {fault}")
 
 
-def unsafe(name: str) -> str:
+def why_unsafe(name: str) -> str:
     """Why a member must not be unpacked under its name; empty if it may."""
     if "\\" in name:
-        return "has a backslash"
+        return "has a backslash, expected forward slashes"
     if name.startswith("/") or name[1:2] == ":":
-        return "has an absolute path"
+        return "has an absolute path, expected a relative one"
     if ".." in PurePosixPath(name).parts:
-        return "is outside of the archive"
-    return "has a control character" if any(ord(c) < 32 for c in name) else ""
+        return "has '..' in its path, expected none"
+    return "has a control character, expected none" if any(ord(c) < 32 for c in name) else ""
 
 
 def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
-    """Unpack all members with safe names, up to the limits of size; yields findings."""
+    """Unpack members with safe names, until their size or number is too large; yields findings."""
     total = 0
     for count, member in enumerate(archive.infolist()):
         total += member.file_size
         if total > MAX_BYTES or count >= MAX_MEMBERS:
-            text = f"more than {MAX_BYTES >> 20} MB or {MAX_MEMBERS} members; the others are not checked"
+            text = f"more than {MAX_BYTES >> 20} MiB or {MAX_MEMBERS} members; the others are not checked"
             yield _error("archive.size", text)
             return
-        if unsafe(member.orig_filename) or member.is_dir():
+        if why_unsafe(member.orig_filename) or member.is_dir():
             continue
         try:
             target = folder / member.filename
@@ -131,7 +130,8 @@ class Subject:
     path          the file
     folder        temporary folder with the unpacked members, except those with unsafe names
     version       fmiVersion as written, such as "2.0"; "" if unknown
-    root          root element of modelDescription.xml, with line numbers; None if it is not XML
+    root          root element of modelDescription.xml, with line numbers; None if the file is missing, is
+                  not XML or has a document type
     names         names of all members of the archive, as written
     faults        findings from unpacking and parsing, with the ids of their rules
     """
@@ -171,17 +171,17 @@ class Subject:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Subject]:
+def open_subject(path: Path) -> Iterator[Subject]:
     """Unpack an FMU into a temporary folder and parse it; faults become findings of the subject."""
     with tempfile.TemporaryDirectory(prefix="harvester-check-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        yield unpacked(path, folder, *unpack(path, folder))
+        yield parse_unpacked(path, folder, *unpack(path, folder))
 
 
-def unpacked(
+def parse_unpacked(
     path: Path, folder: Path, names: tuple[str, ...] = (), faults: tuple[Finding, ...] = ()
 ) -> Subject:
-    """The subject of an FMU that is unpacked in a folder; `names` and `faults` are those of the archive."""
+    """Parse an FMU that is already unpacked in `folder`; `names` and `faults` are those of the archive."""
     root, fault = read_xml(folder, DESCRIPTION) if (folder / DESCRIPTION).is_file() else (None, "")
     xml_faults = (Finding("xml.syntax", "error", fault),) if fault else ()
     version = "" if root is None else root.get("fmiVersion", "")
@@ -195,7 +195,7 @@ def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
     try:
         tree = etree.parse(str(folder / file), etree.XMLParser(resolve_entities=False, no_network=True))
     except (etree.XMLSyntaxError, OSError) as problem:
-        return None, f"{file}: is not XML: {problem}"
+        return None, f"{file}: cannot be read as XML: {problem}"
     if tree.docinfo.doctype:
         return None, f"{file}: expected no document type, got {tree.docinfo.doctype[:60]!r}"
     return tree.getroot(), ""

@@ -1,4 +1,9 @@
-"""One component in a run: its FMU, its coupling inputs, and the calls that set inputs and read outputs."""
+"""One component in a run: its FMU and the calls that step it, set its inputs and read its outputs.
+
+`RunningComponent` makes the calls and fills `Component` of native/engine.h, by which the C engine uses them.
+A coupling input is one that follows a polynomial inside a communication step, or that is watched to estimate
+the error of the step.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +21,10 @@ MakeCall = Callable[[Sequence[str], Buffer], Call]
 
 
 def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: MakeCall) -> list[Call]:
-    """One call for each group of successive names of one type; `values`, shape (n,), in the same order."""
+    """Calls for `names`, one for each run of consecutive names of the same FMI type.
+
+    values   shape (n,), in the order of the names
+    """
     calls, first = list[Call](), 0
     for _, group in groupby(names, key=lambda name: function_type(slave.interface.variables[name])):
         of_type = list(group)
@@ -28,11 +36,15 @@ def calls_by_type(slave: Slave, names: Sequence[str], values: Buffer, make: Make
 class RunningComponent:
     """A component as a master uses it: the Python side of `Component` in engine.h.
 
+    slave               the FMU
     inputs              indices of its coupling inputs, which are contiguous
-    input_writes        calls that set values and derivatives of its coupling inputs
+    values              of the coupling inputs that are set as values; empty if only derivatives are set
+    derivatives         of the coupling inputs, those of one input by ascending order
+    input_writes        calls that set `values`, if there are any, and `derivatives`
     output_reads        calls that read the outputs that other components use
     slope_reads         calls that read the slopes of those outputs, if the FMU gives them
-    held_inputs         calls that set the other inputs to their newest value, for sequential masters
+    held_inputs         calls that set the inputs that cannot change inside a step to the newest value of
+                        their source, for sequential masters
     substeps            how many steps the FMU takes in one communication step
     fixed_step          length of each of these steps [s] if it must be the same to the last bit, else 0
     rollback            its state is saved at the beginning of every step
@@ -53,19 +65,21 @@ class RunningComponent:
         self._stepping: StepCalls | None = None
         self.struct: Any = None
 
-    def set_coupling_inputs(
-        self, first: int, names: Sequence[str], inputs: Sequence[Any], jumps: bool
-    ) -> None:
-        """Make the calls that set its coupling inputs; jumps: they may jump at the start of a step.
+    def make_input_writes(self, first: int, names: Sequence[str], inputs: Sequence[Any], jumps: bool) -> None:
+        """Make the calls that set its coupling inputs.
 
-        first    index of the first one among all coupling inputs
-        inputs   their `CouplingInput` of engine.h
+        first    index of its first coupling input among those of all components
+        names    the variables
+        inputs   the `CouplingInput` of engine.h of each variable
+        jumps    the inputs may be discontinuous at the start of a step, so that values must be set, not only
+                 derivatives
         """
         self.inputs = range(first, first + len(inputs))
         if not inputs:
             return
         self.simplifies_inputs = any(s.fmu_degree < s.requested_degree for s in inputs)
         if self.substeps > 1 or self.simplifies_inputs or jumps:
+            # degree 0: the input is only watched and held over the step; other calls set it
             with_values = [n for n, s in zip(names, inputs, strict=True) if s.requested_degree]
             self.values = np.zeros(len(with_values))
             self.input_writes += calls_by_type(self.slave, with_values, self.values, self.slave.writer)
@@ -78,7 +92,10 @@ class RunningComponent:
         self._add_derivative_writes(derivatives)
 
     def _add_derivative_writes(self, derivatives: Sequence[tuple[str, int]]) -> None:
-        """Add calls that set derivatives, given by name and order; rate inputs may be of several types."""
+        """Add calls that set derivatives, given by name and order.
+
+        If rate inputs take the derivatives, those of different FMI types need separate calls.
+        """
         interface, first = self.slave.interface, 0
 
         def rate_type(derivative: tuple[str, int]) -> str:
@@ -95,9 +112,9 @@ class RunningComponent:
             self.input_writes.append(write)
             first += len(names)
 
-    # ---- C
+    # ---- the structure of the C engine
 
-    def fill(self, binding: Binding, struct: Any) -> None:
+    def fill_stepping(self, binding: Binding, struct: Any) -> None:
         """Fill the members for stepping the FMU. Python steps it if its class has no `stepping`."""
         self.struct = struct
         make: Callable[[bool], StepCalls] | None = getattr(self.slave, "stepping", None)
@@ -111,8 +128,8 @@ class RunningComponent:
         struct.never_restored, struct.rollback = not self.rollback, self.rollback
         struct.fixed_step, struct.substeps = self.fixed_step, self.substeps
 
-    def fill_calls(self, binding: Binding) -> None:
-        """Fill the members for its inputs and outputs."""
+    def fill_inputs_and_outputs(self, binding: Binding) -> None:
+        """Fill the members for inputs and outputs."""
         struct = self.struct
         struct.first_input, struct.input_count = self.inputs.start, len(self.inputs)
         struct.sets_values, struct.simplifies_inputs = len(self.values) > 0, self.simplifies_inputs
@@ -126,21 +143,24 @@ class RunningComponent:
         return self._stepping is not None
 
     @property
-    def busy(self) -> float:
-        """Wall time in its steps [s]."""
+    def busy_seconds(self) -> float:
+        """Wall time in its steps, with the calls that set its coupling inputs [s]."""
         return float(self.struct.busy) if self.struct else 0.0
 
     def check_status(self, function: int | None, status: int) -> None:
-        """Raise the Problem that a status means; function: address of get or set state; None: a step."""
+        """Raise the Problem for a status that is not OK.
+
+        function   address of the FMI function that returned it: get state or set state; None: a step
+        """
         assert self._stepping is not None
         step = self._stepping
         checks = {step.get_state: step.check_get, step.set_state: step.check_set}
         (checks[function] if function else step.check_step)(status)
 
-    # ---- rollback of a component that Python steps
+    # ---- saved state; C saves and restores that of a component that it steps
 
     def save(self) -> None:
-        """Save the state."""
+        """Save the state of a component that Python steps."""
         self._saved_state = self.slave.save(self._saved_state)
 
     def restore(self) -> None:
@@ -148,7 +168,7 @@ class RunningComponent:
         self.slave.restore(self._saved_state)
 
     def free_saved_state(self) -> None:
-        """Free the saved state, if there is one."""
+        """Free the state that C or Python saved, if there is one."""
         if self.struct is not None and self.struct.state:
             self._saved_state, self.struct.state = ctypes.c_void_p(self.struct.state), None
         if self._saved_state is not None:

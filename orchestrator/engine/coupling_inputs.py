@@ -189,7 +189,7 @@ class CouplingInputs:
         for name, component in self._network.components.items():
             names = [p.variable for p in self.ports if p.component == name]
             inputs = self.inputs[first : first + len(names)]
-            component.set_coupling_inputs(first, names, inputs, self._plan.corrected)
+            component.make_input_writes(first, names, inputs, self._plan.corrected)
             first += len(names)
             outputs = {p.variable: i for p, i in self.slope_outputs.items() if p.component == name}
             if outputs:

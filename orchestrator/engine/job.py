@@ -226,7 +226,7 @@ class Job:
             wall=time.perf_counter() - began,
             bonds=tuple(opened.energy.energies()),
             warnings=tuple(line for log in logs for line in log.warnings(trace)),
-            inside=opened.loop.busy,
+            inside=opened.loop.busy_seconds,
             notes=self.system.notes + left_out + network.notes + times.notes + opened.notes,
         )
         messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)

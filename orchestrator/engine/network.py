@@ -236,7 +236,7 @@ class Network:
         binding.components = [*self.components.values()]
         structs = binding.array(binding.h.Component, [binding.h.Component()] * len(self.components))
         for struct, component in zip(structs, binding.components, strict=False):
-            component.fill(binding, struct)
+            component.fill_stepping(binding, struct)
         sim.components, sim.component_count = binding.pointer(structs), len(self.components)
         sim.reals, sim.integers = binding.at(self.reals.values), binding.at(self.integers.values)
         sim.saved_reals, sim.saved_integers = binding.at(saved_reals), binding.at(saved_integers)

@@ -103,7 +103,7 @@ class SimulationLoop:
     def _decide_about_threads(self) -> None:
         """Use threads for the components if they save more time than they cost."""
         self._threads_undecided = False
-        times = [c.busy / self.state.steps for c in self._components]
+        times = [c.busy_seconds / self.state.steps for c in self._components]
         if sum(times) - max(times) > MIN_SAVING and all(c.stepped_in_c for c in self._components):
             self.state.threads = min(CORES, len(times))
 
@@ -113,9 +113,9 @@ class SimulationLoop:
         self._network.free_saved_states()
 
     @property
-    def busy(self) -> dict[str, float]:
+    def busy_seconds(self) -> dict[str, float]:
         """Wall time in the steps of each component [s]."""
-        return {name: component.busy for name, component in self._network.components.items()}
+        return {name: component.busy_seconds for name, component in self._network.components.items()}
 
     def _withdraw_messages(self) -> None:
         """Withdraw messages and statuses of the FMUs in a step that is going to be repeated."""
@@ -164,7 +164,7 @@ class SimulationLoop:
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
             component.output_reads = network.get_output_calls(name) if reads_outputs else []
-            component.fill_calls(self._binding)
+            component.fill_inputs_and_outputs(self._binding)
             component.struct.repeated = k in plan.repeated
         at = self._binding.at
         sim.inputs = self._binding.pointer(inputs.array(self._binding))

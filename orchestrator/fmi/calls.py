@@ -29,7 +29,6 @@ class Slave(Protocol):
 
     All variables of one reader or writer must have the same `function_type`.
 
-    busy                      wall time of all steps so far [s]
     setup                     set up the experiment; times in [s]
     enter, exit               enter and leave initialisation mode
     reader, writer            calls that get variables into an array, or set them from an array
@@ -47,7 +46,6 @@ class Slave(Protocol):
     name: str
     interface: FmuInterface
     log: Log
-    busy: float
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None: ...
     def enter(self) -> None: ...

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -239,7 +238,6 @@ class CoSimulationFmu(RunningFmu):
         self._trial = CapabilityTrial(self._spare_instance)
         self._cubic: bool | None = None
         self._final = True  # no step will be repeated
-        self.busy = 0.0
         super().__init__(name, interface, fmu, before)
 
     def setup(self, start: float, stop: float, tolerance: float | None) -> None:
@@ -301,9 +299,7 @@ class CoSimulationFmu(RunningFmu):
 
     def step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s]; raises Discarded or Ended with the time that the FMU has reached."""
-        begin = perf_counter()
         status = self.fmu.step(t, h, self._final)
-        self.busy += perf_counter() - begin
         if status or self.fmu.flags.value:
             self._check_step(status)
 

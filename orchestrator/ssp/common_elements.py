@@ -55,7 +55,11 @@ def read_units(root: XmlElement) -> dict[str, DeclaredUnit]:
 
 
 def _unit(name: str, element: XmlElement) -> DeclaredUnit:
-    """One unit; a mistake in it is reported when a value is converted, because files define unused units."""
+    """One unit.
+
+    A faulty definition is reported only when a value is converted, because files define units that they
+    never use.
+    """
     base = element.child("BaseUnit")
     if base is None:
         return DeclaredUnit(name)
@@ -76,7 +80,7 @@ def _exponent(base: XmlElement, name: str) -> int:
 
 
 def write_units(root: Element, prefix: str, units: Iterable[DeclaredUnit | None]) -> None:
-    """Write the units that have a definition; `prefix`: of the file format."""
+    """Write the units that have a definition; `prefix`: XML namespace prefix of the file format."""
     defined = {u.name: u for u in units if u is not None and u.exponents is not None}
     parent = add(root, f"{prefix}:Units") if defined else None
     for name, u in sorted(defined.items()):
@@ -91,7 +95,11 @@ def write_units(root: Element, prefix: str, units: Iterable[DeclaredUnit | None]
 
 
 def read_transformation(element: XmlElement) -> tuple[LinearTransformation, Mapping[str, str]]:
-    """The transformation in a connection or mapping entry: a linear one, and a table source -> target."""
+    """The transformation in a connection or mapping entry.
+
+    Either (linear transformation, {}) or (identity, value table source -> target); (identity, {}) if there
+    is none.
+    """
     linear = element.child("LinearTransformation")
     if linear is not None:
         return LinearTransformation(linear.number("factor", 1.0), linear.number("offset", 0.0)), {}
@@ -99,7 +107,7 @@ def read_transformation(element: XmlElement) -> tuple[LinearTransformation, Mapp
         if e.name in MAPPINGS:
             return IDENTITY, _table(e)
         if e.name.endswith("Transformation"):
-            raise e.problem(f"expected LinearTransformation or one of {', '.join(MAPPINGS)}")
+            raise e.problem(f"expected LinearTransformation or one of {', '.join(MAPPINGS)}, got {e.name}")
     return IDENTITY, {}
 
 
@@ -117,7 +125,11 @@ def _table(mapping: XmlElement) -> dict[str, str]:
 
 
 def as_linear(table: Mapping[str, str], context: str) -> LinearTransformation:
-    """A table of Boolean or integer values as a linear transformation; raises Problem if it is not linear."""
+    """A table of Boolean or integer values as a linear transformation.
+
+    Raises Problem if a value is not a number or Boolean, if two targets have the same source, or if the
+    points are not on a straight line.
+    """
     booleans = {"true": "1", "false": "0"}
     try:
         points = sorted({(finite(booleans.get(a, a)), finite(booleans.get(b, b))) for a, b in table.items()})
@@ -125,7 +137,7 @@ def as_linear(table: Mapping[str, str], context: str) -> LinearTransformation:
         points = []
     for (x, _), (next_x, _) in pairwise(points):
         if x == next_x:
-            raise Problem(f"{context}: expected one value for {x:g} in this mapping, got two")
+            raise Problem(f"{context}: {x:g} is mapped to two values, expected one")
     if len(points) == 1:
         return LinearTransformation(0.0, points[0][1])
     if len(points) >= 2:
@@ -134,4 +146,5 @@ def as_linear(table: Mapping[str, str], context: str) -> LinearTransformation:
         linear = LinearTransformation(slope, y0 - slope * x0)
         if all(linear(x) == y for x, y in points):
             return linear
-    raise Problem(f"{context}: this mapping of values is not supported on a connection")
+    expected = "expected Booleans or numbers on a straight line"
+    raise Problem(f"{context}: this mapping of values is not supported, {expected}")

@@ -1,14 +1,16 @@
-"""Folder of a study: its definition, finished runs, results, and digests of all that determines them.
+"""Folder of a study: its definition, finished runs, results, and hashes of everything that determines them.
 
     study.toml     copy of the TOML file of the study
-    study.json     the resolved study, and digests of all that determines its results
+    study.json     the resolved study, and hashes of everything that determines its results
+    lock           locked while a process runs the study
     parts/         finished batches while the study runs
-    bands.parquet  stored signals: run, time [s], and a column for each signal
-    runs.parquet   one row per run: run, status, reason, then columns with the names of `study`
+    bands.parquet  signals stored over time, for the bands of the report: run, time [s], a column per signal
+    runs.parquet   one row per run: run, status, reason, then the columns that `study` lists
     log.csv        run, status and wall time [s]; not part of the results
+    report.html, analysis.json   the analysis, written by orchestrator/studies/report
 
-Each file is written completely or not at all. The results are written after the last run, and do not depend
-on how often the study was started.
+Each file is written completely or not at all, except log.csv, to which each batch is appended. The results
+are written after the last run, and do not depend on how often the study was started.
 """
 
 from __future__ import annotations
@@ -39,10 +41,10 @@ LOG = "run,status,seconds\n"  # first line of log.csv
 GROUP = 64  # runs per row group of bands.parquet, a few megabytes
 CACHED = 8  # part files in memory while the signals are sorted by run
 PARTIAL = ".half"  # suffix of a file that is being written
-LONG = 120  # characters above which two lists are not shown completely
-ATTRIBUTES = ("numbers", "options")  # keys of study.json without a table in study.toml
+LONG = 120  # characters of two lists together above which only the first difference is shown
+ATTRIBUTES = ("numbers", "options")  # keys that study.toml lacks: left out of the names of differences
 DECISIVE = ("distribution", "signal", "measure")  # keys whose change explains the other changes of an item
-BAND = "band:"  # prefix of the columns of a part with the samples of a signal, one list per run
+BAND = "band:"  # prefix of the columns of a batch file that hold a stored signal, one list per run
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,10 @@ def finished(folder: Path) -> bool:
 
 
 def clear(folder: Path) -> None:
-    """Remove the files of a study from its folder; nothing if it contains no study."""
+    """Remove the runs, the results and study.json; do nothing if the folder contains no study.
+
+    study.toml and the lock stay.
+    """
     if not (folder / "study.json").exists():
         return
     files = [folder / name for name in NAMES]
@@ -92,7 +97,7 @@ def clear(folder: Path) -> None:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock the folder for this process, until the process ends in any way."""
+    """Lock the folder for this process, until the end of the block or of the process."""
     lock = locket.lock_file(str(folder / "lock"), timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -100,7 +105,7 @@ def locked(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise Problem(f"{folder}: cannot be a folder for results: {error.strerror or error}") from None
     except locket.LockError:
-        raise Problem(f"{folder}: expected a folder for this study alone, another process runs it") from None
+        raise Problem(f"{folder}: another process is running a study in this folder") from None
     try:
         yield
     finally:
@@ -113,16 +118,17 @@ class Store:
     A batch is one file in parts/ with a row for each run; a stored signal is a column of lists there.
     """
 
-    def __init__(self, folder: Path, study: Study, prints: Mapping[str, Any]) -> None:
-        """prints: fingerprint of the study. Refuses a folder with runs of another study."""
+    def __init__(self, folder: Path, study: Study, fingerprint: Mapping[str, Any]) -> None:
+        """fingerprint: that of the study. Refuses a folder with runs of another study."""
         self.folder, self.study, self._parts = folder, study, folder / "parts"
         file = folder / "study.json"
         if not file.exists() and (others := [name for name in NAMES if (folder / name).exists()]):
-            raise Problem(f"{folder}: expected a folder for this study alone, got {others[0]} too")
-        if file.exists() and (changed := changes(_read_study_json(file), prints)):
+            message = f"contains {others[0]} but no study.json, so it is not the folder of a study"
+            raise Problem(f"{folder}: {message}")
+        if file.exists() and (changed := changes(_read_study_json(file), fingerprint)):
             raise Problem(f"{folder}: holds runs of another study: {changed}; --fresh deletes them")
         # study.json is written first, as it identifies the other files
-        text = json.dumps({"title": study.title, **prints}, indent=1)
+        text = json.dumps({"title": study.title, **fingerprint}, indent=1)
         put(file, lambda partial: partial.write_text(text, encoding="utf-8"))
         if study.source:
             data = Path(study.source).read_bytes()
@@ -165,7 +171,7 @@ class Store:
         for column in inputs.column_names:
             runs = runs.append_column(column, inputs[column])
         units = {**units, **{o.column: o.unit for o in self.study.outputs}}
-        put(self.folder / "runs.parquet", lambda file: pq.write_table(_with(runs, units), file))
+        put(self.folder / "runs.parquet", lambda file: pq.write_table(_with_units(runs, units), file))
         for file in self._parts.glob("*"):
             file.unlink()
         self._parts.rmdir()
@@ -175,16 +181,17 @@ class Store:
         part_of = {n: part for part in self._files() for n in _read(part, ["run"])["run"].to_pylist()}
         names, units = self.study.bands, {o.signal: o.signal_unit for o in self.study.outputs} | {"time": "s"}
         columns = [("run", pa.int64()), ("time", pa.float64()), *((name, pa.float64()) for name in names)]
-        schema = _with(pa.schema(columns).empty_table(), units).schema
+        schema = _with_units(pa.schema(columns).empty_table(), units).schema
         load = lru_cache(maxsize=CACHED)(_by_run)
         runs = sorted(part_of)
         with pq.ParquetWriter(file, schema) as writer:
             for first in range(0, len(runs), GROUP):
                 rows = [load(part_of[run])[run] for run in runs[first : first + GROUP]]
-                writer.write_table(pa.concat_tables([self._long(row) for row in rows]).cast(schema))
+                tables = [self._one_row_per_point(row) for row in rows]
+                writer.write_table(pa.concat_tables(tables).cast(schema))
 
-    def _long(self, row: pa.Table) -> pa.Table:
-        """The signals of one run as columns."""
+    def _one_row_per_point(self, row: pa.Table) -> pa.Table:
+        """The stored signals of one run, with a row for each point of time."""
         signals = [row[f"{BAND}{name}"].combine_chunks().flatten() for name in self.study.bands]
         count = len(signals[0])
         time = pa.array(band_times(self.study, row["start"][0].as_py(), count))
@@ -216,11 +223,12 @@ def _read(file: Path, columns: list[str] | None = None) -> pa.Table:
 
 
 def _by_run(file: Path) -> dict[int, pa.Table]:
+    """The rows of a batch file by number of the run."""
     table = _read(file)
     return {run: table.slice(i, 1) for i, run in enumerate(table["run"].to_pylist())}
 
 
-def _with(table: pa.Table, units: Mapping[str, str]) -> pa.Table:
+def _with_units(table: pa.Table, units: Mapping[str, str]) -> pa.Table:
     """The table with units of its columns."""
     fields = [f.with_metadata({"unit": units[f.name]}) if units.get(f.name) else f for f in table.schema]
     return table.cast(pa.schema(fields))
@@ -234,7 +242,11 @@ def _units(schema: pa.Schema) -> dict[str, str]:
 
 
 def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
-    """The study, and digests of its files and samples, for study.json."""
+    """The study and the hashes of everything else that determines its results, for study.json.
+
+    The key "files" holds the hashes: of FMUs, start values, scenarios, connections (with coupling and step)
+    and samples, each under the name that a message about a change shows.
+    """
     study, files = payload.study, dict[str, str]()
     for options, case in payload.cases.items():
         chosen = {c.name: f" {o}" for c, o in zip(study.choices, options, strict=True)}
@@ -283,14 +295,15 @@ def _read_study_json(file: Path) -> dict[str, Any]:
         stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         stored["study"], stored["files"], stored["title"]
     except (ValueError, TypeError, KeyError):
-        raise Problem(
-            f"{file}: expected the file of a study, got something else; --fresh deletes it"
-        ) from None
+        raise Problem(f"{file}: is not the study.json of a parameter study; --fresh deletes it") from None
     return stored
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """The first difference of two fingerprints, and the number of others; empty if there is none."""
+    """The first difference of two fingerprints, and the number of others; empty if there is none.
+
+    If the studies differ, the hashes are not compared: most of them follow from the study.
+    """
     differences = list(_differences("", old["study"], new["study"]))
     if not differences:
         files = dict.fromkeys([*old["files"], *new["files"]])

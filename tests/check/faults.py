@@ -86,7 +86,7 @@ EXCHANGE_3 = """<ModelExchange modelIdentifier="lag" canGetAndSetFMUState="true"
 
 FILE_FAULTS = [
     Fault("backslash", "archive.name", put("resources\\a.csv", "1"), "backslash"),
-    Fault("climbs out", "archive.name", put("../../evil.txt", "1"), "outside"),
+    Fault("climbs out", "archive.name", put("../../evil.txt", "1"), "'..' in its path"),
     Fault("absolute", "archive.name", put("/etc/evil", "1"), "absolute"),
     Fault("drive", "archive.name", put("C:/evil", "1"), "absolute"),
     Fault("case twins", "archive.twice", put("documentation/Index.html", "1"), "only by case"),
@@ -121,7 +121,7 @@ FILE_FAULTS = [
 ]  # fmt: skip
 
 XML_FAULTS = [
-    Fault("not XML", "xml.syntax", put(DESCRIPTION, "<fmiModelDescription"), "is not XML"),
+    Fault("not XML", "xml.syntax", put(DESCRIPTION, "<fmiModelDescription"), "cannot be read as XML"),
     Fault("document type", "xml.syntax", xml("<fmiModelDescription ", '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]>\n<fmiModelDescription '), "document type"),
     Fault("other root", "xml.syntax", put(DESCRIPTION, "<html/>"), "html"),
     Fault("encoding", "xml.encoding", put(DESCRIPTION, XML_2.replace('"UTF-8"', '"ISO-8859-1"')), "ISO-8859-1"),

@@ -13,7 +13,7 @@ from check.oscillator import Oscillators
 from orchestrator.check.finding import Finding
 from orchestrator.check.ls_ref_comparison import EXPERIMENT
 from orchestrator.check.read_ls_ref import FOLDER
-from orchestrator.check.subject import Subject, unpacked
+from orchestrator.check.subject import Subject, parse_unpacked
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"
 HEAD = f'<fmiReferences xmlns:l="{LS}" l:fmi-ls-name="org.fmi-standard.fmi-ls-ref">'
@@ -23,7 +23,7 @@ def opened(path: Path, folder: Path) -> Subject:
     """An FMU for the check."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
-    return unpacked(path, folder)
+    return parse_unpacked(path, folder)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_parameters_and_inputs_of_an_experiment_are_set(oscillators, tmp_path):
         ({"manifest": RESULT_ONLY}, '"lag_out.csv" (role result) is missing in the FMU'),
         ({"manifest": related((CSV, "../../../out.csv", "result"))}, "is outside of the FMU"),
         ({"manifest": related((CSV, "https://example.org/a.csv", "result"))}, "is outside of the FMU"),
-        ({"manifest": "<fmiReferences"}, "fmi-ls-manifest.xml: is not XML"),
+        ({"manifest": "<fmiReferences"}, "fmi-ls-manifest.xml: cannot be read as XML"),
         ({"manifest": "<fmiReferences/>"}, "fmi-ls-name: expected 'org.fmi-standard.fmi-ls-ref', got None"),
         (
             {"manifest": WITH_EXPERIMENT, "a.exp": NEW.format(REFERENCES)},

@@ -39,7 +39,7 @@ from fmus.swing import SWING
 from orchestrator.check.ls_ref_comparison import ExperimentComparison, cases, compare
 from orchestrator.check.read_ls_ref import manifest, table
 from orchestrator.check.read_ls_ref import parameter_set as read_parameters
-from orchestrator.check.subject import unpacked
+from orchestrator.check.subject import parse_unpacked
 
 OTHERS = [s for variants in FAMILIES.values() for s in variants.values() if s.name not in ALL]
 # but the ideal source: it has no states, there is nothing to prove
@@ -64,7 +64,7 @@ def compared(path: Path, folder: Path) -> ExperimentComparison:
         archive.extractall(folder)
     found, texts = cases(folder, manifest(folder))
     assert texts == []
-    return compare(unpacked(path, folder), found[0])
+    return compare(parse_unpacked(path, folder), found[0])
 
 
 @pytest.mark.parametrize("major", [2, 3])

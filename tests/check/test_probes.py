@@ -12,7 +12,7 @@ import pytest
 from orchestrator.check.finding import Finding
 from orchestrator.check.probe_process import ProbeLimits, probe_limits, use_probe_limits
 from orchestrator.check.probes import PROBES
-from orchestrator.check.subject import Subject, unpacked
+from orchestrator.check.subject import Subject, parse_unpacked
 from orchestrator.check.tasks import importing_solver, leaks
 from orchestrator.check.tasks.runner import Trial
 from orchestrator.worker.activity import ActivityRecord
@@ -114,7 +114,7 @@ def opened(path: Path, folder: Path) -> Subject:
     """An FMU for the probes."""
     with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
-    return unpacked(path, folder)
+    return parse_unpacked(path, folder)
 
 
 def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:

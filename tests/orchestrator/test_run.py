@@ -19,7 +19,6 @@ class Mock:
     def __init__(self, component, action=None):
         self.name, self.interface, self.log = component.name, component.interface, Log(component.name)
         self.steps, self.value, self.action, self.closed = [], 0.0, action, False
-        self.busy = 0.0
 
     def setup(self, start, stop, _tolerance):
         self.span = (start, stop)

@@ -356,7 +356,7 @@ def test_unpacked_systems_are_read_too(make, tmp_path):
         (
             [gain("a")],
             [wire("command", "a.u", mapped(("1", "2"), ("01", "3")))],
-            r"connection command -> a.u: expected one value for 1 in this mapping, got two",
+            r"connection command -> a.u: 1 is mapped to two values, expected one",
         ),
         (
             [gain("a")],
@@ -503,7 +503,7 @@ def test_an_entity_in_an_attribute_is_its_text(fmus, zip_ssp):
 def test_a_fault_beside_a_prefix_that_is_not_declared_is_told(zip_ssp, change, told):
     """An undeclared prefix is accepted, so the message names the other fault."""
     text = ssd(system([gain("a")], [])).replace("<ssd:Connectors>", "<odd:Note/><ssd:Connectors>", 1)
-    with pytest.raises(Problem, match=rf"SystemStructure\.ssd: is not XML: {told}$"):
+    with pytest.raises(Problem, match=rf"SystemStructure\.ssd: cannot be read as XML: {told}$"):
         load(zip_ssp(text.replace(*change), {}))
 
 
@@ -515,8 +515,8 @@ def test_files_that_are_no_systems_are_told(tmp_path, zip_ssp):
         tmp_path / "no.ssp": "no such file",
         text: "expected a zip archive",
         zip_ssp("<a/>", {}, "root.ssp"): "expected the element SystemStructureDescription, got a",
-        zip_ssp("<a", {}, "broken.ssp"): r"is not XML: .*, line 1, column \d+$",
-        zip_ssp("", {}, "empty.ssp"): "is not XML: Document is empty, line 1, column 1$",
+        zip_ssp("<a", {}, "broken.ssp"): r"cannot be read as XML: .*, line 1, column \d+$",
+        zip_ssp("", {}, "empty.ssp"): "cannot be read as XML: Document is empty, line 1, column 1$",
     }
     for path, message in cases.items():
         with pytest.raises(Problem, match=message):

@@ -519,7 +519,7 @@ def test_an_empty_system_is_told(zip_ssp, capsys):
 def test_other_slips_in_the_xml_are_still_told(zip_ssp):
     """Only an undeclared prefix is accepted."""
     broken = ssd(experiment=osp(BASE, declared="")).replace("</ssd:Elements>", "")
-    with pytest.raises(Problem, match=r"SystemStructure\.ssd: is not XML: [^\n]+$"):
+    with pytest.raises(Problem, match=r"SystemStructure\.ssd: cannot be read as XML: [^\n]+$"):
         load(zip_ssp(broken, {}))
 
 

@@ -104,7 +104,10 @@ def test_another_title_is_the_same_study(file, one):
 
 def test_two_processes_do_not_share_a_folder(file, one):
     """The second one is refused, until the first is done."""
-    with store.locked(file.parent / "out"), pytest.raises(Problem, match="another process runs it"):
+    with (
+        store.locked(file.parent / "out"),
+        pytest.raises(Problem, match="another process is running a study"),
+    ):
         run(file, one)
     run(file, one)
 
@@ -151,9 +154,7 @@ def test_a_folder_that_is_not_understood_is_refused(file, one, text):
     """Its study.json is not one of a study; --fresh deletes it."""
     run(file, one)
     (file.parent / "out" / "study.json").write_text(text)
-    with pytest.raises(
-        Problem, match=r"study.json: expected the file of a study, got something else; --fresh"
-    ):
+    with pytest.raises(Problem, match=r"study.json: is not the study.json of a parameter study; --fresh"):
         run(file, one)
     assert run(file, one, fresh=True)[1] == list(range(12))
 
@@ -165,7 +166,9 @@ def test_files_of_others_are_left_alone(file, one, name, fresh):
     other = file.parent / "out" / name
     other.parent.mkdir()
     other.write_text("of somebody else")
-    with pytest.raises(Problem, match=f"out: expected a folder for this study alone, got {name} too$"):
+    with pytest.raises(
+        Problem, match=f"out: contains {name} but no study.json, so it is not the folder of a study$"
+    ):
         run(file, one, fresh=fresh)
     assert other.read_text() == "of somebody else"
 

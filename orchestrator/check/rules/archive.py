@@ -12,7 +12,7 @@ from orchestrator.base.xml import child, children, local_name
 from orchestrator.check.finding import Finding, RuleTable, error, join_names, note, warning
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
-from orchestrator.check.subject import DESCRIPTION, Subject, read_xml, unsafe
+from orchestrator.check.subject import DESCRIPTION, Subject, read_xml, why_unsafe
 
 ARCHIVE = RuleTable()
 FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")
@@ -77,7 +77,7 @@ def paths(subject: Subject) -> Iterator[Finding]:
 
 @ARCHIVE.rule("archive.stray", "The archive contains only files and folders of the standard")
 def stray(subject: Subject) -> Iterator[Finding]:
-    top = {n.split("/")[0] for n in subject.names if not unsafe(n)}
+    top = {n.split("/")[0] for n in subject.names if not why_unsafe(n)}
     unknown = sorted(top - {DESCRIPTION, "model.png", *FOLDERS})
     if subject.major and unknown:
         yield note(

@@ -1,4 +1,4 @@
-"""Analysis of a study: distribution and sensitivity of each output, and reasons of failed runs."""
+"""Analysis of a study: distribution and sensitivity of each output, and reasons for failed runs."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from orchestrator.studies.single_run import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Output, Study
 
-FEWEST_FAILURES = 5  # failed runs below which their factors are not tested
+FEWEST_RUNS = 5  # fewest failed, and fewest completed, runs for a test of what makes runs fail
 EXAMPLES = 5  # run numbers shown for each reason
-SIGNIFICANCE = 0.01  # of the tests of all factors together
-CONSTANT = 1e-9  # range over magnitude of a constant output; tolerances of solvers are larger
+SIGNIFICANCE = 0.01  # probability of a false alarm over all factors together (Bonferroni)
+CONSTANT = 1e-9  # largest range of a constant output over its magnitude; tolerances of solvers are larger
 NOTES = {
     "morris": "statistics are over the points of the Morris design: ends of ranges have more weight",
     "grid": "statistics are over the points of the grid, with equal weights",
@@ -46,7 +46,7 @@ def analyse(results: Results) -> Analysis:
         len(results.table),
         len(done(results)),
         failures(results),
-        tuple(_finding(results, output) for output in study.outputs),
+        tuple(_analyse_output(results, output) for output in study.outputs),
         tuple(notes),
     )
 
@@ -62,7 +62,7 @@ def spread(values: Array) -> Spread | None:
 
 
 def failures(results: Results) -> tuple[Failure, ...]:
-    """Failed runs by reason, the most frequent first; reasons that differ only in numbers are one."""
+    """Failed runs by reason, the most frequent first; reasons that differ only in numbers are merged."""
     failed = results.table[results.table["status"] != OK].sort_values("run")
     reasons = failed["reason"].fillna("").astype(str).where(lambda r: r != "", "no reason given")
     groups = []
@@ -77,11 +77,13 @@ def failures(results: Results) -> tuple[Failure, ...]:
 
 
 def _missing_factors(results: Results) -> list[str]:
-    """Notes on factors that some options lack."""
+    """Notes on factors whose variable does not exist in some options of a choice."""
     notes = []
     for factor in results.study.factors:
-        column = START + factor.name  # missing if the name sets several variables
-        for choice in results.study.choices if column in results.table else ():
+        column = START + factor.name
+        if column not in results.table:  # so if the factor sets several variables
+            continue
+        for choice in results.study.choices:
             values = results.table.groupby(choice.column)[column].count()
             lacking = [o for o in choice.options if values.get(o, 0) == 0]
             if lacking and len(lacking) < len(choice.options):
@@ -94,7 +96,7 @@ def _where_failed(results: Results) -> list[str]:
     """Notes on factors that differ between failed and other runs, by Mann-Whitney tests."""
     failed = (results.table["status"] != OK).to_numpy()
     notes: list[str] = []
-    if min(failed.sum(), (~failed).sum()) < FEWEST_FAILURES:
+    if min(failed.sum(), (~failed).sum()) < FEWEST_RUNS:
         return notes
     for factor in results.study.factors:
         values = results.table[factor.column].to_numpy(float)
@@ -106,10 +108,11 @@ def _where_failed(results: Results) -> list[str]:
     return notes
 
 
-def _finding(results: Results, output: Output) -> OutputAnalysis:
+def _analyse_output(results: Results, output: Output) -> OutputAnalysis:
+    """Distribution of one output over all runs and by option, and its sensitivity."""
     study, completed = results.study, done(results)
     values = completed[output.column].to_numpy(float)
-    overall, missing = spread(values), int(np.isnan(values).sum())
+    overall, missing = spread(values), int((~np.isfinite(values)).sum())
     by_choice = {}
     for choice in study.compared:
         column = completed[choice.column].astype(str)
@@ -118,7 +121,7 @@ def _finding(results: Results, output: Output) -> OutputAnalysis:
         }
         by_choice[choice.name] = {option: value for option, value in spreads.items() if value is not None}
     constant = False
-    result: Sensitivity | str = "no run has this output"
+    result: Sensitivity | str = "no run has a finite value of this output"
     if overall is not None:
         magnitude = max(abs(overall.maximum), abs(overall.minimum))
         constant = overall.maximum - overall.minimum <= CONSTANT * magnitude
@@ -130,7 +133,10 @@ def _finding(results: Results, output: Output) -> OutputAnalysis:
             result = _sensitivity(study, samples(results, output))
     notes = [result] if isinstance(result, str) else []
     if missing and overall is not None:
-        notes.append(f"{missing} runs came to their end without this output; here they count as failed")
+        runs = "1 run" if missing == 1 else f"{missing} runs"
+        notes.append(
+            f"{runs} finished without a finite value of this output; the sensitivity treats this as a failure"
+        )
     return OutputAnalysis(
         output.name,
         output.signal,
@@ -165,8 +171,11 @@ def _sensitivity(study: Study, data: OutputSamples) -> Sensitivity | str:
 
 
 def _from_independent_rows(data: OutputSamples) -> Sensitivity | str:
-    """Use the independent rows of a Saltelli design as a plain sample, if it is small or many runs failed."""
-    width = len(data.names) + 2
+    """Sensitivity from the independent rows of a Saltelli design alone.
+
+    For a design that is too small or has too many failed runs.
+    """
+    width = len(data.names) + 2  # rows of a base sample: A, B and one for each factor
     design, count = data.blocks(width)
     complete = len(design.y) // width
     size = (

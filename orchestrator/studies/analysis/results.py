@@ -229,7 +229,7 @@ class OutputSamples:
 
 
 def done(results: Results) -> pd.DataFrame:
-    """The runs that came to their end; others are left out of all statistics and reported with reasons."""
+    """The runs that finished; others are left out of all statistics and reported with reasons."""
     return results.table[results.table["status"] == OK]
 
 
