@@ -18,7 +18,7 @@ def build(
         typer.Argument(
             metavar="MODEL",
             help="Build only this model, as an FMU whose code is Python: a file with your own model, such as"
-            " my_actuator.py, or a subsystem, such as fmus.boom_stick:VARIANTS.lumped.",
+            " my_actuator.py, or a subsystem, such as fmus.boom_stick:VARIANTS.lumped; default: the machine.",
         ),
     ] = None,
     out: Annotated[
@@ -29,20 +29,22 @@ def build(
         ),
     ] = BUILD,
     fmi: Annotated[
-        str, typer.Option(metavar="VERSION", help="2, 3 or both; a MODEL in Python is always 2.")
+        str, typer.Option(metavar="VERSION", help="FMI version: 2, 3 or both; a MODEL is always 2.")
     ] = "both",
     platform: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="host (the default), all, or one such as x86_64-windows or aarch64-linux; repeatable.",
+            help="Platform of the binaries: host (this computer, the default), x86_64-linux, aarch64-linux,"
+            " x86_64-windows, x86_64-darwin, aarch64-darwin or all; repeatable.",
         ),
     ] = None,
     parameters: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Parameter values that replace those of the parts (.toml), as written by identify.",
+            help="Parameter values that replace those of the parts (.toml), as written by identify; default:"
+            " none.",
         ),
     ] = None,
 ) -> None:

@@ -13,23 +13,34 @@ from orchestrator.cli.options import app
 
 @app.command()
 def check(
-    fmu: Annotated[Path | None, typer.Argument(metavar="FILE", help="Any .fmu file.")] = None,
+    fmu: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="Any .fmu file; not needed with --rules.")
+    ] = None,
     for_: Annotated[
         str,
         typer.Option(
-            "--for", metavar="TOOL", help="simulink, dymola, openmodelica, amesim, another, or any."
+            "--for",
+            metavar="TOOL",
+            help="Only findings that affect this tool: simulink, dymola, openmodelica, amesim, fmpy, fmusim,"
+            " pyfmi, omsimulator, ecos or libcosim; any: all findings.",
         ),
     ] = "any",
     json: Annotated[
-        Path | None, typer.Option(metavar="OUT", help="Also write the findings to this file (.json).")
+        Path | None,
+        typer.Option(metavar="OUT", help="Also write the findings to this file (.json); default: none."),
     ] = None,
     static: Annotated[
         bool, typer.Option("--static", help="Only inspect the file; run no code of the FMU.")
     ] = False,
     timeout: Annotated[
-        float, typer.Option(metavar="SECONDS", help="A call to the FMU that takes longer counts as a hang.")
+        float,
+        typer.Option(
+            metavar="SECONDS", help="Time [s], above 0; a call to the FMU that takes longer counts as a hang."
+        ),
     ] = 10.0,
-    rules: Annotated[bool, typer.Option("--rules", help="Print the table of rules.")] = False,
+    rules: Annotated[
+        bool, typer.Option("--rules", help="Print the table of rules and check nothing.")
+    ] = False,
 ) -> None:
     """Find what is wrong with an FMU, and which tools that affects.
 

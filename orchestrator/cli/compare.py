@@ -16,7 +16,10 @@ def compare(
         list[Path], typer.Argument(metavar="TRACE...", help="Two or more traces (.csv, .parquet) of runs.")
     ],
     against: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Trace to compare with; default: the first.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Trace to compare with (.csv, .parquet); default: the first TRACE."
+        ),
     ] = None,
     signals: Annotated[
         list[str] | None,
@@ -27,10 +30,18 @@ def compare(
         ),
     ] = None,
     start: Annotated[
-        float | None, typer.Option(metavar="T", help="Start of the time window [s].", parser=seconds)
+        float | None,
+        typer.Option(
+            metavar="T",
+            help="Start of the time window [s]; default: that of the common time.",
+            parser=seconds,
+        ),
     ] = None,
     stop: Annotated[
-        float | None, typer.Option(metavar="T", help="End of the time window [s].", parser=seconds)
+        float | None,
+        typer.Option(
+            metavar="T", help="End of the time window [s]; default: that of the common time.", parser=seconds
+        ),
     ] = None,
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder of comparison.png and comparison.json.")

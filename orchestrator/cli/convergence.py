@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, Case, System, app, spread
+from orchestrator.cli.options import BUILD, SYSTEM, RunOptions, System, app, with_option_groups
 
 STUDY = BUILD / "convergence"
 
 
 @app.command()
-@spread
+@with_option_groups
 def convergence(
     *,
     system: System = SYSTEM,
@@ -32,7 +32,9 @@ def convergence(
         str,
         typer.Option(
             metavar="NAME,...",
-            help="Masters, such as jacobi, 'hermite 2 passes' or '*order 1'; default: all.",
+            help="Names of masters (jacobi, gauss-seidel, hermite, interface-jacobian), labels of settings"
+            " such as 'hermite 2 passes', or patterns of labels such as '*order 1', separated by commas;"
+            " default: all.",
         ),
     ] = "",
     signals: Annotated[
@@ -43,9 +45,12 @@ def convergence(
             " default: speeds and pressures.",
         ),
     ] = None,
-    case: Case,
+    case: RunOptions,
     repeats: Annotated[
-        int, typer.Option(metavar="N", help="Number of times that each run is timed; the median is reported.")
+        int,
+        typer.Option(
+            metavar="N", help="Number of times that each run is timed, at least 1; the median is reported."
+        ),
     ] = 3,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the tables and figures.")] = STUDY,
 ) -> None:

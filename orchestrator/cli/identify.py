@@ -22,7 +22,7 @@ def identify(
         Path, typer.Option(metavar="FILE", help="File for the estimated parameters (.toml).")
     ] = Path("parameters.toml"),
     report: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of identification.html and .json.")
+        Path, typer.Option(metavar="DIR", help="Folder of identification.html and identification.json.")
     ] = BUILD,
     joint: Annotated[
         bool,
@@ -39,15 +39,16 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Parameter that the joint refinement may change; repeatable; default: those that a work"
-            " cycle excites.",
+            help="Parameter that the joint refinement may change, by its name in parameters.toml;"
+            " repeatable; default: those that a work cycle excites.",
         ),
     ] = None,
     starts: Annotated[
         int,
         typer.Option(
             metavar="N",
-            help="Repeat the refinement from N random starts, to see whether the result is the same.",
+            help="Repeat the refinement from N random starts, to see whether the result is the same; 0: do"
+            " not.",
         ),
     ] = 4,
 ) -> None:

@@ -32,13 +32,17 @@ def linearize(
         typer.Option(
             "--input",
             metavar="NAME",
-            help="Input of the linear model; its connection is cut; repeatable; default: the inputs of the"
-            " system and those that the operator's levers drive.",
+            help="Input of the linear model, COMPONENT.VARIABLE or all inputs with this name; its connection"
+            " is removed; repeatable; default: the inputs of the system and those that the operator's levers"
+            " drive.",
         ),
     ] = None,
     output: Annotated[
         list[str] | None,
-        typer.Option(metavar="PATTERN", help="Outputs, such as '*_angle'; repeatable; default: all."),
+        typer.Option(
+            metavar="PATTERN",
+            help="Outputs COMPONENT.VARIABLE that match, such as '*_angle'; repeatable; default: all.",
+        ),
     ] = None,
     steady: Annotated[
         bool,
@@ -51,7 +55,8 @@ def linearize(
         list[str] | None,
         typer.Option(
             metavar="JOINT=V",
-            help="With --steady: constant speed of a joint, such as boom=0.1 [rad/s]; default 0; repeatable.",
+            help="With --steady: constant speed of a joint [rad/s], such as boom=0.1; repeatable; default:"
+            " 0.",
         ),
     ] = None,
     time: Annotated[
@@ -63,11 +68,21 @@ def linearize(
         ),
     ] = None,
     scenario: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="With --time: inputs of that run over time.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="With --time: inputs of that run over time (.csv, .parquet); default: none, the inputs are"
+            " those of the system.",
+        ),
     ] = None,
     step: Annotated[
         float | None,
-        typer.Option(metavar="S", help="With --time: communication step of that run [s].", parser=seconds),
+        typer.Option(
+            metavar="S",
+            help="With --time: communication step of that run [s]; default: what the system or its FMUs"
+            " suggest.",
+            parser=seconds,
+        ),
     ] = None,
     swap: Swap = None,
     set_: Set = None,

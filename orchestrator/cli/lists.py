@@ -16,10 +16,11 @@ def variants(
         Path, typer.Argument(metavar="SYSTEM", help="System in which the cost of the variants is measured.")
     ] = SYSTEM,
     combinations: Annotated[
-        bool, typer.Option("--combinations", help="Run the work cycle with every combination of variants.")
+        bool,
+        typer.Option("--combinations", help="Run the work cycle with every combination of variants instead."),
     ] = False,
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="File for the table of combinations (.csv).")
+        Path, typer.Option(metavar="FILE", help="With --combinations: file for the table (.csv).")
     ] = BUILD / "combinations.csv",
 ) -> None:
     """List the variants of each part, with their cost on this computer.
@@ -51,7 +52,9 @@ def parameters(
     source: Annotated[
         str | None,
         typer.Option(
-            metavar="WORD", help="Only parameters whose source contains this word, such as paper or assumed."
+            metavar="SOURCE",
+            help="Only parameters of this source: paper, derived, literature, assumed or identified;"
+            " default: all.",
         ),
     ] = None,
 ) -> None:
@@ -64,7 +67,10 @@ def parameters(
 @app.command()
 def signals(
     system: System = SYSTEM,
-    kind: Annotated[str | None, typer.Option(metavar="KIND", help="Only input, output or parameter.")] = None,
+    kind: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="Only this kind: input, output or parameter; default: all."),
+    ] = None,
     swap: Swap = None,
 ) -> None:
     """List the variables of a system with unit and description."""

@@ -16,8 +16,8 @@ def modelica(
         list[Path] | None,
         typer.Argument(
             metavar="FILE...",
-            help="FMUs of FMI 2.0 and systems (.fmu, .ssp); default: harvester.ssp, harvester.fmu and all"
-            " variants in build/.",
+            help="FMUs of FMI 2.0 and systems (.fmu, .ssp); default: build/harvester.ssp,"
+            " build/harvester.fmu and build/variants/*.fmu.",
         ),
     ] = None,
     out: Annotated[

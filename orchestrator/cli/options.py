@@ -25,11 +25,11 @@ app = typer.Typer(
 
 
 @app.callback()
-def _group() -> None:
+def _main() -> None:  # the docstring is the text of `harvester --help`
     """An electrohydraulic harvester as FMUs: build, co-simulate, validate."""
 
 
-def spread(command: Callable[..., None]) -> Callable[..., None]:
+def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     """Decorator: replace each parameter that is a dataclass (a group of options) by its fields."""
     hints = get_type_hints(command, include_extras=True)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
@@ -43,14 +43,14 @@ def spread(command: Callable[..., None]) -> Callable[..., None]:
             parameters[name] = _parameter(name, parameter.default, hints[name])
 
     @wraps(command)
-    def spread_command(**values: Any) -> None:
+    def flat_command(**values: Any) -> None:
         for name, group in groups.items():
             values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
         command(**values)
 
-    spread_command.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
-    spread_command.__annotations__ = {name: p.annotation for name, p in parameters.items()}
-    return spread_command
+    flat_command.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
+    flat_command.__annotations__ = {name: p.annotation for name, p in parameters.items()}
+    return flat_command
 
 
 def _parameter(name: str, default: Any, annotation: Any) -> Parameter:
@@ -70,12 +70,12 @@ def number(text: str) -> float:
     return _read(text, float, "a number")
 
 
-def whole(text: str) -> int:
+def integer(text: str) -> int:
     """Parse an integer."""
     return _read(text, int, "a whole number")
 
 
-def positive(text: str) -> int:
+def positive_integer(text: str) -> int:
     """Parse an integer above zero."""
     value = _read(text, int, "a whole number above 0")
     if value < 1:
@@ -95,9 +95,9 @@ def swaps(texts: Iterable[str]) -> dict[str, str]:
     return assignments(texts, "--swap", "component=variant or component=file.fmu")
 
 
-def factors(texts: Iterable[str]) -> dict[str, int]:
-    """{component: steps} from the texts 'component=steps'."""
-    expected = "component=N, the number of steps in each communication step"
+def substeps(texts: Iterable[str]) -> dict[str, int]:
+    """{component: number of its own steps per communication step} from the texts 'component=N'."""
+    expected = "component=N, the number of its own steps per communication step"
     counts = assignments(texts, "--factor", expected)
     for name, text in counts.items():
         if not text.isdecimal():
@@ -115,19 +115,18 @@ def assignments(
         if not equals or not name:
             raise Problem(f"{option} {text}: expected {expected}")
         if values.setdefault(name, value) != value:
-            raise Problem(f"{option} {text}: expected one value of {name}, got {values[name]} as well")
+            raise Problem(f"{option} {text}: {name} already has the value {values[name]}")
     return values
 
 
 System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
-Start = Annotated[float | None, typer.Option(metavar="T", help="Start time [s].", parser=seconds)]
-Stop = Annotated[float | None, typer.Option(metavar="T", help="Stop time [s].", parser=seconds)]
 Swap = Annotated[
     list[str] | None,
     typer.Option(
         metavar="COMPONENT=FMU",
         help="Replace the FMU of a component by a variant, such as boom_stick=detailed, or by a file,"
-        " boom_stick=FILE.fmu; repeatable.",
+        " boom_stick=FILE.fmu; repeatable; default: the FMUs in the system (track: also"
+        " the detailed machine).",
     ),
 ]
 
@@ -137,7 +136,8 @@ Parameters = Annotated[
         "--parameters",
         "--pose",
         metavar="SET",
-        help="Parameter set of the system, such as reach, or a file FILE.ssv; repeatable.",
+        help="Parameter set of the system, such as reach, or a file FILE.ssv; repeatable, later ones"
+        " override; default: the values in the system.",
     ),
 ]
 Set = Annotated[
@@ -146,33 +146,47 @@ Set = Annotated[
         "--set",
         metavar="NAME=VALUE",
         help="Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs with"
-        " this name (supply_pressure sets both drives); repeatable.",
+        " this name (supply_pressure sets both drives), in the unit that `harvester signals` shows;"
+        " repeatable.",
     ),
 ]
 
 
 @dataclass(frozen=True)
-class Case:
-    """The run: scenario, time span, variants, parameters, connections."""
+class RunOptions:
+    """What is run: scenario, time span, variants, parameters, connections."""
 
     scenario: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Inputs over time (.csv, .parquet); default: the scenario in the system, for the harvester"
-            " the work cycle.",
+            help="Inputs over time (.csv, .parquet); default: none, the inputs are those of the system (the"
+            " harvester contains the work cycle); validate with --reference: the commands of the reference.",
         ),
     ] = None
-    start: Start = None
-    stop: Stop = None
+    start: Annotated[
+        float | None,
+        typer.Option(
+            metavar="T", help="Start time [s]; default: what the system suggests, else 0.", parser=seconds
+        ),
+    ] = None
+    stop: Annotated[
+        float | None,
+        typer.Option(
+            metavar="T",
+            help="Stop time [s]; default: the end of the scenario, else what the system or its FMUs suggest.",
+            parser=seconds,
+        ),
+    ] = None
     swap: Swap = None
     parameters: Parameters = None
     set_: Set = None
     cut: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="TARGET",
-            help="Remove the connections to these inputs, such as '*_rate'; repeatable.",
+            metavar="PATTERN",
+            help="Remove the connections to the inputs COMPONENT.VARIABLE that match, such as '*_rate';"
+            " repeatable; default: none.",
         ),
     ] = None
 
@@ -189,7 +203,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Steps:
+class StepOptions:
     """Communication step, and time between recorded points."""
 
     step: Annotated[
@@ -205,8 +219,8 @@ class Steps:
         float | None,
         typer.Option(
             metavar="S",
-            help="Time between recorded points [s], a multiple of the step; default: 0.005, at least a step."
-            " With --adaptive any time; default: every step (validate: 0.005).",
+            help="Time between recorded points [s], a multiple of the step; default: the largest one up to"
+            " 0.005, at least a step. With --adaptive any time; default: every step (validate: 0.005).",
             parser=seconds,
         ),
     ] = None
@@ -217,7 +231,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class Coupled:
+class CouplingOptions:
     """How the components are coupled: the choices of `Coupling`."""
 
     master: Annotated[
@@ -232,53 +246,56 @@ class Coupled:
         int | None,
         typer.Option(
             metavar="N",
-            help="Order at which outputs are extrapolated over a step: 0 (held), 1, 2 or 3; default: 0 for"
+            help="Order of the extrapolation of outputs over a step: 0 (held), 1, 2 or 3; default: 0 for"
             " jacobi and gauss-seidel, else 3.",
-            parser=whole,
+            parser=integer,
         ),
     ] = None
     passes: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="hermite: largest number of passes over a step; default: 8.",
-            parser=whole,
+            help="hermite: largest number of passes over a step, at least 1; default: 8.",
+            parser=integer,
         ),
     ] = None
     coupling_tolerance: Annotated[
         float | None,
         typer.Option(
             metavar="TOL",
-            help="hermite: repeat a step while a signal changes by more than TOL times its nominal value;"
-            " default: 1e-5, with --adaptive 0.3 of its TOL.",
+            help="hermite: repeat a step while a signal changes by more than TOL times its magnitude (the"
+            " nominal value, or the largest value so far); default: 1e-5, with --adaptive 0.3 of its TOL.",
             parser=number,
         ),
     ] = None
     correct: Annotated[
         bool,
-        typer.Option("--correct", help="Correct inputs by the extrapolation error of the previous step."),
+        typer.Option(
+            "--correct", help="Compensate in the inputs the extrapolation error of the previous step."
+        ),
     ] = False
     lag: Annotated[
         int | None,
         typer.Option(
             metavar="N",
             help="interface-jacobian: linearise the components every N steps; default: 1.",
-            parser=whole,
+            parser=integer,
         ),
     ] = None
     factor: Annotated[
         list[str] | None,
         typer.Option(
             metavar="COMPONENT=N",
-            help="The component makes N steps in each communication step; repeatable.",
+            help="The component makes N steps of its own per communication step; repeatable; default: 1.",
         ),
     ] = None
     adaptive: Annotated[
         float | None,
         typer.Option(
             metavar="TOL",
-            help="Adapt the step so that the error of each signal stays below TOL times its nominal value;"
-            " such as 1e-3.",
+            help="Adapt the step so that the estimated error of each signal stays below TOL times its"
+            " magnitude (the nominal value, or the largest value so far), such as 1e-3; default: equal"
+            " steps.",
             parser=number,
         ),
     ] = None
@@ -286,22 +303,27 @@ class Coupled:
         str | None,
         typer.Option(
             metavar="WHAT",
-            help="With --adaptive: TOL limits the error of the signals (default) or the energy error of power"
-            " bonds.",
+            help="With --adaptive: what TOL limits, error (of the signals) or energy (the error of power of"
+            " the power bonds); default: error.",
         ),
     ] = None
     guard: Annotated[
         float | None,
         typer.Option(
             metavar="TOL",
-            help="Without --adaptive: divide a step whose estimated error exceeds TOL, if all components can"
-            " restore their state; 0: never; default: 0.01 for hermite and interface-jacobian, else 0.",
+            help="Without --adaptive: divide a step if the estimated error of a signal exceeds TOL times its"
+            " magnitude, or if a corner of the scenario is inside, provided that all components can restore"
+            " their states; 0: never; default: 0.01 for hermite and interface-jacobian, else 0.",
             parser=number,
         ),
     ] = None
     smallest: Annotated[
         float | None,
-        typer.Option(metavar="S", help="With --adaptive: shortest step [s]; default: 1e-7.", parser=seconds),
+        typer.Option(
+            metavar="S",
+            help="With --adaptive: shortest step [s], accepted with any error; default: 1e-7.",
+            parser=seconds,
+        ),
     ] = None
     largest: Annotated[
         float | None,
@@ -312,6 +334,6 @@ class Coupled:
         """The options that were given, by the field names of `Coupling`."""
         options = {f.name: getattr(self, f.name) for f in fields(self)}
         options["tolerance"] = options.pop("coupling_tolerance")
-        options["factors"] = factors(options.pop("factor") or []) or None
+        options["factors"] = substeps(options.pop("factor") or []) or None
         options["correct"] = self.correct or None
         return {name: value for name, value in options.items() if value is not None}

@@ -12,15 +12,20 @@ from orchestrator.cli.options import app
 
 @app.command()
 def rig(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the recordings.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder of the recordings, which may contain earlier ones but nothing else."
+        ),
+    ],
     machine: Annotated[
         str,
         typer.Option(
-            metavar="NAME", help="Variants that are recorded: lumped, as in the paper, or detailed."
+            metavar="NAME", help="Variants that are recorded: lumped (as in the paper) or detailed."
         ),
     ] = "detailed",
     seed: Annotated[
-        int, typer.Option(metavar="N", help="Seed of the noise; equal seeds give equal files.")
+        int, typer.Option(metavar="N", help="Seed of the noise, 0 or more; equal seeds give equal files.")
     ] = 0,
 ) -> None:
     """Record the paper's experiments on a virtual test rig.

@@ -7,27 +7,36 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, Case, Coupled, Steps, System, app, spread
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    CouplingOptions,
+    RunOptions,
+    StepOptions,
+    System,
+    app,
+    with_option_groups,
+)
 
 
 @app.command()
-@spread
+@with_option_groups
 def run(
     *,
     system: System = SYSTEM,
-    case: Case,
-    steps: Steps,
+    case: RunOptions,
+    steps: StepOptions,
     out: Annotated[Path, typer.Option(metavar="FILE", help="File for the trace (.csv or .parquet).")] = BUILD
     / "trace.csv",
     error_estimate: Annotated[
         bool,
         typer.Option(
             "--error-estimate",
-            help="Repeat the run at half and at twice the step, or at a tenth of the tolerance of --adaptive;"
-            " print the change of the signals and the order.",
+            help="Repeat the run at half and at twice the step, or at a tenth of the tolerance of"
+            " --adaptive; print the change of the signals and the order.",
         ),
     ] = False,
-    coupled: Coupled,
+    coupled: CouplingOptions,
 ) -> None:
     """Co-simulate a system and record its signals."""
     from orchestrator.engine.run import run_to_file

@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import app, positive
+from orchestrator.cli.options import app, positive_integer
 
 
 @app.command()
 def sweep(
     study: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="Declares what is varied, run and kept.")
+        Path, typer.Argument(metavar="STUDY.toml", help="The study: what is varied, run and kept.")
     ],
     out: Annotated[
         Path | None,
@@ -24,13 +24,16 @@ def sweep(
         int | None,
         typer.Option(
             metavar="N",
-            help="Runs at the same time on this machine; default: one per core.",
-            parser=positive,
+            help="Number of runs at the same time on this computer; default: one per core.",
+            parser=positive_integer,
         ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Run on this Dask cluster instead, such as tcp://host:8786."),
+        typer.Option(
+            metavar="URL",
+            help="Run on this Dask cluster instead, such as tcp://host:8786; default: this computer.",
+        ),
     ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Delete the results of a study in DIR and start again.")

@@ -41,7 +41,8 @@ def track(
         list[str] | None,
         typer.Option(
             metavar="X,Y,Z",
-            help="Straight lines through these points instead: forward, left, up [m]; repeatable.",
+            help="Point of straight lines that replace --path: forward, left, up [m], such as 3.6,-2,1;"
+            " repeat it for two points or more.",
         ),
     ] = None,
     speed: Annotated[
@@ -61,7 +62,7 @@ def track(
         float | None,
         typer.Option(
             metavar="MM",
-            help="Largest tracking error allowed [mm]; above it the exit status is 1.",
+            help="Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.",
             parser=number,
         ),
     ] = None,

@@ -7,35 +7,51 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, Case, Coupled, Steps, System, app, spread
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    CouplingOptions,
+    RunOptions,
+    StepOptions,
+    System,
+    app,
+    with_option_groups,
+)
 
 
 @app.command()
-@spread
+@with_option_groups
 def validate(
     *,
     system: System = SYSTEM,
     reference: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Reference or measurement (.csv with .toml); default: the work cycle."
+            metavar="FILE",
+            help="Reference or measurement (.csv, .parquet or .mat, each with a .toml that describes it);"
+            " default: the work cycle of the harvester.",
         ),
     ] = None,
     layout: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Declares the figures of the report (.toml).")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Figures of the report (.toml); default: those of the harvester, for another system with"
+            " --reference one row per signal.",
+        ),
     ] = None,
     play: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="Signals of the reference that drive the run in addition to its commands, such as"
-            " '*.supply_pressure'; repeatable.",
+            help="With --reference, without --scenario: its signals that drive the run in addition to its"
+            " commands, such as '*.supply_pressure'; repeatable; default: none.",
         ),
     ] = None,
-    case: Case,
-    steps: Steps,
+    case: RunOptions,
+    steps: StepOptions,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of run.csv and the report.")] = BUILD,
-    coupled: Coupled,
+    coupled: CouplingOptions,
 ) -> None:
     """Co-simulate a system and compare it with a reference.
 

@@ -20,16 +20,22 @@ def view(
         Path | None,
         typer.Argument(
             metavar="SYSTEM",
-            help="An .ssp or .fmu file; default: build/harvester_control.ssp, which also drives the tip, else"
-            " build/harvester.ssp.",
+            help="An .ssp or .fmu file; default: build/harvester_control.ssp, which also drives the tip,"
+            " else build/harvester.ssp.",
         ),
     ] = None,
     replay: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Start with the replay of this result file (.csv, .parquet)."),
+        typer.Option(
+            metavar="FILE", help="Start with the replay of this result file (.csv, .parquet); default: none."
+        ),
     ] = None,
     pose: Annotated[
-        str, typer.Option(metavar="NAME", help="Pose to start from, such as reach; default: the system's.")
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Parameter set of the pose to start from, such as reach; default: the pose of the system.",
+        ),
     ] = "",
     swap: Swap = None,
     set_: Set = None,
@@ -39,11 +45,18 @@ def view(
     host: Annotated[
         str,
         typer.Option(
-            metavar="H", help="Address to listen on; any other than a loopback address requires a token."
+            metavar="HOST",
+            help="Name or address to listen on, such as 0.0.0.0 for all; any other than a loopback address"
+            " requires a token.",
         ),
     ] = "127.0.0.1",
     token: Annotated[
-        str, typer.Option(metavar="TEXT", help="Token, at least 16 characters; default: a random one.")
+        str,
+        typer.Option(
+            metavar="TEXT",
+            help="Token that the page requires, at least 16 characters; default: none for a loopback"
+            " address, else a random one.",
+        ),
     ] = "",
     open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
     results: Annotated[

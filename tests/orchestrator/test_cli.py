@@ -10,10 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
+from fmus.export.compile import PLATFORMS
+from fmus.parameters import SOURCES
+from fmus.rig.recordings import MACHINES
 from orchestrator import Trace, read_trace, write_trace
 from orchestrator.__main__ import main
+from orchestrator.base.coupling import CONTROLS, MASTERS
+from orchestrator.check.report import TOOLS
+from orchestrator.cli import app
 from orchestrator.results import validate_system
+from orchestrator.ssp.listing import KINDS
 
 SSD = """<SystemStructureDescription version="1.0" name="bench"
  xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="bench">
@@ -261,12 +269,12 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         (["run", "--adaptive", "x"], "'--adaptive': expected a number, got 'x'; see harvester run --help"),
         (
             ["run", "--factor", "g"],
-            "harvester: --factor g: expected component=N, the number of steps in each",
+            "harvester: --factor g: expected component=N, the number of its own steps",
         ),
         (["run", "--factor", "g=1.5"], "harvester: --factor g=1.5: expected component=N"),
         (
             ["run", "--factor", "g=2", "--factor", "g=3"],
-            "harvester: --factor g=3: expected one value of g, got 2 as well",
+            "harvester: --factor g=3: g already has the value 2",
         ),
         (["run", "--factor", "h=2"], "harvester: factor of h: unknown component; there are g"),
         (
@@ -308,6 +316,9 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
 INTERRUPTED = """
 import os, signal, sys
 from orchestrator.__main__ import main
+from orchestrator.base.coupling import CONTROLS, MASTERS
+from orchestrator.check.report import TOOLS
+from orchestrator.cli import app
 from orchestrator.engine.recorder import Recorder
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 collect = Recorder.collect
@@ -337,6 +348,26 @@ def python(code, *arguments):
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=300)
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "values"),
+    [
+        ("run", "--master", MASTERS),
+        ("run", "--control", CONTROLS),
+        ("convergence", "--masters", MASTERS),
+        ("check", "--for", (*TOOLS, "any")),
+        ("build", "--platform", ("host", "all", *PLATFORMS)),
+        ("parameters", "--source", SOURCES),
+        ("signals", "--kind", KINDS),
+        ("rig", "--machine", MACHINES),
+    ],
+)
+def test_help_names_the_values_to_type(command, option, values):
+    """The text of an option with a fixed list of values names each of them."""
+    parameters = typer.main.get_command(app).commands[command].params
+    text = next(p.help for p in parameters if option in p.opts)
+    assert [value for value in values if value not in text] == []
 
 
 def test_help_starts_fast():

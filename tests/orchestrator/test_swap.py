@@ -371,7 +371,7 @@ def test_the_command_line_swaps(capsys):
             "g=x.fmu",
             "harvester: swap g: x.fmu does not fit: expected input u [m], got none; expected output y ",
         ),
-        ("g=fine --swap g=coarse", "harvester: --swap g=coarse: expected one value of g, got fine as well"),
+        ("g=fine --swap g=coarse", "harvester: --swap g=coarse: g already has the value fine"),
     ],
 )
 def test_mistakes_of_a_swap_are_one_line(capsys, fmus, swap, message):

@@ -32,48 +32,48 @@ CLEAR = 0.3  # rank correlation from which a direction is mentioned
 MOST_LEADERS = 3  # with more factors that cannot be distinguished from the first none stands out
 
 
-def output_description(finding: OutputAnalysis) -> str:
+def output_description(analysed: OutputAnalysis) -> str:
     """Description of an output, such as `maximum of swing.swing_pressure_a from 1 to 3 s`."""
-    start, stop = finding.window
+    start, stop = analysed.window
     window = ""
     if start is not None or stop is not None:
         window = f" from {start or 0:g} s" + (f" to {stop:g} s" if stop is not None else " on")
-    return f"{MEASURES[finding.measure]} of {finding.signal}{window}"
+    return f"{MEASURES[analysed.measure]} of {analysed.signal}{window}"
 
 
-def sentences(finding: OutputAnalysis) -> list[str]:
+def sentences(analysed: OutputAnalysis) -> list[str]:
     """Sentences about an output; the first one answers which factors affect it most."""
-    if finding.spread is None:
-        return [f"No run has {finding.name}."]
-    spread = finding.spread
-    if finding.constant:
-        value = finding.display.text(spread.median)
-        return [f"{finding.name} is {value} in all {spread.runs} runs: no factor has an effect on it."]
-    ends = f"{finding.display.text(spread.low)} and {finding.display.text(spread.high)}"
+    if analysed.spread is None:
+        return [f"No run has {analysed.name}."]
+    spread = analysed.spread
+    if analysed.constant:
+        value = analysed.display.text(spread.median)
+        return [f"{analysed.name} is {value} in all {spread.runs} runs: no factor has an effect on it."]
+    ends = f"{analysed.display.text(spread.low)} and {analysed.display.text(spread.high)}"
     distribution = (
-        f"Nine of ten runs lie between {ends}; the median is {finding.display.text(spread.median)}."
+        f"Nine of ten runs lie between {ends}; the median is {analysed.display.text(spread.median)}."
     )
-    if finding.sensitivity is None:
-        notes = "; ".join(finding.notes)
-        return [f"The sensitivities of {finding.name} cannot be estimated: {notes}.", distribution]
-    return [*_answer(finding, finding.sensitivity), distribution]
+    if analysed.sensitivity is None:
+        notes = "; ".join(analysed.notes)
+        return [f"The sensitivities of {analysed.name} cannot be estimated: {notes}.", distribution]
+    return [*_answer(analysed, analysed.sensitivity), distribution]
 
 
-def _answer(finding: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
+def _answer(analysed: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
     if not sensitivity.reliable:
         fit = 100 * sensitivity.quality.get("r_squared", 0.0)
         return [
-            f"The largest effect on {finding.name} cannot be found from {sensitivity.samples} samples: a"
+            f"The largest effect on {analysed.name} cannot be found from {sensitivity.samples} samples: a"
             f" linear model explains {fit:.0f} % of its variance."
         ]
     effects, measure = sensitivity.effects, sensitivity.measure
     if len(effects) == 1:
-        return [f"{effects[0].label} is the only thing that was varied{_direction(finding, effects[0])}."]
+        return [f"{effects[0].label} is the only thing that was varied{_direction(analysed, effects[0])}."]
     leaders = _leaders(effects, measure)
-    answer = [_first(finding, effects, leaders, measure)]
+    answer = [_first(analysed, effects, leaders, measure)]
     followers = [e for e in effects if e not in leaders and _noticeable(e, effects[0], measure)]
     if followers and len(leaders) <= MOST_LEADERS:
-        sizes = [f"{e.label} {size(e.estimates[measure], measure, finding.display)}" for e in followers[:4]]
+        sizes = [f"{e.label} {size(e.estimates[measure], measure, analysed.display)}" for e in followers[:4]]
         answer.append(f"Next: {', '.join(sizes)}.")
     interaction = _interaction(sensitivity)
     return [*answer, interaction] if interaction else answer
@@ -85,21 +85,21 @@ def _leaders(effects: tuple[Effect, ...], measure: str) -> list[Effect]:
     return [e for e in effects if e.estimates[measure].ceiling >= first.floor]
 
 
-def _first(finding: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
+def _first(analysed: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> str:
     """Sentence about the leading factors, or about their absence."""
     top, fraction = effects[0], FRACTIONS.get(measure, "over its range")
     if _none_stands_out(effects, leaders, measure):
         others = len(leaders) - 1
         similar = f"; {others} more cannot be distinguished from it" if others else ""
-        largest = size(top.estimates[measure], measure, finding.display)
+        largest = size(top.estimates[measure], measure, analysed.display)
         lead = f"the largest is {top.label} with {largest} {fraction}"
-        return f"No factor stands out for {finding.name}: {lead}{similar}."
+        return f"No factor stands out for {analysed.name}: {lead}{similar}."
     names = [e.label for e in leaders]
-    sizes = [size(e.estimates[measure], measure, finding.display) for e in leaders]
-    ending = _direction(finding, top)
+    sizes = [size(e.estimates[measure], measure, analysed.display) for e in leaders]
+    ending = _direction(analysed, top)
     if len(leaders) > 1:
         ending = "; these runs do not show which of them has the larger effect"
-    return f"{finding.name} moves most with {join_words(names)}: {join_words(sizes)} {fraction}{ending}."
+    return f"{analysed.name} moves most with {join_words(names)}: {join_words(sizes)} {fraction}{ending}."
 
 
 def _none_stands_out(effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> bool:
@@ -130,12 +130,12 @@ def size(estimate: IntervalEstimate, measure: str, unit: DisplayUnit) -> str:
     return f"{percent} %" if estimate.low is None else f"{percent} % ({least} to {most})"
 
 
-def _direction(finding: OutputAnalysis, effect: Effect) -> str:
+def _direction(analysed: OutputAnalysis, effect: Effect) -> str:
     """Direction of the effect of a factor, or the medians of the options of a choice."""
     if effect.kind == "choice":
-        options = finding.by_choice[effect.name]
+        options = analysed.by_choice[effect.name]
         medians = [
-            f"{finding.display.text(spread.median)} with {short(option)}"
+            f"{analysed.display.text(spread.median)} with {short(option)}"
             for option, spread in options.items()
         ]
         return f"; its median is {join_words(medians)}" if len(medians) <= MOST_LEADERS else ""

@@ -168,7 +168,10 @@ class Failure:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Analysis of a study."""
+    """Analysis of a study.
+
+    findings   the analysis of each output; also a key of analysis.json
+    """
 
     title: str
     method: str

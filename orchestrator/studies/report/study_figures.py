@@ -59,7 +59,7 @@ COLOURS = ("#3f7fb0", "#c47a1f", "#2f8f6f")
 
 
 def scatter(
-    results: Results, output: Output, finding: OutputAnalysis, sensitivity: Sensitivity
+    results: Results, output: Output, analysed: OutputAnalysis, sensitivity: Sensitivity
 ) -> Figure | None:
     """Small multiples in the order of the tornado; None if no factor was varied."""
     by_name = {f.name: f for f in results.study.factors}
@@ -76,7 +76,7 @@ def scatter(
         unit = factor_unit(factor)
         style_axes(axes, label(factor.name + (", times its value" if factor.relative else ""), unit), size=8)
         x = unit.factor * runs[factor.column].to_numpy(float)
-        y = finding.display.factor * runs[output.column].to_numpy(float)
+        y = analysed.display.factor * runs[output.column].to_numpy(float)
         _dots(axes, x, y, choice, runs)
         if shows_medians(results):
             axes.plot(*medians(x, y), color=PALETTE.ink, linewidth=1.8)
@@ -84,7 +84,7 @@ def scatter(
     for axes in panels.ravel()[len(top) :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
-        axes.set_ylabel(label(output.name, finding.display), color=PALETTE.ink, fontsize=8)
+        axes.set_ylabel(label(output.name, analysed.display), color=PALETTE.ink, fontsize=8)
         limit_ticks(axes.yaxis, 4)
     if choice:
         handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -137,12 +137,12 @@ def medians(x: Array, y: Array) -> tuple[Array, Array]:
     return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])
 
 
-def histogram(results: Results, output: Output, finding: OutputAnalysis, choice: Choice | None) -> Figure:
+def histogram(results: Results, output: Output, analysed: OutputAnalysis, choice: Choice | None) -> Figure:
     """Histogram of an output, options stacked, with lines at the 5, 50 and 95 % quantiles."""
     figure = column_figure(2.5)
     axes = figure.subplots()
-    style_axes(axes, label(output.name, finding.display), "runs")
-    scale = finding.display.factor
+    style_axes(axes, label(output.name, analysed.display), "runs")
+    scale = analysed.display.factor
     runs = done(results).dropna(subset=[output.column])
     values = scale * runs[output.column].to_numpy(float)
     edges = np.histogram_bin_edges(values, bins=min(50, max(8, round(len(values) ** 0.5))))
@@ -150,8 +150,8 @@ def histogram(results: Results, output: Output, finding: OutputAnalysis, choice:
     parts, names = [values[rows] for _, rows in groups], [name for name, _ in groups]
     colours = list(LIGHT[: len(parts)])
     axes.hist(parts, bins=edges.tolist(), stacked=True, color=colours, label=names, linewidth=0)
-    if finding.spread:
-        for value in (finding.spread.low, finding.spread.median, finding.spread.high):
+    if analysed.spread:
+        for value in (analysed.spread.low, analysed.spread.median, analysed.spread.high):
             axes.axvline(value * scale, color=PALETTE.ink, linewidth=1.0, linestyle=(0, (4, 2)))
     limit_ticks(axes.xaxis, 6)
     if choice:
@@ -203,10 +203,10 @@ LABELS = {
 }
 
 
-def tornado(finding: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
+def tornado(analysed: OutputAnalysis, sensitivity: Sensitivity) -> Figure:
     """Bars of the sensitivity measure, first-order bars within total ones, and dots for each combination."""
     effects, measure = sensitivity.effects[:MOST_BARS], sensitivity.measure
-    unit = finding.display if measure == MU_STAR else DisplayUnit("1", "%")
+    unit = analysed.display if measure == MU_STAR else DisplayUnit("1", "%")
     figure = column_figure(1.25 + 0.27 * len(effects))
     axes = figure.subplots()
     style_axes(axes, label(LABELS.get(measure, "fraction of the variance"), unit))

@@ -79,7 +79,7 @@ def write(folder: Path, results: Results, analysis: Analysis) -> None:
     """Write both files; equal results give equal bytes."""
     study: dict[str, Any] = json_values(results.study)
     study.pop("folder")  # the location of the study is not a result
-    texts = {finding.name: sentences(finding) for finding in analysis.findings}
+    texts = {analysed.name: sentences(analysed) for analysed in analysis.findings}
     html_page.write_json(folder / NUMBERS, {"study": study, **json_values(analysis), "sentences": texts})
     html_page.write_text(folder / PAGE, render(results, analysis))
 
@@ -97,7 +97,7 @@ def render(results: Results, analysis: Analysis) -> str:
         measures=MEASURES,
         short=short,
         answers=[(k, f.name, sentences(f)) for k, f in enumerate(analysis.findings)],
-        tiles=[_tile(finding) for finding in analysis.findings],
+        tiles=[_tile(analysed) for analysed in analysis.findings],
         varied=[(f, distribution_text(f), _bar_heights(results.table[f.column])) for f in study.factors],
         sections=[_section(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)],
         bands=_bands(results),
@@ -135,43 +135,43 @@ def _fixed(results: Results, name: str, value: float) -> tuple[str, str]:
     return name, display_unit(results.units.get(f"{START}{name}", ""), value).text(value, 6)
 
 
-def _tile(finding: OutputAnalysis) -> dict[str, Any]:
+def _tile(analysed: OutputAnalysis) -> dict[str, Any]:
     """Tile with the median and range of an output."""
-    value, range_text, spread, unit = NO_VALUE, "no run has it", finding.spread, finding.display
+    value, range_text, spread, unit = NO_VALUE, "no run has it", analysed.spread, analysed.display
     if spread is not None:
         value = unit.text(spread.median)
         low, high = unit.text(spread.low, with_unit=False), unit.text(spread.high)
         range_text = f"median; {low} to {high} in nine of ten runs"
-        range_text = f"in all {spread.runs} runs" if finding.constant else range_text
+        range_text = f"in all {spread.runs} runs" if analysed.constant else range_text
     return {
-        "name": finding.name,
+        "name": analysed.name,
         "value": value,
         "range": range_text,
-        "description": output_description(finding),
+        "description": output_description(analysed),
     }
 
 
-def _section(results: Results, output: Output, finding: OutputAnalysis, index: int) -> dict[str, Any]:
+def _section(results: Results, output: Output, analysed: OutputAnalysis, index: int) -> dict[str, Any]:
     """Figures and tables of an output."""
-    sensitivity = finding.sensitivity
+    sensitivity = analysed.sensitivity
     return {
-        "finding": finding,
-        "description": output_description(finding),
-        "sentences": sentences(finding),
-        "columns": _columns(results, output, finding, index),
-        "spreads": _spreads(finding),
-        "effects": sensitivity and _effects(sensitivity, finding.display).html(),
-        "apart": sensitivity and sensitivity.apart and _apart(sensitivity, finding.display).html(),
+        "analysed": analysed,
+        "description": output_description(analysed),
+        "sentences": sentences(analysed),
+        "columns": _columns(results, output, analysed, index),
+        "spreads": _spreads(analysed),
+        "effects": sensitivity and _effects(sensitivity, analysed.display).html(),
+        "apart": sensitivity and sensitivity.apart and _apart(sensitivity, analysed.display).html(),
     }
 
 
-def _spreads(finding: OutputAnalysis) -> Markup | None:
+def _spreads(analysed: OutputAnalysis) -> Markup | None:
     """Table of distributions, a row for all runs, then one for each option."""
-    spreads = [(Markup("all"), finding.spread)] if finding.spread else []
-    for choice, options in finding.by_choice.items():
+    spreads = [(Markup("all"), analysed.spread)] if analysed.spread else []
+    for choice, options in analysed.by_choice.items():
         name = Markup('<span class="soft">{}</span> {}')
         spreads += [(name.format(choice, short(option)), spread) for option, spread in options.items()]
-    text = finding.display.text
+    text = analysed.display.text
     rows = [
         [name, str(s.runs)]
         + [text(v, with_unit=False) for v in (s.mean, s.sd, s.minimum, s.low, s.median, s.high, s.maximum)]
@@ -218,19 +218,19 @@ def _apart(sensitivity: Sensitivity, unit: DisplayUnit) -> TextTable:
 
 
 def _columns(
-    results: Results, output: Output, finding: OutputAnalysis, index: int
+    results: Results, output: Output, analysed: OutputAnalysis, index: int
 ) -> list[list[CaptionedFigure]]:
     """The figures of an output in two columns of about the same height."""
-    sensitivity, left, right = finding.sensitivity, list[CaptionedFigure](), list[CaptionedFigure]()
+    sensitivity, left, right = analysed.sensitivity, list[CaptionedFigure](), list[CaptionedFigure]()
     if sensitivity is not None:
-        drawn = embed(tornado(finding, sensitivity), f"t{index}-", "tornado")
-        left.append(("Sensitivities", drawn, _hidden_effects(sensitivity, finding.display)))
-        dots = scatter(results, output, finding, sensitivity)
+        drawn = embed(tornado(analysed, sensitivity), f"t{index}-", "tornado")
+        left.append(("Sensitivities", drawn, _hidden_effects(sensitivity, analysed.display)))
+        dots = scatter(results, output, analysed, sensitivity)
         if dots is not None:
             caption = "A dot for each run" + ("; the line is the median." if shows_medians(results) else ".")
             right.append(("Factors with the largest effect", embed(dots, f"s{index}-", "scatter"), caption))
-    if finding.spread is not None and not finding.constant:
-        figure = histogram(results, output, finding, colouring(results, sensitivity))
+    if analysed.spread is not None and not analysed.constant:
+        figure = histogram(results, output, analysed, colouring(results, sensitivity))
         drawn = embed(figure, f"h{index}-", "histogram")
         left.append(("Distribution", drawn, "Dashed: 5, 50 and 95 % quantiles."))
     return [column for column in (left, right) if column]
