@@ -404,7 +404,7 @@ def packages(subject: Subject) -> Iterator[Finding]:
     shipped.update(FMU_PACKAGES)
     packages_: dict[str, str] = {}
     for script in scripts:
-        for name in _imports((subject.folder / script).read_text("utf-8", "replace")):
+        for name in sorted(_imports((subject.folder / script).read_text("utf-8", "replace"))):
             if name not in sys.stdlib_module_names and name not in shipped:
                 packages_.setdefault(name, script)
     for name, script in packages_.items():
