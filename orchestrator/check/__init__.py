@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from orchestrator.check.finding import CheckRule, Finding
+    from orchestrator.check.finding import Finding
     from orchestrator.check.report import CheckReport
+    from orchestrator.check.rule import CheckRule
     from orchestrator.check.subject import Subject
 
 DEFECT = "check.defect"

@@ -1,13 +1,12 @@
-"""Data model of a check: findings, rules, and tables in which a decorator registers rules."""
+"""Findings of a check: faults of an FMU and remarks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 if TYPE_CHECKING:
-    from orchestrator.check.subject import Subject
     from orchestrator.fmi.raw_description import DeclaredVariable
 
 Severity = Literal["error", "warning", "note"]
@@ -59,40 +58,3 @@ def join_names(names: Sequence[str], limit: int = 5) -> str:
 def join_variables(variables: Sequence[DeclaredVariable]) -> str:
     """Line of the first variable, and the names of all."""
     return f"modelDescription.xml line {variables[0].line}: {join_names([v.name for v in variables])}"
-
-
-Check = Callable[["Subject"], Iterable[Finding]]
-
-
-@dataclass(frozen=True)
-class CheckRule:
-    """A requirement on an FMU, and the function that checks it.
-
-    id        topic and name: "unit.undefined"
-    text      the requirement in one line
-    check     yields a finding for each violation
-    threads   issue threads that report violations
-    """
-
-    id: str
-    text: str
-    check: Check
-    threads: tuple[str, ...] = ()
-
-    def __call__(self, subject: Subject) -> Iterator[Finding]:
-        """All findings, with the id of this rule and, if they have none, its threads."""
-        for finding in self.check(subject):
-            yield replace(finding, rule=self.id, thread=finding.thread or " ".join(self.threads))
-
-
-class RuleTable(list[CheckRule]):
-    """Rules in the order in which they are applied."""
-
-    def rule(self, name: str, text: str, *threads: str) -> Callable[[Check], Check]:
-        """Decorator that registers a function as the rule `name`."""
-
-        def register(check: Check) -> Check:
-            self.append(CheckRule(name, text, check, threads))
-            return check
-
-        return register

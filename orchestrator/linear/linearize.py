@@ -13,7 +13,8 @@ from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
 from orchestrator.fmi.description import Value
 from orchestrator.linear.cut_system import cut_at_inputs, matching_outputs
-from orchestrator.linear.model import LinearModel, LinearVariable
+from orchestrator.linear.model import LinearModel
+from orchestrator.linear.modes import LinearVariable
 from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import find_steady_state
 from orchestrator.ssp.load import load

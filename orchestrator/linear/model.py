@@ -8,15 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable
-from orchestrator.base.units import DeclaredUnit
-from orchestrator.linear.modes import Mode, modes
+from orchestrator.linear.modes import LinearVariable, Mode, modes
 
 COLUMNS = ("frequency [Hz]", "damping ratio [1]", "time constant [s]", "mode", "states")
 ROUNDING = 1e-12  # relative to nominal; smaller values are printed as 0
@@ -24,15 +23,6 @@ STEADY_RATE = 1e-4  # [1/s], relative to nominal; states with a smaller rate are
 FAST = 1e-3  # [s]; a state with a smaller time constant T is regarded as steady ...
 FAST_RANGE = 1e-2  # ... if its remaining change |f0| T is below this fraction of nominal
 Array = NDArray[np.float64]
-
-
-class LinearVariable(NamedTuple):
-    """A state, input or output of a linear model."""
-
-    name: str
-    unit: DeclaredUnit | None
-    description: str
-    nominal: float
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance
 
 from orchestrator.base.units import DeclaredUnit
-
-if TYPE_CHECKING:
-    from orchestrator.linear.model import LinearVariable
 
 # Main states: the fewest with this sum of participation factors, up to this number.
 MAIN_PARTICIPATION, MAIN_COUNT = 0.8, 4
@@ -36,6 +33,15 @@ ROTATION_KINDS = {0: "position", -1: "speed"}  # exponent of s -> quantity, with
 QUANTITIES = {"angle", "flow", "position", "pressure", "speed", "velocity", "volume"}
 MOTION = {"position", "speed"}
 OIL = {"pressure", "flow"}
+
+
+class LinearVariable(NamedTuple):
+    """A state, input or output of a linear model."""
+
+    name: str
+    unit: DeclaredUnit | None
+    description: str
+    nominal: float
 
 
 def short_names(states: Sequence[LinearVariable]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.check.finding import CheckRule
+from orchestrator.check.rule import CheckRule
 from orchestrator.check.rules import archive, identity, libraries, structure, units, variables
 
 TABLES = (

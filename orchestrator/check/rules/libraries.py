@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from functools import partial
 
 from orchestrator.check.binary import SUFFIXES, Binary, required
-from orchestrator.check.finding import Finding, RuleTable, error, join_names, note, warning
+from orchestrator.check.finding import Finding, error, join_names, note, warning
+from orchestrator.check.rule import RuleTable
 from orchestrator.check.subject import Subject
 
 EXPORTS = RuleTable()

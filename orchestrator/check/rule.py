@@ -1,0 +1,47 @@
+"""Rules of a check, and tables in which a decorator registers them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orchestrator.check.finding import Finding
+    from orchestrator.check.subject import Subject
+
+Check = Callable[["Subject"], Iterable["Finding"]]
+
+
+@dataclass(frozen=True)
+class CheckRule:
+    """A requirement on an FMU, and the function that checks it.
+
+    id        topic and name: "unit.undefined"
+    text      the requirement in one line
+    check     yields a finding for each violation
+    threads   issue threads that report violations
+    """
+
+    id: str
+    text: str
+    check: Check
+    threads: tuple[str, ...] = ()
+
+    def __call__(self, subject: Subject) -> Iterator[Finding]:
+        """All findings, with the id of this rule and, if they have none, its threads."""
+        for finding in self.check(subject):
+            yield replace(finding, rule=self.id, thread=finding.thread or " ".join(self.threads))
+
+
+class RuleTable(list[CheckRule]):
+    """Rules in the order in which they are applied."""
+
+    def rule(self, name: str, text: str, *threads: str) -> Callable[[Check], Check]:
+        """Decorator that registers a function as the rule `name`."""
+
+        def register(check: Check) -> Check:
+            self.append(CheckRule(name, text, check, threads))
+            return check
+
+        return register
