@@ -129,7 +129,6 @@ static int jacobi_pass(Simulation *sim, double h) {
 }
 
 static int gauss_seidel_pass(Simulation *sim, int n, double h) {
-    double clock = seconds();
     memset(sim->has_stepped, 0, (size_t)sim->component_count);
     for (int32_t i = 0; i < sim->component_count; i++) {
         const int k = sim->order[i];
@@ -138,12 +137,12 @@ static int gauss_seidel_pass(Simulation *sim, int n, double h) {
         if (sim->prediction && i == sim->prediction->leading_count) {
             verdict = predict_inputs(sim, h);
             if (verdict) return verdict;
-            clock = seconds();
         }
         if (n && !p->repeated) continue; /* its inputs are the same as in the first pass */
         set_polynomials(sim, p, n, h);
         if (n) verdict = component_restore(sim, k);
         if (!verdict) verdict = execute(sim, &p->held_inputs);
+        double clock = seconds(); /* here, so that the time of the component contains no reads of others */
         if (!verdict) verdict = component_advance(sim, k, h, &clock);
         if (!verdict) verdict = set_exact_ends(sim, p, h);
         if (!verdict) verdict = execute(sim, &p->output_reads);
