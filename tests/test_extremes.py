@@ -143,6 +143,7 @@ ODD = {
         f"boom_stick.{j}_hose_resistance": 3.1e11 for j in ("boom", "stick")
     },
     "soft oil": {"boom_stick.bulk_modulus": 2e8},
+    # not 0, which stands for the capacitance that follows from length and bore
     "no hoses": {f"boom_stick.{j}_hose_capacitance": 1e-18 for j in ("boom", "stick")},
     "no line resistance": {"swing.line_resistance": 1.0},
     "sharp edges": {f"{c}.valve_transition_flow": 1e-8 for c in ("swing", "boom_stick")},

@@ -1,7 +1,7 @@
 """The whole machine written once more from docs/equations.md: an independent check of the project.
 
-Nothing of `fmus` or `orchestrator` is used, only numbers in fmus/*/parameters.toml and data/reference. The
-arm follows from d'Alembert's principle (partial velocities and accelerations of particles) and the cylinder
+Nothing of `fmus` or `orchestrator` is used, only numbers in fmus/*/parameters.toml. The arm
+follows from d'Alembert's principle (partial velocities and accelerations of particles) and the cylinder
 triangles from the law of cosines, where the project differentiates energies. Names, order and signs of
 states, inputs and observables are the project's; section numbers are those of the document.
 """

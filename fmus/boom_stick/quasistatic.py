@@ -87,7 +87,8 @@ BOOM_STICK = Subsystem(
     require=drive.require,
     derive=partial(drive.derive, VolumeHose),
     values=Path(__file__).with_name("parameters.toml"),
-    validity="motions slow compared with the oil in the hoses, below 10 Hz; spool faster than the motion",
+    validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
+    " spool faster than the motion",
     terminals=drive.TERMINALS,
     stiff=False,
 )

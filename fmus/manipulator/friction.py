@@ -6,8 +6,8 @@ is the LuGre model of `fmus.components.friction`, dry and viscous friction toget
 are zero, so a machine in balance is at rest.
 
 Validity: friction independent of pressure and load, unlike that of real seals and pins. The viscous
-coefficients are those of `rigid`, which represent all losses, so dry and viscous friction together are too
-high.
+coefficients are those of `rigid`, which represent all losses, so dry and viscous friction together tend to
+be too high.
 """
 
 from __future__ import annotations

@@ -77,10 +77,10 @@ class CouplingInputs:
         ]
         notes = {
             "slopes from differences of values, because the FMUs give none": differences,
-            "inputs held at their mean over a step, because the FMUs take no slopes": [
+            "inputs held at their mean over a step, because the FMUs accept no slopes": [
                 s.target for s in connected if s.fmu_degree == 0
             ],
-            "inputs moved at straight lines, because the FMUs take no curves": [
+            "inputs that follow straight lines, because the FMUs accept no curves": [
                 s.target for s in connected if 0 < s.fmu_degree < s.requested_degree
             ],
         }

@@ -153,7 +153,8 @@ class RunningFmu:
 
         orders   order of each derivative; default: all 1
 
-        FMI 3.0 has no such function. The call then sets the rate inputs, which are the time derivatives.
+        Without canInterpolateInputs, as always in FMI 3.0, the call sets the rate inputs, which are the time
+        derivatives.
         """
         orders = orders or [1] * len(variables)
         if self.interface.can_interpolate_inputs:

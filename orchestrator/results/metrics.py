@@ -152,7 +152,8 @@ def _check(time: Array, simulation: Array, reference: Array, where: str) -> None
     if not len(time) == len(simulation) == len(reference) or len(time) < 2:
         lengths = f"{len(time)}, {len(simulation)}, {len(reference)}"
         raise Problem(
-            f"{where}: expected equal numbers of samples, got {lengths} of time, simulation and reference"
+            f"{where}: expected equal numbers of samples, at least 2, got {lengths} of time, simulation and"
+            " reference"
         )
     for name, values in (("time", time), ("simulation", simulation), ("reference", reference)):
         bad = np.flatnonzero(~(np.abs(values) < HUGE))

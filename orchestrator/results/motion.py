@@ -1,4 +1,4 @@
-"""MachineMotion of a machine as points in space: frames of the animation in a report, and a strobe figure."""
+"""Motion of a machine as points in space: frames of the animation in a report, and a strobe figure."""
 
 from __future__ import annotations
 

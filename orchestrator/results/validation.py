@@ -91,7 +91,7 @@ class ValidatedSignal:
 
     @property
     def limit_use(self) -> float:
-        """Value over limit: 1 at the limit, larger for a failed signal; 0 without limit."""
+        """Fraction of the limit that is used: 1 at the limit, larger for a failed signal; 0 without limit."""
         return 0.0 if self.tolerance is None else self.tolerance.fraction_used(self.judged_value)
 
 

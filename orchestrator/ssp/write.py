@@ -25,7 +25,8 @@ from orchestrator.ssp.system_structure import DEFINITION, FMU
 Values = Mapping[str, tuple[FmuVariable, Value]]  # name of a parameter -> the variable it sets, and its value
 DICTIONARY, DICTIONARY_FILE = "signals", "signals.ssb"
 DESCRIPTION = "modelDescription.xml"
-WRITTEN_ANEW = (".fmu", ".ssp", ".ssd")  # files of components
+# files of components: FMUs are written anew, nested systems are flattened
+NOT_COPIED = (".fmu", ".ssp", ".ssd")
 
 
 def write_ssp(
@@ -80,7 +81,7 @@ def _other_resources(system: System) -> dict[str, bytes]:
     return {
         name: file.read()
         for name, file in system.resources.items()
-        if not name.endswith(WRITTEN_ANEW) and not name.startswith(tuple(unpacked))
+        if not name.endswith(NOT_COPIED) and not name.startswith(tuple(unpacked))
     }
 
 

@@ -281,10 +281,7 @@ def from_json(fields: Mapping[str, Any], title: str) -> Study:
     """The study that `to_json` wrote."""
     items = {
         "factors": tuple(Factor(**f) for f in fields["factors"]),
-        # before 0.2 the name of a choice was its `what`
-        "choices": tuple(
-            Choice(c.pop("name", None) or c.pop("what"), **c) for c in map(dict, fields["choices"])
-        ),
+        "choices": tuple(Choice(**c) for c in fields["choices"]),
         "outputs": tuple(Output(**o) for o in fields["outputs"]),
     }
     return Study(title=title, **{**fields, **items})
@@ -294,6 +291,9 @@ def _read_study_json(file: Path) -> dict[str, Any]:
     try:
         stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         stored["study"], stored["files"], stored["title"]
+        for choice in stored["study"]["choices"]:
+            if "what" in choice:  # the key of the name in files of earlier versions
+                choice["name"] = choice.pop("what")
     except (ValueError, TypeError, KeyError):
         raise Problem(f"{file}: is not the study.json of a parameter study; --fresh deletes it") from None
     return stored

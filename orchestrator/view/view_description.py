@@ -60,7 +60,7 @@ class FunctionLabels:
 
 @dataclass(frozen=True)
 class DriveMode:
-    """Inputs that the functions of the sticks (swing, boom, stick) drive.
+    """Inputs that the functions of the sticks (swing, boom, stick, curl) drive.
 
     constant   input -> its value while the machine is driven; the mode requires all of these inputs
     words      labels at the ends of the sticks

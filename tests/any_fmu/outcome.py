@@ -23,6 +23,13 @@ MASTERS = [
 ]
 
 
+MAKERS = (  # methods of a slave that make a call
+    *("reader", "writer", "output_derivative_reader", "input_derivative_writer"),
+    "directional_derivative",
+)
+assert all(hasattr(Slave, name) for name in MAKERS)
+
+
 class InPython:
     """An FMU that looks to the engine like any Python object: all its calls go through Python."""
 
@@ -33,7 +40,7 @@ class InPython:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self.slave, name)
-        if name not in ("reader", "writer", "slope_reader", "slope_writer", "derivative"):
+        if name not in MAKERS:
             return found
 
         def make(*arguments: Any) -> Any:

@@ -53,7 +53,7 @@ def rules(path: Path) -> set[str]:
 
 @pytest.mark.parametrize("name", GARBAGE)
 def test_a_file_that_is_no_archive_gives_a_finding(name: str, tmp_path: Path) -> None:
-    """A file that cannot be unpacked is reported by one rule, with its probable format."""
+    """A file that cannot be unpacked is reported by one rule."""
     content, rule = GARBAGE[name]
     path = tmp_path / "lag.fmu"
     path.write_bytes(content)
@@ -99,6 +99,7 @@ def test_a_system_given_by_mistake_is_named(tmp_path: Path) -> None:
     (found,) = [f for f in check(path, run=False).findings if f.severity == "error"]
     assert found.rule == "archive.description"
     assert found.text.startswith("expected an FMU, got a system (SSP)")
+    assert "harvester run" in found.text
 
 
 def test_probes_report_nothing_on_a_file_that_is_not_an_fmu(tmp_path: Path) -> None:
@@ -142,6 +143,7 @@ def test_a_damaged_member_is_reported(good: Mapping[int, Archive], tmp_path: Pat
             archive.writestr(name, data)
     path.write_bytes(path.read_bytes().replace(b"0123456789", b"0123456788"))
     assert rules(path) == {"archive.zip"}
+    assert "resources/table.csv" in check(path, run=False).text()
 
 
 def test_nothing_is_written_outside_of_the_folder(tmp_path: Path) -> None:
@@ -177,7 +179,7 @@ def test_another_suffix_is_reported(good: Mapping[int, Archive], tmp_path: Path)
 def test_fmpy_speaks_where_no_rule_does(
     good: Mapping[int, Archive], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fault that only FMPy finds is reported with the message of FMPy."""
+    """A fault that no rule covers is reported by FMPy's validation."""
     lacking = good[2].swap('<Unknown index="5" dependencies="2 3 4"/>', "")
     path = lacking.write(tmp_path / "lag.fmu")
     assert rules(path) == {"structure.initial"}

@@ -95,7 +95,7 @@ def test_unknown_host_is_told(monkeypatch):
     monkeypatch.setattr(platform, "system", lambda: "FreeBSD")
     monkeypatch.setattr(platform, "machine", lambda: "riscv64")
     with pytest.raises(
-        Problem, match=r"^FreeBSD on riscv64 is not supported, expected one of x86_64-linux, "
+        Problem, match=r"^FreeBSD on riscv64 is not supported, expected one of x86_64-linux, .*$"
     ):
         host()
 

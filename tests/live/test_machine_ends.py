@@ -123,7 +123,7 @@ def test_priority_can_be_declined(opened, drift, monkeypatch):
 
 
 def test_closing(opened, drift):
-    """May be repeated; what was seen can still be read, and is details to be over; no restart after it."""
+    """Closing may be repeated; frames stay readable, the state is "ended", and a restart is refused."""
     station = opened(drift)
     until(lambda: station.latest().timing.frames > 3)
     station.close()

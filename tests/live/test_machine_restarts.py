@@ -79,7 +79,7 @@ def test_the_machine_in_another_fidelity(opened, fmu_dir):
 
 
 def test_old_frames_make_room(opened, drift, monkeypatch):
-    """Of a long session the newest frames are kept, in order, and it is details what is gone."""
+    """The newest frames of a long session are kept in order; a note reports the number of dropped ones."""
     monkeypatch.setattr(machine, "KEPT", 0.4)  # 40 frames
     station = opened(drift, speed=10.0)
     until(lambda: station.latest().timing.frames > 200)

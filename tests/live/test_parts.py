@@ -144,7 +144,7 @@ def test_half_an_order_is_none(shared):
 
 
 def test_a_writer_that_died_locks_nobody_out(shared):
-    """MachineStatus whose sequence stays odd are read as they are."""
+    """A status whose sequence number stays odd is read as it is."""
     parent, child = shared
     child.set_state("running", "on")
     child._counts[shared_memory.SEQUENCE] += 1

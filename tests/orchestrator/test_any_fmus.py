@@ -13,8 +13,8 @@ from orchestrator.base.coupling import Coupling
 
 STUCK = "hermite computes every step once: q cannot go back to a saved state"
 SILENT = "slopes from differences of values, because the FMUs give none: q.y"
-STILL = "inputs held at their mean over a step, because the FMUs take no slopes: "
-STRAIGHT = "inputs moved at straight lines, because the FMUs take no curves: "
+STILL = "inputs held at their mean over a step, because the FMUs accept no slopes: "
+STRAIGHT = "inputs that follow straight lines, because the FMUs accept no curves: "
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
 WHERE = {"DoStep": 0, "Get": 1, "Set": 2, "GetState": 3, "SetState": 4, "GetSlope": 5, "SetSlope": 6}
 PROPERLY = "terminated and freed, states left: 0"

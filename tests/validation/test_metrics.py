@@ -133,7 +133,7 @@ def test_not_a_number_is_refused(bad: float) -> None:
 
 def test_lengths_must_agree() -> None:
     """Signals of different lengths, or of a single sample, are refused."""
-    with pytest.raises(Problem, match=r"expected equal numbers of samples, got 4, 3, 4"):
+    with pytest.raises(Problem, match=r"expected equal numbers of samples, at least 2, got 4, 3, 4"):
         measure(TIME, REFERENCE[:3], REFERENCE, where="x")
     with pytest.raises(Problem, match="got 1, 1, 1"):
         measure(TIME[:1], REFERENCE[:1], REFERENCE[:1], where="x")

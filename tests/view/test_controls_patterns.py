@@ -90,7 +90,7 @@ def test_patterns(name: str, axis: str) -> None:
 @pytest.mark.parametrize("name", PATTERNS)
 def test_legend_says_what_happens(name: str, mode: str) -> None:
     """The words beside a stick name the function that moves, in the direction that it moves."""
-    words = legend(pattern(name), MODES[mode].words)
+    words = legend(pattern(name), MODES[mode].words, has_curl=False)
     ends = {"left": ("x", -1), "right": ("x", 1), "up": ("y", 1), "down": ("y", -1)}
     positive = {"swing": "left", "boom": "up", "stick": "in"}
     for place, text in words.items():
@@ -103,6 +103,13 @@ def test_legend_says_what_happens(name: str, mode: str) -> None:
         which = next(f for f in positive if getattr(found, f))
         assert text.endswith(f" {positive[which]}") == (getattr(found, which) > 0)
         assert text.startswith(which if mode == "levers" or which == "swing" else "tip")
+
+
+def test_legend_of_a_machine_with_a_curl() -> None:
+    """The stick to the left closes the curl, the positive direction; the labels say so."""
+    labels = legend(pattern("ISO"), MODES["levers"].words, has_curl=True)
+    assert functions(StickAxes(right_x=-1.0), pattern("ISO"), FULL).curl > 0
+    assert (labels["right_left"], labels["right_right"]) == ("curl closed", "curl open")
 
 
 def test_unknown_pattern() -> None:

@@ -41,7 +41,7 @@ def test_found(folder: Path) -> None:
 
 
 def test_listed(folder: Path) -> None:
-    """What is list_results can be opened, and nothing else is list_results."""
+    """Listed files can be opened, and nothing else is listed."""
     names = list_results([folder])
     assert names == ["run.csv"]
     assert all(find_result(name, [folder]) for name in names)

@@ -1,4 +1,4 @@
-/* Model exchange: states and derivatives for the solver of the importer. At a time event only derivatives change.
+/* Model exchange: states and derivatives for the solver of the importer. At a time event only derivatives and rates change, not states.
 
    Some importers, such as OpenModelica, set parameters and states between fmi2ExitInitializationMode and
    continuous-time mode, which the standard does not allow for. So the initialisation stays open until the first

@@ -37,7 +37,7 @@ typedef int SetState(void *, void *);
     do {                                                                \
         TYPE *fmu = a->fmu_values;                                      \
         const int is_unsigned = (TYPE)-1 > (TYPE)0;                     \
-        if (a->array == REAL) {                                          \
+        if (a->array == REAL) {                                         \
             double *values = a->values;                                 \
             for (int32_t i = 0; i < a->count; i++)                      \
                 if (a->sets) fmu[i] = (TYPE)values[i];                  \

@@ -8,11 +8,13 @@
  * gauss_seidel_pass does the following for one component after the other, in the order of the plan:
  *
  *     1. set_polynomials        each coupling input becomes a polynomial over the step: interpolated if its source has
- *                               stepped in this pass, else extrapolated (coupling_input.c)
+ *                               stepped in this pass or an earlier one, else extrapolated (coupling_input.c);
+ *                               predicted inputs keep their prediction
  *     2. held_inputs            inputs that cannot change inside a step get the newest value of their source
  *     3. component_advance      the FMU gets the polynomials and steps
- *     4. output_reads           its new outputs, and their slopes, are read
- *     5. set_source_ends        they become the ends of the inputs that they feed, for the components that follow
+ *     4. set_exact_ends         inputs that it followed at a lower degree are set to the end of their polynomial
+ *     5. output_reads           its new outputs, and their slopes, are read
+ *     6. set_source_ends        they become the ends of the inputs that they feed, for the components that follow
  *
  * After the step simulation_loop.c exchanges all values at the new communication point.
  */

@@ -162,7 +162,8 @@ class CommandGate:
     def legend(self) -> dict[str, str]:
         """Labels of both ends of each stick axis."""
         mode = self._available().get(self.mode)
-        return legend(self._pattern, mode.words if mode else FunctionLabels())
+        has_curl = mode is not None and bool(mode.full.curl)
+        return legend(self._pattern, mode.words if mode else FunctionLabels(), has_curl)
 
     def choose(self, name: str | None, mode: str | None) -> None:
         """Choose pattern or mode. Raises `Problem` for an unknown one."""

@@ -14,8 +14,8 @@ Positive functions: swing to the left, boom up, stick in, curl closed.
 ISO is the excavator pattern of ISO 10968 and SAE J1177. SAE is the backhoe pattern of SAE J1814, in which the
 hands for boom and stick are exchanged. In both, left swings to the left, and pulling back raises the boom or
 draws the stick in. Neither standard covers harvesters. Their makers use patterns of their own, mostly like
-ISO, with a rotator instead of the curl and thumb switches for feeding and cutting. The model has no rotator
-and no curl, so that axis has no function here, and the page shows so.
+ISO, with a rotator instead of the curl and thumb switches for feeding and cutting. The harvester has no
+rotator and no curl, so that axis has no function there, and the page shows so.
 
 The response curve s(x) is the fraction of full speed at deflection x. It is odd, monotone, continuous, and 1
 at full deflection:
@@ -94,15 +94,15 @@ def functions(sticks: StickAxes, chosen: Pattern, curve: ResponseCurve) -> Crane
     )
 
 
-def legend(chosen: Pattern, words: FunctionLabels) -> dict[str, str]:
+def legend(chosen: Pattern, words: FunctionLabels, has_curl: bool) -> dict[str, str]:
     """Labels of both ends of each stick axis: `left_up`, `left_down`, ... -> label."""
     boom, stick = (dict(zip(("down", "up"), ends, strict=True)) for ends in (words.boom, words.stick))
     hands = {chosen.boom: boom, "left" if chosen.boom == "right" else "right": stick}
     return {
         "left_left": "swing left",
         "left_right": "swing right",
-        "right_left": "(no curl)",
-        "right_right": "(no curl)",
+        "right_left": "curl closed" if has_curl else "(no curl)",
+        "right_right": "curl open" if has_curl else "(no curl)",
         **{f"{hand}_{end}": label for hand, ends in hands.items() for end, label in ends.items()},
     }
 

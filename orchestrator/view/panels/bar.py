@@ -68,7 +68,7 @@ def files(session: Session, do: Do) -> None:
     with _window("Replay a result file") as window:
         if not names:
             folders = ", ".join(str(folder) for folder in session.folders) or "none"
-            ui.label(f"No .csv or .parquet file with the angles of a machine in {folders}")
+            ui.label(f"No .csv or .parquet file with signals of this machine in {folders}")
             _buttons(window)
             return
         chosen = ui.select(names, value=names[0], label="File", with_input=True).mark("file")

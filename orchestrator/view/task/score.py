@@ -20,12 +20,12 @@ Score, from the start of the clock to its end or to the last sample:
     cycle time        s   first movement to the last target done
     reach time        s   first movement until the first target is entered
     path length       m   path of the tip, sum of the distances between samples; "crane tip distance" of
-    Polowy and
-                          Rutkowski, Forests 15:1277, 2024
+                          Polowy and Rutkowski, Forests 15:1277, 2024
     simultaneous      1   fraction of time with two or more of swing, boom and stick moving (faster than
-    MOVING) functions         1   mean number of moving functions while any moves; Polowy and Rutkowski 2024
-    give 1.8 at
-                          the end of a training on a simulator, by their definition and of more functions
+                          MOVING)
+    functions         1   mean number of moving functions while any moves; Polowy and Rutkowski 2024 give
+                          1.8 at the end of a training on a simulator, by their definition and of more
+                          functions
     energy            J   integral of supply pressure times supply flow
     peak pressure     Pa  largest pressure of the lines of the three drives
     smoothness        1   spectral arc length of the speed of the tip
