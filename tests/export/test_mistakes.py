@@ -175,6 +175,18 @@ def test_watched_output_warns_once_per_excursion(open_fmu):
     assert "mixed = 200 1 at t = 2 s is above 5" in warnings[0]
 
 
+def test_value_that_is_printed_as_the_limit_is_no_excess(open_fmu):
+    """A ramp that ends at the limit exceeds it by rounding: 5 is not above 5, 5.0001 is."""
+    fmu = open_fmu("decay")
+    fmu.set(gain=0.0)
+    fmu.start()
+    for k, target in enumerate((5.0, 5.000001, 5.0001)):
+        fmu.set(target=target)
+        fmu.fmu.doStep(float(k), 1.0)
+    (warning,) = [text for category, text in fmu.messages if category == "logStatusWarning"]
+    assert "mixed = 5.0001 1 at t = 3 s is above 5" in warning
+
+
 def test_watched_state_warns_too(open_fmu):
     """An output that is a state can have a warning limit."""
     fmu = open_fmu("chamber").start().run(3, 0.1)

@@ -218,13 +218,17 @@ static void plan_inputs(const State *s, const double *u, double tau, InputPolyno
 
 /* ---- checks and steps ------------------------------------------------------------------------ */
 
+/* Relative excess over a limit without a warning: rounding of a ramp at its limit. A message has six digits, so
+   a value within the margin would be printed as the limit itself. */
+static const double WARNING_MARGIN = 1e-5;
+
 /* One warning per excursion of a watched input or output. */
 static void watch(Core *core) {
     for (int k = 0; k < NWATCHED; k++) {
         const int r = model_watched[k];
         const Variable *v = &model_variables[r];
         const double value = value_of(core, r);
-        const int above = fabs(value) > v->warn_above;
+        const int above = fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
         if (above && !core->s.warned[r])
             core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s", v->name, value, v->unit,
                          core->s.time, v->warn_above, v->unit);

@@ -31,6 +31,7 @@ from orchestrator.base.errors import Problem
 
 LOOSEST_TOLERANCE = 1e-3  # as in native/core.h
 INSTANTIATED, INITIALIZATION, STEP_MODE, STEP_FAILED, TERMINATED = 1, 2, 4, 8, 16
+WARNING_MARGIN = 1e-5  # relative excess over a limit without a warning, as in native/core.c
 ANY = INSTANTIATED | INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED
 PHASES = {  # phase -> state of the FMI state machine
     INSTANTIATED: "instantiated",
@@ -262,7 +263,7 @@ class Instance:
         s = self.state
         for v in self._watched:
             value, limit, unit = self._value(v.reference), v.quantity.warn_above or 0.0, v.quantity.unit
-            above = abs(value) > limit
+            above = abs(value) > (1 + WARNING_MARGIN) * limit
             if above and not s.warned[v.reference]:
                 self.warn(f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is above {limit:g} {unit}")
             s.warned[v.reference] = above
