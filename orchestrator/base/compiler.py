@@ -2,19 +2,22 @@
 
 The key of a library in the cache is a hash of its sources, its arguments and the version of the compiler.
 The compiler's own cache identifies a source file by its path, which is of no use for temporary folders.
+
+A library is executed, so it is taken only from a folder and a file that nobody but the user can change.
 """
 
 from __future__ import annotations
 
 import atexit
 import hashlib
+import logging
 import os
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -46,15 +49,40 @@ def shared_library(
         digest.update(len(part).to_bytes(8, "big") + part)
     file = f"{digest.hexdigest()[:32]}-{name}"
     try:
-        return _compile(cache_folder() / file, name, code, arguments)
+        folder = cache_folder().resolve()  # what is checked is what is used, also behind a symbolic link
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if _is_private(folder):
+            return _compile(folder / file, name, code, arguments)
+        _warn_of_shared(folder)
     except OSError:  # the cache is not writable
-        return _compile(_process_folder() / file, name, code, arguments)
+        pass
+    own = _process_folder()
+    zig = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(own / "zig")}  # of the compiler, next to ours
+    return _compile(own / file, name, code, arguments, zig)
 
 
 def cache_folder() -> Path:
     """The user's folder for files that can be computed again."""
     folder = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     return Path(folder or Path.home() / ".cache") / "harvester-cosim"
+
+
+def _is_private(path: Path) -> bool:
+    """True if the user owns a file or folder and nobody else can write to it; the superuser always can.
+
+    The cache of Windows is in the profile of the user, which other users cannot change.
+    """
+    if sys.platform == "win32":
+        return True
+    status = path.stat()
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+@cache
+def _warn_of_shared(folder: Path) -> None:
+    """Say once in a process that the cache is not used."""
+    reason = "expected a folder that only you own and can write to (chmod go-w)"
+    logging.getLogger(__name__).warning("%s: %s: compiled code is not kept there", folder, reason)
 
 
 def _compiler_version() -> str:
@@ -64,19 +92,31 @@ def _compiler_version() -> str:
         raise CompilerError("no C compiler: the package ziglang is not installed") from None
 
 
-def _compile(library: Path, name: str, code: Mapping[str, bytes], arguments: Sequence[str]) -> Path:
-    if library.is_file():
+def _compile(
+    library: Path,
+    name: str,
+    code: Mapping[str, bytes],
+    arguments: Sequence[str],
+    environment: Mapping[str, str] | None = None,
+) -> Path:
+    if library.is_file() and _is_private(library):
         return library
-    library.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         for file, data in code.items():
             (Path(folder) / file).write_bytes(data)
         command = [sys.executable, "-m", "ziglang", "cc", *arguments, "-o", name]
-        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        run = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, check=False, env=environment
+        )
         if run.returncode:
             raise _compiler_error(run)
-        with suppress(OSError):  # another process compiled the same library meanwhile and has loaded it
-            (Path(folder) / name).replace(library)
+        made = Path(folder) / name
+        made.chmod(0o700)
+        try:
+            made.replace(library)
+        except OSError:  # on Windows, if another process compiled it meanwhile and has loaded it
+            if not (library.is_file() and _is_private(library)):
+                raise
     return library
 
 

@@ -3,7 +3,7 @@
     study.toml     copy of the TOML file of the study
     study.json     the resolved study, and hashes of everything that determines its results
     lock           locked while a process runs the study
-    parts/         finished batches while the study runs
+    parts/         finished batches while the study runs; the name of each file has a checksum of its content
     bands.parquet  signals stored over time, for the bands of the report: run, time [s], a column per signal
     runs.parquet   one row per run: run, status, reason, then the columns that `study` lists
     log.csv        run, status and wall time [s]; not part of the results
@@ -16,11 +16,14 @@ are written after the last run, and do not depend on how often the study was sta
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +47,7 @@ PARTIAL = ".half"  # suffix of a file that is being written
 LONG = 120  # characters of two lists together above which only the first difference is shown
 ATTRIBUTES = ("numbers", "options")  # keys that study.toml lacks: left out of the names of differences
 DECISIVE = ("distribution", "signal", "measure")  # keys whose change explains the other changes of an item
+DAMAGED = "expected a checksum of the content in the name of the file, got another or none"
 BAND = "band:"  # prefix of the columns of a batch file that hold a stored signal, one list per run
 
 
@@ -68,10 +72,10 @@ def read(folder: str | Path) -> Results:
     if not finished(folder):
         raise Problem(f"{folder}: expected a finished study, runs.parquet is missing")
     stored = _read_study_json(folder / "study.json")
-    runs, bands = pq.read_table(folder / "runs.parquet"), None
+    runs, bands = _read_results(folder / "runs.parquet"), None
     units = _units(runs.schema)
     if (folder / "bands.parquet").exists():
-        bands = pq.read_table(folder / "bands.parquet")
+        bands = _read_results(folder / "bands.parquet")
         units |= _units(bands.schema)
     study = from_json(stored["study"], stored["title"])
     return Results(study, runs.to_pandas(), None if bands is None else bands.to_pandas(), units)
@@ -133,8 +137,12 @@ class Store:
         if study.source:
             data = Path(study.source).read_bytes()
             put(folder / "study.toml", lambda partial: partial.write_bytes(data))
-        for partial in self._parts.glob(f"*{PARTIAL}"):
-            partial.unlink()
+        for unfinished in self._parts.glob(f"*{PARTIAL}"):
+            unfinished.unlink()
+        for part in self._files():
+            if not _is_intact(part, part.read_bytes()):
+                logging.getLogger(__name__).warning("%s: %s: its runs are computed again", part, DAMAGED)
+                part.unlink()
 
     def done(self) -> set[int]:
         """The numbers of the runs that are done."""
@@ -155,8 +163,10 @@ class Store:
         for i, name in enumerate(self.study.bands):
             lists = [np.empty(0) if r.bands is None else r.bands[i] for r in batch]
             columns[f"{BAND}{name}"] = pa.array(lists, pa.list_(pa.float64()))
-        table = pa.table(columns)
-        put(self._parts / f"batch-{batch[0].run:09}.parquet", lambda file: pq.write_table(table, file))
+        content = BytesIO()
+        pq.write_table(pa.table(columns), content)
+        name = f"batch-{batch[0].run:09}-{_checksum(content.getvalue())}.parquet"
+        put(self._parts / name, lambda partial: partial.write_bytes(content.getvalue()))
         with (self.folder / "log.csv").open("a", encoding="utf-8") as log:
             if not log.tell():
                 log.write(LOG)
@@ -171,7 +181,8 @@ class Store:
         for column in inputs.column_names:
             runs = runs.append_column(column, inputs[column])
         units = {**units, **{o.column: o.unit for o in self.study.outputs}}
-        put(self.folder / "runs.parquet", lambda file: pq.write_table(_with_units(runs, units), file))
+        write = partial(pq.write_table, _with_units(runs, units), write_page_checksum=True)
+        put(self.folder / "runs.parquet", write)
         for file in self._parts.glob("*"):
             file.unlink()
         self._parts.rmdir()
@@ -184,7 +195,7 @@ class Store:
         schema = _with_units(pa.schema(columns).empty_table(), units).schema
         load = lru_cache(maxsize=CACHED)(_by_run)
         runs = sorted(part_of)
-        with pq.ParquetWriter(file, schema) as writer:
+        with pq.ParquetWriter(file, schema, write_page_checksum=True) as writer:
             for first in range(0, len(runs), GROUP):
                 rows = [load(part_of[run])[run] for run in runs[first : first + GROUP]]
                 tables = [self._one_row_per_point(row) for row in rows]
@@ -214,12 +225,30 @@ def put(path: Path, write: Callable[[Path], object]) -> None:
         raise Problem(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def _read(file: Path, columns: list[str] | None = None) -> pa.Table:
+def _checksum(content: bytes) -> str:
+    return sha256(content).hexdigest()[:16]
+
+
+def _is_intact(part: Path, content: bytes) -> bool:
+    """True if the content of a batch file matches its name; False for files of earlier versions."""
+    return part.stem.endswith(f"-{_checksum(content)}")
+
+
+def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
+    """The rows of a batch file."""
+    content = part.read_bytes()
+    if not _is_intact(part, content):  # damaged since the study was started
+        raise Problem(f"{part}: {DAMAGED}; the same command computes its runs again")
+    return pq.read_table(BytesIO(content), columns=columns)
+
+
+def _read_results(file: Path) -> pa.Table:
+    """The rows of a file of results, whose pages have checksums."""
     try:
-        return pq.read_table(file, columns=columns)
+        return pq.read_table(file, page_checksum_verification=True)
     except (OSError, pa.ArrowException) as error:
         message = " ".join(str(error).split())
-        raise Problem(f"{file}: cannot be read ({message}); delete it to repeat its runs") from None
+        raise Problem(f"{file}: cannot be read ({message}); --fresh computes the study again") from None
 
 
 def _by_run(file: Path) -> dict[int, pa.Table]:

@@ -129,24 +129,52 @@ def test_the_log_stands_apart(file, one):
     assert (log["seconds"] > 0).all()
 
 
-def test_a_broken_part_is_named_and_its_runs_are_run_again_without_it(file, one):
-    """One line; nothing of it is taken for a result."""
+@pytest.mark.parametrize("damage", ["flipped", "short", "earlier version"])
+def test_runs_of_a_damaged_part_are_computed_again(file, one, damage, caplog):
+    """One line; nothing of the part is taken for a result. A part without a checksum counts as damaged."""
     run(file, one, "whole")
-    out = file.parent / "out"
+    out, rows = file.parent / "out", rows_of(file, one)
     ready = store_of(file, out)
-    rows = rows_of(file, one)
     ready.add([rows[0], rows[1]])
     ready.add([rows[2]])
-    broken = out / "parts" / "batch-000000000.parquet"
-    broken.write_bytes(broken.read_bytes()[:100])
-    with pytest.raises(
-        Problem, match=r"batch-000000000.parquet: cannot be read [^\n]+; delete it to repeat its"
-    ):
-        run(file, one)
-    broken.unlink()
-    (out / "parts" / "batch-000000002.parquet").unlink()
-    assert run(file, one)[1] == list(range(12))
+    part, _ = sorted((out / "parts").iterdir())
+    data = bytearray(part.read_bytes())
+    if damage == "earlier version":
+        part.rename(part.with_name("batch-000000000.parquet"))
+    elif damage == "short":
+        part.write_bytes(data[:100])
+    else:
+        data[len(data) // 3] ^= 1
+        part.write_bytes(data)
+    with caplog.at_level("WARNING"):
+        assert run(file, one)[1] == [0, 1, *range(3, 12)]
+    (message,) = [m for m in caplog.messages if "batch-" in m]
+    assert message.endswith("its runs are computed again")
+    assert "\n" not in message
     assert content(out) == content(file.parent / "whole")
+
+
+def test_a_part_that_is_damaged_while_the_study_runs_is_refused(file, one):
+    """Each read compares the checksum, not only the first one."""
+    out = file.parent / "out"
+    ready = store_of(file, out)
+    ready.add([rows_of(file, one)[0]])
+    (part,) = (out / "parts").iterdir()
+    part.write_bytes(part.read_bytes()[:-1])
+    with pytest.raises(Problem, match=r"batch-000000000-\w+.parquet: [^\n]+ computes its runs again$"):
+        ready.done()
+
+
+@pytest.mark.parametrize("name", ["runs.parquet", "bands.parquet"])
+def test_damaged_results_are_refused(file, one, name):
+    """A flipped bit in a stored value is one line, not another result."""
+    run(file, one)
+    path = file.parent / "out" / name
+    data = bytearray(path.read_bytes())
+    data[60] ^= 1  # in the first page
+    path.write_bytes(data)
+    with pytest.raises(Problem, match=rf"{name}: cannot be read [^\n]+; --fresh computes the study again$"):
+        run(file, one)
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", "half a fi"])
