@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import islice
+
+MAX_COMPARED, MAX_COMPARABLE = 20_000, 200  # names and their characters that are compared, in 1 s
+MAX_LINE = 2000  # characters of a message; values in damaged files can have millions
+
+
+def one_line(text: str, limit: int = MAX_LINE) -> str:
+    """A text for a terminal: control characters are escaped, and the middle of a long text is left out."""
+    if len(text) > limit:
+        text = f"{text[: limit * 2 // 3]} ... {text[-limit // 3 :]}"
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class Problem(Exception):
     """A user's mistake in one line: `FILE: THING: expected X, got Y`. The user sees no traceback."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(message))
 
 
 class Unsupported(Problem):
@@ -48,7 +62,9 @@ def suggest(name: str, names: Iterable[str]) -> str:
     """'; did you mean a, b?' for the end of a message; variables of the same name come first."""
     import difflib  # on first use, because a child process of `check` must start fast
 
-    names = list(names)
+    names = [n for n in islice(names, MAX_COMPARED) if len(n) <= MAX_COMPARABLE]
+    if len(name) > MAX_COMPARABLE:
+        return ""
     same_variable = [n for n in names if n.rpartition(".")[2] == name.rpartition(".")[2]]
     similar = dict.fromkeys([*same_variable, *difflib.get_close_matches(name, names, n=3, cutoff=0.5)])
     return f"; did you mean {', '.join(list(similar)[:3])}?" if similar else ""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import io
+import errno
 import os
 import shutil
+import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from orchestrator.base.errors import Problem
@@ -17,6 +21,109 @@ from orchestrator.base.errors import Problem
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+# ---- limits of archives, and faults of their members -------------------------------------------------------
+
+# The largest FMUs in use have some 100 MB. Those with Python or Java inside have 1 GB and 20 000 files.
+MAX_UNPACKED = 2 << 30  # bytes of all members of one archive
+MAX_MEMBERS = 50_000
+# Packed descriptions of 200 000 variables have a tenth of their size, constant bytes have a thousandth.
+MAX_RATIO = 200
+ANY_RATIO = 100 << 20  # bytes up to which the ratio does not matter
+MAX_NESTING = 8  # archives inside archives; the FMU in an SSP in an SSP has 2
+MAX_PATH = (
+    1000  # characters of the name of a member; Linux allows 4096 with the temporary folder, Windows 260
+)
+MAX_BUFFER = 64 << 20  # bytes of an inner archive in memory; a larger one is in a temporary file
+CHUNK = 1 << 20  # bytes that are unpacked at once
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # compression that FMI and SSP permit
+LOCAL_HEADER = 30  # bytes before each member, at least
+
+# what `zipfile` raises for damaged archives; RuntimeError includes unsupported features and encryption,
+# ValueError includes names that are not UTF-8, and OverflowError is for offsets above 2^63
+ZIP_ERRORS = (
+    *(zipfile.BadZipFile, zlib.error, OSError, EOFError),
+    *(RuntimeError, ValueError, OverflowError),
+)
+FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def why_unsafe(name: str) -> str:
+    """Why a member must not be unpacked under its name; empty if it may."""
+    if not name:
+        return "is empty"
+    if "\\" in name:
+        return "has a backslash, expected forward slashes"
+    if name.startswith("/") or ":" in name:
+        return "has an absolute path or a drive, expected a relative path"
+    if ".." in PurePosixPath(name).parts:
+        return "has '..' in its path, expected none"
+    if len(name) > MAX_PATH:
+        return f"has {len(name)} characters, expected at most {MAX_PATH}"
+    return "has a control character, expected none" if any(ord(c) < 32 for c in name) else ""
+
+
+def is_file_name(name: str) -> bool:
+    """True for the name of a file without a path."""
+    return name not in (".", "..") and "/" not in name and not why_unsafe(name)
+
+
+def why_unreadable(member: zipfile.ZipInfo) -> str:
+    """Why a member cannot be read; empty if it can."""
+    if member.flag_bits & 1:
+        return "is encrypted, expected no encryption"
+    if member.compress_type in METHODS:
+        return ""
+    method = zipfile.compressor_names.get(member.compress_type, str(member.compress_type))  # type: ignore[attr-defined]
+    return f"is compressed with {method}, expected deflate or store"
+
+
+def size_fault(members: Sequence[zipfile.ZipInfo], packed: int) -> str:
+    """Why an archive of `packed` bytes is too large to be unpacked; empty if it is not."""
+    unpacked = sum(m.file_size for m in members)
+    if len(members) > MAX_MEMBERS:
+        return f"expected at most {MAX_MEMBERS} members, got {len(members)}"
+    if unpacked > MAX_UNPACKED:
+        return f"expected at most {MAX_UNPACKED / 1e6:.0f} MB unpacked, got {unpacked / 1e6:.0f} MB"
+    if unpacked > max(ANY_RATIO, MAX_RATIO * packed):
+        ratio = f"expected at most {MAX_RATIO} times its size unpacked"
+        return f"{ratio}, got {unpacked / 1e6:.0f} MB in {packed / 1e6:.3g} MB"
+    return ""
+
+
+def overlap(members: Sequence[zipfile.ZipInfo]) -> str:
+    """Two members that share bytes of the archive, as those of a bomb do; empty if there are none."""
+    for one, other in pairwise(sorted(members, key=lambda m: m.header_offset)):
+        if one.header_offset + LOCAL_HEADER + one.compress_size > other.header_offset:
+            return f"expected separate members, but {one.filename!r} and {other.filename!r} overlap"
+    return ""
+
+
+def extract_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Path) -> None:
+    """Unpack a member with a safe name; raises one of `ZIP_ERRORS`. A symbolic link becomes a file."""
+    target = folder / member.filename
+    if member.is_dir():
+        target.mkdir(parents=True, exist_ok=True)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with archive.open(member) as source, target.open("wb") as file:
+        shutil.copyfileobj(source, file, CHUNK)
+
+
+@contextmanager
+def temporary_folder(prefix: str, archive: str) -> Iterator[Path]:
+    """A temporary folder to unpack an archive into, removed at the end."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=prefix))
+    except OSError as error:
+        raise Problem(f"{archive}: no temporary folder to unpack it: {_reason(error)}") from None
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+# ---- locations ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -33,43 +140,84 @@ class Location:
     def __str__(self) -> str:
         return "/".join([str(self.path), *self.members])
 
-    def read(self) -> bytes:
-        """The bytes of the file."""
+    def read(self, limit: int = MAX_UNPACKED) -> bytes:
+        """The bytes of the file, at most `limit`."""
+        with self._open() as file:
+            size = file.seek(0, os.SEEK_END)
+            if size > limit:
+                raise Problem(f"{self}: expected at most {limit / 1e6:.0f} MB, got {size / 1e6:.0f} MB")
+            file.seek(0)
+            return file.read()
+
+    @contextmanager
+    def _open(self) -> Iterator[IO[bytes]]:
+        """The file, opened for reading; a member is unpacked before."""
         if not self.members:
-            if not self.path.is_file():
-                raise Problem(f"{self.path}: no such file")
-            return self.path.read_bytes()
-        with self.parent.zip() as archive:
-            try:
-                return archive.read(self.members[-1])
-            except KeyError:
-                names = ", ".join(n for n in sorted(archive.namelist()) if not n.endswith("/"))
-                raise Problem(
-                    f"{self.parent}: {self.members[-1]} is missing; the archive contains {names}"
-                ) from None
+            with self._open_path() as file:
+                yield file
+            return
+        with tempfile.SpooledTemporaryFile(MAX_BUFFER) as file:
+            with self.parent.zip() as archive:
+                self._unpack(archive, file)
+            yield file
+
+    def _open_path(self) -> IO[bytes]:
+        if not os.path.isfile(self.path):  # not a device or a pipe, which may have no end
+            raise Problem(f"{self.path}: no such file")
+        try:
+            return self.path.open("rb")
+        except OSError as error:
+            raise Problem(f"{self.path}: cannot be read: {error.strerror}") from None
+
+    def _unpack(self, archive: zipfile.ZipFile, file: IO[bytes]) -> None:
+        """Unpack this member of its archive into a file."""
+        try:
+            member = archive.getinfo(self.members[-1])
+        except KeyError:
+            names = ", ".join(n for n in sorted(archive.namelist()) if not n.endswith("/"))
+            raise Problem(
+                f"{self.parent}: {self.members[-1]} is missing; the archive contains {names}"
+            ) from None
+        if fault := why_unreadable(member):
+            raise Problem(f"{self}: the member {fault}")
+        try:
+            with archive.open(member) as source:
+                shutil.copyfileobj(source, file, CHUNK)
+        except ZIP_ERRORS as error:
+            raise Problem(f"{self}: cannot be unpacked: {_reason(error)}") from None
 
     @property
     def parent(self) -> Location:
         """The archive that contains this member."""
         return Location(self.path, self.members[:-1])
 
-    def zip(self) -> zipfile.ZipFile:
-        """Open this file as an archive."""
-        try:
-            return zipfile.ZipFile(self.path if not self.members else io.BytesIO(self.read()))
-        except FileNotFoundError:
-            raise Problem(f"{self.path}: no such file") from None
-        except zipfile.BadZipFile:
-            raise Problem(f"{self}: expected a zip archive, got something else") from None
+    @contextmanager
+    def zip(self) -> Iterator[zipfile.ZipFile]:
+        """Open this file as an archive; refuse one that is damaged or unpacks to too much."""
+        if len(self.members) > MAX_NESTING:
+            raise Problem(f"{self}: expected at most {MAX_NESTING} archives inside each other")
+        with self._open() as file, ExitStack() as stack:
+            try:
+                archive = stack.enter_context(zipfile.ZipFile(file))
+            except ZIP_ERRORS as error:
+                known = isinstance(error, zipfile.BadZipFile) and "not a zip" in str(error)
+                got = "something else" if known else f"a damaged one: {_reason(error)}"
+                raise Problem(f"{self}: expected a zip archive, got {got}") from None
+            members = archive.infolist()
+            if fault := size_fault(members, file.seek(0, os.SEEK_END)) or overlap(members):
+                raise Problem(f"{self}: {fault}")
+            yield archive
 
     def member(self, name: str) -> Location:
         """The file `name` of this archive or folder."""
+        if reason := why_unsafe(name):
+            raise Problem(f"{self}: member {name!r} {reason}")
         return Location(self.path / name) if self.is_folder else Location(self.path, (*self.members, name))
 
     @property
     def is_folder(self) -> bool:
         """True if this is a folder, such as an unpacked archive."""
-        return not self.members and self.path.is_dir()
+        return not self.members and os.path.isdir(self.path)
 
     def names(self) -> list[str]:
         """Names of the files of this archive or folder, with forward slashes."""
@@ -79,37 +227,65 @@ class Location:
             return [n for n in archive.namelist() if not n.endswith("/")]
 
     def resolve(self, uri: str) -> Location:
-        """The file that a URI in this file refers to: a relative path or a file: URI."""
+        """The file that a URI in this file refers to: a relative path or a file: URI.
+
+        A file in an archive can refer only to files of the same archive. A file on disk may refer to any file
+        on disk, such as ../fmus/swing.fmu, because its author could as well be on this machine.
+        """
+        context = f"{self}: source {uri!r}: expected"
         try:
             parts = urlsplit(uri)
         except ValueError as error:
-            raise Problem(f"{self}: source {uri!r}: expected a URI, got {error}") from None
-        if parts.scheme == "file":
-            return Location(Path(unquote(parts.path)))
-        if len(parts.scheme) > 1:
-            raise Problem(f"{self}: source {uri!r}: expected a relative path or a file: URI")
+            raise Problem(f"{context} a URI, got {error}") from None
+        path = unquote(parts.path)
+        if not path.isprintable():
+            raise Problem(f"{context} a path without control characters")
+        if parts.netloc not in ("", "localhost") or (len(parts.scheme) > 1 and parts.scheme != "file"):
+            raise Problem(f"{context} a relative path or a file: URI")
         if not self.members:
-            return Location(self.path.parent / unquote(parts.path))
-        joined = PurePosixPath(self.members[-1]).parent / unquote(parts.path)
-        return Location(self.path, (*self.members[:-1], _normalised(joined)))
+            return Location(Path(path) if parts.scheme == "file" else self.path.parent / path)
+        name = _normalised(PurePosixPath(self.members[-1]).parent / path)
+        if parts.scheme or why_unsafe(name):
+            raise Problem(f"{context} a path inside of the archive")
+        return Location(self.path, (*self.members[:-1], name))
 
     def extract(self, folder: Path) -> None:
         """Unpack this archive or copy this folder; refuse members with a path outside of the archive."""
+        try:
+            if self.is_folder:
+                shutil.copytree(self.path, folder)
+                return
+            with self.zip() as archive:
+                for member in archive.infolist():
+                    if fault := why_unsafe(member.orig_filename) or why_unreadable(member):
+                        raise Problem(f"{self}: member {member.orig_filename!r} {fault}")
+                for member in archive.infolist():
+                    extract_member(archive, member, folder)
+        except ZIP_ERRORS as error:
+            raise Problem(f"{self}: cannot be unpacked into {folder}: {_reason(error)}") from None
+
+    @contextmanager
+    def unpacked(self) -> Iterator[Path]:
+        """This folder, or a temporary folder with the unpacked archive, which is removed at the end."""
         if self.is_folder:
-            shutil.copytree(self.path, folder)
+            yield self.path.resolve()
             return
-        with self.zip() as archive:
-            for name in archive.namelist():
-                if ".." in PurePosixPath(name).parts or name.startswith("/") or ":" in name or "\\" in name:
-                    raise Problem(f"{self}: member {name!r} points outside of the archive")
-            archive.extractall(folder)
+        with temporary_folder("fmu-", str(self)) as folder:
+            self.extract(folder)
+            yield folder
+
+
+def _reason(error: Exception) -> str:
+    """The text of an exception, in one line."""
+    text = error.strerror if isinstance(error, OSError) else None
+    return text or str(error) or type(error).__name__
 
 
 def _normalised(path: PurePosixPath) -> str:
-    """The member name of a path, with `.` and `..` resolved."""
+    """The member name of a path, with `.` and `..` resolved; a leading `..` is kept."""
     parts: list[str] = []
     for part in path.parts:
-        if part == ".." and parts:
+        if part == ".." and parts and parts[-1] != "..":
             parts.pop()
         elif part != ".":
             parts.append(part)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,7 @@ def _read(path: Path, file: str) -> list[Binary]:
     try:
         with warnings.catch_warnings():  # lief warns about each unusual value in a header
             warnings.simplefilter("ignore")
-            binaries = list(_parse(path, file, size)) if size else []
+            binaries = [_decoded(b) for b in _parse(path, file, size)] if size else []
     except Exception as problem:  # lief raises many types on invalid headers
         binaries, damage = [], f"{type(problem).__name__} while reading it"
     return binaries or [Binary(file, size, head=head, damage=damage)]
@@ -110,6 +110,22 @@ def _parse(path: Path, file: str, size: int) -> Iterator[Binary]:
         universal = _checked(lief.MachO.parse(str(path)))  # must exist as long as its parts are used
         for part in range(universal.size):
             yield _macho(universal.at(part), file, size)
+
+
+def _decoded(b: Binary) -> Binary:
+    """The binary with texts only; lief returns names that are not UTF-8 as bytes."""
+
+    def texts(names: Iterable[Any]) -> Iterator[str]:
+        return (n.decode(errors="replace") if isinstance(n, bytes) else str(n) for n in names)
+
+    return replace(
+        b,
+        exports=frozenset(texts(b.exports)),
+        imports=frozenset(texts(b.imports)),
+        libraries=tuple(texts(b.libraries)),
+        unresolved=tuple(texts(b.unresolved)),
+        rpaths=tuple(texts(b.rpaths)),
+    )
 
 
 def _checked(parsed: Any) -> Any:

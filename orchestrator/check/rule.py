@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from orchestrator.base.errors import one_line
+
 if TYPE_CHECKING:
     from orchestrator.check.finding import Finding
     from orchestrator.check.subject import Subject
@@ -31,7 +33,8 @@ class CheckRule:
     def __call__(self, subject: Subject) -> Iterator[Finding]:
         """All findings, with the id of this rule and, if they have none, its threads."""
         for finding in self.check(subject):
-            yield replace(finding, rule=self.id, thread=finding.thread or " ".join(self.threads))
+            text = one_line(finding.text)
+            yield replace(finding, rule=self.id, text=text, thread=finding.thread or " ".join(self.threads))
 
 
 class RuleTable(list[CheckRule]):

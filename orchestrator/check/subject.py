@@ -5,17 +5,25 @@ The file must exist. Faults of the archive and of the XML become findings and ne
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import (
+    FULL,
+    ZIP_ERRORS,
+    extract_member,
+    overlap,
+    size_fault,
+    temporary_folder,
+    why_unreadable,
+    why_unsafe,
+)
 from orchestrator.check.finding import Finding
 
 if TYPE_CHECKING:
@@ -23,11 +31,7 @@ if TYPE_CHECKING:
     from orchestrator.fmi.raw_description import ModelDescription
 
 DESCRIPTION = "modelDescription.xml"
-MAX_BYTES = 2 << 30  # unpacked; FMUs with half a million variables and five binaries are much smaller
-MAX_MEMBERS = 50_000
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # compression that FMI permits
 SYMBOLIC_LINK = 0o120000
-MEMBER_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, NotImplementedError, EOFError)
 
 
 def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
@@ -35,8 +39,9 @@ def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ..
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            faults = [*_faults(members), *_extract(archive, folder)]
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as problem:
+            refusals = list(_refusals(members, path.stat().st_size))
+            faults = refusals or [*_faults(members), *_extract(archive, folder)]
+    except ZIP_ERRORS as problem:
         text = f"{path.name}: expected a zip archive, got {_content(path)}: {problem}"
         return (), (Finding("archive.zip", "error", text),)
     return tuple(m.orig_filename for m in members), tuple(faults)
@@ -58,6 +63,14 @@ def _error(rule: str, text: str) -> Finding:
     return Finding(rule, "error", text)
 
 
+def _refusals(members: list[zipfile.ZipInfo], packed: int) -> Iterator[Finding]:
+    """Findings for which an archive of `packed` bytes is not unpacked."""
+    if fault := size_fault(members, packed):
+        yield _error("archive.size", f"{fault}; its members are not checked")
+    if fault := overlap(members):
+        yield _error("archive.zip", f"{fault}; its members are not checked")
+
+
 def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
     """Findings about the members listed in the central directory of the archive."""
     for member in members:
@@ -66,15 +79,10 @@ def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
             yield _error("archive.name", f"member {name!r} {reason}")
         if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
             yield _error("archive.link", f"member {name!r} is a symbolic link, expected a file")
-        if member.compress_type not in METHODS:
-            method = zipfile.compressor_names.get(member.compress_type, str(member.compress_type))  # type: ignore[attr-defined]
-            yield _error(
-                "archive.method", f"member {name!r} is compressed with {method}, expected deflate or store"
-            )
+        if fault := why_unreadable(member):
+            yield _error("archive.method", f"member {name!r} {fault}")
         elif member.compress_type == zipfile.ZIP_STORED and member.flag_bits & 8 and member.file_size:
             yield _error("archive.method", f"member {name!r} is stored with a data descriptor, expected none")
-        if member.flag_bits & 1:
-            yield _error("archive.method", f"member {name!r} is encrypted, expected no encryption")
     yield from _duplicates(members)
 
 
@@ -89,34 +97,16 @@ def _duplicates(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
         yield _error("archive.twice", f"member {name!r} {fault}")
 
 
-def why_unsafe(name: str) -> str:
-    """Why a member must not be unpacked under its name; empty if it may."""
-    if "\\" in name:
-        return "has a backslash, expected forward slashes"
-    if name.startswith("/") or name[1:2] == ":":
-        return "has an absolute path, expected a relative one"
-    if ".." in PurePosixPath(name).parts:
-        return "has '..' in its path, expected none"
-    return "has a control character, expected none" if any(ord(c) < 32 for c in name) else ""
-
-
 def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
-    """Unpack members with safe names, until their size or number is too large; yields findings."""
-    total = 0
-    for count, member in enumerate(archive.infolist()):
-        total += member.file_size
-        if total > MAX_BYTES or count >= MAX_MEMBERS:
-            text = f"more than {MAX_BYTES >> 20} MiB or {MAX_MEMBERS} members; the others are not checked"
-            yield _error("archive.size", text)
-            return
-        if why_unsafe(member.orig_filename) or member.is_dir():
+    """Unpack the members that can be unpacked; yields findings on the others."""
+    for member in archive.infolist():
+        if why_unsafe(member.orig_filename) or why_unreadable(member) or member.is_dir():
             continue
         try:
-            target = folder / member.filename
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with archive.open(member) as source, target.open("wb") as file:
-                shutil.copyfileobj(source, file)
-        except MEMBER_ERRORS as problem:
+            extract_member(archive, member, folder)
+        except ZIP_ERRORS as problem:
+            if isinstance(problem, OSError) and problem.errno in FULL:
+                raise Problem(f"{archive.filename}: cannot be unpacked into {folder}: {problem}") from None
             yield _error("archive.zip", f"member {member.filename!r} cannot be unpacked: {problem}")
 
 
@@ -173,8 +163,7 @@ class Subject:
 @contextmanager
 def open_subject(path: Path) -> Iterator[Subject]:
     """Unpack an FMU into a temporary folder and parse it; faults become findings of the subject."""
-    with tempfile.TemporaryDirectory(prefix="harvester-check-", ignore_cleanup_errors=True) as name:
-        folder = Path(name)
+    with temporary_folder("harvester-check-", str(path)) as folder:
         yield parse_unpacked(path, folder, *unpack(path, folder))
 
 
@@ -192,10 +181,20 @@ def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
     """The root of an XML file, or None and the fault. Entities are not expanded, and nothing is fetched."""
     from lxml import etree
 
+    from orchestrator.base.xml import MAX_BYTES, too_deep, too_large
+
+    path = folder / file
+    if (size := path.stat().st_size) > MAX_BYTES:
+        return None, f"{file}: expected at most {MAX_BYTES / 1e6:.0f} MB, got {size / 1e6:.0f} MB"
+    text = path.read_bytes()
+    if fault := too_large(text):
+        return None, f"{file}: {fault}"
     try:
-        tree = etree.parse(str(folder / file), etree.XMLParser(resolve_entities=False, no_network=True))
-    except (etree.XMLSyntaxError, OSError) as problem:
+        root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as problem:
         return None, f"{file}: cannot be read as XML: {problem}"
-    if tree.docinfo.doctype:
-        return None, f"{file}: expected no document type, got {tree.docinfo.doctype[:60]!r}"
-    return tree.getroot(), ""
+    if doctype := root.getroottree().docinfo.doctype:
+        return None, f"{file}: expected no document type, got {doctype[:60]!r}"
+    if fault := too_deep(root):
+        return None, f"{file}: {fault}"
+    return root, ""

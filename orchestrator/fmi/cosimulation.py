@@ -6,12 +6,9 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -61,10 +58,7 @@ class RunningFmu:
 
     def _open(self, fmu: Location) -> None:
         face = self.interface
-        folder = fmu.path.resolve() if fmu.is_folder else Path(tempfile.mkdtemp(prefix="fmu-"))
-        if not fmu.is_folder:
-            self._cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
-            fmu.extract(folder)
+        folder = self._cleanup.enter_context(fmu.unpacked())
         library = load_library(folder, face.identifier, face.fmi, self._label)
         self.fmu = FmuInstance(library, self.log, self.exchange, self._before)
         self._cleanup.callback(self._unless_fatal, library.close)

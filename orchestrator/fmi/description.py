@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 from orchestrator.base.errors import Problem, Unsupported
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, is_file_name
 from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import parse
 from orchestrator.fmi.raw_description import (
@@ -20,6 +20,7 @@ from orchestrator.fmi.raw_description import (
     SIGNED,
     UNSIGNED,
     DeclaredVariable,
+    Entry,
     ModelDescription,
     UnitDefinition,
     Unknown,
@@ -213,6 +214,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
     declared = list(_with_aliases(description))
     unsupported = {v.name: type_ for v in declared if (type_ := _unsupported_type(v))}
     variables = {v.name: _variable(v, description, units) for v in declared if v.name not in unsupported}
+    _check_identity(description, capabilities)
     _check(variables, unsupported, declared)
     inputs = {name for name, v in variables.items() if v.causality == "input"}
     feedthrough = {v.name: None for v in variables.values() if v.causality == "output"}
@@ -308,6 +310,16 @@ def _check(
             raise Problem(f"{v.name}: expected time in seconds, got {unit}")
 
 
+def _check_identity(description: ModelDescription, capabilities: Entry) -> None:
+    """Refuse an FMU without the attributes that loading it needs."""
+    token = "guid" if description.major == 2 else "instantiationToken"
+    if token not in description.attributes:
+        raise Problem(f"expected an attribute {token}, got none")
+    identifier = capabilities.get("modelIdentifier")
+    if not is_file_name(identifier):  # a path could lead to a library outside of the FMU
+        raise Problem(f"modelIdentifier: expected a C identifier, got {identifier!r}")
+
+
 def _variable(
     v: DeclaredVariable, description: ModelDescription, units: Mapping[str, DeclaredUnit]
 ) -> FmuVariable:
@@ -315,9 +327,9 @@ def _variable(
     type_ = v.attributes.get("declaredType")
     if type_ is not None and type_ not in description.types:
         raise Problem(f"{v}: declaredType {type_!r} is not defined")
-    if v.reference is None:
+    if v.reference is None or not 0 <= v.reference < 2**32:
         got = v.attributes.get("valueReference")
-        raise Problem(f"{v}: valueReference: expected a whole number, got {got!r}")
+        raise Problem(f"{v}: valueReference: expected a whole number below 2^32, got {got!r}")
     if (v.causality, v.variability) not in COMBINATIONS and not v.get("initial"):
         raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
     fmi_type = "Int64" if v.type == "Enumeration" else v.type

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import is_file_name
 from orchestrator.fmi.messages import Log, status_label
 
 SYSTEM = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
@@ -49,6 +50,8 @@ def platform_folders(fmi: int) -> list[str]:
 
 def find_library(folder: Path, identifier: str, fmi: int) -> Path | None:
     """Path of the library for this machine in an unpacked FMU, or None."""
+    if not is_file_name(identifier):  # a path could lead out of the FMU
+        return None
     paths = (folder / "binaries" / name / f"{identifier}{SUFFIX}" for name in platform_folders(fmi))
     return next((p for p in paths if p.is_file()), None)
 

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from orchestrator.base.errors import one_line
+
 if TYPE_CHECKING:
     from orchestrator.data.trace import Trace
 
@@ -86,6 +88,7 @@ class Log:
             return
         text = re.sub(r"^\s*fmi[23]\w+: ", "", text)  # without the name of the function
         text = " ".join(with_variable_names(text, self.names).split() if self.names else text.split())
+        text = one_line(text)
         self.messages.append(
             LogMessage(self.time, self.component, status_label(status), text, self.clock[1], category)
         )
@@ -128,7 +131,7 @@ def with_variable_names(text: str, names: Mapping[int, str]) -> str:
         reference = match.group(1)
         return names.get(int(reference), match.group()) if reference else "#"
 
-    return re.sub(r"#(\d*)#", name, text)
+    return re.sub(r"#(\d{0,10})#", name, text)  # a value reference is below 2^32
 
 
 def _merged(group: list[LogMessage], trace: Trace | None) -> str:

@@ -6,22 +6,24 @@ and each component input is traced back through the connectors of systems to the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, LinearTransformation
+from orchestrator.fmi.description import read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_suggestion
 from orchestrator.ssp.assembly import check_connection, open_component
 from orchestrator.ssp.parameter_sets import bound_values
-from orchestrator.ssp.system import Connection, Inlet, Outlet, Port, System
+from orchestrator.ssp.system import Component, Connection, Inlet, Outlet, Port, System
 from orchestrator.ssp.system_structure import (
     DEFINITION,
     SINKS,
     Connector,
     FlatStructure,
-    SignalPath,
     read_structure,
     signal_paths,
 )
@@ -58,7 +60,8 @@ def _load_ssd(ssd: Location, exchange: bool) -> System:
     flat = read_structure(ssd)
     suggestion = read_suggestion(flat.roots, flat.sources)
     flat.notes += ignored_annotations(flat.roots)
-    components = {name: open_component(name, fmu, exchange) for name, fmu in flat.sources.items()}
+    read = cache(partial(read_interface, exchange=exchange))  # several components may have the same FMU
+    components = {name: Component(name, read(fmu), fmu) for name, fmu in flat.sources.items()}
     try:
         system = _connected(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
     except Problem as problem:
@@ -73,7 +76,11 @@ def _connected(flat: FlatStructure, system: System) -> System:
     notes = list(flat.notes)
     signals = signal_paths(flat, system, notes)
     maps = [(path, signals.map(path)) for path in signals.paths]
-    inputs = {c.name: _inlet(flat, system, c, maps) for c in flat.of_kind("", *SINKS)}
+    fed: dict[Connector, list[tuple[Port, LinearTransformation]]] = {}
+    for path, linear in maps:
+        if path.target.owner in flat.sources:
+            fed.setdefault(path.source, []).append((Port(*path.target), linear))
+    inputs = {c.name: _inlet(flat, system, c, fed.get(c, ())) for c in flat.of_kind("", *SINKS)}
     start = bound_values(signals)
     connections, outputs = list[Connection](), dict[str, Outlet]()
     for path, linear in maps:
@@ -97,11 +104,9 @@ def _inlet(
     flat: FlatStructure,
     system: System,
     connector: Connector,
-    maps: list[tuple[SignalPath, LinearTransformation]],
+    targets: Sequence[tuple[Port, LinearTransformation]],
 ) -> Inlet:
     """An input of the outermost system; without a declared unit it has that of the inputs that it feeds."""
-    fed = [(path, m) for path, m in maps if path.source == connector and path.target.owner in flat.sources]
-    targets = tuple((Port(*path.target), m) for path, m in fed)
     units = {system.variable(port).unit for port, _ in targets}
     unit = flat.unit(connector) or (units.pop() if len(units) == 1 else None)
-    return Inlet(connector.name, unit, targets)
+    return Inlet(connector.name, unit, tuple(targets))

@@ -31,6 +31,8 @@ FMU, SSD, PACKAGE = (
     f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")
 )
 SOURCE, SINK = "source", "sink"
+# The largest systems in use have 1000 components and 5 levels. Files that include others can have any number.
+MAX_PARTS, MAX_DEPTH = 10_000, 50
 
 
 class Connector(NamedTuple):
@@ -157,6 +159,10 @@ class _SsdReader:
         full = _join(path, name)
         if not name:
             raise element.problem("expected a name, got an empty one")
+        if len(self._flat.sources) + len(self._flat.systems) > MAX_PARTS:
+            raise element.problem(f"expected at most {MAX_PARTS} components and systems")
+        if full.count(".") > MAX_DEPTH:
+            raise element.problem(f"expected at most {MAX_DEPTH} systems inside each other")
         if name in owners or full in self._flat.sources or full in self._flat.systems:
             raise element.problem(f"expected a unique name, got {full} twice")
         return name

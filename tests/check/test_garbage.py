@@ -157,8 +157,8 @@ def test_nothing_is_written_outside_of_the_folder(tmp_path: Path) -> None:
 
 
 def test_a_huge_archive_is_not_unpacked_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An archive that is too large is reported and not unpacked completely."""
-    monkeypatch.setattr("orchestrator.check.subject.MAX_BYTES", 1000)
+    """An archive that is too large is reported and not unpacked."""
+    monkeypatch.setattr("orchestrator.base.files.MAX_UNPACKED", 1000)
     path = Archive(2, {DESCRIPTION: b"<a/>", "resources/big": bytes(2000)}).write(tmp_path / "lag.fmu")
     assert "archive.size" in rules(path)
 

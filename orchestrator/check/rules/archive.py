@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import PurePosixPath
 
+from orchestrator.base.files import why_unsafe
 from orchestrator.base.xml import child, children, local_name
 from orchestrator.check.finding import Finding, error, join_names, note, warning
 from orchestrator.check.rule import RuleTable
 from orchestrator.check.rules.identity import violations
 from orchestrator.check.rules.libraries import TUPLE
-from orchestrator.check.subject import DESCRIPTION, Subject, read_xml, why_unsafe
+from orchestrator.check.subject import DESCRIPTION, Subject, read_xml
 
 ARCHIVE = RuleTable()
 FOLDERS = ("documentation", "sources", "binaries", "resources", "extra", "terminalsAndIcons")

@@ -67,7 +67,7 @@ def initial(subject: Subject) -> Iterator[Finding]:
         if v.causality == "calculatedParameter"
         or (v.initial in CALCULATED and not v.clocked and (v.causality == "output" or v in continuous))
     ]
-    clocked = (u.variable for u in model.structure["initial"] if u.variable and u.variable.clocked)
+    clocked = (u.variable for u in model.structure.get("initial", ()) if u.variable and u.variable.clocked)
     optional = list(clocked) if model.major == 3 else []
     why = "outputs, states and derivatives that are calculated or approx, and calculated parameters"
     yield from _differences(model, "initial", expected + optional, why)
@@ -140,7 +140,7 @@ def dependencies(subject: Subject) -> Iterator[Finding]:
         undeclared = [u for u in undeclared if u.variable and u.variable.variability != "constant"]
         if undeclared:
             names = join_names([u.variable.name for u in undeclared if u.variable])
-            count = f"{len(undeclared)} of {len(model.structure[section])} {section}"
+            count = f"{len(undeclared)} of {len(model.structure.get(section, ()))} {section}"
             yield warning(
                 f"{undeclared[0]}: no dependencies for {count} ({names});"
                 " tools assume direct feed-through from every input"
