@@ -230,7 +230,7 @@ def test_members_that_point_outside_are_refused(tmp_path):
 
     with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
         archive.writestr("../evil", "")
-    with pytest.raises(Problem, match="has .* in its path"):
+    with pytest.raises(Problem, match=r"has .* in its path"):
         Location(tmp_path / "x.zip").extract(tmp_path / "into")
 
 
