@@ -2,9 +2,13 @@
 
 Host     must be a loopback name, a numeric address or an allowed name; a page under a foreign name that
          resolves to this computer (DNS rebinding) is refused
+method   GET without content, which could be slow to arrive; the page's own messages come over websockets
 Origin   if present, must be the page's own host, so that no foreign page opens a websocket
+site     a request that another site has caused (link, image, frame, script) is refused, by Sec-Fetch-Site. A
+         browser that does not send it is judged by Referer
+purpose  nothing is built ahead, before the user has asked for it (Sec-Purpose: prefetch)
 token    if required: once in the address, `/?token=...`, then in a cookie that scripts cannot read and other
-         sites do not send (HttpOnly, SameSite=Strict)
+         sites do not send (HttpOnly, SameSite=Strict). A link with the token works on any site
 """
 
 from __future__ import annotations
@@ -67,13 +71,21 @@ class Guard:
         headers = _headers(scope)
         if error := _host_error(headers, self._rules):
             await refuse(scope, receive, send, 400, error)
-        elif not self._rules.token or self._has_cookie(headers):
-            await self._app(scope, receive, send)
-        elif scope["type"] == "http" and self._has_token(scope):
+        elif scope["type"] == "http" and scope["method"] != "GET":
+            await refuse(scope, receive, send, 405, f"expected the method GET, found {scope['method'][:20]}")
+        elif headers.get("content-length", ["0"]) != ["0"] or "transfer-encoding" in headers:
+            await refuse(scope, receive, send, 413, "expected a request without content")
+        elif self._has_token(scope) and not self._has_cookie(headers):
             await set_cookie(scope, send, self._rules.cookie, self._rules.token)
-        else:
+        elif error := _site_error(headers):
+            await refuse(scope, receive, send, 403, error)
+        elif _is_ahead(headers):
+            await refuse(scope, receive, send, 503, "this page is not loaded ahead: open it")
+        elif self._rules.token and not self._has_cookie(headers):
             message = "open the address with its token, as printed by `harvester view`"
             await refuse(scope, receive, send, 401, message)
+        else:
+            await self._app(scope, receive, send)
 
     def _has_cookie(self, headers: dict[str, list[str]]) -> bool:
         cookies = SimpleCookie()
@@ -84,6 +96,8 @@ class Guard:
         return self._rules.cookie in cookies and self._equal(cookies[self._rules.cookie].value)
 
     def _has_token(self, scope: Scope) -> bool:
+        if not self._rules.token or scope["type"] != "http":
+            return False
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
         return any(self._equal(token) for token in query.get("token", ()))
 
@@ -107,6 +121,24 @@ def _host_error(headers: dict[str, list[str]], rules: Rules) -> str:
     if any(_origin(origin) != hosts[0].lower() for origin in origins):
         return f"Origin: expected the page's own host {hosts[0]}, found {_quoted(origins)}"
     return ""
+
+
+def _site_error(headers: dict[str, list[str]]) -> str:
+    """Message on a request that another site has caused, or empty."""
+    host = headers["host"][0]
+    site = headers.get("sec-fetch-site")
+    if site is not None:
+        foreign = any(value not in ("same-origin", "none") for value in site)  # none: typed by the user
+    else:
+        foreign = any(_origin(referer) != host.lower() for referer in headers.get("referer", []))
+    if not foreign:
+        return ""
+    return f"opened from another site: enter http://{host}/ in the address bar instead"
+
+
+def _is_ahead(headers: dict[str, list[str]]) -> bool:
+    """Does the browser load this before the user has asked for it?"""
+    return any("prefetch" in v.lower() for name in ("sec-purpose", "purpose") for v in headers.get(name, []))
 
 
 def _is_allowed(name: str, rules: Rules) -> bool:
@@ -149,9 +181,13 @@ async def refuse(scope: Scope, receive: Receive, send: Send, status: int, messag
         await receive()
         await send({"type": "websocket.close", "code": 1008, "reason": message[:100]})
     else:
-        await _answer(
-            send, status, f"{message}\n", [(b"content-type", b"text/plain; charset=utf-8"), *PRIVATE]
-        )
+        await answer(send, status, message)
+
+
+async def answer(send: Send, status: int, message: str, *headers: tuple[bytes, bytes]) -> None:
+    """Answer an HTTP request with one line."""
+    plain = (b"content-type", b"text/plain; charset=utf-8")
+    await _answer(send, status, f"{message}\n", [plain, *PRIVATE, *headers])
 
 
 async def set_cookie(scope: Scope, send: Send, cookie: str, token: str) -> None:

@@ -242,7 +242,12 @@ class Page:
         return self._canvas.show(number, pose(Angles(*angles), plan.geometry), colours, again)
 
     def figures(self, frame: Frame, shared: SharedFigures) -> None:
-        """Update all but the drawing. For another geometry the page is loaded again."""
+        """Update all but the drawing. For another geometry the page is loaded again.
+
+        A page that is not connected is left out: a hundred of them would occupy the event loop.
+        """
+        if not self._client.has_socket_connection:
+            return
         plan = self._session.plan
         if self._built != (plan.description, plan.geometry):
             self._built = plan.description, plan.geometry

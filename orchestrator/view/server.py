@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import logging
 import socket
 import threading
@@ -13,8 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI
-from nicegui import ui
+from fastapi import FastAPI, Response
+from nicegui import Client, core, ui
+from nicegui import app as nicegui
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
@@ -27,6 +29,7 @@ from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.driving.endpoint import serve as serve_controls
 from orchestrator.view.driving.endpoint import watching
 from orchestrator.view.page import Page, SharedFigures, Stream
+from orchestrator.view.server_load import REQUESTS, PageInterval, TimedConnection
 from orchestrator.view.session import Session
 from orchestrator.view.task.training import Training
 
@@ -62,14 +65,18 @@ class Server:
         app = FastAPI(lifespan=self._life, docs_url=None, redoc_url=None, openapi_url=None)
         serve_controls(app, self.authority)
         self._stream, self._training = Stream(session, SharedFigures(session)), Training(session.machine)
+        ui.page("/")(self._page)
         ui.run_with(
             app,
-            root=self._page,
             title=TITLE,
             tailwind=False,
             show_welcome_message=False,
             reconnect_timeout=TIMEOUT,
         )
+        # NiceGUI would build a page for an unknown path, and serve long polls next to its websocket
+        nicegui.add_exception_handler(404, _not_found)
+        nicegui.config.socket_io_js_transports = core.sio.eio.transports = ["websocket"]
+        app.add_middleware(PageInterval)
         app.add_middleware(Guard, rules=allowed)
         config = uvicorn.Config(
             app,
@@ -78,6 +85,8 @@ class Server:
             ws_max_size=LARGEST,
             ws_per_message_deflate=False,  # compressing many small messages costs more than it saves
             timeout_graceful_shutdown=GRACE,
+            http=TimedConnection,
+            limit_concurrency=REQUESTS,
         )
         self._server = uvicorn.Server(config)
         self._thread: threading.Thread | None = None
@@ -103,6 +112,8 @@ class Server:
             self._thread.join(4 * GRACE)
 
     def _page(self) -> None:
+        # pages that were never shown; each adds 3 ms to a collection of garbage, which halts the server
+        Client.prune_instances(client_age_threshold=TIMEOUT)
         Page(self.session, self._stream, self.authority, self._training)
 
     @contextlib.asynccontextmanager
@@ -115,6 +126,10 @@ class Server:
                 yield
             finally:
                 showing.cancel()
+
+
+async def _not_found(*_: object) -> Response:
+    return Response("there is nothing at this address\n", 404, media_type="text/plain")
 
 
 def bound(host: str, port: int) -> socket.socket:
@@ -172,6 +187,7 @@ def serve(
         server = Server(session, host, port, token)
 
         def began() -> None:
+            gc.freeze()  # what exists by now stays: a collection of garbage would halt the server for it
             print(f"{session.title}\n{server.url}\npress Ctrl-C to end", flush=True)
             if open_:  # in a thread, because on some systems the call waits for the browser
                 threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()

@@ -18,6 +18,7 @@ from view.modes import MODES
 from orchestrator.view.access import Guard, Rules, rules
 from orchestrator.view.driving import endpoint
 from orchestrator.view.driving.authority import ControlAuthority
+from orchestrator.view.server_load import TimedConnection
 
 LONG = 60.0  # s; only bounds a failure, on a computer that does much else
 TIMEOUT, SILENCE_LIMIT = 4 * LONG, 8 * LONG  # s, of a authority that must not lose them by itself
@@ -111,7 +112,13 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     app.add_middleware(Guard, rules=asked)
     app.get("/")(lambda: "the page")
     settings = uvicorn.Config(
-        app, host="127.0.0.1", port=0, log_level="error", ws_max_size=2**16, ws="websockets-sansio"
+        app,
+        host="127.0.0.1",
+        port=0,
+        log_level="error",
+        ws_max_size=2**16,
+        ws="websockets-sansio",
+        http=TimedConnection,
     )
     server = uvicorn.Server(settings)
     thread = threading.Thread(target=server.run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from functools import partial
 
@@ -87,6 +88,81 @@ def test_own_page(local: Server) -> None:
     station = local.authority.join()
     with connect(local.socket(station.key), open_timeout=LONG, origin=local.http):
         wait(lambda: station.connected)
+
+
+OTHERS = (
+    {"sec-fetch-site": "cross-site"},
+    {"sec-fetch-site": "same-site"},  # another port of this computer
+    {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate", "sec-fetch-dest": "document"},
+    {"sec-fetch-site": "same-origin, cross-site"},
+    {"sec-fetch-site": ""},
+    {"referer": "http://evil.example/"},
+    {"referer": "http://127.0.0.1:1/"},
+    {"referer": "nonsense"},
+)
+
+
+@pytest.mark.parametrize("headers", OTHERS, ids=str)
+def test_requests_of_other_sites(local: Server, headers: dict[str, str]) -> None:
+    """What another site makes a browser ask for is refused, and the user reads what to do instead."""
+    answer = get(local.http, headers=headers)
+    assert answer.status_code == 403
+    assert answer.text == f"opened from another site: enter {local.http}/ in the address bar instead\n"
+    station = local.authority.join()
+    refused = pytest.raises(InvalidStatus, match="403")
+    with refused, connect(local.socket(station.key), open_timeout=LONG, additional_headers=headers):
+        pass
+
+
+OWN_REQUESTS = (
+    {"sec-fetch-site": "none", "sec-fetch-mode": "navigate"},  # typed, or a bookmark
+    {"sec-fetch-site": "same-origin"},
+    {"sec-fetch-site": "same-origin", "referer": "http://evil.example/"},  # the browser itself knows better
+    {"referer": "{http}/?file=x"},
+    {},
+)
+
+
+@pytest.mark.parametrize("headers", OWN_REQUESTS, ids=str)
+def test_requests_of_the_user(local: Server, headers: dict[str, str]) -> None:
+    """A direct visit and the page itself are answered, in browsers without these headers, too."""
+    sent = {name: value.format(http=local.http) for name, value in headers.items()}
+    assert get(local.http, headers=sent).text == '"the page"'
+
+
+@pytest.mark.parametrize("method", ["HEAD", "POST", "OPTIONS", "PUT", "DELETE", "TRACE"])
+def test_other_methods(local: Server, method: str) -> None:
+    """Only GET is answered, so no foreign page learns by a preflight that it may ask."""
+    answer = httpx.request(method, local.http, timeout=LONG)
+    assert answer.status_code == 405
+    assert not [name for name in answer.headers if name.startswith("access-control")]
+
+
+@pytest.mark.parametrize("header", ["Content-Length: 1000000", "Transfer-Encoding: chunked"])
+def test_content(local: Server, header: str) -> None:
+    """A request with content, which could be slow to arrive, is refused before it arrives."""
+    with socket.create_connection(("127.0.0.1", local.port), LONG) as sent:
+        sent.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n{header}\r\n\r\n".encode())
+        assert sent.recv(100).startswith(b"HTTP/1.1 413 ")
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{"sec-purpose": "prefetch"}, {"purpose": "prefetch"}, {"sec-purpose": "prefetch;prerender"}],
+    ids=str,
+)
+def test_prefetch(local: Server, headers: dict[str, str]) -> None:
+    """No page is built before the user opens it."""
+    assert get(local.http, headers={"sec-fetch-site": "none", **headers}).status_code == 503
+
+
+def test_link_with_the_token(remote: Server) -> None:
+    """The address with its token works as a link in a message, too; nothing else on another site does."""
+    headers = {"sec-fetch-site": "cross-site"}
+    assert get(f"{remote.http}/?token={remote.rules.token}", headers=headers).status_code == 200
+    cookie = {"cookie": f"{remote.rules.cookie}={remote.rules.token}"}
+    assert get(remote.http, headers={**headers, **cookie}).status_code == 403
+    assert get(f"{remote.http}/?token=wrong", headers=headers).status_code == 403
 
 
 def test_no_token_on_the_loopback(local: Server) -> None:

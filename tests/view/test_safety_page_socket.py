@@ -59,7 +59,8 @@ def test_nonsense(served: tuple[str, subprocess.Popen]) -> None:
             # until it was read, or the connection was closed over it
             assert socket.ping(ack_on_close=True).wait(LONG)
     for piece in (b"garbage", b"\x1e" * 10, b"x" * 2_000_000):
-        assert httpx.post(f"{url}{SOCKET}&transport=polling", content=piece, timeout=LONG).status_code == 400
+        assert httpx.post(f"{url}{SOCKET}&transport=polling", content=piece, timeout=LONG).status_code == 405
+    assert httpx.get(f"{url}{SOCKET}&transport=polling", timeout=LONG).status_code == 400
     refused = pytest.raises(InvalidStatus, match="403")
     with refused, opened(address, origin="http://evil.example"):
         pass

@@ -1,0 +1,24 @@
+"""`harvester view`, of which the first page drives at once: `python first_drives.py SYSTEM RESULTS`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from orchestrator.view import server
+from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
+
+
+class Volunteering(ControlAuthority):
+    """Gives the controls to whoever connects while they are free."""
+
+    def connect(self, station: OperatorStation) -> int:
+        number = super().connect(station)
+        self.take(station)
+        return number
+
+
+if __name__ == "__main__":
+    server.ControlAuthority = Volunteering
+    where = {"host": "127.0.0.1", "port": 0, "token": "", "open_": False, "results": Path(sys.argv[2])}
+    server.serve(Path(sys.argv[1]), None, "", {}, {}, **where)

@@ -1,0 +1,192 @@
+"""What a server bears: floods of requests and of silent connections leave the driver and the page alone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import itertools
+import json
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+from view.standin import LONG, Server, comes, serving, wait
+from websockets.sync.client import connect
+
+from orchestrator.view import server_load
+from orchestrator.view.server_load import WAITING, PageInterval
+
+get = partial(httpx.get, timeout=LONG)
+HALF = b"GET / HTTP/1.1\r\nHost: 127."
+
+
+@pytest.fixture(scope="module")
+def served(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of the real server, in a process of its own; its first page drives."""
+    command = [sys.executable, str(Path(__file__).with_name("first_drives.py"))]
+    command += [str(fmu_dir / "harvester.ssp"), str(tmp_path_factory.mktemp("results"))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        yield [child.stdout.readline().strip() for _ in range(3)][1].rstrip("/")
+        child.kill()
+
+
+class Driver:
+    """Holds the dead-man like a browser, 33 times a second, and notes what the server answers."""
+
+    def __init__(self, url: str) -> None:
+        found = re.search(r"station\W+([\w-]{22})", get(url).text)
+        assert found
+        self.live: list[bool] = []
+        self._address, self._end = f"ws{url[4:]}/controls?station={found[1]}", threading.Event()
+        self._thread = threading.Thread(target=self._drive)
+        self._thread.start()
+        wait(lambda: any(self.live))
+
+    def _drive(self) -> None:
+        with connect(self._address, compression=None, open_timeout=LONG) as opened:
+            hearing = threading.Thread(target=lambda: [self._hear(raw) for raw in opened])
+            hearing.start()
+            number = 0
+            while not self._end.wait(0.03):
+                held = number > 3  # released first
+                opened.send(json.dumps({"n": number, "sticks": (-0.2, 0, 0, 0), "dead_man": held}))
+                number += 1
+        hearing.join()
+
+    def _hear(self, raw: str | bytes) -> None:
+        self.live.append(json.loads(raw)["live"])
+
+    def stop(self) -> None:
+        self._end.set()
+        self._thread.join(LONG)
+
+
+def fetch(url: str, path: str, answers: list[int]) -> None:
+    """With little work of this process, which drives as well."""
+    with contextlib.closing(http.client.HTTPConnection(urlsplit(url).netloc, timeout=LONG)) as asked:
+        asked.request("GET", path)
+        answers.append(asked.getresponse().status)
+
+
+@pytest.mark.parametrize(("path", "expected"), [("/", {200}), ("/any", {404}), ("/_nicegui/any", {404})])
+def test_flood_of_requests(served: str, path: str, expected: set[int]) -> None:
+    """100 requests within 3 s, for the page or anything else: the driver goes on driving."""
+    driver, answers = Driver(served), list[int]()
+    begin = driver.live.index(True)
+    for _ in range(100):
+        threading.Thread(target=fetch, args=(served, path, answers), daemon=True).start()
+        time.sleep(0.03)
+    assert all(driver.live[begin:]), "once interrupted, it stays so until the dead-man is released"
+    driver.stop()
+    wait(lambda: len(answers) == 100)
+    assert expected <= set(answers) <= {*expected, 503}
+
+
+def test_interval_of_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages begin one interval after the other; beyond the queue the browser is told to load again."""
+    monkeypatch.setattr(server_load, "INTERVAL", 0.05)
+    monkeypatch.setattr(server_load, "QUEUE", 3)
+    begun, sent = list[float](), list[dict[str, Any]]()
+
+    async def page(*_: object) -> None:
+        begun.append(time.monotonic())
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    async def ask(path: str, count: int) -> None:
+        scope = {"type": "http", "path": path}
+        await asyncio.gather(*(paced(scope, page, send) for _ in range(count)))
+
+    paced = PageInterval(page)
+    with ThreadPoolExecutor(1) as apart:  # this thread may have the event loop of a browser
+        apart.submit(asyncio.run, ask("/", 10)).result()
+    # the interval, less the resolution of the event loop's clock
+    assert min(b - a for a, b in itertools.pairwise(begun)) > 0.045
+    assert len(begun) == 4
+    starts = [message for message in sent if "status" in message]
+    assert [(s["status"], (b"refresh", b"1") in s["headers"]) for s in starts] == 6 * [(503, True)]
+    with ThreadPoolExecutor(1) as apart:
+        apart.submit(asyncio.run, ask("/style.css", 10)).result()
+    assert len(begun) == 14
+
+
+def opened(port: int, first: bytes) -> socket.socket:
+    found = socket.create_connection(("127.0.0.1", port), LONG)
+    found.sendall(first)
+    found.settimeout(0)
+    return found
+
+
+def is_closed(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(1000) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+
+
+def test_flood_of_connections(served: str) -> None:
+    """300 connections that say nothing or half a header: the oldest are closed, the page stays available."""
+    port = urlsplit(served).port
+    assert port
+    with contextlib.ExitStack() as stack:
+        silent = [stack.enter_context(opened(port, HALF if n % 2 else b"")) for n in range(300)]
+        assert get(served).status_code == 200
+        wait(lambda: sum(map(is_closed, silent)) >= 300 - WAITING)
+        assert not is_closed(silent[-1])
+        assert get(served).status_code == 200
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    """Gives 0.3 s for the header of a request."""
+    monkeypatch.setattr(server_load, "HEADER_TIME", 0.3)
+    with serving() as server:
+        yield server
+
+
+WHOLE = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+
+
+@pytest.mark.parametrize("first", [b"", HALF, WHOLE + HALF], ids=["nothing", "half", "second half"])
+def test_incomplete_header(hasty: Server, first: bytes) -> None:
+    """A connection that never completes a header is closed, also after a request; bytes do not prolong it."""
+    with opened(hasty.port, first) as waiting, contextlib.suppress(OSError):
+
+        def drips() -> bool:
+            if first:
+                waiting.sendall(b"x")
+            time.sleep(0.02)
+            return is_closed(waiting)
+
+        wait(drips)
+    assert get(hasty.http).status_code == 200
+
+
+def test_complete_requests_stay(hasty: Server) -> None:
+    """A websocket, and a connection with one request after the other, live longer than a header may take."""
+    station = hasty.authority.join()
+    asking = http.client.HTTPConnection("127.0.0.1", hasty.port, timeout=LONG)
+    with contextlib.closing(asking), connect(hasty.socket(station.key), open_timeout=LONG):
+        kept = None
+        for _ in range(10):
+            asking.request("GET", "/")
+            asking.getresponse().read()
+            assert asking.sock is (kept := kept or asking.sock)
+            time.sleep(0.1)
+        assert not comes(lambda: not station.connected, 0.5)
