@@ -21,7 +21,6 @@ from __future__ import annotations
 import difflib
 import json
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +28,7 @@ from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 from fmus.contract import Quantity, Subsystem, quantities
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 
 SOURCES = {
@@ -67,11 +67,9 @@ class Values:
 def read(path: Path) -> dict[str, dict[str, Number]]:
     """Tables `parameters` and `start` of a file; keys and types of each entry are checked."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        document = toml.read(path, path.read_bytes()).data
     except OSError as error:
         raise Problem(f"{path}: expected a TOML file, got {error.strerror}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise Problem(f"{path}: cannot be read as TOML: {error}") from None
     unknown = set(document) - {"parameters", "start"}
     if unknown:
         raise Problem(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")
@@ -102,7 +100,7 @@ def _number(path: Path, section: str, name: str, entry: Any) -> Number:
         raise Problem(f"{where} lacks {', '.join(missing)}")
     if entry["source"] not in SOURCES:
         raise Problem(f"{where} source is {entry['source']!r}, expected one of {', '.join(SOURCES)}")
-    if not math.isfinite(entry["value"]):
+    if not toml.is_number(entry["value"]):
         raise Problem(f"{where} value is {entry['value']}, expected a finite number")
     if not 0 <= entry.get("sd", 0) < math.inf:
         raise Problem(f"{where} sd is {entry['sd']}, expected 0 or more")

@@ -202,7 +202,7 @@ def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, changes
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("value = ", "cannot be read as TOML"),
+        ("value = ", "expected TOML, got"),
         ("[swing.x]\nvalue = 1\n", r"unknown table \[swing\]"),
         ("parameters = 3\n", r"parameters = 3, expected tables \[parameters\.NAME\]"),
         (

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -317,7 +318,20 @@ def write_columns(path: Path, names: Sequence[str], rows: NDArray[np.float64], d
     """Write rows, shape (n, m), as a CSV file with a header; `digits` significant digits."""
     path.parent.mkdir(parents=True, exist_ok=True)
     body = (",".join(f"{value + 0.0:.{digits}g}" for value in row) for row in rows)
-    path.write_text("\n".join([",".join(names), *body, ""]), encoding="utf-8", newline="\n")
+    path.write_text("\n".join([csv_header(names), *body, ""]), encoding="utf-8", newline="\n")
+
+
+def csv_header(names: Iterable[str]) -> str:
+    """The row of column names of a CSV file, without the end of the line (RFC 4180).
+
+    A name with white space at an end is quoted, too: readers strip that of other cells.
+    """
+    return ",".join(
+        '"{}"'.format(name.replace('"', '""'))
+        if re.search(r'[,"\r\n]', name) or name != name.strip()
+        else name
+        for name in names
+    )
 
 
 def write_zip(path: Path, content: Mapping[str, bytes]) -> None:

@@ -6,17 +6,25 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from datetime import date
+from functools import cache
 from math import isfinite
 from pathlib import Path
+from reprlib import Repr
+from sys import float_info
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.files import Location
 
+MAX_BYTES = 4 << 20  # a list of 100 000 numbers has 2 MB; tomllib reads 4 MB in some seconds
+# a key a.b.c of 32 or more parts: the effort of tomllib grows with the square of their number
+_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){31}""")
 Choice = TypeVar("Choice", bound=str)
 Dataclass = TypeVar("Dataclass")
 
@@ -126,12 +134,19 @@ class Table:
         return Table(f"{self.where}: {key}", value)
 
 
-def read(file: Path, data: bytes) -> Table:
+def read(file: Path | Location, data: bytes) -> Table:
     """The content `data` of a TOML file as a table."""
+    if len(data) > MAX_BYTES:
+        raise Problem(f"{file}: expected at most {MAX_BYTES >> 20} MiB of TOML, got {len(data) >> 20} MiB")
     try:
-        return Table(str(file), tomllib.loads(data.decode("utf-8-sig")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        text = data.decode("utf-8-sig")
+        if _LONG_KEY.search(text):
+            raise RecursionError
+        return Table(str(file), tomllib.loads(text))
+    except ValueError as error:  # also of UTF-8, and of a whole number with thousands of digits
         raise Problem(f"{file}: expected TOML, got {error}") from None
+    except RecursionError:
+        raise Problem(f"{file}: expected TOML, got lists or tables that are nested too deeply") from None
 
 
 @dataclass(frozen=True)
@@ -152,12 +167,17 @@ def read_dataclass(target: type[Dataclass], table: Table) -> Dataclass:
     A field is a str, float, int, bool, date, Literal, tuple of floats, tuple[..., ...] (a list), another
     dataclass (a table), a Mapping from names to one of these, or a union of them; Annotated adds a `Rule`.
     """
-    hints = get_type_hints(target, include_extras=True)
+    hints = _hints(target)
     table.allow_only(hints)
     for field in fields(target):  # type: ignore[arg-type]
         if field.default is MISSING and field.default_factory is MISSING:
             table.require(field.name, _expected(hints[field.name]))
     return target(**{key: _value(hints[key], table, key, f"{table.where}: {key}") for key in table.data})
+
+
+@cache
+def _hints(target: type[Any]) -> dict[str, Any]:
+    return get_type_hints(target, include_extras=True)
 
 
 def _value(hint: Any, table: Table, key: str, where: str) -> Any:
@@ -231,7 +251,9 @@ def _expected(hint: Any) -> str:
 
 def is_number(value: Any) -> bool:
     """True for a finite number; false for true and false, which are of type int."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
+    if isinstance(value, int):  # a whole number in TOML has any size
+        return not isinstance(value, bool) and abs(value) <= float_info.max
+    return isinstance(value, float) and isfinite(value)
 
 
 def quote_key(name: str) -> str:
@@ -239,5 +261,10 @@ def quote_key(name: str) -> str:
     return f'"{name}"' if "." in name else name
 
 
+_SHORT = Repr()  # dotted keys nest tables thousands deep, which repr refuses
+_SHORT.maxlist = _SHORT.maxdict = 20
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 100
+
+
 def _repr(value: Any) -> str:
-    return "nothing" if value is None else repr(value)
+    return "nothing" if value is None else _SHORT.repr(value)

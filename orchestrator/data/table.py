@@ -8,11 +8,13 @@ matrix with many columns ("data(2,:)").
 
 from __future__ import annotations
 
-import csv
 import math
+import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,13 +23,17 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.toml import NOT_NEGATIVE
+from orchestrator.base.toml import NOT_NEGATIVE, Rule
+from orchestrator.data.matlab import MAX_BYTES, check_size, first_line, read_variables, shortened
 
 Array = NDArray[np.float64]
 SUFFIXES = (".csv", ".parquet", ".mat")
 GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # texts that loggers write for a missing sample
 CHUNK = 5000  # rows of text converted at once, or cell by cell if one of them has a gap
 MAX_LISTED_COLUMNS = 256  # a matrix with more columns is read by rows
+LINE_BREAK = re.compile(r"\r\n?|\n")
+
+FILE_NAME = Rule("the name of a file in the folder of the description", lambda v: Path(v).name == v)
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class TextFormat:
     skip_lines   number of lines before the column names
     """
 
-    csv: str = ""
+    csv: Annotated[str, FILE_NAME] = ""
     delimiter: str | None = None
     decimal: str | None = None
     skip_lines: Annotated[int, NOT_NEGATIVE] = 0
@@ -89,7 +95,8 @@ def read_columns(
     if len(columns.rows) < (1 if names is None else 2):
         raise Problem(f"{file}: expected two or more rows of numbers, got {len(columns.rows) or 'none'}")
     for name, values in columns.values.items():
-        for k in np.flatnonzero(np.isinf(values))[:1]:
+        if (infinite := np.isinf(values)).any():
+            k = int(infinite.argmax())
             message = f"expected a finite number, got {values[k]:g}"
             raise Problem(f"{columns.location(k)}: column {name!r}: {message}")
     return columns
@@ -99,15 +106,10 @@ def _read_text(
     file: Location, names: Collection[str] | None, form: TextFormat | None, named: bool
 ) -> Columns:
     text = _Text(file, form or TextFormat(), has_description=form is not None)
-    lines = text.lines()
-    first = text.form.skip_lines + 1
-    text.check_marks(lines[0], first)
-    header = [name.strip() for name in text.split(lines[0])]
-    if not named:
-        header = [str(i) for i in range(len(header))]
-    indices = _column_indices(header, names, str(file), f"line {first}: ")
+    header, first, lines = text.split_header(named)
+    indices = _column_indices(header, names, str(file), f"line {text.form.skip_lines + 1}: ")
     blank = " \t" + (text.mark or "")
-    rows = {first + i: lines[i] for i in range(int(named), len(lines)) if lines[i].strip(blank)}
+    rows = {number: line for number, line in enumerate(lines, first) if line.strip(blank)}
     del lines
     if not rows:
         raise Problem(f"{file}: expected two or more rows of numbers, got none")
@@ -144,23 +146,41 @@ class _Text:
     def decimal(self) -> str:
         return self.form.decimal or "."
 
-    def lines(self) -> list[str]:
-        """The lines from the row of names on."""
+    def split_header(self, named: bool) -> tuple[list[str], int, list[str]]:
+        """The column names, the number of the next line, and the lines from there on.
+
+        named   False if there is no row of names: the columns are "0", "1", ... of the first line
+        """
+        text = self._text()
+        breaks = [match.end() for match in islice(LINE_BREAK.finditer(text), self.form.skip_lines)]
+        start = breaks[-1] if breaks else 0
+        if len(breaks) < self.form.skip_lines or not text[start:].strip():
+            raise Problem(f"{self.file}: expected two or more rows of numbers, got an empty file")
+        line_break = LINE_BREAK.search(text, start)
+        end = line_break.start() if line_break else len(text)
+        self.check_marks(text[start:end], self.form.skip_lines + 1)
+        if self.mark:
+            header, end = _cells(text, self.mark, start)
+        else:
+            header = text[start:end].split()
+        if not named:
+            header, end = [str(i) for i in range(len(header))], start
+        lines = LINE_BREAK.sub("\n", text[end:]).rstrip("\n").split("\n")
+        if named:  # the rest of the line of names, which is empty
+            del lines[0]
+        return header, len(LINE_BREAK.findall(text, 0, end)) + 1 + named, lines
+
+    def _text(self) -> str:
         try:
-            text = self.file.read().decode("utf-8-sig")
+            return self.file.read(MAX_BYTES).decode("utf-8-sig")
         except UnicodeDecodeError as error:
             line, byte = error.object[: error.start].count(b"\n") + 1, error.object[error.start]
             got = f"got the byte 0x{byte:02x}"
             raise Problem(f"{self.file}: line {line}: expected text in UTF-8, {got}") from None
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-        lines = text.rstrip("\n").split("\n")[self.form.skip_lines :]
-        if not lines or not text.strip():
-            raise Problem(f"{self.file}: expected two or more rows of numbers, got an empty file")
-        return lines
 
     def split(self, line: str) -> list[str]:
         """The cells of a line."""
-        return next(csv.reader([line], delimiter=self.mark), []) if self.mark else line.split()
+        return _cells(line, self.mark)[0] if self.mark else line.split()
 
     def check_marks(self, line: str, number: int) -> None:
         """Refuse an invalid delimiter or decimal mark, and a delimiter that is not in the row of names."""
@@ -214,7 +234,7 @@ class _Text:
         value = _number(with_point if self.decimal == "," else cell)
         if value is None:
             comma = self.has_description and self.decimal == "." and _number(with_point) is not None
-            got = f"{cell.strip()!r}" + (': set decimal = "," in [file]' if comma else "")
+            got = f"{shortened(cell.strip())!r}" + (': set decimal = "," in [file]' if comma else "")
             raise Problem(f"{self.file}: line {line}: column {column!r}: expected a number, got {got}")
         return value
 
@@ -223,21 +243,42 @@ def _column_indices(
     header: Sequence[str], names: Collection[str] | None, file: str, where: str = ""
 ) -> dict[str, int]:
     """Index of each requested column (None: all columns), which must occur exactly once."""
-    if names is None and "" in header:
+    counts, index = Counter(header), {name: i for i, name in enumerate(header)}
+    if names is None and "" in counts:
         raise Problem(f"{file}: {where}column {list(header).index('') + 1} has no name")
-    for name in header if names is None else sorted(names):
-        count = list(header).count(name)
-        if count > 1:
-            raise Problem(f"{file}: column {name!r} expected once, got {count} times")
-        if not count:
+    selected = header if names is None else sorted(names)
+    for name in selected:
+        if counts[name] > 1:
+            raise Problem(f"{file}: column {shortened(name)!r} expected once, got {counts[name]} times")
+        if not counts[name]:
             raise Problem(
-                f"{file}: column {name!r} expected, got {_name_list(header)}{suggest(name, header)}"
+                f"{file}: column {shortened(name)!r} expected, got {_name_list(header)}{suggest(name, header)}"
             )
-    return {name: list(header).index(name) for name in (header if names is None else sorted(names))}
+    return {name: index[name] for name in selected}
+
+
+def _cells(text: str, mark: str, start: int = 0) -> tuple[list[str], int]:
+    """The cells of a row from `start` on, and the index of its end, a line break that is not quoted.
+
+    White space around a cell is stripped, unless it is inside quotes. A quote inside an unquoted cell counts
+    as text.
+    """
+    end = re.escape(mark)
+    quoted = rf' *"([^"]*+(?:""[^"]*+)*+)" *(?=[{end}\r\n]|\Z)'
+    cell = re.compile(rf"{quoted}|([^{end}\r\n]*)")
+    cells = []
+    while match := cell.match(text, start):
+        inside, plain = match.groups()
+        cells.append(plain.strip() if inside is None else inside.replace('""', '"'))
+        if text[match.end() : match.end() + 1] != mark:
+            return cells, match.end()
+        start = match.end() + 1
+    raise AssertionError("an empty cell matches anywhere")
 
 
 def _name_list(names: Sequence[str]) -> str:
-    return ", ".join([*names[:8], *(["..."] if len(names) > 8 else [])]) or "no names"
+    shown = [shortened(name) for name in names[:8]]
+    return ", ".join([*shown, *(["..."] if len(names) > 8 else [])]) or "no names"
 
 
 def _number(cell: str) -> float | None:
@@ -257,12 +298,13 @@ def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
         with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else file.path) as opened:
             schema = opened.schema_arrow
             selected = list(_column_indices(schema.names, names, str(file)))
+            check_size(file, 8 * len(selected) * opened.metadata.num_rows, "columns")
             table = opened.read(columns=selected)
-    except (pyarrow.ArrowInvalid, OSError) as error:
-        raise Problem(f"{file}: expected a Parquet file, got {_first_line(error)}") from None
-    values = {name: _arrow_values(table.column(name), f"{file}: row", name) for name in selected}
-    metadata = {name: schema.field(name).metadata or {} for name in selected}
-    units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
+        values = {name: _arrow_values(table.column(name), f"{file}: row", name) for name in selected}
+        metadata = {name: schema.field(name).metadata or {} for name in selected}
+        units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}
+    except (pyarrow.ArrowException, OSError, ValueError) as error:  # ValueError: text that is not UTF-8
+        raise Problem(f"{file}: expected a Parquet file, got {first_line(error)}") from None
     return Columns(str(file), values, range(1, table.num_rows + 1), units=units)
 
 
@@ -272,30 +314,28 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
 
     column_type, types = column.type, pyarrow.types
     if types.is_integer(column_type) or types.is_floating(column_type) or types.is_decimal(column_type):
-        values: Array = np.array(column.cast(pyarrow.float64()).to_numpy(), dtype=np.float64)
+        values: Array = np.array(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
         return values
     if types.is_string(column_type) or types.is_large_string(column_type):
         cells = [text or "" for text in column.to_pylist()]
         numbers = [_number(cell) for cell in cells]
         if None in numbers:
             bad = numbers.index(None)
-            raise Problem(f"{where} {bad + 1}: column {name!r}: expected a number, got {cells[bad]!r}")
+            raise Problem(
+                f"{where} {bad + 1}: column {name!r}: expected a number, got {shortened(cells[bad])!r}"
+            )
         return np.array(numbers, dtype=np.float64)
     raise Problem(f"{where} 1: column {name!r}: expected numbers, got {column_type}")
 
 
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).strip().splitlines()), type(error).__name__)
-
-
 def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a MATLAB file, which must have the same length."""
-    candidates = dict(_flat_columns("", _variables(file)))
+    candidates = dict(_flat_columns("", read_variables(file)))
     values = {}
     for name in _column_indices(list(candidates), names, str(file)):
         column = candidates[name]
         if isinstance(column, str) or column.dtype.kind not in "fiub":
-            got = repr(column[:40]) if isinstance(column, str) else f"{column.dtype} such as {column[0]!r}"
+            got = repr(shortened(column)) if isinstance(column, str) else f"{column.dtype}"
             raise Problem(f"{file}: row 1: column {name!r}: expected numbers, got {got}")
         values[name] = column.astype(np.float64)
     lengths = {name: len(column) for name, column in values.items()}
@@ -303,38 +343,6 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
         got = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise Problem(f"{file}: expected columns of one length, got {got}")
     return Columns(str(file), values, range(1, 1 + min(lengths.values(), default=0)))
-
-
-def _variables(file: Location) -> dict[str, Any]:
-    """Arrays by name, structs as dictionaries. Version 7.3 is HDF5, SciPy reads earlier versions."""
-    import h5py
-    import scipy.io
-
-    source = BytesIO(file.read()) if file.members else file.path
-    try:
-        if file.members or not h5py.is_hdf5(source):
-            return dict(scipy.io.loadmat(source, simplify_cells=True))
-        with h5py.File(source, "r") as opened:
-            return _group(opened)
-    except (ValueError, TypeError, OSError, NotImplementedError, scipy.io.matlab.MatReadError) as error:
-        raise Problem(f"{file}: expected a MATLAB file, got {_first_line(error)}") from None
-
-
-def _group(group: Any) -> dict[str, Any]:
-    """An HDF5 group (a struct) as a dictionary; text as str, without references (cells, objects)."""
-    import h5py
-
-    result: dict[str, Any] = {}
-    for name, item in group.items():
-        if name.startswith("#"):
-            continue
-        if isinstance(item, h5py.Group):
-            result[name] = _group(item)
-        elif item.attrs.get("MATLAB_class") == b"char":
-            result[name] = "".join(map(chr, np.asarray(item).T.ravel()))
-        elif item.dtype.kind in "fiub" and not item.attrs.get("MATLAB_empty", 0):
-            result[name] = np.asarray(item).T  # HDF5 has the dimensions in reverse order
-    return result
 
 
 def _flat_columns(prefix: str, struct: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

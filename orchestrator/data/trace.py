@@ -6,7 +6,6 @@ Parquet: the same columns as float64, with units in the metadata of the fields.
 
 from __future__ import annotations
 
-import csv
 import fnmatch
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, csv_header
 from orchestrator.data.table import Columns, read_columns
 
 if TYPE_CHECKING:
@@ -89,8 +88,10 @@ def _check_samples(columns: Columns) -> None:
         row = f"{columns.file}: {columns.row_word} {rows[k] + 1}"
         raise Problem(f"{row}: expected {len(columns.values)} cells, got an empty row")
     for name, values in columns.values.items():
-        for k in np.flatnonzero(np.isnan(values))[:1]:
-            raise Problem(f"{columns.location(k)}: column {name!r}: expected a number, got none")
+        if (missing := np.isnan(values)).any():
+            raise Problem(
+                f"{columns.location(int(missing.argmax()))}: column {name!r}: expected a number, got none"
+            )
     steps = np.diff(time)
     for k in np.flatnonzero(steps <= 0)[:1]:
         raise Problem(f"{columns.location(k + 1)}: expected a time after {time[k]!s} s, got {time[k + 1]!s}")
@@ -122,7 +123,7 @@ def write_csv(trace: Trace, path: Path) -> None:
     """Write a trace as CSV, each value as the shortest decimal that is read back as the same float64."""
     columns = [trace.time, *trace.signals.values()]
     with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow([TIME, *trace.signals])
+        file.write(f"{csv_header([TIME, *trace.signals])}\n")
         for first in range(0, len(trace.time), CHUNK):
             rows = zip(*(c[first : first + CHUNK].tolist() for c in columns), strict=True)
             file.writelines(",".join(map(repr, row)) + "\n" for row in rows)

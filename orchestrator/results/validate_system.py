@@ -5,7 +5,6 @@ Without a scenario the commands in the reference are the scenario.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.units import convert
@@ -177,9 +177,9 @@ def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
     if component.source is None:
         return {}
     try:
-        text = component.source.member("resources/parameters.toml").read().decode("utf-8")
-        tables = tomllib.loads(text).get("parameters", {})
-    except (Problem, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        file = component.source.member("resources/parameters.toml")
+        tables = toml.read(file, file.read()).data.get("parameters", {})
+    except Problem:
         return {}  # other FMUs have no such file, or a different file of that name
     return tables if isinstance(tables, dict) else {}
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from orchestrator import Problem, Trace, read_trace, write_trace
 
@@ -20,6 +22,31 @@ def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
     np.testing.assert_array_equal(back.time, trace.time)
     np.testing.assert_array_equal(back["a.y"], trace["a.y"])
     assert back.units == ({"a.y": "Pa"} if suffix == ".parquet" else {})
+
+
+NAME = st.text(st.characters(exclude_categories=["Cs"]) | st.sampled_from(" ,;\"'\n\r\t.#"), min_size=1)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@given(names=st.lists(NAME, min_size=1, max_size=5, unique=True), unit=NAME)
+def test_any_names_survive(tmp_path_factory, suffix, names, unit):
+    """Names with line breaks, commas, quotes and white space, and any unit, are read as they were written."""
+    names = [name if name != "time" else "a.time" for name in names]
+    time = np.arange(3.0)
+    signals = {name: time + i for i, name in enumerate(names)}
+    path = tmp_path_factory.getbasetemp() / f"names{suffix}"
+    back = read_trace(write_trace(Trace(time, signals, {names[0]: unit}), path))
+    assert list(back.signals) == list(signals)
+    assert all((back[name] == values).all() for name, values in signals.items())
+    assert back.units == ({names[0]: unit} if suffix == ".parquet" else {})
+
+
+def test_lines_after_a_name_with_line_breaks_are_counted_as_in_an_editor(tmp_path):
+    """The mistake in the file's line 5 is told with this line; Excel writes such names, too."""
+    path = tmp_path / "a.csv"
+    path.write_bytes(b'time,"flow\r\n[m3/s]"\r\n0,1\r\n1,2\r\n2,off\r\n')
+    with pytest.raises(Problem, match=r"line 5: column .*: expected a number, got 'off'$"):
+        read_trace(path)
 
 
 def test_an_unknown_signal_is_told_with_what_it_could_be(trace):

@@ -1,0 +1,215 @@
+"""Reads the variables of MATLAB files: version 7.3 (HDF5, by h5py), versions 5 to 7, and version 4 (by SciPy).
+
+A damaged or hostile file is refused in one line. Nothing outside of the file is read, and no memory is taken
+for values that are only declared. The reader of version 5 is our own: SciPy's does not check the types of
+elements and the depth of structs in its compiled code, so that a flipped bit can end the process.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
+
+MAX_BYTES = 8 << 30  # of a file or its numbers: 100 signals at 200 Hz for ten hours are 5.8 GB
+MAX_RATIO, SMALL = 1032, 64 << 20  # deflate compresses to 1/1032 at most; small variables may be fill values
+MAX_VARIABLES = 10_000  # of an HDF5 file, read in some seconds; loggers record some thousand
+MAX_SHOWN = 40  # characters of a name or a cell in a message
+
+# what h5py and the reader of version 4 raise for damaged files, which they do not document
+ERRORS = (
+    ValueError,
+    TypeError,
+    OSError,
+    LookupError,
+    ArithmeticError,
+    AttributeError,
+    RuntimeError,
+    MemoryError,
+)
+
+# version 5: types of elements, classes of arrays (MAT-File Format, MathWorks, tables 1-1 and 1-3)
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+TEXTS = {2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+MATRIX, COMPRESSED = 14, 15
+STRUCT, CHAR, NUMERIC = 2, 4, range(6, 16)
+COMPLEX = 0x800
+HEADER = 128  # bytes
+
+
+def read_variables(file: Location) -> dict[str, Any]:
+    """Arrays and texts by name, scalar structs as dictionaries; cells, objects and sparse arrays are left out."""
+    import h5py
+
+    try:
+        if not file.members and h5py.is_hdf5(file.path):
+            with h5py.File(file.path, "r") as opened:
+                return _Hdf5(file).group(opened)
+        data = file.read(MAX_BYTES)
+        if 0 in data[:4]:  # in version 5 a text begins here
+            return _version_4(file, data)
+        return _version_5(data)
+    except (*ERRORS, struct.error, zlib.error) as error:
+        raise Problem(f"{file}: expected a MATLAB file, got {first_line(error)}") from None
+
+
+def check_size(file: Location, size: int, what: str) -> None:
+    """Refuse what the memory of a computer cannot hold, before it is read."""
+    if size > MAX_BYTES:
+        got = f"{what} of {size / 2**30:.3g} GiB"
+        raise Problem(f"{file}: expected at most {MAX_BYTES >> 30} GiB of samples, got {got}")
+
+
+def shortened(text: str) -> str:
+    """The beginning of a name or a cell, for a message."""
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+
+
+def first_line(error: Exception) -> str:
+    """The first line of a library's message."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
+
+
+def _check_declared(file: Location, name: str, declared: int, stored: int) -> None:
+    """Refuse a variable that declares more bytes than can be read, or than `stored` bytes can contain."""
+    check_size(file, declared, f"{shortened(name)!r}")
+    if declared > max(SMALL, MAX_RATIO * stored):
+        got = f"{declared / 2**20:.0f} MiB declared and {stored} bytes stored"
+        raise Problem(f"{file}: {shortened(name)!r}: expected a MATLAB file, got {got}")
+
+
+# ---- version 7.3
+
+
+@dataclass
+class _Hdf5:
+    """Reader of an HDF5 file. Nothing outside of the file is read: no links, no external or virtual storage.
+
+    visited   addresses of the groups that were read; damage can make a group contain itself
+    count     number of the variables that were read
+    """
+
+    file: Location
+    visited: set[int] = field(default_factory=set)
+    count: int = 0
+
+    def group(self, group: Any) -> dict[str, Any]:
+        """A group (a struct) as a dictionary; text as str, without references (cells, objects)."""
+        import h5py
+
+        address = h5py.h5o.get_info(group.id).addr
+        if address in self.visited:
+            raise Problem(f"{self.file}: {group.name}: expected a struct, got one that contains itself")
+        self.visited.add(address)
+        result: dict[str, Any] = {}
+        for name in group:
+            if name.startswith("#"):
+                continue
+            link = group.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                target = getattr(link, "filename", None) or getattr(link, "path", "?")
+                raise Problem(f"{self.file}: {name!r}: expected a variable, got a link to {target}")
+            self.count += 1
+            if self.count > MAX_VARIABLES:
+                raise Problem(f"{self.file}: expected at most {MAX_VARIABLES} variables, got more")
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                result[name] = self.group(item)
+            elif isinstance(item, h5py.Dataset) and (content := self.content(name, item)) is not None:
+                result[name] = content
+        return result
+
+    def content(self, name: str, item: Any) -> Any:
+        """The content of a variable: numbers as an array, a text as str; None for anything else."""
+        if item.is_virtual or item.external:
+            raise Problem(f"{self.file}: {name!r}: expected a variable, got values in another file")
+        text = item.attrs.get("MATLAB_class") == b"char"
+        if item.shape is None or item.dtype.kind not in ("u" if text else "fiub"):
+            return None
+        if np.any(item.attrs.get("MATLAB_empty", 0)):
+            return None
+        _check_declared(self.file, name, item.size * item.dtype.itemsize, item.id.get_storage_size())
+        values = np.asarray(item).T  # HDF5 has the dimensions in reverse order
+        return "".join(map(chr, values.ravel())) if text else values
+
+
+# ---- versions 4 and 5
+
+
+def _version_4(file: Location, data: bytes) -> dict[str, Any]:
+    import scipy.io
+
+    for name, shape, _ in scipy.io.whosmat(BytesIO(data)):
+        _check_declared(file, name, 8 * math.prod(shape), len(data))
+    return {n: v for n, v in scipy.io.loadmat(BytesIO(data)).items() if isinstance(v, np.ndarray)}
+
+
+def _version_5(data: bytes) -> dict[str, Any]:
+    order = {b"IM": "<", b"MI": ">"}.get(data[HEADER - 2 : HEADER])
+    if order is None:
+        raise ValueError("no header of version 5, 7 or 7.3")
+    result: dict[str, Any] = {}
+    for kind, content in _elements(memoryview(data)[HEADER:], order):
+        if kind == COMPRESSED:
+            unpacked = zlib.decompressobj().decompress(content, MAX_BYTES)
+            kind, content = next(_elements(memoryview(unpacked), order))
+        if kind == MATRIX:
+            name, value = _matrix(content, order)
+            if value is not None:
+                result[name] = value
+    return result
+
+
+def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Type and content of each element; a small element has both in eight bytes."""
+    at = 0
+    while at + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, at)
+        start, end = at + 8, at + 8 + size
+        at = end if kind == COMPRESSED else end + -size % 8
+        if kind >> 16:
+            kind, size = kind & 0xFFFF, kind >> 16
+            start, end, at = start - 4, start - 4 + size, start
+        if end > len(data) or (start % 8 and size > 4):
+            raise ValueError(f"an element of {size} bytes where {len(data) - start} are left")
+        yield kind, data[start:end]
+
+
+def _matrix(data: memoryview, order: str) -> tuple[str, Any]:
+    """Name and content of an array; None for the content of cells, objects and sparse arrays."""
+    if not data:  # an empty field of a struct
+        return "", None
+    parts = _elements(data, order)
+    flags = int(_numbers(*next(parts), order)[0])
+    shape = tuple(map(int, _numbers(*next(parts), order)))
+    name = bytes(next(parts)[1]).decode()
+    if flags & 0xFF in NUMERIC:
+        values = _numbers(*next(parts), order).reshape(shape, order="F")
+        return name, values.astype(complex) if flags & COMPLEX else values
+    if flags & 0xFF == CHAR and shape[0] == 1:
+        kind, content = next(parts)
+        encoding = TEXTS[kind] + ({"<": "-le", ">": "-be"}[order] if "-16" in TEXTS[kind] else "")
+        return name, bytes(content).decode(encoding)
+    if flags & 0xFF == STRUCT and shape == (1, 1):
+        length = int(_numbers(*next(parts), order)[0])
+        names = bytes(next(parts)[1])
+        fields = [names[i : i + length].split(b"\0")[0].decode() for i in range(0, len(names), length)]
+        values = [_matrix(content, order)[1] for _, content in parts]
+        return name, {n: v for n, v in zip(fields, values, strict=True) if v is not None}
+    return name, None
+
+
+def _numbers(kind: int, content: memoryview, order: str) -> NDArray[Any]:
+    if kind not in NUMBERS:
+        raise ValueError(f"an element of type {kind} where numbers are expected")
+    return np.frombuffer(content, f"{order}{NUMBERS[kind]}")

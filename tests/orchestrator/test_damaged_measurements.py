@@ -1,0 +1,340 @@
+"""Damaged files of samples and of TOML: one line or a regular result, in bounded time and memory."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from fmus import parameters
+from orchestrator import Problem, Trace, read_recording, read_trace, write_trace
+from orchestrator.data.description import Description, Origin, SignalDescription, write_description
+from orchestrator.data.table import MAX_BYTES, read_columns
+from orchestrator.studies.study import read as read_study
+
+SECONDS = 10.0  # for one file, on a busy machine; a good one takes some milliseconds
+MEMORY = 1 << 30  # bytes
+NORMAL, LONG = 20, 400  # seeds for each of the eight kinds of files
+
+TOKENS = (  # what a text file gets in the place of a piece
+    *(b'"', b'""', b",", b";", b"\t", b"\n", b"\r", b"\n\n", b"\x00", b"\x1b[2J", b"\xff", b"\xe2\x80\xae"),
+    *(b"nan", b"inf", b"-1e999", b"1e-400", b"0x1p3", b"1_0", b"-0", b"9" * 400, b"9" * 5000, b"1" * 200_000),
+    *(
+        b"[" * 3000,
+        b"{a=" * 3000,
+        b"a." * 3000 + b"b=1",
+        b"=",
+        b"[[x]]",
+        b"'''",
+        b"true",
+        b"1979-05-27",
+        b".",
+    ),
+    *(b"x" * 200_000, b'"' * 9999, b"," * 9999, b"m^" * 999, b"(" * 999, b"../../x", b"/etc/passwd", b"#"),
+)
+SIZES = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 36, 1 << 62, (1 << 64) - 1)
+
+STUDY = """
+title = "a study"
+system = "none.ssp"
+method = "sobol"
+runs = 16
+seed = 3
+stop = 0.2
+step = 0.01
+[factors."gain.factor"]
+distribution = "uniform"
+minimum = 1
+maximum = 3
+[fixed]
+"gain.u" = 2
+[outputs.end]
+signal = "gain.y"
+measure = "final"
+"""
+
+
+def damaged(draw: random.Random, data: bytes, text: bool) -> bytes:
+    """The bytes with one to four damages: flipped, cut, repeated, moved, or replaced by hostile ones."""
+    piece = bytearray(data)
+    for _ in range(draw.choice((1, 1, 2, 4))):
+        at, end = sorted(draw.randrange(len(piece) + 1) for _ in range(2))
+        end = min(end, at + draw.choice((1, 4, 8, 64, 4096)))
+        action = draw.randrange(5)
+        if action == 0 and at < len(piece):
+            piece[at] ^= 1 << draw.randrange(8)
+        elif action == 1:
+            del piece[at : end if draw.random() < 0.7 else None]
+        elif action == 2:
+            piece[at:at] = piece[at:end] * draw.choice((1, 2, 50))
+        elif action == 3 or text:
+            piece[at:end] = draw.choice(TOKENS)
+        else:
+            size = draw.choice(SIZES).to_bytes(8, "little")[: draw.choice((2, 4, 8))]
+            piece[at : at + len(size)] = size
+    return bytes(piece)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> dict[str, tuple[bytes, str, Callable[[Path], Any]]]:
+    """Kind -> content, suffix and reader of a good file."""
+    folder = tmp_path_factory.mktemp("good")
+    time = np.arange(40) * 0.01
+    trace = Trace(time, {"a.y": np.sin(time), "b, x": time**2}, {"a.y": "Pa"})
+    for suffix in (".csv", ".parquet"):
+        write_trace(trace, folder / f"trace{suffix}")
+    struct = {"run": {"y": np.sin(time), "cell": np.array([1, "a"], dtype=object)}, "text": "words"}
+    for packed in (False, True):
+        name = folder / f"mat5{packed}.mat"
+        scipy.io.savemat(name, {"time": time, "y": np.sin(time), **struct}, do_compression=packed)
+    with h5py.File(folder / "mat73.mat", "w") as file:
+        file["time"] = time[None]
+        file.create_dataset("y", data=np.sin(time)[None], chunks=(1, 8), compression="gzip")
+        file["run/y"] = np.sin(time)[None]
+        file["text"] = np.frombuffer("words".encode("utf-16-le"), np.uint16)[None]
+        file["text"].attrs["MATLAB_class"] = np.bytes_("char")
+    signals = {"y": SignalDescription("bar", span=(0.0, 4.0), sensor="a"), "z": SignalDescription("m/s")}
+    origin = Origin("title", date=date(2026, 1, 2))
+    write_description(folder / "described.toml", Description(signals, origin, {"procedure": "valve"}))
+    shipped = Path(parameters.__file__).parent / "supply" / "parameters.toml"
+    csv = "time,y,z\n" + "".join(f"{t},{t},{t}\n" for t in time)
+
+    def described(path: Path) -> Any:
+        path.with_suffix(".csv").write_text(csv, encoding="utf-8")
+        return read_recording(path)
+
+    def mat(path: Path) -> Any:
+        return read_columns(path, {"time", "y"})
+
+    return {
+        "CSV": ((folder / "trace.csv").read_bytes(), ".csv", read_trace),
+        "Parquet": ((folder / "trace.parquet").read_bytes(), ".parquet", read_trace),
+        "MAT 5": ((folder / "mat5False.mat").read_bytes(), ".mat", mat),
+        "MAT 5, compressed": ((folder / "mat5True.mat").read_bytes(), ".mat", mat),
+        "MAT 7.3": ((folder / "mat73.mat").read_bytes(), ".mat", mat),
+        "description": ((folder / "described.toml").read_bytes(), ".toml", described),
+        "study": (STUDY.encode(), ".toml", read_study),
+        "parameters": (shipped.read_bytes(), ".toml", parameters.read),
+    }
+
+
+KINDS = (
+    *("CSV", "Parquet", "MAT 5", "MAT 5, compressed", "MAT 7.3"),
+    *("description", "study", "parameters"),
+)
+
+
+def peak() -> int:
+    """The largest resident memory of this process [bytes] since `reset_peak`; 0 where it is not known."""
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM")), 0)
+
+
+def reset_peak() -> None:
+    if os.access("/proc/self/clear_refs", os.W_OK):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def check(read: Callable[[Path], Any], path: Path) -> Problem | None:
+    """Read a file: a regular result or one line that names it, in bounded time and memory."""
+    reset_peak()
+    before, began, problem = peak(), time.perf_counter(), None
+    try:
+        read(path)
+    except Problem as refusal:
+        problem = refusal
+    assert time.perf_counter() - began < SECONDS
+    assert peak() - before < MEMORY
+    if problem is not None:
+        assert path.stem in str(problem)
+        assert str(problem).isprintable()
+        assert len(str(problem)) < 3000
+    return problem
+
+
+def check_seeds(good: Any, kind: str, seeds: range, folder: Path) -> None:
+    data, suffix, read = good[kind]
+    path = folder / f"damaged{suffix}"
+    path.write_bytes(data)
+    assert check(read, path) is None  # the good file is read
+    refused = 0
+    for seed in seeds:
+        path.write_bytes(damaged(random.Random(f"{kind} {seed}"), data, text=suffix in (".csv", ".toml")))
+        try:
+            refused += check(read, path) is not None
+        except Exception as error:
+            raise AssertionError(f"{kind}, seed {seed}: {error!r}") from error
+    assert refused > len(seeds) / 4  # the damage is noticed often enough to test the refusals
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_files_are_one_line_or_a_result(good, kind, tmp_path):
+    """Whatever is damaged: no other exception than a Problem."""
+    check_seeds(good, kind, range(NORMAL), tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_damaged_files_are_one_line_or_a_result(good, kind, tmp_path):
+    """The same with more seeds."""
+    check_seeds(good, kind, range(NORMAL, LONG), tmp_path)
+
+
+# ---- damage of one kind
+
+
+def refused(path: Path, message: str, read: Callable[[Path], Any] | None = None) -> None:
+    problem = check(read or (lambda p: read_columns(p, {"time", "x"})), path)
+    assert problem is not None
+    assert message in str(problem)
+
+
+def mat73(path: Path, change: Callable[[h5py.File], object]) -> Path:
+    """A MAT 7.3 file with `time` and `x`, changed."""
+    with h5py.File(path, "w") as file:
+        file["time"] = file["x"] = np.arange(10.0)[None]
+        change(file)
+    return path
+
+
+def dataset(*shape: int, **options: Any) -> Callable[[h5py.File], object]:
+    def replace(file: h5py.File) -> None:
+        del file["x"]
+        file.create_dataset("x", shape=shape, dtype="f8", **options)
+
+    return replace
+
+
+def link(target: h5py.ExternalLink | h5py.SoftLink) -> Callable[[h5py.File], object]:
+    def replace(file: h5py.File) -> None:
+        del file["x"]
+        file["x"] = target
+
+    return replace
+
+
+def virtual(file: h5py.File) -> None:
+    del file["x"]
+    layout = h5py.VirtualLayout(shape=(1, 10), dtype="f8")
+    layout[:] = h5py.VirtualSource("other.mat", "x", shape=(1, 10))
+    file.create_virtual_dataset("x", layout)
+
+
+def loop(file: h5py.File) -> None:
+    group = file.create_group("run")
+    group["itself"] = group
+
+
+def deep(file: h5py.File) -> None:
+    group: Any = file
+    for _ in range(2000):
+        group = group.create_group("a")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (link(h5py.ExternalLink("other.mat", "/x")), "'x': expected a variable, got a link to other.mat"),
+        (link(h5py.SoftLink("/time")), "'x': expected a variable, got a link to /time"),
+        (dataset(1, 10, external=[("other.bin", 0, 80)]), "'x': expected a variable, got values in another"),
+        (virtual, "'x': expected a variable, got values in another file"),
+        (dataset(1, 10**10, chunks=(1, 1000)), "expected at most 8 GiB of samples, got 'x' of 74.5 GiB"),
+        (
+            dataset(1, 10**8, chunks=(1, 1000)),
+            "'x': expected a MATLAB file, got 763 MiB declared and 0 bytes",
+        ),
+        (loop, "/run/itself: expected a struct, got one that contains itself"),
+        (deep, "maximum recursion depth"),
+    ],
+)
+def test_a_mat_file_is_read_only_itself(tmp_path, change, message):
+    """Values in other files, values that are only declared and endless structs are refused before reading."""
+    (tmp_path / "other.bin").write_bytes(np.arange(10.0).tobytes())
+    mat73(tmp_path / "other.mat", lambda file: None)  # noqa: ARG005  unchanged
+    refused(mat73(tmp_path / "a.mat", change), message)
+
+
+def test_other_content_of_a_mat_file_does_no_harm(tmp_path):
+    """Empty and compound variables, types, numbers marked as text, cells with structs: not columns."""
+
+    def change(file: h5py.File) -> None:
+        file["empty"], file["type"] = h5py.Empty("f8"), np.dtype("f8")
+        file["pairs"], file["char"] = np.zeros(3, dtype=[("a", "f8")]), np.array([[1.5]])
+        file["char"].attrs["MATLAB_class"] = np.bytes_("char")
+
+    assert check(lambda p: read_columns(p, {"time", "x"}), mat73(tmp_path / "a.mat", change)) is None
+    cell = np.array([{"a": 1}, np.arange(3), np.arange(2)], dtype=object)
+    scipy.io.savemat(tmp_path / "b.mat", {"time": np.arange(3.0), "x": np.arange(3.0), "cell": cell})
+    assert read_columns(tmp_path / "b.mat", {"time", "x"}).values["x"].tolist() == [0, 1, 2]
+
+
+def test_a_file_beyond_any_memory_is_refused_by_its_size(tmp_path):
+    """A file of 74 GiB, nearly all of it a hole, is not opened."""
+    path = tmp_path / "a.csv"
+    path.touch()
+    os.truncate(path, 74 << 30)
+    refused(path, f"expected at most {MAX_BYTES >> 30} GiB of samples, got a file of 74 GiB")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,x\n0," + "1" * 200_000 + "\n1,2\n", "line 2: column 'x': expected a finite number, got inf"),
+        ('time,x\n0,"' + "y" * 200_000 + '"\n1,2\n', "column 'x': expected a number, got 'yyyyyyyyyy"),
+        ('time,"' + "y" * 200_000 + "\n0,1\n1,2\n", "column 'x' expected, got time, \"yyyyyyyyyy"),
+        ("time," + '"' * 5_000_000 + "\n0,1\n1,2\n", "column 'x' expected, got time, "),
+    ],
+)
+def test_long_cells_are_shortened_in_messages(tmp_path, text, message):
+    """The csv module refuses cells with more than 131 072 characters by an exception of its own."""
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+    refused(path, message)
+
+
+def test_many_columns_are_read_in_seconds(tmp_path):
+    """200 000 columns: the effort grows with their number, not with its square."""
+    path, count = tmp_path / "a.csv", 200_000
+    names = ",".join(f"c{i}" for i in range(count))
+    path.write_text(f"time,{names}\n" + "".join(f"{k}{',1.5' * count}\n" for k in range(2)), encoding="utf-8")
+    assert check(read_trace, path) is None
+    refused(path, "column 'x' expected, got time, c0, c1")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = " + "[" * 100_000, "nested too deeply"),
+        ("signals." + ".".join("a" * 20_000) + " = 1", "nested too deeply"),
+        ("\n".join(f"a{i}.{'.'.join('b' * 999)} = 1" for i in range(999)), "nested too deeply"),
+        ("x = " + "9" * 5000, "expected TOML, got Exceeds the limit"),
+        ("[signals.x]\nunit = 'm'\nfactor = " + "9" * 400, "signals.x: factor: expected a number, got 9999"),
+        ("[signals.x]\nunit = " + "[" * 200 + "]" * 200, "signals.x: unit: expected a text, got [[[[["),
+        ("[signals.x]\nunit = 'm'\n[file]\ncsv = 'a/b.csv'", "file: csv: expected the name of a file in"),
+        ("#" * (5 << 20), "expected at most 4 MiB of TOML, got 5 MiB"),
+    ],
+)
+def test_hostile_toml_is_refused(tmp_path, text, message):
+    """Nesting, numbers of thousands of digits, paths to other folders, sheer size."""
+    path = tmp_path / "a.toml"
+    path.write_text(text, encoding="utf-8")
+    refused(path, message, read_recording)
+
+
+def test_a_long_description_is_read_in_seconds(tmp_path):
+    """10 000 signals, more than any logger has."""
+    tables = "\n".join(f"[signals.s{i}]\nunit = 'm'" for i in range(10_000))
+    path = tmp_path / "a.toml"
+    path.write_text(tables, encoding="utf-8")
+    path.with_suffix(".csv").write_text("time\n0\n1\n", encoding="utf-8")
+    refused(path.with_suffix(".csv"), "column 's0' expected, got time", read_recording)
