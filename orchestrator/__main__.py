@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+from contextlib import redirect_stdout
 from io import TextIOWrapper
 from typing import Any
 
-from orchestrator.base.errors import Problem, Stopped
+from orchestrator.base.errors import Problem, Stopped, one_line
 from orchestrator.base.interrupts import signals_interrupt
+from orchestrator.base.text import PrintableStream
 from orchestrator.cli import app
 
 INTERRUPTED = 130  # exit status, as of a shell
@@ -19,7 +21,7 @@ def main(arguments: list[str] | None = None) -> int:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a console that lacks the sign of a unit shows another one
     try:
-        with signals_interrupt():
+        with signals_interrupt(), redirect_stdout(PrintableStream(sys.stdout)):
             status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)
     except KeyboardInterrupt:
         return _stopped()
@@ -52,7 +54,7 @@ def _told(error: Exception) -> int:
         message = f"{error.filename}: {error.strerror}"
     elif not isinstance(error, Problem):
         raise error
-    print(f"harvester: {message}", file=sys.stderr)
+    print(f"harvester: {one_line(message)}", file=sys.stderr)
     return 2
 
 

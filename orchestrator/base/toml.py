@@ -167,7 +167,7 @@ def read_dataclass(target: type[Dataclass], table: Table) -> Dataclass:
     A field is a str, float, int, bool, date, Literal, tuple of floats, tuple[..., ...] (a list), another
     dataclass (a table), a Mapping from names to one of these, or a union of them; Annotated adds a `Rule`.
     """
-    hints = _hints(target)
+    hints = _hints(target)  # type: ignore[arg-type]
     table.allow_only(hints)
     for field in fields(target):  # type: ignore[arg-type]
         if field.default is MISSING and field.default_factory is MISSING:

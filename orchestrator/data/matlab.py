@@ -1,4 +1,4 @@
-"""Reads the variables of MATLAB files: version 7.3 (HDF5, by h5py), versions 5 to 7, and version 4 (by SciPy).
+"""Reads the variables of MATLAB files: version 7.3 (HDF5, by h5py), versions 5 to 7, version 4 (by SciPy).
 
 A damaged or hostile file is refused in one line. Nothing outside of the file is read, and no memory is taken
 for values that are only declared. The reader of version 5 is our own: SciPy's does not check the types of
@@ -40,7 +40,7 @@ ERRORS = (
 
 # version 5: types of elements, classes of arrays (MAT-File Format, MathWorks, tables 1-1 and 1-3)
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-TEXTS = {2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+TEXTS = {2: "latin-1", 4: "utf-16-{}e", 16: "utf-8", 17: "utf-16-{}e", 18: "utf-32-{}e"}
 MATRIX, COMPRESSED = 14, 15
 STRUCT, CHAR, NUMERIC = 2, 4, range(6, 16)
 COMPLEX = 0x800
@@ -48,7 +48,7 @@ HEADER = 128  # bytes
 
 
 def read_variables(file: Location) -> dict[str, Any]:
-    """Arrays and texts by name, scalar structs as dictionaries; cells, objects and sparse arrays are left out."""
+    """Arrays and texts by name, scalar structs as dictionaries, without cells, objects and sparse arrays."""
     import h5py
 
     try:
@@ -162,10 +162,10 @@ def _version_5(data: bytes) -> dict[str, Any]:
     for kind, content in _elements(memoryview(data)[HEADER:], order):
         if kind == COMPRESSED:
             unpacked = zlib.decompressobj().decompress(content, MAX_BYTES)
-            kind, content = next(_elements(memoryview(unpacked), order))
+            kind, content = _next(_elements(memoryview(unpacked), order))
         if kind == MATRIX:
             name, value = _matrix(content, order)
-            if value is not None:
+            if name and value is not None:  # the workspace of functions has no name
                 result[name] = value
     return result
 
@@ -177,12 +177,18 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
         kind, size = struct.unpack_from(f"{order}II", data, at)
         start, end = at + 8, at + 8 + size
         at = end if kind == COMPRESSED else end + -size % 8
-        if kind >> 16:
-            kind, size = kind & 0xFFFF, kind >> 16
+        if small := kind >> 16:
+            kind, size = kind & 0xFFFF, small
             start, end, at = start - 4, start - 4 + size, start
-        if end > len(data) or (start % 8 and size > 4):
+        if end > len(data) or small > 4:
             raise ValueError(f"an element of {size} bytes where {len(data) - start} are left")
         yield kind, data[start:end]
+
+
+def _next(elements: Iterator[tuple[int, memoryview]]) -> tuple[int, memoryview]:
+    for element in elements:
+        return element
+    raise ValueError("an array without all of its parts")
 
 
 def _matrix(data: memoryview, order: str) -> tuple[str, Any]:
@@ -190,22 +196,21 @@ def _matrix(data: memoryview, order: str) -> tuple[str, Any]:
     if not data:  # an empty field of a struct
         return "", None
     parts = _elements(data, order)
-    flags = int(_numbers(*next(parts), order)[0])
-    shape = tuple(map(int, _numbers(*next(parts), order)))
-    name = bytes(next(parts)[1]).decode()
+    flags = int(_numbers(*_next(parts), order)[0])
+    shape = tuple(map(int, _numbers(*_next(parts), order)))
+    name = bytes(_next(parts)[1]).decode()
     if flags & 0xFF in NUMERIC:
-        values = _numbers(*next(parts), order).reshape(shape, order="F")
+        values = _numbers(*_next(parts), order).reshape(shape, order="F")
         return name, values.astype(complex) if flags & COMPLEX else values
     if flags & 0xFF == CHAR and shape[0] == 1:
-        kind, content = next(parts)
-        encoding = TEXTS[kind] + ({"<": "-le", ">": "-be"}[order] if "-16" in TEXTS[kind] else "")
-        return name, bytes(content).decode(encoding)
+        kind, content = _next(parts)
+        return name, bytes(content).decode(TEXTS[kind].format("l" if order == "<" else "b"), "replace")
     if flags & 0xFF == STRUCT and shape == (1, 1):
-        length = int(_numbers(*next(parts), order)[0])
-        names = bytes(next(parts)[1])
+        length = int(_numbers(*_next(parts), order)[0])
+        names = bytes(_next(parts)[1])
         fields = [names[i : i + length].split(b"\0")[0].decode() for i in range(0, len(names), length)]
-        values = [_matrix(content, order)[1] for _, content in parts]
-        return name, {n: v for n, v in zip(fields, values, strict=True) if v is not None}
+        contents = [_matrix(content, order)[1] for _, content in parts]
+        return name, {n: v for n, v in zip(fields, contents, strict=True) if v is not None}
     return name, None
 
 

@@ -251,9 +251,8 @@ def _column_indices(
         if counts[name] > 1:
             raise Problem(f"{file}: column {shortened(name)!r} expected once, got {counts[name]} times")
         if not counts[name]:
-            raise Problem(
-                f"{file}: column {shortened(name)!r} expected, got {_name_list(header)}{suggest(name, header)}"
-            )
+            got = f"got {_name_list(header)}{suggest(name, header)}"
+            raise Problem(f"{file}: column {shortened(name)!r} expected, {got}")
     return {name: index[name] for name in selected}
 
 

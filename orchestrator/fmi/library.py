@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, one_line
 from orchestrator.base.files import is_file_name
 from orchestrator.fmi.messages import Log, status_label
 
@@ -150,7 +150,8 @@ def _receive2(
     else:
         import logging  # on first use, because the import takes as long as all others
 
-        logging.getLogger(__name__).warning("%s: %s: %s", _text(name), status_label(status), _text(text))
+        line = one_line(f"{_text(name)}: {status_label(status)}: {_text(text)}")
+        logging.getLogger(__name__).warning("%s", line)
 
 
 def _receive3(environment: int | None, status: int, category: bytes | None, text: bytes | None) -> None:

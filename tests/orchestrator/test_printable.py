@@ -1,0 +1,67 @@
+"""Control characters of foreign files and FMUs: nothing raw on the terminal."""
+
+import io
+import logging
+import sys
+import zipfile
+
+import pytest
+
+from orchestrator.__main__ import main
+from orchestrator.base.errors import Problem
+from orchestrator.base.text import PrintableStream
+from orchestrator.fmi import library
+from orchestrator.fmi.messages import WARNING, Log
+
+# ESC, BEL, CR, backspace, DEL, C1, writing direction, line separator
+RAW = "a\x1b[2J\x1b]0;title\x07\rb\bc\x7f\x9b31m\u202ed\u2028e"
+ESCAPED = r"a\x1b[2J\x1b]0;title\x07\rb\x08c\x7f\x9b31m\u202ed\u2028e"
+
+DESCRIPTION = """
+<fmiModelDescription fmiVersion="2.0" modelName="a\x9b31m" guid="g" generationTool="\u202etool">
+  <CoSimulation modelIdentifier="odd"/>
+  <ModelVariables>
+    <ScalarVariable name="y\x9b\u202e" valueReference="1" causality="output" description="d\x85\x9b">
+      <Real unit="\u202em"/>
+    </ScalarVariable>
+  </ModelVariables>
+  <ModelStructure><Outputs><Unknown index="1"/></Outputs></ModelStructure>
+</fmiModelDescription>
+""".strip()
+
+
+def test_standard_output_has_no_control_characters():
+    """Breaks, tabs and colours stay; all others are escaped."""
+    stream = io.StringIO()
+    print(f"\x1b[31mred\x1b[0m\tµ 1·10⁻³\n{RAW}", file=PrintableStream(stream))
+    assert stream.getvalue() == f"\x1b[31mred\x1b[0m\tµ 1·10⁻³\n{ESCAPED}\n"
+
+
+def test_a_problem_is_one_line():
+    """Whatever it quotes."""
+    assert str(Problem(f"x: {RAW}\n")) == rf"x: {ESCAPED}\n"
+
+
+def test_messages_of_an_fmu_have_no_control_characters(caplog, monkeypatch):
+    """In warnings and errors, and in the log if no instance is known."""
+    monkeypatch.delitem(sys.modules, "fmpy.fmi1", raising=False)  # it would get messages of unknown instances
+    log = Log("pump")
+    log.add(WARNING, RAW)
+    for text in (*log.warnings(), log.error_message("failed", "badly"), log.messages[0].text):
+        assert text.isprintable()
+        assert r"\x1b[2J" in text
+    with caplog.at_level(logging.WARNING):
+        library._receive2(12345, b"nobody", WARNING, None, RAW.encode())
+    assert caplog.messages == [f"nobody: warning: {ESCAPED}"]
+
+
+@pytest.mark.parametrize("command", ["check", "signals"])
+def test_names_and_texts_of_a_file_have_no_control_characters(tmp_path, capsys, command):
+    """XML allows C1 controls and marks of the writing direction in names and descriptions."""
+    with zipfile.ZipFile(tmp_path / "odd.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", DESCRIPTION)
+    main([command, str(tmp_path / "odd.fmu")])
+    out, err = capsys.readouterr()
+    assert out + err
+    assert (out + err).replace("\n", "").isprintable()
+    assert "\\x9b" in out + err
