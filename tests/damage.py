@@ -64,7 +64,7 @@ def damaged(good: Mapping[str, bytes], seed: int) -> bytes:
 
 
 def _xml(draw: random.Random, members: Members) -> str:
-    names = [n for n in members if n.endswith((".xml", ".ssd", ".ssv", ".ssm", ".ssb"))]
+    names = [n for n in members if n.endswith((".xml", ".ssd", ".ssv", ".ssm", ".exp"))]
     return draw.choice(names or list(members) or ["modelDescription.xml"])
 
 

@@ -24,6 +24,9 @@ from damage import damaged
 from orchestrator import load
 from orchestrator.base.errors import Problem
 from orchestrator.check import DEFECT, check
+from orchestrator.check.ls_ref_comparison import cases
+from orchestrator.check.read_ls_ref import FOLDER, manifest, parameter_set, table
+from orchestrator.check.subject import open_subject
 from orchestrator.ssp.dependencies import output_order
 from orchestrator.ssp.listing import lines
 from orchestrator.ssp.parameter_sets import parameter_sets, with_sets
@@ -88,6 +91,18 @@ MAPPING = """<?xml version="1.0" encoding="UTF-8"?>
 <ssm:MappingEntry source="strength" target="a.factor"/></ssm:ParameterMapping>
 """
 
+REFERENCES = {  # an experiment that an FMU ships, FMI-LS-REF
+    f"{FOLDER}/fmi-ls-manifest.xml": b"""<fmiReferences xmlns:fmi-ls="http://fmi-standard.org/fmi-ls-manifest"
+ fmi-ls:fmi-ls-name="org.fmi-standard.fmi-ls-ref">
+<Related type="application/x-ma-hs-experiments" source="experiment.exp" role="experiment/validation"/>
+<Related type="text/csv" source="result.csv" role="result"/></fmiReferences>""",
+    f"{FOLDER}/experiment.exp": b"""<Experiments><Experiment name="step" startTime="0" stopTime="1">
+<References type="text/csv" source="result.csv"/><Stimuli type="text/csv" source="input.csv"/>
+<Parameters source="parameters.ssv" type="application/x-ssp-parameter-set"/></Experiment></Experiments>""",
+    f"{FOLDER}/result.csv": b"time,y\n0,0\n0.5,0.6\n1,0.8\n",
+    f"{FOLDER}/input.csv": b"time,u\n0,1\n1,1\n",
+    f"{FOLDER}/parameters.ssv": START.encode(),
+}
 Good = Mapping[str, bytes]
 
 
@@ -119,6 +134,7 @@ def good(fmus: Workshop) -> Mapping[str, Good]:
             "terminalsAndIcons/icon.png": icon,
             "binaries/linux64/lag.so": library,
             "sources/lag.c": b"int x;",
+            **REFERENCES,
         },
         "fmi3": {
             DESCRIPTION: XML_3.encode(),
@@ -195,6 +211,17 @@ def read_fmu(path: Path, system: System) -> None:
             work()
 
 
+def shipped(folder: Path) -> None:
+    """The experiments that an FMU ships."""
+    for case in cases(folder, manifest(folder))[0]:
+        for file in filter(None, (case.reference, case.stimuli)):
+            with suppress(Problem):
+                table(file)
+        if case.parameters:
+            with suppress(Problem):
+                parameter_set(case.parameters)
+
+
 def read_ssp(path: Path, _: System) -> None:
     """All that reads an SSP before its FMUs are loaded."""
     with suppress(Problem):
@@ -225,6 +252,9 @@ def checked(path: Path) -> None:
     assert not defects, defects
     assert all(f.text.isprintable() and len(f.text) < 3000 for f in report.findings)
     report.text()
+    with open_subject(path) as subject, suppress(Problem):
+        shipped(subject.folder)
+        subject.model.for_run()
 
 
 def peak() -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from math import isfinite
 from typing import Any
 
@@ -20,6 +20,7 @@ Element = Any  # lxml ships no types
 # The largest descriptions in use have 100 000 variables, 1.5 million elements and attributes, and 40 MB.
 MAX_BYTES = 200 << 20
 MAX_ITEMS = 4_000_000  # elements and attributes; each takes 200 bytes of memory or less
+MAX_NAME = 10_000  # characters of an attribute `name`, which many messages quote; the longest have some 500
 MAX_LEVELS = 100  # systems inside systems take two each
 
 
@@ -117,7 +118,7 @@ def _root(file: Location) -> Element:
         if message := _syntax_error(error, parser.error_log):
             raise Problem(f"{file}: cannot be read as XML: {message}") from error
         root = etree.fromstring(text, etree.XMLParser(recover=True, **safe))
-    if fault := too_deep(root):
+    if fault := excess(root):
         raise Problem(f"{file}: {fault}")
     for entity in root.iter(etree.Entity):  # entities are not resolved, so their content would be missing
         message = f"expected the content itself, got the entity {entity.text}"
@@ -131,10 +132,13 @@ def too_large(text: bytes) -> str:
     return f"expected at most {MAX_ITEMS} elements and attributes, got {items}" if items > MAX_ITEMS else ""
 
 
-def too_deep(root: Element) -> str:
-    """Why a tree has too many levels for functions that call themselves; empty if it has not."""
-    levels = "/*" * (MAX_LEVELS + 1)
-    return f"expected at most {MAX_LEVELS} levels of elements" if root.xpath(f"boolean({levels})") else ""
+def excess(root: Element) -> str:
+    """Why a tree has too many levels for functions that call themselves, or too long names; empty if not."""
+    if root.xpath(f"boolean({'/*' * (MAX_LEVELS + 1)})"):
+        return f"expected at most {MAX_LEVELS} levels of elements"
+    if root.xpath(f"boolean(//@name[string-length() > {MAX_NAME}])"):
+        return f"expected names of at most {MAX_NAME} characters"
+    return ""
 
 
 def _syntax_error(error: Exception, log: Any) -> str:
@@ -150,8 +154,13 @@ def _syntax_error(error: Exception, log: Any) -> str:
 
 def local_name(element: Element) -> str:
     """The local name, without namespace or prefix; empty for comments."""
-    name = str(element.tag).rpartition("}")[2] if isinstance(element.tag, str) else ""
-    return name.rpartition(":")[2]
+    tag = element.tag
+    return _local(tag) if isinstance(tag, str) else ""
+
+
+@lru_cache(maxsize=1000)
+def _local(tag: str) -> str:
+    return tag.rpartition("}")[2].rpartition(":")[2]
 
 
 def children(element: Element | None, *path: str) -> Iterator[Element]:

@@ -23,6 +23,7 @@ MACHINES = {
     "ARM": "aarch32",
     "ARMNT": "aarch32",
 }
+MAX_SIZE = 300 << 20  # bytes of a library; lief needs twice as much. The largest in use have 200 MB
 DEBUG_SECTIONS = (".debug_info", ".zdebug_info", "__debug_info")
 
 
@@ -89,6 +90,8 @@ def _read(path: Path, file: str) -> list[Binary]:
     with path.open("rb") as opened:
         head = opened.read(64)
     size, damage = path.stat().st_size, ""
+    if size > MAX_SIZE:
+        return [Binary(file, size, head=head, damage=f"more than {MAX_SIZE / 1e6:.0f} MB")]
     try:
         with warnings.catch_warnings():  # lief warns about each unusual value in a header
             warnings.simplefilter("ignore")

@@ -6,6 +6,7 @@ The error of a signal is the root mean square of its deviation over the range of
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -63,7 +64,8 @@ def compare(subject: Subject, case: ShippedExperiment) -> ExperimentComparison:
     if not signals:
         result.problems.append(f"{case.reference.name} has no column of a numeric variable of the model")
         return result
-    outcome = run(subject.folder, model, kind, "shipped_experiment:run", payload=job)
+    described = model.for_run(*job["signals"], *job["inputs"], *job["parameters"])
+    outcome = run(subject.folder, described, kind, "shipped_experiment:run", payload=job)
     result.late = outcome.late
     errors = (text for severity, text in outcome.remarks if severity == "error")
     result.failure = outcome.failure or next(errors, "")
@@ -224,7 +226,7 @@ def _missing(related: list[Related]) -> Iterator[Finding]:
     for r in related:
         if r.path is None:
             yield note(f'{MANIFEST}: "{r.source}" is outside of the FMU and was not read')
-        elif not r.path.is_file():
+        elif not os.path.isfile(r.path):
             yield warning(f'{MANIFEST}: "{r.source}" (role {r.role}) is missing in the FMU')
 
 
@@ -233,7 +235,7 @@ def _missing(related: list[Related]) -> Iterator[Finding]:
 
 def cases(folder: Path, related: list[Related]) -> tuple[list[ShippedExperiment], list[str]]:
     """The experiments of the manifest, then results without experiment; and messages about the others."""
-    present = [r for r in related if r.path is not None and r.path.is_file()]
+    present = [r for r in related if r.path is not None and os.path.isfile(r.path)]
     shipped: list[ShippedExperiment] = []
     problems: list[str] = []
     for r in present:

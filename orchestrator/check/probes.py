@@ -18,6 +18,7 @@ from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
 from orchestrator.fmi.raw_description import INTERFACES, ModelDescription
 
+MAX_VARIABLES = 20_000  # in a run; each of 50 child processes needs 1 s for 20 000 variables
 KINDS = ("CoSimulation", "ModelExchange")
 
 
@@ -26,11 +27,13 @@ class FirstRun:
     """Outcomes of loading the FMU and of its default experiment, by interface.
 
     problem   why the FMU cannot be run at all
+    model     the description for the child processes
     """
 
     loaded: dict[str, Outcome] = field(default_factory=dict)
     ran: dict[str, Outcome] = field(default_factory=dict)
     problem: str = ""
+    model: ModelDescription = field(default_factory=ModelDescription)
 
     @property
     def kinds(self) -> Sequence[str]:
@@ -54,9 +57,12 @@ def first_run(subject: Subject) -> FirstRun:
 
 
 def _first_run(subject: Subject) -> FirstRun:
-    folder, model = subject.folder, subject.model
-    if problem := _unreadable(model):
+    folder, model = subject.folder, subject.model.for_run()
+    if problem := _unreadable(subject.model):
         return FirstRun(problem=f"modelDescription.xml cannot be read: {problem}")
+    if len(model.variables) > MAX_VARIABLES:
+        text = f"expected at most {MAX_VARIABLES} inputs, outputs, parameters, states and dependencies"
+        return FirstRun(problem=f"{text}, got {len(model.variables)}, for which the probes take too long")
     offered = [k for k in KINDS if k in model.interfaces]
     if not offered:
         return FirstRun(problem="the FMU offers neither co-simulation nor model exchange")
@@ -73,7 +79,9 @@ def _first_run(subject: Subject) -> FirstRun:
         return dict(zip(kinds, results, strict=True))
 
     loaded = outcomes(kinds, "loading:load")
-    return FirstRun(loaded, outcomes([k for k in kinds if not loaded[k].failed], "values:default"))
+    return FirstRun(
+        loaded, outcomes([k for k in kinds if not loaded[k].failed], "values:default"), model=model
+    )
 
 
 def _platform_folders(fmi: int) -> list[str]:
@@ -153,7 +161,8 @@ def _probe(
     """A check that runs tasks one after the other; the arguments are those of probes.toml."""
 
     def check(subject: Subject) -> Iterable[Finding]:
-        first, model = first_run(subject), subject.model
+        first = first_run(subject)
+        model = first.model
         kinds = [
             k
             for k in first.kinds

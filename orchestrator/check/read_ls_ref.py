@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from orchestrator.base.xml import Element, child, children, local_name, parse, r
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
 MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
+MAX_TABLE = 50 << 20  # bytes of a table, whose cells take ten times as many in memory
 TYPES = ("text/csv", "application/x-ssp-parameter-set")  # media types of files that can be read
 ANALYSES = (  # elements of experiments that are not simulations over time
     *("SteadyState", "ParameterOptimization", "SetPointOptimization"),
@@ -67,10 +69,14 @@ def relative(folder: Path, path: Path) -> str:
 
 def resolve(folder: Path, base: Path, source: str) -> Path | None:
     """The file of a URI that is relative to the folder `base`; None if it is outside of the FMU."""
-    parts = urlsplit(source)
-    if parts.scheme or parts.netloc or not parts.path or parts.path.startswith("/"):
+    try:
+        parts = urlsplit(source)
+    except ValueError:  # such as brackets without end
         return None
-    path = (base / unquote(parts.path)).resolve()
+    name = unquote(parts.path)
+    if parts.scheme or parts.netloc or not name or name.startswith("/") or not name.isprintable():
+        return None
+    path = (base / name).resolve()
     return path if path.is_relative_to(folder.resolve()) else None
 
 
@@ -142,7 +148,7 @@ def _source(folder: Path, file: Path, e: Element, tag: str) -> Path | None:
     if element is None:
         return None
     path = resolve(folder, file.parent, element.get("source", ""))
-    if path is None or not path.is_file():
+    if path is None or not os.path.isfile(path):
         source = element.get("source")
         raise Problem(f"{relative(folder, file)}: {tag}: {source!r} is missing in the FMU")
     return path
@@ -161,13 +167,18 @@ def parameter_set(path: Path) -> dict[str, str]:
 
 def table(path: Path) -> ResultTable:
     """A CSV file with the time in the first column."""
+    if (size := path.stat().st_size) > MAX_TABLE:
+        raise Problem(f"{path.name}: expected at most {MAX_TABLE / 1e6:.0f} MB, got {size / 1e6:.0f} MB")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise Problem(f"{path.name}: expected a CSV file in UTF-8, got {error}") from None
     head = text.partition("\n")[0]
     delimiter = ";" if ";" in head and "," not in head else ","
-    rows = [r for r in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if r]
+    try:
+        rows = [r for r in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if r]
+    except csv.Error as error:  # such as a cell that is too long
+        raise Problem(f"{path.name}: expected a CSV file, got {error}") from None
     if len(rows) < 2:
         raise Problem(f"{path.name}: expected a header and rows of numbers, got {len(rows)} lines")
     names = [n.strip() for n in rows[0]]

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from orchestrator.base.errors import one_line
+from orchestrator.check.finding import Finding
 
 if TYPE_CHECKING:
-    from orchestrator.check.finding import Finding
     from orchestrator.check.subject import Subject
 
+MAX_FINDINGS = 10_000  # of one rule; a report shows five
 Check = Callable[["Subject"], Iterable["Finding"]]
 
 
@@ -32,9 +34,14 @@ class CheckRule:
 
     def __call__(self, subject: Subject) -> Iterator[Finding]:
         """All findings, with the id of this rule and, if they have none, its threads."""
-        for finding in self.check(subject):
+        findings = iter(self.check(subject))
+        for finding in islice(findings, MAX_FINDINGS):
             text = one_line(finding.text)
             yield replace(finding, rule=self.id, text=text, thread=finding.thread or " ".join(self.threads))
+        if next(findings, None) is not None:
+            yield Finding(
+                self.id, "note", f"more than {MAX_FINDINGS} findings of this rule; the others are left out"
+            )
 
 
 class RuleTable(list[CheckRule]):

@@ -181,7 +181,7 @@ def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
     """The root of an XML file, or None and the fault. Entities are not expanded, and nothing is fetched."""
     from lxml import etree
 
-    from orchestrator.base.xml import MAX_BYTES, too_deep, too_large
+    from orchestrator.base.xml import MAX_BYTES, excess, too_large
 
     path = folder / file
     if (size := path.stat().st_size) > MAX_BYTES:
@@ -195,6 +195,6 @@ def read_xml(folder: Path, file: str) -> tuple[Element | None, str]:
         return None, f"{file}: cannot be read as XML: {problem}"
     if doctype := root.getroottree().docinfo.doctype:
         return None, f"{file}: expected no document type, got {doctype[:60]!r}"
-    if fault := too_deep(root):
+    if fault := excess(root):
         return None, f"{file}: {fault}"
     return root, ""

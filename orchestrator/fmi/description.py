@@ -333,9 +333,8 @@ def _variable(
     if (v.causality, v.variability) not in COMBINATIONS and not v.get("initial"):
         raise Problem(f"{v}: causality {v.causality} with variability {v.variability} is not allowed")
     fmi_type = "Int64" if v.type == "Enumeration" else v.type
-    items = description.types[type_].items if type_ and v.type == "Enumeration" else ()
     try:
-        values = {name: int(value) for name, value in items}
+        items = description.types[type_].values if type_ and v.type == "Enumeration" else {}
         nominal, minimum, maximum = (_number(v.attributes, name) for name in ("nominal", "min", "max"))
     except (Problem, ValueError) as problem:
         raise Problem(f"{v}: {problem}") from None
@@ -348,7 +347,7 @@ def _variable(
         reference=v.reference,
         unit=units.get(v.unit, DeclaredUnit(v.unit)) if v.unit else None,
         start=" ".join(v.starts) if v.starts else None,
-        items=values,
+        items=items,
         nominal=nominal if v.is_float else None,
         description=v.get("description"),
         fmi_type=fmi_type if description.major == 3 else "",

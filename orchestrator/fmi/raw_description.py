@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 FLOATS = ("Real", "Float64", "Float32")
@@ -18,6 +18,7 @@ SIGNED = {"Integer": 32, "Int8": 8, "Int16": 16, "Int32": 32, "Int64": 64}  # ty
 UNSIGNED = {"UInt8": 8, "UInt16": 16, "UInt32": 32, "UInt64": 64}
 NUMERIC = (*FLOATS, *SIGNED, *UNSIGNED, "Enumeration", "Boolean")
 TYPES = (*NUMERIC, "String", "Binary", "Clock")
+MAX_LOCALS = 100  # local variables that are observed if the FMU has no outputs
 BOOLEANS = {"true": 1.0, "false": 0.0}
 INTERFACES = {  # element -> name of the interface type
     "ModelExchange": "model exchange",
@@ -182,6 +183,11 @@ class TypeDefinition(Entry):
     type: str
     items: tuple[tuple[str, str], ...] = ()
 
+    @cached_property
+    def values(self) -> Mapping[str, int]:
+        """The values of an enumeration by name; ValueError for a text that is not a number."""
+        return {name: int(value) for name, value in self.items}
+
 
 @dataclass(frozen=True)
 class ModelDescription:
@@ -212,6 +218,22 @@ class ModelDescription:
     def by_name(self) -> Mapping[str, DeclaredVariable]:
         """The variables by name, without aliases."""
         return {v.name: v for v in self.variables}
+
+    def for_run(self, *names: str) -> ModelDescription:
+        """The description without most local variables, of which FMUs can have 100 000, for a child process.
+
+        Kept are those with these names, derivatives, states, dependencies, and the first `MAX_LOCALS`.
+        """
+        entries = [u for unknowns in self.structure.values() for u in unknowns]
+        keys = {key for u in entries for key in u.dependencies or ()}
+        kept = {u.variable for u in entries} | {self.by_key.get(-1 if k is None else k) for k in keys}
+        kept |= {*self.states}
+        kept |= {*self.of("local")[:MAX_LOCALS], *(v for name in names if (v := self.by_name.get(name)))}
+        variables = tuple(v for v in self.variables if v.causality != "local" or v in kept)
+        kept.update(variables)
+        return replace(
+            self, variables=variables, by_key={key: v for key, v in self.by_key.items() if v in kept}
+        )
 
     def of(self, *causalities: str) -> tuple[DeclaredVariable, ...]:
         """The variables of some causalities."""

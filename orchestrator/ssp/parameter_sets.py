@@ -159,24 +159,28 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
     left out if a swapped FMU lacks the variable, or determines it itself.
     """
     for chosen in sets:
-        file = _file(system, chosen)
+        file, notes = _file(system, chosen), list[str]()
         missing = missing_after_swap(system)
+        start = {name: dict(c.start) for name, c in system.components.items()}
         for value in read_parameter_set(read_xml(file, "ParameterSet"), {}):
             if value.name in missing:
-                note = f"{file}: {value.name} is left out: {missing[value.name]}"
-                system = replace(system, notes=(*system.notes, note))
+                notes.append(f"{file}: {value.name} is left out: {missing[value.name]}")
             else:
-                system = _with_value(system, file, value)
+                notes += _set_value(system, file, value, start)
+        components = {n: replace(c, start=start[n]) for n, c in system.components.items()}
+        system = replace(system, components=components, notes=(*system.notes, *notes))
     return system
 
 
-def _with_value(system: System, file: Location, value: ParameterValue) -> System:
+def _set_value(
+    system: System, file: Location, value: ParameterValue, start: Mapping[str, dict[str, Value]]
+) -> list[str]:
+    """Set a value of a set in `start`, component -> start values; returns notes."""
     context = f"{file}: parameter {value.name}"
     try:
         targets = system.targets(value.name)
     except Problem as problem:
         raise Problem(f"{file}: {problem}") from None
-    start = {name: dict(c.start) for name, c in system.components.items()}
     notes: list[str] = []
     for port, linear in targets:
         check_settable(port, system.components[port.component].interface)
@@ -186,8 +190,7 @@ def _with_value(system: System, file: Location, value: ParameterValue) -> System
         start[port.component][port.variable] = coerce(
             context, system.variable(port), value.text, first.then(linear)
         )
-    components = {n: replace(c, start=start[n]) for n, c in system.components.items()}
-    return replace(system, components=components, notes=(*system.notes, *notes))
+    return notes
 
 
 def _file(system: System, chosen: str | Path) -> Location:

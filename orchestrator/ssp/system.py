@@ -148,9 +148,10 @@ class System:
         return port
 
     def _find(self, name: str) -> Port | None:
-        for component in sorted(self.components, key=len, reverse=True):
-            variable, interface = name.removeprefix(component + "."), self.components[component].interface
-            if variable != name:
+        for dot in (i for i in range(len(name) - 1, 0, -1) if name[i] == "."):
+            component, variable = name[:dot], name[dot + 1 :]
+            if component in self.components:
+                interface = self.components[component].interface
                 interface.check_supported(variable, name)
                 if variable in interface.variables:
                     return Port(component, variable)

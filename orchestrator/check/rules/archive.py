@@ -110,6 +110,15 @@ TEXT_FILES = (
 )
 
 
+MAX_SEARCHED = 50_000_000  # bytes of a file that are searched for paths, in 1 s
+
+
+def _beginning(subject: Subject, file: str) -> bytes:
+    """The part of a file that is searched."""
+    with (subject.folder / file).open("rb") as opened:
+        return opened.read(MAX_SEARCHED)
+
+
 @CONTENTS.rule("contents.icon", "The FMU has an icon", "OpenModelica#13162")
 def icon(subject: Subject) -> Iterator[Finding]:
     expected = ICONS.get(subject.major, ())
@@ -174,7 +183,7 @@ def vendors(subject: Subject) -> Iterator[Finding]:
 @CONTENTS.rule("contents.paths", "Files contain no paths of the machine on which the FMU was made")
 def private_paths(subject: Subject) -> Iterator[Finding]:
     for file in sorted(f for f in subject.files if f.endswith(TEXT_FILES)):
-        data = (subject.folder / file).read_bytes()
+        data = _beginning(subject, file)
         if match := LOCAL_PATH.search(data):
             line = data.count(b"\n", 0, match.start()) + 1
             path = match.group()[:80].decode("utf-8", "replace")
@@ -184,7 +193,7 @@ def private_paths(subject: Subject) -> Iterator[Finding]:
 @CONTENTS.rule("contents.machine", "Libraries contain no paths of the machine on which they were built")
 def machine(subject: Subject) -> Iterator[Finding]:
     for file in sorted({b.file for b in subject.binaries}):
-        if match := LOCAL_PATH.search((subject.folder / file).read_bytes()):
+        if match := LOCAL_PATH.search(_beginning(subject, file)):
             yield note(f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}")
 
 

@@ -384,16 +384,17 @@ def nominal(subject: Subject) -> Iterator[Finding]:
 @VALUES.rule("value.enumeration", "Enumerations have distinct items, and their start values are items")
 def enumeration(subject: Subject) -> Iterator[Finding]:
     model = subject.model
+    items = {name: [value for _, value in declared.items] for name, declared in model.types.items()}
+    allowed = {name: set(values) for name, values in items.items()}
     for name, declared in model.types.items():
-        values = [value for _, value in declared.items]
-        if len(set(values)) < len(values):
+        if len(allowed[name]) < len(items[name]):
             yield error(
                 f"modelDescription.xml line {declared.line}: type {name} has two items with the same value"
             )
     for v in model.variables:
-        if v.type != "Enumeration" or v.get("declaredType") not in model.types:
+        name = v.get("declaredType")
+        if v.type != "Enumeration" or name not in model.types:
             continue
-        items = [value for _, value in model.types[v.get("declaredType")].items]
-        wrong = [s for s in v.starts or () if s not in items]
+        wrong = [s for s in v.starts or () if s not in allowed[name]]
         if wrong:
-            yield error(f"{v}: start value: expected one of {', '.join(items[:8])}, got {wrong[0]}")
+            yield error(f"{v}: start value: expected one of {', '.join(items[name][:8])}, got {wrong[0]}")

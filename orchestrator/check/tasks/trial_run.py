@@ -16,7 +16,7 @@ from typing import Any
 from orchestrator.check.tasks.runner import Trial
 from orchestrator.fmi.instance import CallFailed, FmuInstance
 from orchestrator.fmi.messages import DISCARD, ERROR
-from orchestrator.fmi.raw_description import FLOATS, DeclaredVariable, ModelDescription
+from orchestrator.fmi.raw_description import FLOATS, MAX_LOCALS, DeclaredVariable, ModelDescription
 
 Rows = list[list[float]]
 MAX_INNER_STEPS = 12  # integrator steps per communication step: enough to change the states of a stiff model
@@ -25,7 +25,6 @@ MAX_ITERATIONS = 100  # event iterations at one event
 PATTERN = (1.0, -0.5, 0.25, -1.0, 0.5, 0.0, 0.75, -0.25)  # perturbation of the inputs, step by step
 PERTURBATION = 1e-3  # relative to the magnitude of an input: small, because the valid range is unknown
 ROUNDING = 1e-13  # relative to nominal; smaller outputs are read as zero
-MAX_LOCALS = 100  # local variables that are observed if the FMU has no outputs
 MAX_LISTED = 5  # inputs listed in a message
 
 

@@ -1,0 +1,418 @@
+"""FMUs and SSPs that are made to harm: what each of them tries, and the line that refuses it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import struct
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from any_fmu.models import Workshop
+from check.good import DESCRIPTION, XML_2, Archive
+from test_damaged_files import INNER, LONGEST, MAPPING, MOST, OUTER, START, packed, peak
+
+from orchestrator import load
+from orchestrator.__main__ import main
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import MAX_NESTING, Location
+from orchestrator.check import check
+from orchestrator.fmi.library import find_library
+from orchestrator.fmi.read_description import read_description
+from orchestrator.ssp.assembly import open_component
+
+Members = Mapping[str, bytes]
+GOOD: Members = {DESCRIPTION: XML_2.encode(), "binaries/linux64/lag.so": b"no library"}
+ZEROS = bytes(150 << 20)  # above the size up to which any ratio is accepted
+
+
+@pytest.fixture(scope="module")
+def gain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A good FMU."""
+    return Workshop(tmp_path_factory.mktemp("any_fmu")).compile()["gain"]
+
+
+def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
+    """A good FMU with changes of its description and more members."""
+    text = XML_2
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_bytes(packed({**GOOD, DESCRIPTION: text.encode(), **(more or {})}))
+    return path
+
+
+def system(path: Path, gain: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
+    """A good SSP with changes of its SystemStructure.ssd and more members."""
+    text = OUTER
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    inner = packed({"SystemStructure.ssd": INNER.encode(), "resources/gain.fmu": gain.read_bytes()})
+    members = {
+        "SystemStructure.ssd": text.encode(),
+        "other.ssd": INNER.encode(),
+        "resources/gain.fmu": gain.read_bytes(),
+        "resources/start.ssv": START.encode(),
+        "resources/names.ssm": MAPPING.encode(),
+        "resources/inner.ssp": inner,
+    }
+    path.write_bytes(packed({**members, **(more or {})}))
+    return path
+
+
+# ---- archives ----------------------------------------------------------------------------------------------
+
+
+def in_directory(offset: int, kind: str, value: int, member: int = 0) -> Callable[[Path], None]:
+    """Overwrite a number in the entry of a member in the directory of an archive."""
+
+    def change(path: Path) -> None:
+        data, at = bytearray(path.read_bytes()), -1
+        for _ in range(member + 1):
+            at = data.index(b"PK\x01\x02", at + 1)
+        struct.pack_into(f"<{kind}", data, at + offset, value)
+        path.write_bytes(data)
+
+    return change
+
+
+def with_member(name: str, data: bytes = b"", method: int = zipfile.ZIP_DEFLATED) -> Callable[[Path], None]:
+    """Add a member, whatever its name."""
+
+    def change(path: Path) -> None:
+        info = zipfile.ZipInfo("x")
+        info.filename, info.compress_type = name, method
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr(info, data)
+
+    return change
+
+
+def wrong_sum(path: Path) -> None:
+    """Change the check sum of the library, in front of it and in the directory."""
+    in_directory(16, "I", 1, member=1)(path)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, data.index(b"PK\x03\x04", 1) + 14, 1)
+    path.write_bytes(data)
+
+
+ARCHIVES: Mapping[
+    str, tuple[Callable[[Path], None], str, str]
+] = {  # change, message of a run, rule of a check
+    "wrong sum": (wrong_sum, "cannot be unpacked into .*Bad CRC-32", "archive.zip"),
+    "encrypted": (in_directory(8, "H", 1), "is encrypted, expected no encryption", "archive.method"),
+    "method": (in_directory(10, "H", 99), "compressed with 99, expected deflate or store", "archive.method"),
+    "lzma": (with_member("a", b"b", zipfile.ZIP_LZMA), "compressed with lzma", "archive.method"),
+    "same bytes": (in_directory(42, "I", 0, member=1), "expected separate members", "archive.zip"),
+    "bomb": (with_member("resources/bomb", ZEROS), "expected at most 200 times its size", "archive.size"),
+    "4 GB": (in_directory(24, "I", 0xFFFFFFF0), "MB unpacked, got 4295 MB", "archive.size"),
+    "up": (with_member("../evil"), "has '..' in its path", "archive.name"),
+    "root": (with_member("/tmp/evil"), "expected a relative path", "archive.name"),
+    "drive": (with_member("C:/evil"), "expected a relative path", "archive.name"),
+    "backslash": (with_member("..\\evil"), "expected forward slashes", "archive.name"),
+    "nul": (with_member("evil\0.txt"), "has a control character", "archive.name"),
+    "deep": (with_member("d/" * 3000 + "x"), "has 6001 characters, expected at most 1000", "archive.name"),
+    "file as folder": (with_member(f"{DESCRIPTION}/x"), "cannot be unpacked into", "archive.zip"),
+}
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_an_archive_is_refused(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a run by one line with the name of the file, in a check by a rule; nothing is left."""
+    change, message, rule = ARCHIVES[name]
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    path = fmu(tmp_path / "x.fmu")
+    change(path)
+    before = peak()
+    with pytest.raises(Problem, match=message) as refused, Location(path).unpacked():
+        pass
+    assert str(path) in str(refused.value)
+    assert rule in {f.rule for f in check(path, run=False).findings if f.severity == "error"}
+    assert not list(temporary.iterdir())
+    assert peak() - before < MOST / 10  # less than the bomb
+
+
+def test_a_member_is_read_up_to_the_size_it_declares(tmp_path: Path) -> None:
+    """150 MB that declare 100 bytes take no memory."""
+    path = fmu(tmp_path / "x.fmu", more={"resources/big": ZEROS})
+    in_directory(24, "I", 100, member=2)(path)
+    before = peak()
+    with pytest.raises(Problem, match="resources/big: cannot be unpacked: Bad CRC-32"):
+        Location(path).member("resources/big").read()
+    assert peak() - before < len(ZEROS) / 2
+
+
+def test_a_large_description_of_constant_text_is_read(tmp_path: Path) -> None:
+    """The ratio counts only for large archives: regular descriptions of good FMUs pack well."""
+    path = fmu(tmp_path / "x.fmu", ('license="MIT"', f'license="{" " * 9_000_000}"'))
+    assert path.stat().st_size < 50_000
+    assert open_component("x", Location(path)).interface.identifier == "lag"
+
+
+def test_a_bomb_in_a_system_is_refused(gain: Path, tmp_path: Path) -> None:
+    """Also if the archive of the system itself is small unpacked, and if it contains itself many times."""
+    bomb = packed({**GOOD, "resources/bomb": ZEROS})
+    with pytest.raises(Problem, match=r"x\.ssp/resources/gain\.fmu: expected at most 200 times its size"):
+        load(system(tmp_path / "x.ssp", gain, more={"resources/gain.fmu": bomb}))
+    text = INNER.replace("resources/gain.fmu", "x.ssp").replace(
+        'name="g"', 'name="g" type="application/x-ssp-package"'
+    )
+    data = packed({"SystemStructure.ssd": text.encode()})
+    for _ in range(MAX_NESTING + 2):
+        data = packed({"SystemStructure.ssd": text.encode(), "x.ssp": data})
+    (tmp_path / "nested.ssp").write_bytes(data)
+    with pytest.raises(Problem, match="expected at most 8 archives inside each other"):
+        load(tmp_path / "nested.ssp")
+
+
+def test_a_symbolic_link_becomes_a_file(tmp_path: Path) -> None:
+    """A link would let later members be written anywhere."""
+    path, link = fmu(tmp_path / "x.fmu"), zipfile.ZipInfo("resources")
+    link.external_attr = 0o120777 << 16
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(link, str(tmp_path))
+    with Location(path).unpacked() as folder:
+        assert not (folder / "resources").is_symlink()
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/evil", "")
+    with pytest.raises(Problem, match="cannot be unpacked"), Location(path).unpacked():
+        pass
+    assert not (tmp_path / "evil").exists()
+
+
+# ---- temporary folder --------------------------------------------------------------------------------------
+
+
+def test_a_full_temporary_folder_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the names of FMU and folder; the part that was unpacked is removed. It is no fault of the FMU."""
+    path = fmu(tmp_path / "x.fmu")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+
+    def full(*_: object) -> None:
+        assert any(temporary.rglob("*"))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(shutil, "copyfileobj", full)
+    line = rf"x\.fmu: cannot be unpacked into {temporary}/\S+: .*No space left on device"
+    with pytest.raises(Problem, match=line), Location(path).unpacked():
+        pass
+    with pytest.raises(Problem, match=line):
+        check(path, run=False)
+    assert not list(temporary.iterdir())
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(Problem, match=r"x\.fmu: no temporary folder"), Location(path).unpacked():
+        pass
+    with pytest.raises(Problem, match=r"x\.fmu: no temporary folder"):
+        check(path, run=False)
+
+
+# ---- descriptions ------------------------------------------------------------------------------------------
+
+CO = "<CoSimulation modelIdentifier="
+DESCRIPTIONS: Mapping[str, tuple[tuple[str, str], str]] = {
+    "path as identifier": (
+        (f'{CO}"lag"', f'{CO}"../../x/evil"'),
+        r"modelIdentifier: .* got '\.\./\.\./x/evil'",
+    ),
+    "absolute identifier": ((f'{CO}"lag"', f'{CO}"/tmp/evil"'), "modelIdentifier: expected a C identifier"),
+    "no identifier": ((f'{CO}"lag"', "<CoSimulation"), "modelIdentifier: expected a C identifier, got ''"),
+    "no guid": ((' guid="{', ' id="{'), "expected an attribute guid, got none"),
+    "large reference": (('valueReference="5"', 'valueReference="4294967296"'), "whole number below 2\\^32"),
+    "long name": (('name="der_x"', f'name="{"x" * 20_000}"'), "expected names of at most 10000 characters"),
+    "20 MB": (('license="MIT"', f'license="{"x" * 20_000_000}"'), "cannot be read as XML: .*limit"),
+    "levels": (("<LogCategories>", "<a>" * 150 + "</a>" * 150 + "<LogCategories>"), "at most 100 levels"),
+    "many levels": (("<LogCategories>", "<a>" * 90_000), "cannot be read as XML: Excessive depth"),
+    "items": (("<LogCategories>", "<LogCategories>" + "<a/>" * 4_000_001), "at most 4000000 elements"),
+    "encoding": (('encoding="UTF-8"', 'encoding="evil"'), "cannot be read as XML: .*encoding"),
+    "line break": (('name="y"', 'name="a&#10;b&#27;[2J" x=""'), ""),
+}
+
+
+@pytest.mark.parametrize("name", DESCRIPTIONS)
+def test_a_description_is_refused(name: str, tmp_path: Path) -> None:
+    """By one line without control characters, in bounded time; a check finds something wrong, too."""
+    change, message = DESCRIPTIONS[name]
+    path = fmu(tmp_path / "x.fmu", change)
+    start = time.process_time()
+    if message:
+        with pytest.raises(Problem, match=message) as refused:
+            load(path)
+        assert str(refused.value).isprintable()
+        assert len(str(refused.value)) < 3000
+    report = check(path, run=False)
+    assert report.failed
+    assert all(line.isprintable() for line in report.text().split("\n"))
+    assert time.process_time() - start < LONGEST
+    assert find_library(tmp_path, "../../x/evil", 2) is None
+
+
+LAUGHS = '<!ENTITY a0 "ha">' + "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
+
+
+@pytest.mark.parametrize("entities", [LAUGHS, '<!ENTITY a9 SYSTEM "file:///etc/passwd">'])
+@pytest.mark.parametrize("place", ['description="A', "<LogCategories>"])
+def test_entities_are_not_expanded(entities: str, place: str, tmp_path: Path) -> None:
+    """Neither in attributes nor in the content, neither a billion of them nor those of other files."""
+    text = XML_2.replace("<fmiModelDescription", f"<!DOCTYPE a [{entities}]><fmiModelDescription")
+    path = tmp_path / "x.fmu"
+    path.write_bytes(packed({**GOOD, DESCRIPTION: text.replace(place, f"{place}&a9;", 1).encode()}))
+    start, before = time.process_time(), peak()
+    with pytest.raises(Problem, match=r"cannot be read as XML|got the entity &a9;") as refused:
+        load(path)
+    assert "root:" not in str(refused.value)
+    assert "xml.syntax" in {f.rule for f in check(path, run=False).findings if f.severity == "error"}
+    assert time.process_time() - start < LONGEST
+    assert peak() - before < MOST / 10
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "iso-8859-1"])
+def test_other_encodings_are_read(encoding: str, tmp_path: Path) -> None:
+    """A description in another encoding is the same, if it says so or has a mark."""
+    named = {"utf-8-sig": "UTF-8"}.get(encoding, encoding)
+    text = XML_2.replace("UTF-8", named).replace("first-order lag", "lag é")
+    path = Archive(2, {**GOOD, DESCRIPTION: text.encode(encoding)}).write(tmp_path / "x.fmu")
+    assert open_component("x", Location(path)).interface.description == "A lag é"
+
+
+# ---- systems -----------------------------------------------------------------------------------------------
+
+SOURCE = 'name="a" source="resources/gain.fmu"'
+BINDING = 'ParameterBinding source="resources/start.ssv"'
+LEAVES = "expected a path inside of the archive"
+SYSTEMS: Mapping[str, tuple[tuple[str, str], str]] = {
+    "up": ((SOURCE, 'name="a" source="../gain.fmu"'), LEAVES),
+    "up and up": ((SOURCE, f'name="a" source="{"../" * 40}etc/passwd"'), LEAVES),
+    "hidden up": ((SOURCE, 'name="a" source="resources/%2e%2e/%2e%2e/gain.fmu"'), LEAVES),
+    "absolute": ((SOURCE, 'name="a" source="/etc/passwd"'), LEAVES),
+    "file": ((SOURCE, 'name="a" source="file:///etc/passwd"'), LEAVES),
+    "set": ((BINDING, 'ParameterBinding source="../start.ssv"'), LEAVES),
+    "set in an FMU": (
+        (
+            '<ssd:ParameterBinding prefix=""><ssd:ParameterValues>',
+            '<ssd:ParameterBinding sourceBase="component"'
+            ' source="../../etc/passwd"/><ssd:ParameterBinding prefix=""><ssd:ParameterValues>',
+        ),
+        "has '..' in its path",
+    ),
+    "mapping": (('source="resources/names.ssm"', 'source="file:///etc/passwd"'), LEAVES),
+    "host": ((SOURCE, 'name="a" source="//host/gain.fmu"'), "expected a relative path or a file: URI"),
+    "web": ((SOURCE, 'name="a" source="http://host/gain.fmu"'), "expected a relative path or a file: URI"),
+    "brackets": ((SOURCE, 'name="a" source="http://[::1"'), "expected a URI, got Invalid IPv6 URL"),
+    "nul": ((SOURCE, 'name="a" source="a%00b"'), "expected a path without control characters"),
+    "no name": ((SOURCE, 'source="resources/gain.fmu"'), "Component: expected an attribute name, got source"),
+    "itself": (('source="other.ssd"', 'source="SystemStructure.ssd"'), "includes itself"),
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_system_is_refused(name: str, gain: Path, tmp_path: Path) -> None:
+    """By one line, also if the file that it refers to exists."""
+    shutil.copy(gain, tmp_path / "gain.fmu")
+    (tmp_path / "start.ssv").write_text(START)
+    change, message = SYSTEMS[name]
+    with pytest.raises(Problem, match=message):
+        load(system(tmp_path / "x.ssp", gain, change))
+
+
+def test_an_unpacked_system_may_refer_to_files_beside_it(gain: Path, tmp_path: Path) -> None:
+    """Not to devices and pipes, which never end."""
+    folder = tmp_path / "system"
+    folder.mkdir()
+    shutil.copy(gain, tmp_path / "gain.fmu")
+    for source, message in (
+        ("../gain.fmu", ""),
+        (f"file://{tmp_path}/gain.fmu", ""),
+        ("/dev/zero", "no such file"),
+    ):
+        (folder / "x.ssd").write_text(INNER.replace("resources/gain.fmu", source))
+        if message:
+            with pytest.raises(Problem, match=message):
+                load(folder / "x.ssd")
+        else:
+            assert list(load(folder / "x.ssd").components) == ["g"]
+
+
+@pytest.mark.parametrize(
+    ("copies", "message"), [(1, "50 systems inside each other"), (2, "10000 components")]
+)
+def test_files_that_include_files_have_an_end(copies: int, message: str, gain: Path, tmp_path: Path) -> None:
+    """A chain of 90 files, and 14 files of which each includes the next one twice."""
+    count, files = {1: 90, 2: 14}[copies], {}
+    part = '<ssd:Component name="g{}" type="application/x-ssp-definition" source="{}.ssd"/>'
+    for n in range(count):
+        parts = "".join(part.format(copy, n + 1) for copy in range(copies))
+        files[f"{n}.ssd"] = INNER.replace(
+            '<ssd:Component name="g" source="resources/gain.fmu"/>', parts
+        ).encode()
+    files[f"{count}.ssd"] = INNER.encode()
+    start = time.process_time()
+    with pytest.raises(Problem, match=f"expected at most {message}"):
+        load(system(tmp_path / "x.ssp", gain, ('source="other.ssd"', 'source="0.ssd"'), more=files))
+    assert time.process_time() - start < LONGEST
+
+
+# ---- large files -------------------------------------------------------------------------------------------
+
+
+def variables(count: int) -> str:
+    """Local variables as XML."""
+    return "".join(
+        f'<ScalarVariable name="body.part[{n}].x" valueReference="{n + 100}" description="More">'
+        '<Real unit="Pa"/></ScalarVariable>\n'
+        for n in range(count)
+    )
+
+
+def test_a_check_runs_an_fmu_without_its_local_variables() -> None:
+    """Of 3000 only the first 100 are sent to child processes, and states, derivatives and named ones."""
+    from lxml import etree
+
+    text = XML_2.replace("</ModelVariables>", f"{variables(3000)}</ModelVariables>")
+    model = read_description(etree.fromstring(text.encode()), 2)
+    reduced = model.for_run("body.part[2999].x")
+    # 6 variables; of the first 100 local ones two are state and derivative, which are among the 6
+    assert len(reduced.variables) == 6 + 98 + 1
+    assert {v.name for v in reduced.states} == {"x"}
+    assert set(reduced.by_key) >= {1, 2, 3, 4, 5, 6}
+
+
+@pytest.mark.long
+def test_200_000_variables_are_checked(tmp_path: Path) -> None:
+    """In bounded time and memory, by rules that are linear in the number of variables."""
+    path = fmu(tmp_path / "x.fmu", ("</ModelVariables>", f"{variables(200_000)}</ModelVariables>"))
+    start, before = time.process_time(), peak()
+    report = check(path)
+    assert "fmpy.validate" in {f.rule for f in report.findings}  # left out
+    assert time.process_time() - start < LONGEST
+    assert peak() - before < MOST
+
+
+# ---- commands ----------------------------------------------------------------------------------------------
+
+
+def test_commands_refuse_in_one_line(
+    gain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run`, `--swap` and `list` end with status 2, `check` with findings."""
+    monkeypatch.chdir(tmp_path)
+    good = system(tmp_path / "good.ssp", gain)
+    bad = fmu(tmp_path / "x.fmu")
+    with_member("../evil")(bad)
+    evil = fmu(tmp_path / "evil.fmu", (f'{CO}"lag"', f'{CO}"../../x/evil"'))
+    for command in (["run", str(bad)], ["run", str(evil)], ["run", str(good), "--swap", f"a={evil}"]):
+        assert main([*command, "--stop", "0.1"]) == 2
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1
+        assert "x.fmu" in line or "evil.fmu" in line
+    assert main(["check", str(bad)]) != 0
+    assert "has '..' in its path" in capsys.readouterr().out
