@@ -26,13 +26,16 @@ from orchestrator.realtime.shared_memory import (
     SharedState,
     size,
 )
-from orchestrator.worker.process import Worker
+from orchestrator.worker.activity import ActivityRecord
+from orchestrator.worker.process import Worker, machine_memory
 
 KEPT = 1800.0  # [s]; frames of this time are kept
 MOST = 256 << 20  # bytes of memory for frames, at most
 MARGIN = 200  # oldest frames that are not read, because they may be overwritten meanwhile
 SILENT = 5.0  # [s] without a heartbeat, after which an FMU counts as hanging
-END_TIMEOUT = 3.0  # [s] for an orderly end, after which the process is killed
+START_TIMEOUT = 60.0  # [s] from the start of a process to its first frame
+MEMORY = machine_memory() / 2  # bytes; a machine that takes more would soon stop for lack of memory
+END_TIMEOUT = 0.7  # [s] for an orderly end, after which the process is killed: Ctrl-C is obeyed within 2 s
 
 
 class MachineProcess:
@@ -52,14 +55,28 @@ class MachineProcess:
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
         self._worker = Worker(target, "live", END_TIMEOUT, descriptors=memory.descriptors)
+        self._activity = ActivityRecord(self._worker.folder / "beacon")  # readable after the end
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
         self._heartbeat, self._heard = -1, time.monotonic()
+        self._failure = ""
 
     def close(self) -> None:
-        """End the process. May be repeated."""
-        self.closed = True
+        """End the process. May be repeated; a failure before or at the end stays the state."""
+        if self.closed:
+            return
+        state, message = self._state(self.shared.status())
+        began = time.monotonic()
         self._worker.close()
+        if state == "failed":
+            self._failure = message
+        elif self.shared.status().state != "ended":  # the FMUs are not closed
+            late = time.monotonic() - began > END_TIMEOUT
+            cause = (
+                f"did not end within {END_TIMEOUT:g} s, stopped" if late else f"ended: {self._worker.ending}"
+            )
+            self._failure = f"the process of the machine {cause} {self._where}"
+        self.closed = True
 
     @property
     def pid(self) -> int:
@@ -119,19 +136,38 @@ class MachineProcess:
         return status.last - room + 1 + min(MARGIN, room // 4) if full else self.first
 
     def _state(self, status: MachineStatus) -> tuple[str, str]:
-        """State and message. A process that has ended or has no heartbeat has failed."""
+        """State and message. A process has failed if it ends, takes too much memory or does not answer."""
         if status.state == "failed":
             return "failed", str(_details(status).get("message", ""))
+        if not self._failure and self._worker.memory > MEMORY:
+            self._failure = (
+                f"the machine uses more than {MEMORY / 1e9:.3g} GB of memory, stopped {self._where}"
+            )
+            self._worker.close()
+        if self._failure:
+            return "failed", self._failure
         if self.closed:
             return "ended", ""
         if ending := self._worker.ending:
-            return "failed", f"the process of the machine ended: {ending}"
-        now = time.monotonic()
-        if status.heartbeat != self._heartbeat or status.state == "starting":
+            return "failed", f"the process of the machine ended: {ending} {self._where}"
+        return self._heard_of(status)
+
+    def _heard_of(self, status: MachineStatus) -> tuple[str, str]:
+        """State and message by the last sign of life."""
+        now, starting = time.monotonic(), status.state == "starting"
+        if status.heartbeat != self._heartbeat:
             self._heartbeat, self._heard = status.heartbeat, now
-        if (silent := now - self._heard) > SILENT:
-            return "failed", f"the machine has not answered for {silent:.0f} s"
+        silent = now - self._heard
+        if starting and silent > START_TIMEOUT:
+            return "failed", f"the machine has not started within {START_TIMEOUT:g} s {self._where}"
+        if not starting and silent > SILENT:
+            return "failed", f"the machine has not answered for {silent:.0f} s {self._where}"
         return status.state, ""
+
+    @property
+    def _where(self) -> str:
+        """The last call into an FMU."""
+        return str(self._activity.read())
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:
@@ -268,12 +304,9 @@ class RealTimeMachine:
         """Axes and signals over time since the start, as far as they are in memory (see `notes`)."""
         return self._process.trace()
 
-    def ready(self, timeout: float = 60.0) -> Frame:
-        """Wait at most `timeout` [s] until the machine has started or failed to start."""
-        until = time.monotonic() + timeout
+    def ready(self) -> Frame:
+        """Wait until the machine has started or failed to start."""
         while (frame := self.latest()).state == "starting":
-            if time.monotonic() > until:
-                raise Problem(f"{self.setup.system}: not ready within {timeout:g} s")
             time.sleep(POLL)
         return frame
 

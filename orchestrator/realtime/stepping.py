@@ -23,6 +23,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
 from orchestrator.engine.network import Network
+from orchestrator.engine.recorded_calls import recorded
 from orchestrator.engine.recorder import Recorder
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
@@ -52,18 +53,22 @@ def main(channel: Channel) -> None:
     )
     details: dict[str, Any] = {}
     try:
-        _open_and_run(task, shared, details, lambda: not channel.ended.is_set())
+        stepper = FrameStepper(task.setup, recorded(channel.activity))
+        _run(stepper, task, shared, details, lambda: not channel.ended.is_set())
     except Exception as problem:
         message = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"
         shared.set_state("failed", json.dumps(details | {"message": " ".join(message.split())}))
     channel.ended.wait()
 
 
-def _open_and_run(
-    task: Task, shared: memory.SharedState, details: dict[str, Any], needed: Callable[[], bool]
+def _run(
+    stepper: FrameStepper,
+    task: Task,
+    shared: memory.SharedState,
+    details: dict[str, Any],
+    needed: Callable[[], bool],
 ) -> None:
-    """Open the FMUs, publish the first frame, and run while the process is needed."""
-    stepper = FrameStepper(task.setup)
+    """Publish the first frame, run while the process is needed, and close the FMUs."""
     try:
         details |= {"units": dict(stepper.units), "notes": [*stepper.notes, raise_priority()]}
         shared.write_frame(task.first, stepper.t, stepper.axes, stepper.values)
@@ -73,6 +78,7 @@ def _open_and_run(
         _loop(stepper, task, shared, json.dumps(details), needed)
     finally:
         stepper.close()
+    shared.set_state("ended", json.dumps(details))
 
 
 def _loop(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import pickle
+import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -94,7 +95,12 @@ def client(workers: int | None = None, scheduler: str | None = None) -> Iterator
     """
     with dask.config.set(NO_MEMORY_LIMITS), _silence():
         if scheduler is None:
-            with local(workers or available()) as cluster, _Client(cluster) as connection:
+            with (
+                tempfile.TemporaryDirectory(prefix="sweep-") as folder,
+                dask.config.set({"temporary-directory": folder}),
+                local(workers or available()) as cluster,
+                _Client(cluster) as connection,
+            ):
                 yield connection
             return
         try:

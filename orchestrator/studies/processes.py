@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import pickle
 import queue
+import threading
 import time
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -23,15 +24,17 @@ from distributed import WorkerPlugin, get_worker
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.engine import simulation_loop
+from orchestrator.engine.recorded_calls import recorded
 from orchestrator.studies.cases import Options, StudyCase
 from orchestrator.studies.design import Sample
 from orchestrator.studies.single_run import RunOutcome, failed, outcome
 from orchestrator.studies.study import Study
 from orchestrator.worker.main import Channel
-from orchestrator.worker.process import Worker
+from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
 # Each process uses one thread, because there is a process on every core.
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
 
 
 def digest(data: bytes) -> str:
@@ -115,10 +118,14 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """Read the study; called on the Dask worker."""
         self._study = pickle.loads(self._data).study
-        self._idle, self._processes = queue.SimpleQueue(), set()
+        gigabytes = self._study.memory_limit
+        memory = MEMORY_SHARE * machine_memory() if gigabytes is None else 1e9 * gigabytes
+        self._limits = WorkerLimits(total_time=self._study.time_limit, memory=memory)
+        self._idle, self._processes, self._stop = queue.SimpleQueue(), set(), threading.Event()
 
     def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """End all processes, including those that run a sample."""
+        self._stop.set()
         for process in tuple(self._processes):
             self._close(process)
 
@@ -129,29 +136,37 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
             process = self._process()
             process.put(sample)
             try:
-                outcomes.append(process.get())
-            except EOFError:
-                outcomes.append(failed(self._study, sample.run, _ending(process)))
-            if process.alive:
+                outcomes.append(self._answer(process, self._limits))
                 self._idle.put(process)
-            else:
+            except ProcessEnded as ended:
                 self._close(process)
+                outcomes.append(failed(self._study, sample.run, str(ended)))
         return outcomes
+
+    def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
+        """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
+        try:
+            for answer in process.messages(limits, self._stop):
+                return answer
+        except LimitExceeded as limit:
+            raise ProcessEnded(str(limit)) from None
+        raise ProcessEnded(process.report)
 
     def _process(self) -> Worker:
         """An idle process, else a new one that has read the payload."""
         with suppress(queue.Empty):
             return self._idle.get_nowait()
+        if self._stop.is_set():
+            raise Problem("the study is stopped")
         single_thread = {f"{name}_NUM_THREADS": "1" for name in THREADS}
         process = Worker("orchestrator.studies.processes:main", "sweep", environment=single_thread)
+        self._processes.add(process)
         process.put(self._data)
         try:
-            process.get()
-        except EOFError:
-            message = _ending(process)
-            process.close()
-            raise Problem(f"a process for runs could not be started: {message}") from None
-        self._processes.add(process)
+            self._answer(process, WorkerLimits())
+        except ProcessEnded as ended:
+            self._close(process)
+            raise Problem(f"a process for runs could not be started: {ended}") from None
         return process
 
     def _close(self, process: Worker) -> None:
@@ -159,10 +174,8 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         self._processes.discard(process)
 
 
-def _ending(process: Worker) -> str:
-    """Message about the end of a process."""
-    message, last = f"the process ended: {process.ending}", process.last_stderr_line
-    return f"{message}: {last}" if last else message
+class ProcessEnded(Exception):
+    """A process ended, or was stopped because it exceeded a limit."""
 
 
 def run_batch(name: str, batch: Sequence[Sample]) -> list[RunOutcome]:
@@ -178,15 +191,13 @@ def main(channel: Channel) -> None:
     simulation_loop.CORES = 1  # there is a process on every core
     study_payload: Payload = channel.get()
     cases, originals = study_payload.unpacked(channel.folder / "fmus")
+    open_fmu = recorded(channel.activity, originals)
     channel.put("ready")
     while True:
         sample: Sample = channel.get()
         began = time.perf_counter()
-        result = outcome(study_payload.study, cases[sample.options], sample)
+        result = outcome(study_payload.study, cases[sample.options], sample, open_fmu)
         reason = result.reason
-        for (
-            unpacked,
-            original,
-        ) in originals.items():  # the folder of unpacked FMUs differs from process to process
+        for unpacked, original in originals.items():  # folders differ from process to process
             reason = reason.replace(unpacked, original)
         channel.put(replace(result, reason=reason, wall=time.perf_counter() - began))

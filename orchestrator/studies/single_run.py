@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.engine.job import Opener, open_slave
 from orchestrator.engine.run import run
 from orchestrator.studies.cases import StudyCase, signal
 from orchestrator.studies.design import Sample
@@ -46,7 +47,7 @@ def failed(study: Study, run: int, reason: str) -> RunOutcome:
     return RunOutcome(run, FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
 
 
-def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
+def outcome(study: Study, case: StudyCase, sample: Sample, open: Opener = open_slave) -> RunOutcome:
     """Run a sample; an error becomes its outcome."""
     system = case.system
     try:
@@ -59,6 +60,7 @@ def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
             record=list(dict.fromkeys(str(signal(system, o.signal)) for o in study.outputs)),
             record_step=study.record_step,
             bonds=(),
+            open=open,
         )
         # In a trace, outputs of the system have the name and unit that the system declares.
         names = {o.signal: o.signal for o in study.outputs if o.signal in system.outputs}

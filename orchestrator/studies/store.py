@@ -300,7 +300,7 @@ def fingerprint(payload: Payload, table: pd.DataFrame) -> dict[str, Any]:
 def to_json(study: Study) -> dict[str, Any]:
     """A study for JSON, without the fields that have no effect on its results."""
     fields = asdict(study)
-    for name in ("folder", "source", "title"):
+    for name in ("folder", "source", "title", "time_limit", "memory_limit"):
         del fields[name]
     json_types: dict[str, Any] = json.loads(json.dumps(fields))
     return json_types

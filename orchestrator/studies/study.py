@@ -31,6 +31,9 @@ MEASURES: tuple[Measure, ...] = get_args(Measure)
 BALANCED = ("sobol", "saltelli")  # methods whose samples are balanced only if their number is a power of two
 START = "start:"  # prefix of the columns with start values
 MOST_RUNS = 1_000_000  # the table of all runs then takes some gigabytes
+# [s] for one run: far more than runs of a study take. Without a limit, an FMU that hangs holds up its core.
+# A multiple of the duration of other runs would depend on the load of the machine.
+TIME_LIMIT = 3600.0
 # Distribution -> names of its parameters.
 DISTRIBUTIONS: Mapping[str, tuple[str, ...]] = {
     "uniform": ("minimum", "maximum"),
@@ -163,8 +166,12 @@ class Study:
     fixed        start values of all runs: a value in the unit of the FMU, or (value, unit)
     band_step    interval at which signals are stored [s]
     record_step  sampling interval of the signals for the measures [s]; default: every communication point
-    folder       paths are relative to this folder; ignored if studies are compared
-    source       file of the study, for messages; ignored if studies are compared
+    time_limit   wall time after which a run is stopped and counts as failed [s]
+    memory_limit memory at which it is stopped and counts as failed [GB]; default: a quarter of the machine's
+    folder       paths are relative to this folder
+    source       file of the study, for messages
+
+    The last four are ignored if studies are compared.
     """
 
     title: str = ""
@@ -181,6 +188,8 @@ class Study:
     fixed: Mapping[str, Any] = field(default_factory=dict)
     band_step: float = 0.05
     record_step: float | None = None
+    time_limit: float = field(default=TIME_LIMIT, compare=False)
+    memory_limit: float | None = field(default=None, compare=False)
     folder: str = field(default=".", compare=False)
     source: str = field(default="", compare=False)
 
@@ -286,7 +295,7 @@ def measure_unit(measure: str, unit: str) -> str:
 
 KEYS = (
     *("title", "system", "method", "runs", "seed", "stop", "step", "master", "record_step", "band_step"),
-    *("factors", "choices", "outputs", "fixed"),
+    *("time_limit", "memory_limit", "factors", "choices", "outputs", "fixed"),
 )
 
 
@@ -318,6 +327,8 @@ def read(file: str | Path) -> Study:
             fixed={name: _start(table.table("fixed"), name) for name in table.table("fixed").data},
             band_step=table.number("band_step", positive=True) or Study.band_step,
             record_step=table.number("record_step", positive=True),
+            time_limit=table.number("time_limit", positive=True) or TIME_LIMIT,
+            memory_limit=table.number("memory_limit", positive=True),
             folder=str(file.parent),
             source=str(file),
         )

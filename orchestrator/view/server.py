@@ -20,6 +20,7 @@ from nicegui import app as nicegui
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
+from orchestrator.realtime.failure_report import failures_reported
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import access
@@ -192,7 +193,8 @@ def serve(
             if open_:  # in a thread, because on some systems the call waits for the browser
                 threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
 
-        server.run(began)
+        with failures_reported(session.live, session.save_live):
+            server.run(began)
         raise KeyboardInterrupt  # uvicorn returns without it if SIGINT is ignored, as in a background job
     finally:
         session.close()

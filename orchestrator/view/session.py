@@ -99,7 +99,7 @@ class Session:
     """The machine that all pages show.
 
     plan      the latest choice
-    machine   the live machine, or a replay
+    machine   the machine that is shown: `live`, or a replay
     index     index of the signals in its frames
     title     title of the page
     span      first and last time of the replayed file [s]; None for a live machine
@@ -111,8 +111,8 @@ class Session:
         """simulate, replay: factories of machines; folders: of result files, the first also for saving."""
         self._replay, self.folders = replay, tuple(folders)
         self.plan: ViewPlan = plan(first)
-        self._live = simulate(self.plan.setup)
-        self.machine = ExchangeableMachine(self._live)
+        self.live = simulate(self.plan.setup)
+        self.machine = ExchangeableMachine(self.live)
         self.file = ""
         self._recording: SeekableMachine | None = None
         self.span: tuple[float, float] | None = None
@@ -136,10 +136,10 @@ class Session:
     def start(self, choice: MachineChoice) -> None:
         """Start the live machine with this choice."""
         new = plan(choice)
-        self._live.restart(new.setup)
+        self.live.restart(new.setup)
         self.plan = new
-        self._show(self._live, "")
-        self._live.play()
+        self._show(self.live, "")
+        self.live.play()
 
     def again(self) -> None:
         """Restart the current machine or replay."""
@@ -193,18 +193,25 @@ class Session:
         """Show the live machine again, as it was paused."""
         if self.file:
             self.machine.machine.close()
-            self._show(self._live, "")
+            self._show(self.live, "")
 
     def save(self) -> Path:
         """Save the session as a result file in the first folder."""
+        return self._save(self.machine)
+
+    def save_live(self) -> Path:
+        """Save the session of the live machine, also while a replay is shown."""
+        return self._save(self.live)
+
+    def _save(self, machine: Machine) -> Path:
         if not self.folders:
             raise Problem("save: no folder for results is open")
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        return write_trace(self.trace(), self.folders[0] / f"session-{stamp}.parquet")
+        return write_trace(self.trace(machine), self.folders[0] / f"session-{stamp}.parquet")
 
-    def trace(self) -> Trace:
-        """Trace of the session. Raises `Problem` if it is empty."""
-        trace = self.machine.trace()
+    def trace(self, machine: Machine | None = None) -> Trace:
+        """Trace of the session, or of another machine. Raises `Problem` if it is empty."""
+        trace = (machine or self.machine).trace()
         if not len(trace.time):
             raise Problem("save: nothing has been recorded yet")
         return trace
@@ -212,7 +219,7 @@ class Session:
     def close(self) -> None:
         """Close all machines."""
         self.machine.close()
-        self._live.close()
+        self.live.close()
 
     def _show(self, machine: Machine, file: str) -> None:
         self.machine.exchange(machine)

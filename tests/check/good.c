@@ -2,6 +2,8 @@
  *
  * Compile with -DFMI=2 or -DFMI=3. Every function of the standard is there; those for what the FMU cannot do
  * return an error. With -DLACKING one of these is left out. Value references: 0 time, 1 u, 2 rate, 3 x, 4 der_x, 5 y.
+ * The instantiation token begins with TOKEN. A file that includes this one may define PHASE, which is called at
+ * instantiation and before the end of initialisation, each step and the release of an instance.
  */
 #include <stdlib.h>
 #include <string.h>
@@ -14,15 +16,32 @@
 #define TOKEN "{9a0c6f5e-2a31-4f0e-8f57-6d1b7b6b3c55}"
 #endif
 
+#ifndef PHASE
+#define PHASE(phase, lag, t, token)
+#endif
+
 enum { TIME, U, RATE, X, DER_X, Y, COUNT };
 typedef struct {
     double v[COUNT];
 } Lag;
 
 static Lag *new_lag(const char *token) {
-    Lag *lag = strcmp(token, TOKEN) ? NULL : calloc(1, sizeof *lag);
-    if (lag) lag->v[RATE] = 2;
+    Lag *lag = strncmp(token, TOKEN, strlen(TOKEN)) ? NULL : calloc(1, sizeof *lag);
+    if (!lag) return NULL;
+    lag->v[RATE] = 2;
+    PHASE("instantiate", lag->v, 0, token);
     return lag;
+}
+
+static void free_lag(Lag *lag) {
+    PHASE("free", lag->v, lag->v[TIME], NULL);
+    free(lag);
+}
+
+static int initialised(Lag *lag) {
+    PHASE("initialise", lag->v, lag->v[TIME], NULL);
+    (void)lag;
+    return 0;
 }
 
 static void update(Lag *lag) {
@@ -48,6 +67,7 @@ static int set(void *instance, const unsigned *refs, size_t n, const double *val
 }
 
 static void advance(Lag *lag, double t, double h) {
+    PHASE("step", lag->v, t, NULL);
     for (int i = 0; i < 100; i++) {
         update(lag);
         lag->v[X] += h / 100 * lag->v[DER_X];
@@ -75,7 +95,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     IGNORE(name), IGNORE(type), IGNORE(resources), IGNORE(call), IGNORE(visible), IGNORE(logging);
     return new_lag(guid);
 }
-void fmi2FreeInstance(C c) { free(c); }
+void fmi2FreeInstance(C c) { free_lag(c); }
 fmi2Status fmi2SetDebugLogging(C c, fmi2Boolean on, size_t n, const fmi2String s[]) {
     return IGNORE(c), IGNORE(on), IGNORE(n), IGNORE(s), fmi2OK;
 }
@@ -85,7 +105,7 @@ fmi2Status fmi2SetupExperiment(C c, fmi2Boolean td, fmi2Real tol, fmi2Real t, fm
     return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(C c) { return IGNORE(c), fmi2OK; }
-fmi2Status fmi2ExitInitializationMode(C c) { return IGNORE(c), fmi2OK; }
+fmi2Status fmi2ExitInitializationMode(C c) { return (fmi2Status)initialised(c); }
 fmi2Status fmi2Terminate(C c) { return IGNORE(c), fmi2OK; }
 fmi2Status fmi2Reset(C c) {
     memset(c, 0, sizeof(Lag));
@@ -190,13 +210,13 @@ C fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3Strin
     return NULL;
 }
 #endif
-void fmi3FreeInstance(C c) { free(c); }
+void fmi3FreeInstance(C c) { free_lag(c); }
 fmi3Status fmi3EnterInitializationMode(C c, fmi3Boolean td, fmi3Float64 tol, fmi3Float64 t, fmi3Boolean sd,
                                        fmi3Float64 stop) {
     IGNORE(td), IGNORE(tol), IGNORE(sd), IGNORE(stop);
     return ((Lag *)c)->v[TIME] = t, fmi3OK;
 }
-fmi3Status fmi3ExitInitializationMode(C c) { return IGNORE(c), fmi3OK; }
+fmi3Status fmi3ExitInitializationMode(C c) { return (fmi3Status)initialised(c); }
 fmi3Status fmi3EnterEventMode(C c) { return IGNORE(c), fmi3OK; }
 fmi3Status fmi3Terminate(C c) { return IGNORE(c), fmi3OK; }
 fmi3Status fmi3Reset(C c) { return memset(c, 0, sizeof(Lag)), ((Lag *)c)->v[RATE] = 2, fmi3OK; }

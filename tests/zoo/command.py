@@ -1,0 +1,124 @@
+"""Runs a command of harvester in a process of its own, and finds what it leaves behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+LONG = 120.0  # [s]; only a test that fails waits for it
+OBEYED = 2.0  # [s] from Ctrl-C to the end of the command
+VANISH = 3.0  # [s] for processes that have been killed, and for the last of their files
+MARK = "HARVESTER_ZOO"  # environment variable by which all descendants are found, also in other sessions
+MAIN = "import sys; from orchestrator.__main__ import main; {}; sys.exit(main())"
+
+
+@dataclass(frozen=True)
+class Ended:
+    """The end of a command.
+
+    after      time from the interrupt to the end [s]; without an interrupt from the start
+    files      temporary files that are left
+    processes  command lines of descendants that are left
+    """
+
+    status: int
+    out: str
+    err: str
+    after: float
+    files: tuple[str, ...]
+    processes: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines on standard error."""
+        return self.err.strip().splitlines()
+
+
+def command(
+    arguments: Sequence[str | Path],
+    folder: Path,
+    interrupt: Callable[[], bool] | None = None,
+    setup: str = "pass",
+) -> Ended:
+    """Run `harvester ARGUMENTS` in a folder until it ends.
+
+    interrupt   sends SIGINT to the command alone when this becomes true
+    setup       Python statement before the command, such as one that sets a limit
+    """
+    temporary, mark = folder / "temporary", uuid.uuid4().hex
+    temporary.mkdir(exist_ok=True)
+    environment = {**os.environ, MARK: mark, "TMPDIR": str(temporary)}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    with (folder / "out").open("wb") as out, (folder / "err").open("wb") as err:
+        child = subprocess.Popen(
+            [sys.executable, "-c", MAIN.format(setup), *map(str, arguments)],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=err,
+            start_new_session=True,
+            preexec_fn=_usual_signals,
+        )
+    try:
+        began = time.monotonic()
+        if interrupt is not None:
+            until(lambda: interrupt() or child.poll() is not None)
+            began = time.monotonic()
+            child.send_signal(signal.SIGINT)
+        status = child.wait(LONG)
+        after = time.monotonic() - began
+        until(lambda: not (_marked(mark) or _files(temporary)), VANISH)
+        left = tuple(_command_line(pid) for pid in _marked(mark))
+    finally:
+        for pid in _marked(mark):
+            os.kill(pid, signal.SIGKILL)
+        child.wait(LONG)
+    texts = [(folder / name).read_text("utf-8", "replace") for name in ("out", "err")]
+    return Ended(status, *texts, after, _files(temporary), left)
+
+
+def until(condition: Callable[[], object], patience: float = LONG) -> bool:
+    """Wait until something holds; False if it does not in time."""
+    end = time.monotonic() + patience
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def _usual_signals() -> None:
+    """What a terminal gives a command; a job in the background ignores SIGINT."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _marked(mark: str) -> list[int]:
+    """Processes that have inherited the mark and run."""
+    found, text = [], f"{MARK}={mark}".encode()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if text in (folder / "environ").read_bytes():
+                found.append(int(folder.name))
+        except OSError:
+            continue
+    return found
+
+
+def _command_line(pid: int) -> str:
+    try:
+        return f"{pid}: {Path(f'/proc/{pid}/cmdline').read_bytes().replace(bytes(1), b' ').decode()}"
+    except OSError:
+        return str(pid)
+
+
+def _files(folder: Path) -> tuple[str, ...]:
+    return tuple(sorted(str(path.relative_to(folder)) for path in folder.rglob("*")))

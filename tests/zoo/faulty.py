@@ -1,0 +1,130 @@
+"""FMUs with a fault of choice in a phase of choice, and systems and studies that contain one.
+
+The library is compiled once per version of FMI: the instantiation token of an FMU names its fault.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import fmpy
+from check.good import DESCRIPTION, SOURCE, XML_2, XML_3, Archive
+
+from orchestrator.base.compiler import SUFFIX, shared_library
+
+FLAGS = ("-std=gnu11", "-O1", "-fno-sanitize=undefined", "-fPIC", "-shared", "-Wall", "-Wextra", "-s")
+FAULTS = (
+    *("exit_0", "exit_7", "quick_exit_7", "segfault", "abort", "divide", "overflow"),
+    *("spin", "sleep", "leak", "nan", "fork", "daemon", "print"),
+)
+HARMLESS = ("fork", "daemon", "print")  # the run ends as if nothing had happened
+PHASES = ("instantiate", "initialise", "step", "free")
+CALLS = {  # phase -> FMI function, without prefix
+    "instantiate": "Instantiate",
+    "initialise": "ExitInitializationMode",
+    "step": "DoStep",
+    "free": "FreeInstance",
+}
+BEGIN = 0.5  # [s]; the fault `step` is committed in the step that begins here
+SSD = """<?xml version="1.0" encoding="UTF-8"?>
+<ssd:SystemStructureDescription xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" version="1.0" name="two">
+<ssd:System name="two"><ssd:Elements>
+<ssd:Component name="first" type="application/x-fmu-sharedlibrary" source="lag.fmu"><ssd:Connectors>
+<ssd:Connector name="y" kind="output"><ssc:Real unit="Pa"/></ssd:Connector></ssd:Connectors></ssd:Component>
+<ssd:Component name="second" type="application/x-fmu-sharedlibrary" source="lag.fmu"><ssd:Connectors>
+<ssd:Connector name="u" kind="input"><ssc:Real unit="Pa"/></ssd:Connector></ssd:Connectors></ssd:Component>
+</ssd:Elements><ssd:Connections>
+<ssd:Connection startElement="first" startConnector="y" endElement="second" endConnector="u"/>
+</ssd:Connections></ssd:System><ssd:DefaultExperiment startTime="0" stopTime="1"/>
+</ssd:SystemStructureDescription>
+"""
+STUDY = """
+system = "{fmu}"
+method = "grid"
+stop = 1.0
+step = 0.01
+{settings}
+[factors."{name}.rate"]
+distribution = "values"
+values = [{rates}]
+
+[outputs.end]
+signal = "{name}.y"
+measure = "final"
+band = true
+"""
+
+
+@cache
+def library(major: int) -> bytes:
+    """The library for this machine."""
+    headers = Path(fmpy.__file__).parent / "c-code"
+    code = {path.name: path.read_bytes() for path in (Path(__file__).with_name("faulty.c"), SOURCE)}
+    arguments = [*FLAGS, f"-DFMI={major}", f"-I{headers}", "faulty.c", "-lm"]
+    return shared_library(f"faulty{major}{SUFFIX}", code, arguments).read_bytes()
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """An FMU whose fault is committed when it enters the phase; `committed` is a file that it writes then."""
+
+    fmu: Path
+    fault: str
+    phase: str
+    major: int
+
+    @property
+    def committed(self) -> Path:
+        """Contains the id of the process, or of the child that it has left behind."""
+        return self.fmu.with_suffix(".committed")
+
+    @property
+    def call(self) -> str:
+        """The FMI function that does not return."""
+        simulation = "CoSimulation" if (self.phase, self.major) == ("instantiate", 3) else ""
+        return f"fmi{self.major}{CALLS[self.phase]}{simulation}"
+
+
+def faulty(
+    folder: Path, fault: str = "none", phase: str = "step", major: int = 2, name: str = "lag"
+) -> Faulty:
+    """Make an FMU."""
+    made = Faulty(folder / f"{name}.fmu", fault, phase, major)
+    description, platform = (XML_2, fmpy.platform) if major == 2 else (XML_3, fmpy.platform_tuple)
+    attribute = "guid" if major == 2 else "instantiationToken"
+    archive = Archive(major, {DESCRIPTION: description.encode()})
+    token = description.partition(f'{attribute}="')[2].partition('"')[0]
+    archive = archive.swap(f'"{token}"', f'"{token} {fault} {phase} {made.committed}"')
+    exchange = description.partition("<ModelExchange")[2].partition("<CoSimulation")[0]
+    archive = archive.swap(f"<ModelExchange{exchange}", "")
+    archive.put(f"binaries/{platform}/lag{SUFFIX}", library(major)).write(made.fmu)
+    return made
+
+
+def two_lags(folder: Path) -> Path:
+    """A system of two good FMUs, `first` and `second`."""
+    faulty(folder)
+    ssd = folder / "two.ssd"
+    ssd.write_text(SSD, encoding="utf-8")
+    return ssd
+
+
+def study(faulty: Faulty, rates: str = "2, 3", settings: str = "") -> Path:
+    """A study of two runs: in the second, with rate = 3, the fault is not committed after instantiation."""
+    file = faulty.fmu.with_suffix(".toml")
+    name = faulty.fmu.stem
+    file.write_text(STUDY.format(fmu=faulty.fmu.name, name=name, rates=rates, settings=settings), "utf-8")
+    return file
+
+
+def exists(pid: int) -> bool:
+    """A process that runs, not one that only waits to be noticed."""
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except (OSError, IndexError):
+        return False
