@@ -58,7 +58,8 @@ class MachineProcess:
         self._activity = ActivityRecord(self._worker.folder / "beacon")  # readable after the end
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
-        self._heartbeat, self._heard = -1, time.monotonic()
+        self._began = self._heard = time.monotonic()
+        self._heartbeat = -1
         self._failure = ""
 
     def close(self) -> None:
@@ -155,12 +156,11 @@ class MachineProcess:
     def _heard_of(self, status: MachineStatus) -> tuple[str, str]:
         """State and message by the last sign of life."""
         now, starting = time.monotonic(), status.state == "starting"
-        if status.heartbeat != self._heartbeat:
-            self._heartbeat, self._heard = status.heartbeat, now
-        silent = now - self._heard
-        if starting and silent > START_TIMEOUT:
+        if starting and now - self._began > START_TIMEOUT:
             return "failed", f"the machine has not started within {START_TIMEOUT:g} s {self._where}"
-        if not starting and silent > SILENT:
+        if starting or status.heartbeat != self._heartbeat:
+            self._heartbeat, self._heard = status.heartbeat, now
+        if (silent := now - self._heard) > SILENT:
             return "failed", f"the machine has not answered for {silent:.0f} s {self._where}"
         return status.state, ""
 

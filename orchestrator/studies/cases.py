@@ -5,7 +5,7 @@ The systems are opened before anything runs, so mistakes are reported at once.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
@@ -31,6 +31,15 @@ TIME_ROUNDING = 1e-9  # relative to a time that is a sum of steps
 ROUNDING = 1e-12  # relative to a bound, in a conversion of units
 
 Options = tuple[str, ...]  # one option of each choice, in the order of the choices
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One run: its number, its options, and the values of the factors that its system has."""
+
+    run: int
+    options: Options
+    factors: Mapping[str, Value]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ function at the sample, so every method supports every distribution.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -24,9 +23,8 @@ from scipy import stats
 from scipy.stats import qmc
 
 from orchestrator.base.units import LinearTransformation
-from orchestrator.fmi.description import Value
 from orchestrator.ssp.system import Port, System, coerce
-from orchestrator.studies.cases import Options, StudyCase, is_real, nominals
+from orchestrator.studies.cases import Options, Sample, StudyCase, is_real, nominals
 from orchestrator.studies.study import START, Choice, Factor, Study, levels
 
 LEVELS = 4  # Morris levels, as in the paper: steps of two thirds of the range
@@ -36,15 +34,6 @@ UNBOUNDED = ("normal", "lognormal")
 TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Enumeration": pa.int64(), "Boolean": pa.bool_()}
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One run: its number, its options, and the values of the factors that its system has."""
-
-    run: int
-    options: Options
-    factors: Mapping[str, Value]
 
 
 # ---- samples in the unit cube

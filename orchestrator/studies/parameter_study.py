@@ -27,9 +27,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from orchestrator.base.errors import Stopped
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import TextTable, display_unit
-from orchestrator.studies import design, pool, processes, store
+from orchestrator.studies import design, pool, store
 from orchestrator.studies.analysis.results import without_numbers
-from orchestrator.studies.cases import resolve
+from orchestrator.studies.cases import Sample, resolve
+from orchestrator.studies.payload import Payload, payload
 from orchestrator.studies.single_run import EARLY, FAILED, OK, RunOutcome
 from orchestrator.studies.study import Study, read
 
@@ -46,9 +47,9 @@ Watch = Callable[
 class PreparedStudy:
     """A study with its systems loaded; samples in the order of their runs."""
 
-    payload: processes.Payload
+    payload: Payload
     table: pd.DataFrame
-    samples: Sequence[design.Sample]
+    samples: Sequence[Sample]
 
     def inputs(self) -> tuple[pa.Table, dict[str, str]]:
         """Samples and start values of all runs as columns, and their units."""
@@ -64,7 +65,7 @@ def prepare(study: Study) -> PreparedStudy:
     """Load the systems of a study and draw its samples; raises a Problem if the study is impossible."""
     resolved, cases = resolve(study)
     table = design.table(resolved)
-    return PreparedStudy(processes.payload(resolved, cases), table, design.runs(resolved, table, cases))
+    return PreparedStudy(payload(resolved, cases), table, design.runs(resolved, table, cases))
 
 
 def sweep(

@@ -22,8 +22,9 @@ from distributed.client import ClosedClientError
 from distributed.scheduler import KilledWorker
 
 from orchestrator.base.errors import Problem
-from orchestrator.studies.design import Sample
-from orchestrator.studies.processes import Payload, ProcessPool, digest, run_batch
+from orchestrator.studies.cases import Sample
+from orchestrator.studies.payload import Payload, digest
+from orchestrator.studies.processes import ProcessPool, run_batch
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
 

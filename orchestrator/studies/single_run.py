@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.engine.job import Opener, open_slave
 from orchestrator.engine.run import run
-from orchestrator.studies.cases import StudyCase, signal
-from orchestrator.studies.design import Sample
+from orchestrator.studies.cases import Sample, StudyCase, signal
 from orchestrator.studies.study import Output, Study
 
 OK, EARLY, FAILED = "ok", "early", "failed"

@@ -35,7 +35,7 @@ import pyarrow.parquet as pq
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.toml import quote_key
-from orchestrator.studies.processes import Payload, digest
+from orchestrator.studies.payload import Payload, digest
 from orchestrator.studies.single_run import RunOutcome, band_times
 from orchestrator.studies.study import Choice, Factor, Output, Study
 

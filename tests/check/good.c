@@ -34,6 +34,7 @@ static Lag *new_lag(const char *token) {
 }
 
 static void free_lag(Lag *lag) {
+    if (!lag) return;
     PHASE("free", lag->v, lag->v[TIME], NULL);
     free(lag);
 }

@@ -17,7 +17,7 @@ from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
 from orchestrator.studies import pool
-from orchestrator.studies.design import Sample
+from orchestrator.studies.cases import Sample
 from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.single_run import RunOutcome
 

@@ -57,7 +57,7 @@ def command(
     temporary.mkdir(exist_ok=True)
     environment = {**os.environ, MARK: mark, "TMPDIR": str(temporary)}
     environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    with (folder / "out").open("wb") as out, (folder / "err").open("wb") as err:
+    with (folder / "stdout").open("wb") as out, (folder / "stderr").open("wb") as err:
         child = subprocess.Popen(
             [sys.executable, "-c", MAIN.format(setup), *map(str, arguments)],
             cwd=folder,
@@ -82,8 +82,13 @@ def command(
         for pid in _marked(mark):
             os.kill(pid, signal.SIGKILL)
         child.wait(LONG)
-    texts = [(folder / name).read_text("utf-8", "replace") for name in ("out", "err")]
+    texts = [(folder / name).read_text("utf-8", "replace") for name in ("stdout", "stderr")]
     return Ended(status, *texts, after, _files(temporary), left)
+
+
+def obeyed(ended: Ended) -> bool:
+    """The command has ended soon after an interrupt; on a machine with more work than cores, later."""
+    return ended.after < OBEYED * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def until(condition: Callable[[], object], patience: float = LONG) -> bool:

@@ -16,11 +16,19 @@ from check.good import DESCRIPTION, SOURCE, XML_2, XML_3, Archive
 from orchestrator.base.compiler import SUFFIX, shared_library
 
 FLAGS = ("-std=gnu11", "-O1", "-fno-sanitize=undefined", "-fPIC", "-shared", "-Wall", "-Wextra", "-s")
-FAULTS = (
-    *("exit_0", "exit_7", "quick_exit_7", "segfault", "abort", "divide", "overflow"),
-    *("spin", "sleep", "leak", "nan", "fork", "daemon", "print"),
-)
-HARMLESS = ("fork", "daemon", "print")  # the run ends as if nothing had happened
+HANGS = ("spin", "sleep")
+HARMLESS = ("none", "fork", "print")  # the run ends as if nothing had happened
+CAUSES = {  # what a message calls a fault that ends the process
+    "exit_0": "exit status 0",
+    "exit_7": "exit status 7",
+    "quick_exit_7": "exit status 7",
+    "segfault": "segmentation fault",
+    "abort": "abort",
+    "divide": "arithmetic exception",
+    "overflow": "segmentation fault",
+    "leak": "more than 0.5 GB of memory",
+}
+FAULTS = (*CAUSES, *HANGS, "nan", *HARMLESS[1:])
 PHASES = ("instantiate", "initialise", "step", "free")
 CALLS = {  # phase -> FMI function, without prefix
     "instantiate": "Instantiate",
@@ -29,6 +37,7 @@ CALLS = {  # phase -> FMI function, without prefix
     "free": "FreeInstance",
 }
 BEGIN = 0.5  # [s]; the fault `step` is committed in the step that begins here
+MEMORY = 0.5  # [GB], the limit in the tests: above the 0.15 GB of a process, below the 4 GB that `leak` takes
 SSD = """<?xml version="1.0" encoding="UTF-8"?>
 <ssd:SystemStructureDescription xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
  xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" version="1.0" name="two">
@@ -43,17 +52,14 @@ SSD = """<?xml version="1.0" encoding="UTF-8"?>
 </ssd:SystemStructureDescription>
 """
 STUDY = """
-system = "{fmu}"
+system = "{system}"
 method = "grid"
 stop = 1.0
 step = 0.01
+memory_limit = {memory}
 {settings}
-[factors."{name}.rate"]
-distribution = "values"
-values = [{rates}]
-
 [outputs.end]
-signal = "{name}.y"
+signal = "{output}"
 measure = "final"
 band = true
 """
@@ -83,6 +89,11 @@ class Faulty:
         return self.fmu.with_suffix(".committed")
 
     @property
+    def harmless(self) -> bool:
+        """The run ends as if nothing had happened; after the end nobody sees values."""
+        return self.fault in HARMLESS or (self.fault, self.phase) == ("nan", "free")
+
+    @property
     def call(self) -> str:
         """The FMI function that does not return."""
         simulation = "CoSimulation" if (self.phase, self.major) == ("instantiate", 3) else ""
@@ -101,6 +112,11 @@ def faulty(
     archive = archive.swap(f'"{token}"', f'"{token} {fault} {phase} {made.committed}"')
     exchange = description.partition("<ModelExchange")[2].partition("<CoSimulation")[0]
     archive = archive.swap(f"<ModelExchange{exchange}", "")
+    for unused in (
+        ' providesDirectionalDerivative="true"',
+        '<SourceFiles><File name="lag.c"/></SourceFiles>',
+    ):
+        archive = archive.swap(unused, "") if major == 2 else archive
     archive.put(f"binaries/{platform}/lag{SUFFIX}", library(major)).write(made.fmu)
     return made
 
@@ -113,11 +129,11 @@ def two_lags(folder: Path) -> Path:
     return ssd
 
 
-def study(faulty: Faulty, rates: str = "2, 3", settings: str = "") -> Path:
-    """A study of two runs: in the second, with rate = 3, the fault is not committed after instantiation."""
-    file = faulty.fmu.with_suffix(".toml")
-    name = faulty.fmu.stem
-    file.write_text(STUDY.format(fmu=faulty.fmu.name, name=name, rates=rates, settings=settings), "utf-8")
+def study(folder: Path, system: Path, output: str, settings: str) -> Path:
+    """A study of a system; settings: what is varied, and limits."""
+    file = folder / "study.toml"
+    text = STUDY.format(system=system.name, output=output, settings=settings, memory=MEMORY)
+    file.write_text(text, encoding="utf-8")
     return file
 
 

@@ -1,0 +1,109 @@
+"""What a child process of a study gets and does: it unpacks the systems and runs one sample after the other.
+
+No file of the study has to exist on the computer of the process. A process starts fast, because it imports
+neither pandas nor SciPy nor Dask.
+"""
+
+from __future__ import annotations
+
+import io
+import time
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+
+from orchestrator.base.files import Location
+from orchestrator.engine import simulation_loop
+from orchestrator.engine.recorded_calls import recorded
+from orchestrator.studies.cases import Options, Sample, StudyCase
+from orchestrator.studies.single_run import outcome
+from orchestrator.studies.study import Study
+from orchestrator.worker.main import Channel
+
+
+def digest(data: bytes) -> str:
+    """SHA-256 digest."""
+    return sha256(data).hexdigest()
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A study, its systems, and their FMUs.
+
+    sources   location of an FMU in the systems -> digest of its archive
+    archives  digest of an archive -> its bytes
+    """
+
+    study: Study
+    cases: Mapping[Options, StudyCase]
+    sources: Mapping[Location, str]
+    archives: Mapping[str, bytes]
+
+    def unpacked(self, folder: Path) -> tuple[dict[Options, StudyCase], dict[str, str]]:
+        """The cases with FMUs that are unpacked in a folder, and unpacked FMU -> original FMU.
+
+        Each component gets its own copy of its FMU: two instances in one library may share variables.
+        """
+        copies: dict[tuple[str, Location], Location] = {}
+        cases = {}
+        for options, case in self.cases.items():
+            components = dict(case.system.components)
+            for name, component in components.items():
+                if component.source is None:
+                    continue
+                key = name, component.source
+                if key not in copies:
+                    copies[key] = self._unpack(component.source, folder / str(len(copies)))
+                components[name] = replace(component, source=copies[key])
+            cases[options] = replace(case, system=replace(case.system, components=components))
+        return cases, {str(copy): str(source) for (_, source), copy in copies.items()}
+
+    def _unpack(self, source: Location, folder: Path) -> Location:
+        folder.mkdir(parents=True)
+        archive = folder.with_suffix(".fmu")
+        archive.write_bytes(self.archives[self.sources[source]])
+        Location(archive).extract(folder)
+        archive.unlink()
+        return Location(folder)
+
+
+def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
+    """The payload of a study."""
+    sources, archives = dict[Location, str](), dict[str, bytes]()
+    for case in cases.values():
+        for component in case.system.components.values():
+            if component.source is not None and component.source not in sources:
+                data = _archive(component.source)
+                sources[component.source] = digest(data)
+                archives[digest(data)] = data
+    return Payload(study, cases, sources, archives)
+
+
+def _archive(source: Location) -> bytes:
+    """The bytes of an FMU; an unpacked FMU is packed, with bytes that do not depend on the time."""
+    if not source.is_folder:
+        return source.read()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in source.names():
+            archive.writestr(zipfile.ZipInfo(name), source.member(name).read())
+    return buffer.getvalue()
+
+
+def main(channel: Channel) -> None:
+    """Child process: read the payload, then samples, and send the outcome of each."""
+    simulation_loop.CORES = 1  # there is a process on every core
+    study_payload: Payload = channel.get()
+    cases, originals = study_payload.unpacked(channel.folder / "fmus")
+    open_fmu = recorded(channel.activity, originals)
+    channel.put("ready")
+    while True:
+        sample: Sample = channel.get()
+        began = time.perf_counter()
+        result = outcome(study_payload.study, cases[sample.options], sample, open_fmu)
+        reason = result.reason
+        for unpacked, original in originals.items():  # folders differ from process to process
+            reason = reason.replace(unpacked, original)
+        channel.put(replace(result, reason=reason, wall=time.perf_counter() - began))

@@ -1,0 +1,140 @@
+"""A live machine of an FMU with a fault: one line on the page and the terminal, its frames are kept."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from orchestrator import Problem
+from orchestrator.data.trace import read_trace
+from orchestrator.realtime import machine as realtime
+from orchestrator.realtime.machine import RealTimeMachine
+from orchestrator.realtime.setup import Axis, Setup
+from zoo.command import Ended, command, obeyed, until
+from zoo.faulty import BEGIN, CAUSES, FAULTS, HANGS, MEMORY, PHASES, Faulty, exists, faulty
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
+SILENT, STARTED = 1.0, 4.0  # [s] instead of 5 and 60, to wait less
+LIMITS = f"import orchestrator.realtime.machine as m; m.MEMORY = {MEMORY}e9"
+LIMITS += f"; m.SILENT, m.START_TIMEOUT = {SILENT}, {STARTED}"
+SELECTED = [(fault, "step") for fault in FAULTS if fault not in ("exit_7", "overflow")]
+SELECTED += [("spin", "instantiate"), ("exit_0", "initialise"), ("exit_0", "free"), ("sleep", "free")]
+AS_COMMANDS = [("segfault", "step"), ("spin", "step"), ("exit_0", "instantiate"), ("abort", "free")]
+
+
+def _cause(fmu: Faulty) -> str:
+    if fmu.fault in HANGS:
+        hangs = {"step": "not answered for 1 s", "free": f"did not end within {realtime.END_TIMEOUT:g} s"}
+        return hangs.get(fmu.phase, f"not started within {STARTED:g} s")
+    return CAUSES[fmu.fault]
+
+
+def _check(fmu: Faulty, message: str) -> None:
+    """One line with the FMU and what has happened."""
+    assert "\n" not in message
+    if fmu.fault == "nan":
+        assert "got nan" in message
+        assert f"{fmu.fmu.stem}.y: expected a " in message
+        return
+    assert _cause(fmu) in message
+    assert f"({fmu.fmu.stem}: {fmu.fmu})" in message
+    if fmu.phase != "step":
+        assert f" in {fmu.call} " in message
+
+
+@pytest.fixture
+def limits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """Limits that are reached soon; no file is left at the end."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    monkeypatch.setattr(realtime, "MEMORY", 1e9 * MEMORY)
+    monkeypatch.setattr(realtime, "SILENT", SILENT)
+    monkeypatch.setattr(realtime, "START_TIMEOUT", STARTED)
+    yield
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.usefixtures("limits")
+@pytest.mark.parametrize(("fault", "phase"), SELECTED)
+def test_a_fault_fails_the_machine(tmp_path: Path, fault: str, phase: str) -> None:
+    """Frames until then stay; the process and what it started are gone after the close."""
+    fmu = faulty(tmp_path, fault, phase)
+    try:
+        machine = RealTimeMachine(Setup(str(fmu.fmu), (Axis("u", 2.0, 10.0),), ("lag.y",)))
+    except Problem as problem:
+        assert phase in ("instantiate", "initialise")
+        _check(fmu, str(problem))
+        return
+    if phase == "step":
+        assert until(fmu.committed.exists)
+        until(lambda: machine.latest().state == "failed", 0.5 if fmu.harmless else 2 * SILENT + 10)
+        assert (machine.latest().state == "failed") != fmu.harmless
+        # the frame that ends at 0.5 s is the last; without a fault the machine goes on
+        assert (machine.trace().time[-1] > BEGIN + 0.05) == fmu.harmless
+        assert machine.trace().time[-1] > BEGIN - 0.011
+    machine.close()
+    frame = machine.latest()
+    assert frame.state == ("ended" if fmu.harmless else "failed")
+    if not fmu.harmless:
+        _check(fmu, frame.message)
+    assert not exists(machine.pid)
+    assert until(lambda: not exists(int(fmu.committed.read_text())))
+
+
+def _view(folder: Path, fmu: Faulty) -> Ended:
+    """Ctrl-C after the fault was committed and its line is there, or if it is committed at the end."""
+
+    def begun() -> bool:
+        if fmu.phase == "free" or fmu.harmless:
+            return (folder / "stdout").stat().st_size > 0
+        return "session-" in (folder / "stderr").read_text("utf-8")
+
+    arguments = ["view", fmu.fmu, "--no-open", "--port", "0", "--results", "results"]
+    return command(arguments, folder, begun, LIMITS)
+
+
+def _check_view(folder: Path, fmu: Faulty) -> None:
+    ended = _view(folder, fmu)
+    assert (ended.files, ended.processes) == ((), ())
+    if "harvester: interrupted" not in ended.err:  # failed before its page was there
+        assert ended.status == 2
+        assert fmu.phase in ("instantiate", "initialise")
+        _check(fmu, "\n".join(ended.lines))
+        return
+    assert ended.status == 130
+    assert obeyed(ended)
+    assert len(ended.lines) == 2 - fmu.harmless
+    if not fmu.harmless:
+        _check(fmu, ended.lines[0])
+        file = folder / ended.lines[0].rpartition(" is in ")[2]
+        # frames of 10 ms up to 0.5 s, and the first
+        assert len(read_trace(file).time) >= (51 if fmu.phase == "step" else 1)
+
+
+@pytest.mark.parametrize(("fault", "phase"), AS_COMMANDS)
+def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str) -> None:
+    """In one line, also while an FMU hangs; Ctrl-C is obeyed within 2 s and leaves nothing."""
+    _check_view(tmp_path, faulty(tmp_path, fault, phase))
+
+
+@pytest.mark.parametrize(("fault", "phase"), [("spin", "instantiate"), ("sleep", "step")])
+def test_an_interrupt_is_obeyed_while_an_fmu_hangs(tmp_path: Path, fault: str, phase: str) -> None:
+    """Before the page is there, and after."""
+    fmu = faulty(tmp_path, fault, phase)
+    ended = command(["view", fmu.fmu, "--no-open", "--port", "0"], tmp_path, fmu.committed.exists)
+    assert obeyed(ended)
+    assert (ended.status, ended.lines[-1]) == (130, "harvester: interrupted")
+    assert (ended.files, ended.processes) == ((), ())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("major", [2, 3])
+@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_in_each_phase_is_told(tmp_path: Path, fault: str, phase: str, major: int) -> None:
+    """On the terminal, in both versions of FMI."""
+    _check_view(tmp_path, faulty(tmp_path, fault, phase, major))
