@@ -12,9 +12,8 @@ from zoo.faulty import CAUSES, FAULTS, HANGS, MEMORY, PHASES, Faulty, faulty
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
 TIMEOUT = 1.0  # [s] for one call; a call takes microseconds, but the leak some time to reach its limit
-LIMITS = (
-    f"import orchestrator.worker.process as p; p.machine_memory = lambda: 4 * {MEMORY}e9"  # a quarter of it
-)
+# the limit is a quarter of the machine's memory
+LIMITS = f"import orchestrator.worker.process as p; p.machine_memory = lambda: 4 * {MEMORY}e9"
 SELECTED = [("exit_0", "step"), ("leak", "step"), ("spin", "initialise"), ("overflow", "instantiate")]
 SELECTED += [("divide", "free"), ("nan", "step"), ("fork", "step"), ("print", "step")]
 
