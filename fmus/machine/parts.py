@@ -57,6 +57,11 @@ HOLDING: Connections = (
 
 CONNECTIONS = SIGNALS + RATES + HOLDING
 
+# parameter -> parts that it describes together: the cylinders press on oil and on the linkage
+SHARED: Mapping[str, tuple[str, ...]] = dict.fromkeys(
+    ("boom_stroke", "stick_stroke"), ("boom_stick", "manipulator")
+)
+
 # commands of the operator and their rates
 COMMAND_WIRES: Connections = tuple(
     (f"operator_input.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")

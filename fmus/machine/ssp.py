@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem
-from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, SUPPLY_WIRES
+from fmus.machine.parts import COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, SHARED, SUPPLY_WIRES
 from fmus.machine.poses import NOMINAL, POSES, controlled_poses, controller_set, pose_set
 from fmus.machine.work_cycle import DEFAULT, PROGRAMS, WORK_CYCLE_STOP, program
 from fmus.manipulator import MANIPULATOR
@@ -37,7 +37,7 @@ def write_system(
     """
     wires, files = CONNECTIONS + COMMAND_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, OPERATOR.name)}
     return write_ssp(
-        assemble(files, wires, name=NAME, stop=WORK_CYCLE_STOP, step=step),
+        assemble(files, wires, name=NAME, stop=WORK_CYCLE_STOP, step=step, shared=SHARED),
         Path(folder) / f"{NAME}.ssp",
         sets=parameter_sets(manipulator),
         bound=(NOMINAL, DEFAULT),
@@ -57,7 +57,7 @@ def write_control(
     wires, files = CONNECTIONS + CONTROL_WIRES + SUPPLY_WIRES, {n: fmus[n] for n in (*ORDER, "controller")}
     poses = controlled_poses(manipulator).items()
     return write_ssp(
-        assemble(files, wires, name=CONTROL, stop=CONTROL_STOP, step=step),
+        assemble(files, wires, name=CONTROL, stop=CONTROL_STOP, step=step, shared=SHARED),
         Path(folder) / f"{CONTROL}.ssp",
         sets={name: controller_set(pose, manipulator, boom_stick) for name, pose in poses},
         bound=(NOMINAL,),

@@ -288,6 +288,10 @@ def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
 def require(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Requirements: order of pressure settings and of speeds, an engine that can turn the pumps."""
     return {
+        "pump_1_pressure_setting exceeds reservoir_pressure": p.pump_1_pressure_setting
+        - p.reservoir_pressure,
+        "pump_2_pressure_setting exceeds reservoir_pressure": p.pump_2_pressure_setting
+        - p.reservoir_pressure,
         "relief_pressure exceeds pump_1_pressure_setting": p.relief_pressure - p.pump_1_pressure_setting,
         "relief_pressure exceeds pump_2_pressure_setting": p.relief_pressure - p.pump_2_pressure_setting,
         "engine_no_load_speed exceeds engine_rated_speed": p.engine_no_load_speed - p.engine_rated_speed,

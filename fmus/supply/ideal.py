@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Group, Quantity, Scalar, Subsystem
 from fmus.supply.variables import (
     TERMINALS,
@@ -25,7 +26,9 @@ from fmus.supply.variables import (
 class IdealParameters(ReservoirParameters):
     """The two pressures; values and sources are in parameters.toml."""
 
-    pressure_setting: Scalar = Quantity("Pa", "Pressure of the supply line at any flow", 1e7, group="Source")
+    pressure_setting: Scalar = Quantity(
+        "Pa", "Pressure of the supply line at any flow", 1e7, minimum=-ATMOSPHERE, group="Source"
+    )
 
 
 class IdealState(Group):
@@ -54,6 +57,11 @@ def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs
     )
 
 
+def require(x: IdealState, u: SupplyInputs, p: IdealParameters) -> dict[str, Scalar]:
+    """Requirement: order of the pressures; 1 Pa allows equal ones, of a supply that is switched off."""
+    return {"pressure_setting is not below reservoir_pressure": p.pressure_setting - p.reservoir_pressure + 1}
+
+
 IDEAL = Subsystem(
     name="supply",
     text="Hydraulic supply: an ideal pressure source",
@@ -63,6 +71,7 @@ IDEAL = Subsystem(
     outputs=SupplyOutputs,
     dynamics=dynamics,
     observe=observe,
+    require=require,
     values=Path(__file__).with_name("parameters.toml"),
     terminals=TERMINALS,
     validity="while pumps and engine have flow and power to spare; no pressure ripple, no sag",

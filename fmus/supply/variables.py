@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fmus.components import ports
+from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Group, Quantity, Scalar
 
 CONSUMERS = ("swing", "boom_stick")
@@ -12,7 +13,7 @@ class ReservoirParameters(Group):
     """Parameters of the tank in every variant."""
 
     reservoir_pressure: Scalar = Quantity(
-        "Pa", "Pressure in the tank and in the return lines", 1e5, group="Tank"
+        "Pa", "Pressure in the tank and in the return lines", 1e5, minimum=-ATMOSPHERE, group="Tank"
     )
 
 

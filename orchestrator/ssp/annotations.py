@@ -1,4 +1,4 @@
-"""Annotations of an SSP that suggest master and communication step, read and written.
+"""Annotations of an SSP: suggested master and communication step, shared parameters; read and written.
 
 The SSP standard has no elements for master and step, so each tool has an annotation of its own. The
 annotation of this project, which other tools ignore, is
@@ -13,10 +13,18 @@ annotation of this project, which other tools ignore, is
       </ssd:Annotations>
     </ssd:DefaultExperiment>
 
-with the attributes of `Coupling` and the communication step [s]. It may also be an annotation of the
-outermost System, or of the whole file. In other places, such as a nested file, it is ignored with a note.
+with the attributes of `Coupling` and the communication step [s]. Another annotation of the same type names
+parameters that are one physical quantity in several components:
 
-If this annotation is missing, those of other tools are used. They are followed, or a run is refused until the
+          <hc:SharedParameter xmlns:hc="urn:harvester-cosim:coupling" name="stroke">
+            <hc:Component name="arm"/>
+            <hc:Component name="cylinder"/>
+          </hc:SharedParameter>
+
+Both may also be annotations of the outermost System, or of the whole file. In other places, such as a nested
+file, they are ignored with a note.
+
+If a Coupling is missing, those of other tools are used. They are followed, or a run is refused until the
 user chooses a master or a step: a run with another step than that of the file could be taken for its result.
 
     OMSimulator   org.openmodelica: FixedStepMaster, VariableStepMaster, or a solver in attributes; Jacobi,
@@ -30,7 +38,7 @@ user chooses a master or a step: a run with another step than that of the file c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -40,13 +48,13 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
 from orchestrator.ssp.common_elements import add
 
-OWN = "harvester-cosim"
+OWN, COUPLING, SHARED = "harvester-cosim", "Coupling", "SharedParameter"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root
 
 
 def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> Suggestion:
     """The suggestion in .ssd files for these components; roots: the outermost file first."""
-    elements = list(_own_couplings(roots[0]))
+    elements = [e for e in _own_elements(roots[0]) if e.name == COUPLING]
     if not elements:
         return _suggestion_of_other_tools(roots)
     if len(elements) > 1:
@@ -65,6 +73,20 @@ def read_suggestion(roots: Sequence[XmlElement], components: Iterable[str]) -> S
     except Problem as problem:
         raise element.problem(str(problem)) from None
     return Suggestion(coupling, step, location=f"{element.location}: Coupling")
+
+
+def read_shared(root: XmlElement, components: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """Parameter -> components that share it; root: the outermost file."""
+    shared = dict[str, tuple[str, ...]]()
+    for element in _own_elements(root):
+        if element.name == SHARED:
+            names = tuple(e.required("name") for e in element.children("Component"))
+            for name in names:
+                if name not in components:
+                    expected = f"expected a component of the system, got {name!r}"
+                    raise element.problem(f"{expected}{suggest(name, components)}")
+            shared[element.required("name")] = names
+    return shared
 
 
 def ignored_annotations(roots: Sequence[XmlElement]) -> list[str]:
@@ -105,13 +127,13 @@ ATTRIBUTES: Mapping[str, Attribute] = {
 FACTOR: Mapping[str, Attribute] = {"component": _TEXT, "steps": _WHOLE}
 
 
-def _own_couplings(root: XmlElement) -> Iterator[XmlElement]:
+def _own_elements(root: XmlElement) -> Iterator[XmlElement]:
     """The elements in annotations of this project."""
     for path in PATHS:
         for annotation in root.children(*path, "Annotations", "Annotation"):
             for e in annotation.children() if annotation.get("type") == OWN else ():
-                if e.name != "Coupling":
-                    raise e.problem(f"expected Coupling in an annotation of type {OWN}")
+                if e.name not in (COUPLING, SHARED):
+                    raise e.problem(f"expected {COUPLING} or {SHARED} in an annotation of type {OWN}")
                 yield e
 
 
@@ -466,6 +488,14 @@ def write_suggestion(system: Element, experiment: Element, suggestion: Suggestio
     element = add(_annotation(experiment, OWN), "hc:Coupling", **{n: values.get(n) for n in ATTRIBUTES})
     for component, steps in coupling.factors.items():
         add(element, "hc:Factor", component=component, steps=steps)
+
+
+def write_shared(experiment: Element, shared: Mapping[str, Sequence[str]]) -> None:
+    """Write the parameters that components share, each as an annotation of this project."""
+    for name, components in shared.items():
+        element = add(_annotation(experiment, OWN), f"hc:{SHARED}", name=name)
+        for component in components:
+            add(element, "hc:Component", name=component)
 
 
 def _annotation(parent: Element, type_: str) -> Element:

@@ -25,6 +25,7 @@ def assemble(
     inputs: Mapping[str, Sequence[str]] | None = None,
     stop: float | None = None,
     step: float | None = None,
+    shared: Mapping[str, Sequence[str]] | None = None,
 ) -> System:
     """A system from FMU files and connections.
 
@@ -35,6 +36,7 @@ def assemble(
     inputs        input of the system -> component inputs that it feeds; the first one gives the unit
     stop          default stop time of a run [s]
     step          default communication step of a run [s], with Gauss-Seidel
+    shared        parameter -> components in which a parameter of this name is the same physical quantity
     """
     components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
     system = System(name, components)
@@ -57,6 +59,7 @@ def assemble(
         stop=stop,
         suggestion=suggestion,
         notes=tuple(notes),
+        shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
     ).with_start(start or {})
 
 

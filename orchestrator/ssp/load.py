@@ -15,7 +15,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import read_interface
-from orchestrator.ssp.annotations import ignored_annotations, read_suggestion
+from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
 from orchestrator.ssp.assembly import check_connection, open_component
 from orchestrator.ssp.parameter_sets import bound_values
 from orchestrator.ssp.system import Component, Connection, Inlet, Outlet, Port, System
@@ -59,6 +59,7 @@ def _single_fmu(fmu: Location, exchange: bool = False) -> System:
 def _load_ssd(ssd: Location, exchange: bool) -> System:
     flat = read_structure(ssd)
     suggestion = read_suggestion(flat.roots, flat.sources)
+    shared = read_shared(flat.roots[0], flat.sources)
     flat.notes += ignored_annotations(flat.roots)
     read = cache(partial(read_interface, exchange=exchange))  # several components may have the same FMU
     components = {name: Component(name, read(fmu), fmu) for name, fmu in flat.sources.items()}
@@ -68,7 +69,7 @@ def _load_ssd(ssd: Location, exchange: bool) -> System:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
     if not components:
         raise Problem(f"{ssd}: the system has no components: expected at least one FMU")
-    return replace(system, suggestion=suggestion)
+    return replace(system, suggestion=suggestion, shared=shared)
 
 
 def _connected(flat: FlatStructure, system: System) -> System:

@@ -17,7 +17,7 @@ from orchestrator.base.xml import XmlElement, read_xml
 from orchestrator.fmi.description import KINDS, Value
 from orchestrator.ssp.common_elements import read_transformation, read_units
 from orchestrator.ssp.swap import missing_after_swap
-from orchestrator.ssp.system import Port, System, check_settable, coerce
+from orchestrator.ssp.system import Port, System, check_bounds, check_settable, coerce
 from orchestrator.ssp.system_structure import Connector, ParameterBinding, SignalPaths
 
 # target, transformation, table source -> target, suppression of the unit conversion
@@ -75,7 +75,9 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
                 variable = system.variable(port)
                 signals.notes.extend([note] if note else [])
                 if variable.settable:
-                    start[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
+                    converted = coerce(str(port), variable, value.text, linear)
+                    check_bounds(f"{file}: {port}", variable, converted)
+                    start[port.component][port.variable] = converted
                 else:
                     signals.notes.append(f"{file}: {port} keeps its value: the FMU determines it itself")
     return start
@@ -187,9 +189,10 @@ def _set_value(
         unit = system.inputs[value.name].unit if value.name in system.inputs else system.unit(port)
         first, note = value.map_to(unit, context)
         notes += [note] if note else []
-        start[port.component][port.variable] = coerce(
-            context, system.variable(port), value.text, first.then(linear)
-        )
+        variable = system.variable(port)
+        converted = coerce(context, variable, value.text, first.then(linear))
+        check_bounds(f"{file}: {port}", variable, converted)
+        start[port.component][port.variable] = converted
     return notes
 
 

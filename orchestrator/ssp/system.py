@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -15,6 +16,7 @@ from orchestrator.base.xml import integer, real
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 
 MAX_NAMES = 4  # in a message
+ROUNDING = 1e-12  # relative difference of equal values after a conversion of units
 RESOURCES = "resources"  # folder of an SSP
 
 
@@ -96,6 +98,7 @@ class System:
 
     notes        remarks for the user, shown after a run
     suggestion   suggested master and step, from the file of the system
+    shared       parameter -> components in which a parameter of this name is the same physical quantity
     """
 
     name: str
@@ -108,6 +111,7 @@ class System:
     source: Location | None = None
     notes: tuple[str, ...] = ()
     suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
+    shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def coupling(self) -> Coupling | None:
@@ -160,24 +164,33 @@ class System:
     def targets(self, name: str) -> tuple[tuple[Port, LinearTransformation], ...]:
         """The component inputs that a name refers to, with the conversion to their units.
 
-        A name is an input of the system, a `component.variable`, or the name of a component input, which
-        refers to all component inputs of that name.
+        A name is an input of the system, a `component.variable`, a parameter that components share, or the
+        name of component inputs, which refers to all inputs of that name.
         """
         if name in self.inputs:
             return self.inputs[name].targets
-        inputs = [] if self._find(name) else [p for p in self.ports("input") if p.variable == name]
+        inputs = [] if self._find(name) else self.sharing(name) or self._inputs(name)
         units = {self.unit(p) for p in inputs}
         if len(units) > 1:
             with_units = ", ".join(f"{p} {self.unit(p) or '[-]'}" for p in inputs)
             raise Problem(f"{name}: expected inputs with one unit, got {with_units}")
         return tuple((port, self._conversion(port)) for port in inputs or [self.port(name)])
 
+    def _inputs(self, name: str) -> list[Port]:
+        """The component inputs of one name."""
+        return [port for port in self.ports("input") if port.variable == name]
+
+    def sharing(self, name: str) -> list[Port]:
+        """The parameters that have the value of a shared parameter; a swapped FMU can lack it."""
+        components = (self.components[c] for c in self.shared.get(name, ()) if c in self.components)
+        return [Port(c.name, name) for c in components if name in c.interface.variables]
+
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
         return (
             name in self.inputs
             or self._find(name) is not None
-            or any(port.variable == name for port in self.ports("input"))
+            or bool(self.sharing(name) or self._inputs(name))
         )
 
     def names(self) -> list[str]:
@@ -234,9 +247,31 @@ class System:
                     reason = f"it is fed by {connected[port]}"
                     raise Problem(f"{name} cannot be set: {reason}; to set it, cut that wire: --cut {port}")
                 check_settable(port, self.components[port.component].interface)
-                start[port.component][port.variable] = coerce(str(port), self.variable(port), value, linear)
+                converted = coerce(str(port), self.variable(port), value, linear)
+                check_bounds(str(port), self.variable(port), converted)
+                start[port.component][port.variable] = converted
         components = {n: replace(c, start=start[n]) for n, c in self.components.items()}
-        return replace(self, components=components)
+        system = replace(self, components=components)
+        system.check_shared()
+        return system
+
+    def check_shared(self) -> None:
+        """Raise Problem if a parameter that components share has two values."""
+        for name in self.shared:
+            ports = self.sharing(name)
+            unit = self.variable(ports[0]).unit if ports else None
+            values = [
+                conversion(self.variable(port).unit, unit, str(port))[0](
+                    float(self.components[port.component].value(name))
+                )
+                for port in ports
+            ]
+            for port, value in zip(ports, values, strict=True):
+                if not math.isclose(value, values[0], rel_tol=ROUNDING):
+                    in_unit = f" {unit.name}" if unit else ""
+                    got = f"{ports[0]} is {values[0]:g} and {port} is {value:g}{in_unit}"
+                    hint = f"set both at once by the name {name}"
+                    raise Problem(f"{got}: expected one value of one physical quantity; {hint}")
 
     def coupled(self, choices: Coupling | Mapping[str, Any]) -> System:
         """The system with another coupling, or with single choices named like the fields of `Coupling`.
@@ -269,6 +304,16 @@ def check_settable(port: Port, interface: FmuInterface) -> None:
         sources = sorted((interface.initial_dependencies.get(port.variable) or frozenset()) - {port.variable})
         at_start = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= MAX_NAMES else ""
         raise Problem(f"{port} cannot be set: it is a {category} that the FMU determines itself{at_start}")
+
+
+def check_bounds(context: str, variable: FmuVariable, value: Value, remark: str = "") -> None:
+    """Raise Problem if a value is outside of the limits that the FMU declares; a remark follows it."""
+    if isinstance(value, (str, bool)):
+        return
+    unit = f" {variable.unit.name}" if variable.unit and variable.unit.name != "1" else ""
+    for word, bound, sign in (("least", variable.minimum, 1.0), ("most", variable.maximum, -1.0)):
+        if bound is not None and sign * (value - bound) < -ROUNDING * abs(bound):
+            raise Problem(f"{context}: expected at {word} {bound:g}{unit}, got {value:g}{unit}{remark}")
 
 
 def coerce(

@@ -16,7 +16,7 @@ from orchestrator.base.files import write_zip
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation
 from orchestrator.base.xml import Element, generation_tool, xml_text
 from orchestrator.fmi.description import FmuVariable, Value
-from orchestrator.ssp.annotations import VENDOR_NAMESPACES, write_suggestion
+from orchestrator.ssp.annotations import VENDOR_NAMESPACES, write_shared, write_suggestion
 from orchestrator.ssp.common_elements import TYPES, add, new_root, write_units
 from orchestrator.ssp.diagram import Box, Diagram, Point
 from orchestrator.ssp.system import RESOURCES, Component, Inlet, Port, System
@@ -140,7 +140,9 @@ class _Writer:
         units += [i.unit for i in s.inputs.values()] + [o.unit for o in s.outputs.values()]
         write_units(root, "ssd", units)
         times = {"startTime": 0.0 if s.start is None else s.start, "stopTime": s.stop}
-        write_suggestion(system, add(root, "ssd:DefaultExperiment", **times), s.suggestion)
+        experiment = add(root, "ssd:DefaultExperiment", **times)
+        write_suggestion(system, experiment, s.suggestion)
+        write_shared(experiment, s.shared)
         return xml_text(root)
 
     def signal_dictionary(self) -> bytes:

@@ -23,12 +23,11 @@ from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.swap import with_swaps
-from orchestrator.ssp.system import Port, System
+from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.studies.study import Factor, Output, Study, measure_unit
 
 SCENARIO, PARAMETERS = "scenario", "parameters"  # names of choices that are not components
 TIME_ROUNDING = 1e-9  # relative to a time that is a sum of steps
-ROUNDING = 1e-12  # relative to a bound, in a conversion of units
 
 Options = tuple[str, ...]  # one option of each choice, in the order of the choices
 
@@ -68,6 +67,10 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
         for options, case in cases.items():
             _check_not_driven(study, options, case)
             _check_set_once(study, case)
+            _check_shared(study, case.system)
+            for name, value in study.fixed.items():
+                if case.system.has(name):
+                    _check_inside(case.system, name, f"fixed: {name}", value)
         cases = {o: replace(case, system=_with_fixed(study, case.system)) for o, case in cases.items()}
         for case in cases.values():
             _check_limits(study, case.system)
@@ -163,7 +166,8 @@ def _settable(systems: Sequence[System], name: str, where: str) -> tuple[str, bo
                     f" or drive {port} by a scenario under choices"
                 )
         real = is_real(system, name)
-        system.with_start({name: 0.0 if real else 0})
+        for port, _ in targets:
+            check_settable(port, system.components[port.component].interface)
         for other in systems:
             if other.has(name):
                 other.targets(name)  # raises if its variables have different units
@@ -249,8 +253,19 @@ def _check_set_once(study: Study, case: StudyCase) -> None:
                 raise Problem(f"fixed: expected no factor, got {name}{same}")
 
 
+def _check_shared(study: Study, system: System) -> None:
+    """Refuse a factor that sets one of several variables that are the same physical quantity."""
+    for factor in (f for f in study.factors if system.has(f.name)):
+        ports = {port for port, _ in system.targets(factor.name)}
+        for name in system.shared:
+            shared = system.sharing(name)
+            if ports & set(shared) and not ports >= set(shared):
+                parts = " and ".join(port.component for port in shared)
+                raise Problem(f"{factor.key}: expected {name}, one value for {parts}, got {factor.name}")
+
+
 def _check_limits(study: Study, system: System) -> None:
-    """Refuse values outside the minimum and maximum that the FMU declares for a variable.
+    """Refuse factors outside the minimum and maximum that the FMU declares for a variable.
 
     For a normal or lognormal factor only the mean is checked, as it has no end points.
     """
@@ -260,9 +275,6 @@ def _check_limits(study: Study, system: System) -> None:
         for key, number in _checked_numbers(factor):
             remark = f" ({number:g} times {scale:g})" if factor.relative else ""
             _check_inside(system, factor.name, f"{factor.key}: {key}", number * scale, remark)
-    for name, value in study.fixed.items():
-        if system.has(name):
-            _check_inside(system, name, f"fixed: {name}", value)
 
 
 def _checked_numbers(factor: Factor) -> Iterator[tuple[str, float]]:
@@ -274,11 +286,7 @@ def _checked_numbers(factor: Factor) -> Iterator[tuple[str, float]]:
 
 def _check_inside(system: System, name: str, where: str, value: float, remark: str = "") -> None:
     for port, conversion in system.targets(name):
-        variable, converted = system.variable(port), conversion(value)
-        unit = f" {variable.unit.name}" if variable.unit else ""
-        for word, bound, sign in (("least", variable.minimum, 1.0), ("most", variable.maximum, -1.0)):
-            if bound is not None and sign * (converted - bound) < -ROUNDING * abs(bound):
-                raise Problem(f"{where}: expected at {word} {bound:g}{unit}, got {converted:g}{unit}{remark}")
+        check_bounds(where, system.variable(port), conversion(value), remark)
 
 
 def _times(study: Study, case: StudyCase) -> Grid:

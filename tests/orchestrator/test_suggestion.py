@@ -154,7 +154,7 @@ def test_attributes_of_other_namespaces_are_passed_over(make):
         ),
         (coupling("", FACTOR + FACTOR), "Factor: component a: expected one Factor, got two"),
         (coupling("", "<hc:Rate/>"), "Rate: expected Factor in a Coupling"),
-        ("<Master/>", "Master: expected Coupling in an annotation of type harvester-cosim"),
+        ("<Master/>", "Master: expected Coupling or SharedParameter in an annotation of type"),
     ],
 )
 def test_a_mistake_names_file_line_and_attribute(make, text, message):

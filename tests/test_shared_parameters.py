@@ -1,0 +1,136 @@
+"""Values that parts share, and bounds of values: one line before the run."""
+
+from __future__ import annotations
+
+import pytest
+
+from fmus.contract import quantities
+from fmus.machine.parts import FAMILIES, SHARED
+from fmus.parameters import values
+from orchestrator import Problem, assemble, load, run
+from orchestrator.__main__ import main
+from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.write import write_ssp
+from orchestrator.studies.parameter_study import prepare
+from orchestrator.studies.study import read
+
+VALUES = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+SSV = (
+    f'<ParameterSet xmlns="{VALUES}" version="1.0" name="p">'
+    """
+<Parameters><Parameter name="{}"><Real value="{}"/></Parameter></Parameters></ParameterSet>"""
+)
+
+
+@pytest.fixture(scope="module")
+def machine(fmu_dir):
+    """The machine as built."""
+    return load(fmu_dir / "harvester.ssp")
+
+
+def test_shared_parameters_are_declared_with_one_value():
+    """By a variant of each part that shares it."""
+    for name, parts in SHARED.items():
+        variants = [s for part in parts for s in FAMILIES[part].values()]
+        declared = [s for s in variants if name in quantities(s.parameters)]
+        assert {s.component for s in declared} == set(parts)
+        assert len({values(s).p[name] for s in declared}) == 1
+
+
+@pytest.mark.parametrize("part", ["boom_stick", "manipulator"])
+def test_one_of_two_shared_values_is_refused(machine, part):
+    """The line names both and the name that sets both."""
+    with pytest.raises(Problem) as refused:
+        machine.with_start({f"{part}.boom_stroke": 0.6})
+    first, second = (0.6, 0.61) if part == "boom_stick" else (0.61, 0.6)
+    assert str(refused.value) == (
+        f"boom_stick.boom_stroke is {first} and manipulator.boom_stroke is {second} m: expected one value of"
+        " one physical quantity; set both at once by the name boom_stroke"
+    )
+
+
+def test_the_name_of_a_shared_value_sets_all_parts(machine):
+    """As do both names together."""
+    both = {"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.6}
+    for given in ({"boom_stroke": 0.6}, both):
+        system = machine.with_start(given)
+        assert [system.components[p].value("boom_stroke") for p in SHARED["boom_stroke"]] == [0.6, 0.6]
+
+
+def test_a_parameter_set_with_one_shared_value_is_refused(machine, tmp_path):
+    """At the run, because another set may set the other value."""
+    file = tmp_path / "longer.ssv"
+    file.write_text(SSV.format("boom_stick.boom_stroke", 0.6))
+    with pytest.raises(Problem, match=r"boom_stick.boom_stroke is 0.6 and manipulator.boom_stroke is 0.61 m"):
+        run(machine, parameters=[file], stop=0.01)
+    with_sets(machine, [file]).with_start({"boom_stroke": 0.6})
+
+
+def test_an_ssp_keeps_what_its_parts_share(machine, tmp_path):
+    """Written, read, and without a part whose FMU lacks the parameter."""
+    again = load(write_ssp(machine, tmp_path / "again.ssp"))
+    assert dict(again.shared) == dict(machine.shared) == SHARED
+    assert [str(port) for port in again.sharing("boom_stroke")] == [
+        "boom_stick.boom_stroke",
+        "manipulator.boom_stroke",
+    ]
+    assert again.sharing("boom_bore") == []
+
+
+def test_an_assembled_system_shares_what_it_is_told(fmu_dir):
+    """`assemble` knows no names; without `shared` the values are independent."""
+    fmus = {name: fmu_dir / f"{name}.fmu" for name in ("boom_stick", "manipulator")}
+    assemble(fmus, start={"boom_stick.boom_stroke": 0.6})
+    with pytest.raises(Problem, match="expected one value of one physical quantity"):
+        assemble(fmus, start={"boom_stick.boom_stroke": 0.6}, shared={"boom_stroke": tuple(fmus)})
+
+
+def test_a_factor_of_a_study_sets_all_parts(fmu_dir, tmp_path):
+    """A factor of one part alone is refused; the name of the shared value is a factor like any other."""
+    file = tmp_path / "study.toml"
+    text = (
+        f'system = "{fmu_dir / "harvester.ssp"}"\nmethod = "grid"\nstop = 0.1\n'
+        '[factors."boom_stick.boom_stroke"]\ndistribution = "values"\nvalues = [0.58, 0.6]\n'
+        '[outputs.end]\nsignal = "manipulator.boom_position"\nmeasure = "final"\n'
+    )
+    file.write_text(text)
+    expected = (
+        r"factors.\"boom_stick.boom_stroke\": expected boom_stroke, one value for boom_stick and manipulator"
+    )
+    with pytest.raises(Problem, match=expected):
+        prepare(read(file))
+    file.write_text(text.replace("boom_stick.boom_stroke", "boom_stroke"))
+    assert len(prepare(read(file)).samples) == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("boom_stick.boom_bore=-1", "boom_stick.boom_bore: expected at least 0.001 m, got -1 m"),
+        (
+            "boom_stick.valve_discharge_coefficient=1.1",
+            "boom_stick.valve_discharge_coefficient: expected at most 1, got 1.1",
+        ),
+        (
+            "supply.pressure_setting=-2e5",  # gauge pressure: absolute vacuum is at -101325 Pa
+            "supply.pressure_setting: expected at least -101325 Pa, got -200000 Pa",
+        ),
+        ("supply.reservoir_pressure=3e7", 'requirement "pressure_setting is not below reservoir_pressure"'),
+    ],
+)
+def test_values_out_of_bounds_are_refused_before_the_first_step(fmu_dir, tmp_path, capsys, given, message):
+    """Limits in the model description by the importer, relations between parameters by the FMU."""
+    out = tmp_path / "a.csv"
+    assert main(["run", str(fmu_dir / "harvester.ssp"), "--set", given, "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_parameter_set_out_of_bounds_names_its_file(machine, tmp_path):
+    """Selected by the user."""
+    file = tmp_path / "bad.ssv"
+    file.write_text(SSV.format("boom_stick.boom_bore", 0))
+    with pytest.raises(Problem, match=r"bad.ssv: boom_stick.boom_bore: expected at least 0.001 m, got 0 m"):
+        with_sets(machine, [file])
