@@ -146,8 +146,8 @@ Set = Annotated[
         "--set",
         metavar="NAME=VALUE",
         help="Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs with"
-        " this name (supply_pressure sets both drives), or of a parameter that components share (boom_stroke),"
-        " in the unit that `harvester signals` shows;"
+        " this name (supply_pressure sets both drives), or of a parameter that components share (boom_stroke)"
+        ", in the unit that `harvester signals` shows;"
         " repeatable.",
     ),
 ]
