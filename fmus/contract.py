@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, dataclass_transform, get_type_hints
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, dataclass_tr
 import casadi as ca
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.units import normalised, parse_unit
 
 Scalar: TypeAlias = Any  # float | ca.SX; the operators in CasADi's annotations do not accept symbols
 G = TypeVar("G")
@@ -56,6 +58,20 @@ class Quantity:
     group: str = ""
     absolute: float | None = None
     value: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("unit", "text", "group"):
+            if not isinstance(getattr(self, name), str):
+                raise Problem(f"Quantity: {name}: expected text, found {getattr(self, name)!r}")
+        for name in ("nominal", "minimum", "maximum", "warn_above", "absolute", "value"):
+            number = getattr(self, name)
+            if number is not None and not isinstance(number, int | float):
+                raise Problem(f"Quantity: {name} of {self.text!r}: expected a number, found {number!r}")
+        parse_unit(self.unit, f"Quantity: {self.text}")
+        if normalised(self.unit) != self.unit:  # other tools read only this spelling
+            raise Problem(
+                f'Quantity: {self.text}: expected the unit "{normalised(self.unit)}", found "{self.unit}"'
+            )
 
     @property
     def absolute_scale(self) -> float:
@@ -245,15 +261,20 @@ def quantities(group: type[Any]) -> MappingProxyType[str, Quantity]:
 
     The group may also be a dataclass whose fields are `Annotated[float, Quantity(...)]`.
     """
+    if not (isinstance(group, type) and is_dataclass(group)):
+        raise Problem(f"expected a subclass of Group, or a dataclass of quantities, found {group!r}")
     if group in _CACHE:
         return _CACHE[group]
     if issubclass(group, Group):
-        declared = {f.name: f.metadata["quantity"] for f in fields(group)}  # type: ignore[arg-type]
+        declared = {f.name: f.metadata["quantity"] for f in fields(group)}
     else:
         hints = get_type_hints(group, include_extras=True)
         declared = {f.name: hints[f.name].__metadata__[0] for f in fields(group)}
     heading = ""
     for name, quantity in declared.items():
+        if not isinstance(quantity, Quantity):
+            expected = 'Annotated[float, Quantity("unit", "text")]'
+            raise Problem(f"{group.__name__}.{name}: expected {expected}, found {quantity!r}")
         heading = quantity.group or heading
         declared[name] = replace(quantity, group=heading)
     return _CACHE.setdefault(group, MappingProxyType(declared))
@@ -311,30 +332,87 @@ class Symbolic:
 
 def symbolic(sub: Subsystem) -> Symbolic:
     """Evaluate the subsystem's functions once on symbols."""
+    for group in (sub.states, sub.inputs, sub.parameters, sub.outputs):
+        quantities(group)  # refuses what is no group
     x, u, declared = symbols(sub.states), symbols(sub.inputs), symbols(sub.parameters)
     derived = {
         n: ca.if_else(getattr(declared, n) > 0, getattr(declared, n), v)
-        for n, v in sub.derive(declared).items()
+        for n, v in _call(sub, "derive", declared).items()
     }
     p = replace(declared, **derived)
-    calculated = dict(sub.initial(x, u, p))
+    calculated = _call(sub, "initial", x, u, p)
     unknown = set(calculated) - set(quantities(sub.states))
     if unknown:
-        raise Problem(f"{sub.name}: initial() returns {sorted(unknown)}, expected names of states")
+        raise _wrong_result(sub, "initial", "names of states", str(sorted(unknown)))
     states = column(*(getattr(x, name) for name in calculated))
     if ca.depends_on(ca.SX(column(*calculated.values())), states):
         raise Problem(f"{sub.name}: initial() uses a state that it calculates, expected only other states")
     start = [calculated.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
-    require = dict(sub.require(x, u, p))
+    require = _call(sub, "require", x, u, p)
     return Symbolic(
         x=stack(x),
         u=stack(u),
         p=stack(declared),
-        dx=stack(sub.dynamics(x, u, p)),
-        y=stack(sub.observe(x, u, p)),
+        dx=_evaluate(sub, "dynamics", sub.states, x, u, p),
+        y=_evaluate(sub, "observe", sub.outputs, x, u, p),
         start=column(*start),
         calculated=tuple(calculated),
         require=column(*require.values()),
         statements=tuple(require),
         next_event=ca.SX(sub.next_event(x, u, p)),
     )
+
+
+def _call(sub: Subsystem, function: str, *groups: Any) -> Any:
+    """Call one of the functions of a subsystem; an exception becomes a Problem with file and line."""
+    try:
+        result = getattr(sub, function)(*groups)
+    except Problem:
+        raise
+    except Exception as error:  # whatever a user's code raises
+        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise Problem(f"{_place(sub, function, error)}{sub.name}: {function}(): {text}") from error
+    if function in ("derive", "initial", "require"):
+        if not isinstance(result, Mapping):
+            raise _wrong_result(sub, function, "a dictionary", result)
+        for name, value in result.items():
+            _scalar(sub, function, name, value, groups)
+    return result
+
+
+def _evaluate(sub: Subsystem, function: str, group: type[Any], *groups: Any) -> Any:
+    """The result of `dynamics` or `observe` as a column, checked against its group."""
+    result, names = _call(sub, function, *groups), [f.name for f in fields(group)]
+    if not is_dataclass(result) or [f.name for f in fields(result)] != names:
+        raise _wrong_result(sub, function, group.__name__, result)
+    return column(*(_scalar(sub, function, name, getattr(result, name), groups) for name in names))
+
+
+def _scalar(sub: Subsystem, function: str, name: str, value: Scalar, groups: Sequence[Any]) -> ca.SX:
+    """An expression of x, u and p; raises Problem for anything else."""
+    try:
+        expression = ca.SX(value)
+    except (NotImplementedError, TypeError):  # CasADi's answers to a wrong type
+        raise _wrong_result(sub, function, f"{name} as one expression", value) from None
+    if expression.shape != (1, 1):
+        raise _wrong_result(sub, function, f"{name} as one expression", f"shape {expression.shape}")
+    known = {s.__hash__() for g in groups for s in ca.symvar(stack(g))}
+    if free := [s.name() for s in ca.symvar(expression) if s.__hash__() not in known]:
+        raise _wrong_result(sub, function, f"{name} in terms of x, u and p", f"the symbol {free[0]}")
+    return expression
+
+
+def _wrong_result(sub: Subsystem, function: str, expected: str, found: object) -> Problem:
+    shown = found if isinstance(found, str) else f"{type(found).__name__} {found!r}"
+    shown = " ".join(shown.split())[:80]
+    return Problem(f"{_place(sub, function)}{sub.name}: {function}(): expected {expected}, found {shown}")
+
+
+def _place(sub: Subsystem, function: str, error: Exception | None = None) -> str:
+    """ "file.py:12: ", the innermost line of an error in the file of a function, else where it begins."""
+    code = getattr(getattr(sub, function), "__code__", None)
+    if code is None:
+        return ""
+    frames = traceback.extract_tb(error.__traceback__) if error else []
+    lines = [f.lineno for f in frames if f.filename == code.co_filename] or [code.co_firstlineno]
+    return f"{Path(code.co_filename).name}:{lines[-1]}: "

@@ -23,7 +23,7 @@ class Activity:
     count    number of calls
     time     simulation time [s]; NaN before the first step
     call     name of the last function
-    inputs   last inputs, or the case under test in round brackets
+    inputs   last inputs; if a case is under test, the case in round brackets and the values set in it
     """
 
     count: int
@@ -47,15 +47,23 @@ class ActivityRecord:
             path.write_bytes(_HEAD.pack(0, float("nan"), b"") + bytes(_TEXT))
         with path.open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), SIZE)
-        self._count = 0
+        self._count, self._case = 0, ""
 
     def call(self, name: str, time: float = float("nan")) -> None:
         """Store the function that is called next, and the simulation time [s]."""
         self._count += 1
         _HEAD.pack_into(self._memory, 0, self._count, time, name.encode())
 
+    def case(self, text: str) -> None:
+        """Store the case under test; values that are set afterwards follow it."""
+        self._case = f"({text})"
+        self._write(self._case)
+
     def inputs(self, text: str) -> None:
-        """Store the last inputs, or the case under test in round brackets."""
+        """Store the values that were set last."""
+        self._write(f"{self._case}, last values {text}" if self._case else text)
+
+    def _write(self, text: str) -> None:
         raw = text.encode()[:_TEXT]
         self._memory[_HEAD.size : _HEAD.size + len(raw)] = raw
         self._memory[_HEAD.size + len(raw) :] = bytes(_TEXT - len(raw))

@@ -105,6 +105,46 @@ def test_the_description_is_complete(tmp_path):
             ('start = {"u"', 'files = tuple(f"{n}.csv" for n in "a")\n    start = {"u"'),
             "lag.py: files is not a plain list, expected one such as",
         ),
+        (("def step(", "def stepp("), "lag.py: Lag.stepp is unknown; did you mean step?"),
+        (("def step(", "def advance("), "expected a method step(x, u, p, t, h), found none"),
+        (("def observe(", "def obsrve("), "Lag.obsrve is unknown; did you mean observe?"),
+        (("def observe(", "def outlet("), "expected a method observe(x, u, p, t), found none"),
+        (
+            ("Parameters, Inputs, State, Outputs =", "Parameters, inputs, State, Outputs ="),
+            "inputs is unknown; did you mean Inputs?",
+        ),
+        (("    start =", "    inital = {}\n    start ="), "Lag.inital is unknown; did you mean initial?"),
+        (("self, x, u, p, t, h)", "self, x, u, p, h)"), "found step(self, x, u, p, h)"),
+        (
+            ('"N/s", "Its', '"N.s/mm2x", "Its'),
+            "lag.py:19: Quantity: Its derivative: unit 'N.s/mm2x' is unknown",
+        ),
+        (('"N/s", "Its', '"", "Its'), 'lag.py:19: Quantity: Its derivative: expected the unit "1", found ""'),
+        (('"N/s", "Its', 'None, "Its'), "lag.py:19: Quantity: unit: expected text, found None"),
+        (("minimum=1e-3", 'minimum="1e-3"'), "minimum of 'Time constant': expected a number, found '1e-3'"),
+        (('Quantity("1", "Share")', "None"), "Inputs.w: expected Annotated[float, Quantity("),
+        (("] = 0.1", '] = "0.1"'), "lag.py: Parameters.delay: expected a number, found '0.1'"),
+        (("] = 0.1", "] = 0.0"), "lag.py: delay starts at 0, expected 0.001 to inf"),
+        (('{"u": 1.0}', '{"u": [1.0]}'), "lag.py: start of u: expected a number, found [1.0]"),
+        (('{"u": 1.0}', '["u"]'), "lag.py: Lag.start: expected a dictionary, found ['u']"),
+        (('{"z": ["w"]}', '{"z": None}'), "lag.py: depends['z']: expected a list of inputs, got None"),
+        (
+            ("    start =", "    inner_step = 1e-300\n    start ="),
+            "inner_step: expected at least 1e-09 s, found",
+        ),
+        (("    start =", "    name = 5\n    start ="), "lag.py: Lag.name: expected text, found 5"),
+        (
+            ("    start =", "    name = 'my lag'\n    start ="),
+            'lag.py: model name "my lag" is not an identifier',
+        ),
+        (("z=x.y + u.w", "z=[x.y, u.w]"), "lag.py: observe() returned z = [0.0, 0.0], expected a number"),
+        (("z=x.y + u.w", "z=__import__('casadi').SX.sym('q')"), "observe() returned z = SX(q), expected a"),
+        (
+            ("    start =", "    def __init__(self, gain): ...\n\n    start ="),
+            "lag.py: TypeError: Lag.__init__()",
+        ),
+        (("u_rate: Annotated", "delay: Annotated"), "lag.py: variable delay is declared twice"),
+        (("GAIN = 1.0", "GAIN = 1.0\0"), "lag.py: SyntaxError: source code string cannot contain null bytes"),
         (("GAIN = 1.0", "import not_there"), "lag.py:8: ModuleNotFoundError: No module named 'not_there'"),
     ],
 )
@@ -114,8 +154,113 @@ def test_the_build_refuses(tmp_path, change, said):
     with pytest.raises(Problem) as found:
         built(tmp_path, change)
     assert said in str(found.value)
+    assert str(found.value).startswith("lag.py:")
     assert "\n" not in str(found.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_helpers_of_any_name_are_the_users_own(tmp_path):
+    """A name close to one that the class defines is no slip, nor is a model without state and step."""
+    assert built(tmp_path, ("    start =", "    steps, _state, flows = 3, 4, 5\n    start =")).is_file()
+    head = written(tmp_path).read_text(encoding="utf-8").partition("class Lag")[0]
+    static = (
+        "class Sum(Model):\n    Inputs, Outputs = Inputs, Outputs\n\n    def observe(self, x, u, p, t):\n"
+    )
+    text = head + static + "        return Outputs(y=u.u, z=u.w)\n"
+    (tmp_path / "sum.py").write_text(text, encoding="utf-8")
+    assert build_user(tmp_path / "sum.py", tmp_path / "out").is_file()
+
+
+def test_a_folder_and_a_missing_file_are_named(tmp_path):
+    """What is no file is refused with its path."""
+    with pytest.raises(Problem, match=r"nothing\.py: the file does not exist"):
+        build_user(tmp_path / "nothing.py", tmp_path / "out")
+    (tmp_path / "folder.py").mkdir()
+    with pytest.raises(Problem, match=r"folder\.py: expected a file, found a folder"):
+        build_user(tmp_path / "folder.py", tmp_path / "out")
+
+
+NATIVE = """
+import casadi as ca
+from fmus import Group, Quantity, Scalar, Subsystem
+
+
+class Inputs(Group):
+    u: Scalar = Quantity("N", "Force")
+
+
+class Parameters(Group): ...
+class State(Group):
+    y: Scalar = Quantity("N", "Force behind the lag")
+
+
+def dynamics(x, u, p):
+    return State(y=u.u - x.y)
+
+
+def observe(x, u, p):
+    return x
+
+
+LAG = Subsystem(
+    name="lag", text="A lag", parameters=Parameters, states=State, inputs=Inputs, outputs=State,
+    dynamics=dynamics, observe=observe,
+)
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            ("y=u.u -", "y=u.v -"),
+            ":16: lag: dynamics(): AttributeError: 'Inputs' object has no attribute 'v'",
+        ),
+        (("y=u.u -", "y=w -"), ":16: lag: dynamics(): NameError: name 'w' is not defined"),
+        (("    return State(", "    State("), ":15: lag: dynamics(): expected State, found NoneType None"),
+        (
+            ("y=u.u -", "y=ca.SX.sym('q') -"),
+            "dynamics(): expected y in terms of x, u and p, found the symbol q",
+        ),
+        (("y=u.u - x.y", "y=ca.vertcat(u.u, x.y)"), "expected y as one expression, found shape (2, 1)"),
+        (("y=u.u - x.y", "y='a'"), "dynamics(): expected y as one expression, found a"),
+        (("return State(y", "if x.y > 0: return State(y"), ":16: lag: dynamics(): RuntimeError: "),
+        (("def observe(x, u, p)", "def observe(x, u)"), ":19: lag: observe(): TypeError: "),
+        (("outputs=State", "outputs=Inputs"), ":19: lag: observe(): expected Inputs, found State"),
+        (
+            ('Quantity("N", "Force")', 'Quantity("N.s/mm2x", "Force")'),
+            ":7: Quantity: Force: unit 'N.s/mm2x' is",
+        ),
+        (("dynamics=dynamics", "dynamic=dynamics"), ":23: TypeError: "),
+        (("return x", "return x x"), ":20: SyntaxError: "),
+        (("import casadi", "import casadia"), ":2: ModuleNotFoundError: No module named 'casadia'"),
+        (
+            ("inputs=Inputs", "inputs=None"),
+            "expected a subclass of Group, or a dataclass of quantities, found None",
+        ),
+        (("parameters=Parameters", "parameters=Group"), "expected a subclass of Group, or a dataclass of"),
+    ],
+)
+def test_a_mistake_in_a_file_of_equations_is_one_line(tmp_path, monkeypatch, capsys, change, said):
+    """File, line and function of a user's subsystem, by the command that builds it."""
+    assert change[0] in NATIVE
+    name = f"native_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(NATIVE.replace(*change), encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert main(["build", f"{name}:LAG", "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"harvester: {name}:LAG")
+    assert said in told
+    assert told.count("\n") == 1
+
+
+def test_a_file_of_equations_is_told_how_to_build_it(tmp_path):
+    """A file with a Subsystem instead of a Model."""
+    (tmp_path / "lag.py").write_text(NATIVE, encoding="utf-8")
+    with pytest.raises(
+        Problem, match=r"got none; LAG is a Subsystem: build it by fmus\.build\(LAG, folder\)"
+    ):
+        build_user(tmp_path / "lag.py", tmp_path / "out")
 
 
 def test_a_state_hidden_in_a_list_is_found(tmp_path):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.process import Worker, machine_memory
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")
@@ -162,3 +163,15 @@ def test_much_that_is_written_to_stderr_is_thrown_away(start, monkeypatch):
     worker.get(SOON)
     worker._truncate_stderr()
     assert until(lambda: worker.last_stderr_line == "")
+
+
+def test_values_set_in_a_case_do_not_hide_it(tmp_path: Path) -> None:
+    """After a crash while a parameter is set, the case is named first, then the values."""
+    record = ActivityRecord(tmp_path / "record")
+    record.inputs("u = 1")
+    assert str(record.read()) == "before the first call, last inputs u = 1"
+    record.case("a parameter out of bounds")
+    record.call("fmi2SetReal")
+    assert str(record.read()) == "in fmi2SetReal (a parameter out of bounds)"
+    record.inputs("p = 3")
+    assert str(record.read()) == "in fmi2SetReal (a parameter out of bounds), last values p = 3"

@@ -22,7 +22,7 @@ from fmus.export.model_description import CAPABILITIES, Unknowns, model_descript
 from fmus.export.package import PLACEHOLDER, common_files, guid_of
 from fmus.export.python.slave import MODEL_FILE
 from fmus.export.python.subsystem_model import fingerprint, import_subsystem, origin
-from fmus.export.python.user_file import checked, declared_files, refuse_neighbours, structure
+from fmus.export.python.user_file import checked, declared_files, in_file, refuse_neighbours, structure
 from fmus.export.python.user_model import UserModel
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
@@ -73,7 +73,11 @@ def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
     folder = folder / SUBFOLDER
     if model.endswith(".py"):
         return build_user(Path(model), folder, platforms=platforms)
-    return build_python(import_subsystem(model), folder, platforms=platforms, source=model)
+    sub = import_subsystem(model)
+    try:
+        return build_python(sub, folder, platforms=platforms, source=model)
+    except Problem as problem:
+        raise Problem(f"{model}: {problem}") from None
 
 
 def build_python(
@@ -111,6 +115,13 @@ def build_user(
     platforms: Sequence[str] | None = None,
 ) -> Path:
     """Write an FMU of the `Model` in a user's file to `folder` and return its path; see `build_python`."""
+    try:
+        return _build_user(path, folder, step, stop, platforms)
+    except Problem as problem:
+        raise in_file(problem, path) from None
+
+
+def _build_user(path: Path, folder: Path, step: float, stop: float, platforms: Sequence[str] | None) -> Path:
     refuse_neighbours(path)
     with TemporaryDirectory() as test_folder:  # contains only files that the FMU will contain
         copy = Path(test_folder).resolve() / path.name

@@ -12,8 +12,10 @@ from __future__ import annotations
 import hashlib
 import importlib
 import sys
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Protocol
 
 import casadi as ca
@@ -214,6 +216,19 @@ def _subsystems(module: str) -> Iterator[tuple[str, Any]]:
             yield from ((f"{module}:{name}.{key}", v) for key, v in value.items())
 
 
+def _told(problem: Exception, module: str) -> str:
+    """Place and text of an exception of a module that is imported, in one line."""
+    frames = [
+        f for f in traceback.extract_tb(problem.__traceback__) if Path(f.filename).stem in module.split(".")
+    ]
+    place = "".join(f"{Path(f.filename).name}:{f.lineno}: " for f in frames[-1:])
+    if isinstance(problem, SyntaxError):
+        place = f"{Path(problem.filename or module).name}:{problem.lineno}: "
+    name = "" if isinstance(problem, Problem) else f"{type(problem).__name__}: "
+    text = problem.msg if isinstance(problem, SyntaxError) else str(problem)
+    return f"{place}{name}{' '.join(text.split())}"
+
+
 def import_subsystem(origin: str) -> Subsystem:
     """Import the subsystem with this origin."""
     module, _, path = origin.partition(":")
@@ -223,9 +238,9 @@ def import_subsystem(origin: str) -> Subsystem:
     try:
         sub = getattr(importlib.import_module(module), name)
         sub = sub[key] if key else sub
-    except (ImportError, AttributeError, KeyError, TypeError) as problem:
+    except Exception as problem:  # whatever a user's module raises when it is imported
         raise Problem(
-            f"{origin} cannot be imported by the Python in {sys.prefix}: {type(problem).__name__}: {problem}"
+            f"{origin} cannot be imported by the Python in {sys.prefix}: {_told(problem, module)}"
         ) from None
     if not isinstance(sub, Subsystem):
         raise Problem(f"{origin} is of type {type(sub).__name__}, expected Subsystem")

@@ -7,16 +7,17 @@ import hashlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
+from fmus.contract import Subsystem
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import Unknowns
 from fmus.export.python.instance import Instance
-from fmus.export.python.user_model import Model, UserModel, read_only
+from fmus.export.python.user_model import Model, UserModel, check_class, read_only
 from fmus.solver import Array
 from orchestrator.base.errors import Problem
 
@@ -32,6 +33,20 @@ def message(problem: BaseException, folder: Path) -> str:
         return text
     start = f"{_location(problem, folder)}{type(problem).__name__}"
     return f"{start}: {text}" if text else start
+
+
+def in_file(problem: BaseException, path: Path) -> Problem:
+    """The exception as a Problem that begins with the user's file, and the line in it if it is known."""
+    text = message(problem, path.parent)
+    if text.startswith((f"{path.name}:", f"{path}:")):
+        return Problem(text)
+    if not isinstance(problem, Problem):  # the place in the library says nothing to the user
+        text = text[len(_location(problem, path.parent)) :]
+    lines = [
+        f.lineno for f in traceback.extract_tb(problem.__traceback__) if Path(f.filename).name == path.name
+    ]
+    where = f"{path.name}:{lines[-1]}" if lines else path.name
+    return Problem(f"{where}: {text.removeprefix(f'{path.stem}: ')}")
 
 
 def _location(problem: BaseException, folder: Path) -> str:
@@ -68,19 +83,30 @@ def load(path: Path) -> Model:
     ]
     if len(models) != 1:
         names = ", ".join(c.__name__ for c in models) or "none"
-        raise Problem(f"{path.name}: expected one subclass of Model, got {names}")
+        raise Problem(
+            f"{path.name}: expected one subclass of Model, got {names}{_native(vars(sys.modules[name]))}"
+        )
     if not models[0].name:
         models[0].name = path.stem
+    check_class(models[0])
     return read_only(models[0]())
 
 
+def _native(names: Mapping[str, object]) -> str:
+    """What to do with a subsystem of equations."""
+    found = [name for name, value in names.items() if isinstance(value, Subsystem)]
+    return f"; {found[0]} is a Subsystem: build it by fmus.build({found[0]}, folder)" if found else ""
+
+
 def _read(path: Path) -> ast.Module:
+    if path.is_dir():
+        raise Problem(f"{path}: expected a file, found a folder")
     if not path.is_file():
         raise Problem(f"{path}: the file does not exist")
     try:
         return ast.parse(path.read_text(encoding="utf-8"), path.name)
     except (OSError, ValueError, SyntaxError) as problem:
-        raise Problem(message(problem, path.parent)) from None
+        raise in_file(problem, path) from None
 
 
 def refuse_neighbours(path: Path) -> None:
@@ -130,8 +156,7 @@ def structure(user: UserModel) -> Unknowns:
             raise Problem(
                 f"{model.name}: depends: {name} is not an output or a state that initial() computes"
             )
-        if isinstance(dependencies, str) or not set(dependencies) <= set(inputs):
-            wrong = dependencies if isinstance(dependencies, str) else min(set(dependencies) - set(inputs))
+        for wrong in (n for n in dependencies if n not in inputs):
             raise Problem(f"{model.name}: depends[{name!r}]: expected a list of inputs, got {wrong!r}")
 
     def declared(name: str) -> list[str]:
@@ -172,7 +197,7 @@ def checked(path: Path, step: float) -> UserModel:
         _check_replay(model.model.name, instance, step)
         _check_dependencies(model, instance)
     except (Exception, SystemExit) as problem:
-        raise Problem(message(problem, path.parent)) from None
+        raise in_file(problem, path) from None
     return model
 
 

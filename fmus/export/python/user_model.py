@@ -17,9 +17,10 @@ instance runs a `UserModel`: the model with its FMI interface, and with checks o
 
 from __future__ import annotations
 
+import inspect
 import math
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -32,7 +33,7 @@ from fmus.contract import Quantity, Symbolic, quantities
 from fmus.export.interface import Interface, make_interface, variable_groups
 from fmus.parameters import Values
 from fmus.solver import Array, InputPolynomials
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, suggest
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,56 @@ class Model:
         raise Problem(f"{_caller()}del self.{name}: a model must not change during a simulation")
 
 
+LEAST_INNER_STEP = 1e-9  # s; a step of 1 ms then takes a million calls, some seconds
+ATTRIBUTES = tuple(name for name in vars(Model) if not name.startswith("_"))
+METHODS = ("initial", "step", "observe", "require")
+
+
+def check_class(model: type[Model]) -> None:
+    """Refuse a class whose attributes are misspelled, missing or of a wrong type.
+
+    A public attribute of another name is the user's own, unless it resembles one of `Model` that the class
+    does not define.
+    """
+    own = {n for c in model.__mro__ if c not in (Model, object) for n in vars(c) if not n.startswith("_")}
+    absent = {name.lower(): name for name in ATTRIBUTES if name not in own}
+    for name in sorted(own - set(ATTRIBUTES)):
+        if similar := get_close_matches(name.lower(), absent, n=1, cutoff=0.8):
+            raise Problem(f"{model.__name__}.{name} is unknown; did you mean {absent[similar[0]]}?")
+    needed = ("step", "observe") if model.State is not Nothing else ("observe",)
+    for name in METHODS:
+        declared = list(inspect.signature(getattr(Model, name)).parameters)
+        wanted = f"{model.__name__}: expected a method {name}({', '.join(declared[1:])})"
+        if name not in own and name in needed:
+            raise Problem(f"{wanted}, found none{suggest(name, own - set(ATTRIBUTES))}")
+        method = getattr(model, name)
+        try:
+            inspect.signature(method).bind(*declared)
+        except TypeError as error:  # not a function, or of other arguments
+            raise Problem(f"{wanted}, found {_shown(name, method)} ({error})") from None
+    _check_settings(model)
+
+
+def _shown(name: str, method: object) -> str:
+    return f"{name}{inspect.signature(method)}" if callable(method) else repr(method)
+
+
+def _check_settings(model: type[Model]) -> None:
+    for name in ("start", "depends"):
+        if not isinstance(value := getattr(model, name), Mapping):
+            raise Problem(f"{model.__name__}.{name}: expected a dictionary, found {value!r}")
+    for output, inputs in model.depends.items():
+        if isinstance(inputs, str) or not isinstance(inputs, Iterable):
+            raise Problem(f"depends[{output!r}]: expected a list of inputs, got {inputs!r}")
+    if not isinstance(model.name, str):
+        raise Problem(f"{model.__name__}.name: expected text, found {model.name!r}")
+    longest = model.inner_step
+    if not isinstance(longest, int | float) or not longest >= LEAST_INNER_STEP:
+        raise Problem(
+            f"{model.__name__}.inner_step: expected at least {LEAST_INNER_STEP:g} s, found {longest!r}"
+        )
+
+
 def _caller() -> str:
     """File and line of the user's code that changes an attribute of a `Model`."""
     frame = sys._getframe(2)
@@ -123,21 +174,32 @@ def _interface(model: Model) -> Interface:
     """The FMI interface with start values; raises Problem for declarations that are not possible."""
     groups = {name: getattr(model, name) for name in ("Parameters", "Inputs", "State", "Outputs")}
     declared = {name: _declared(model, name, group) for name, group in groups.items()}
-    unknown = set(model.start) - set(declared["Inputs"])
-    if unknown:
-        raise Problem(f"{model.name}: start: {min(unknown)} is not an input")
+    for unknown in set(model.start) - set(declared["Inputs"]):
+        raise Problem(
+            f"{model.name}: start: {unknown} is not an input{suggest(str(unknown), declared['Inputs'])}"
+        )
     start = {
         name: dict.fromkeys(declared[name], 0.0)
-        | {f.name: float(f.default) for f in fields(group) if f.default is not MISSING}
+        | {
+            f.name: _start_value(f"{name}.{f.name}", f.default)
+            for f in fields(group)
+            if f.default is not MISSING
+        }
         for name, group in groups.items()
     }
-    start["Inputs"] |= {name: float(value) for name, value in model.start.items()}
+    start["Inputs"] |= {name: _start_value(f"start of {name}", value) for name, value in model.start.items()}
     values = Values(p=start["Parameters"], u=start["Inputs"], x=start["State"])
     x, u, p = (groups[name](**start[name]) for name in ("State", "Inputs", "Parameters"))
     calculated = _initial_states(model, model.initial(x, u, p), declared["State"])
     text = (type(model).__doc__ or model.name).strip().partition("\n")[0].rstrip(".")
     variables = variable_groups([*declared.values()], values, calculated, derivatives=False)
     return make_interface(model.name, text, variables, _NO_EQUATIONS, _NONE)
+
+
+def _start_value(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise Problem(f"{name}: expected a number, found {value!r}")
+    return float(value)
 
 
 def _declared(model: Model, name: str, group: object) -> Mapping[str, Quantity]:
@@ -256,7 +318,7 @@ class UserModel:
 
     def _number(self, method: str, name: str, value: Any) -> float:
         problem = Problem(f"{self.model.name}: {method}() returned {name} = {value!r}, expected a number")
-        if isinstance(value, str | bytes | bool) or np.ndim(value) != 0:
+        if isinstance(value, str | bytes | bool | ca.SX | ca.MX) or np.ndim(value) != 0:
             raise problem
         try:
             return float(value)

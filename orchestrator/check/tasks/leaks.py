@@ -143,7 +143,7 @@ def reload(trial: Trial) -> Iterator[Remark]:
     """Loading, instantiating, freeing and unloading many times leaks no file handle."""
     before = handles()
     for n in range(LOADS):
-        trial.activity.inputs(f"(load number {n + 1})")
+        trial.activity.case(f"load number {n + 1}")
         library = trial.load(trial.folder)
         trial.instance(library=library).free()
         trial.activity.call("unloading the binary")

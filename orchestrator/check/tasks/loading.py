@@ -87,7 +87,7 @@ def resources(trial: Trial) -> Iterator[Remark]:
     library = trial.load(folder)
     for location, severity in _locations(trial.description.major, folder / "resources"):
         case = f'with the resources at "{_shown(location, folder)}" in a folder "{FOLDER}"'
-        trial.activity.inputs(f"({case})")
+        trial.activity.case(case)
         try:
             simulation = Simulation(trial, library=library, resources=location).begin()
             row = [simulation.row()]

@@ -71,7 +71,7 @@ def unexpected_calls(trial: Trial) -> Iterator[Remark]:
     for number, (legality, (name, case)) in enumerate(cases):
         if number >= trial.first_case:
             trial.begin_case(number)
-            trial.activity.inputs(f"({name}, {legality})")
+            trial.activity.case(f"{name}, {legality}")
             simulation = Simulation(trial)
             with suppress(Problem):
                 case(simulation)
