@@ -16,6 +16,7 @@ import os
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, dataclass_transform, get_type_hints
@@ -65,7 +66,7 @@ class Quantity:
                 raise Problem(f"Quantity: {name}: expected text, found {getattr(self, name)!r}")
         for name in ("nominal", "minimum", "maximum", "warn_above", "absolute", "value"):
             number = getattr(self, name)
-            if number is not None and not isinstance(number, int | float):
+            if number is not None and not isinstance(number, Real):
                 raise Problem(f"Quantity: {name} of {self.text!r}: expected a number, found {number!r}")
         parse_unit(self.unit, f"Quantity: {self.text}")
         if normalised(self.unit) != self.unit:  # other tools read only this spelling

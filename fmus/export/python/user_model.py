@@ -23,6 +23,7 @@ import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
+from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -197,7 +198,7 @@ def _interface(model: Model) -> Interface:
 
 
 def _start_value(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise Problem(f"{name}: expected a number, found {value!r}")
     return float(value)
 
