@@ -1,18 +1,42 @@
-"""The command line `harvester`: what becomes of a command's end."""
+"""The command line `harvester`: what becomes of a command's text and end."""
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import redirect_stdout
 from io import TextIOWrapper
-from typing import Any
+from typing import Any, TextIO
 
 from orchestrator.base.errors import Problem, Stopped, one_line
 from orchestrator.base.interrupts import signals_interrupt
-from orchestrator.base.text import PrintableStream
 from orchestrator.cli import app
 
 INTERRUPTED = 130  # exit status, as of a shell
+
+
+class PrintableStream:
+    """A text stream, such as standard output, without control characters other than breaks, tabs and colours.
+
+    Names and descriptions in foreign files may contain them; a terminal would obey.
+    """
+
+    _ALLOWED = re.compile(r"(\n|\t|\x1b\[[0-9;]*m)")
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write a text with its control characters as escapes; returns its length as files do."""
+        plain = text if text.isprintable() else "".join(map(self._escaped, self._ALLOWED.split(text)))
+        self._stream.write(plain)
+        return len(text)
+
+    def _escaped(self, piece: str) -> str:
+        return piece if self._ALLOWED.fullmatch(piece) else one_line(piece, len(piece))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -353,7 +353,7 @@ def test_all_options_reach_the_validation(capsys):
         (["validate", "--stop", "1", "--set", "gravity=1"], "manipulator.gravity"),
         (
             ["validate", "--stop", "1", "--set", "manipulator.boom_mass=-1"],
-            "boom_mass cannot be set to -1 kg",
+            "boom_mass: expected at least 0.001 kg, got -1 kg",
         ),
         (["validate", "--start", "99", "--stop", "99.1"], "the reference covers 0 to 42 s"),
         (["validate", "--record-step", "0.0015"], "expected a multiple of the step 0.001 s, got 0.0015 s"),

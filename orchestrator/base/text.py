@@ -10,11 +10,10 @@ import math
 import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING
 
 from markupsafe import Markup, escape
 
-from orchestrator.base.errors import one_line
 from orchestrator.base.units import factor_and_offset, pretty, reader_unit, superscript
 
 if TYPE_CHECKING:
@@ -23,30 +22,6 @@ if TYPE_CHECKING:
 NO_VALUE, DASH, MINUS = "-", "\N{EN DASH}", "\N{MINUS SIGN}"
 ERROR_UNITS = {"m": "mm", "m/s": "mm/s"}  # unit of a quantity -> unit of its errors, which are smaller
 SMALL_LENGTH = 0.1  # [m] or [m/s]; quantities whose values are all smaller are shown in mm or mm/s
-
-
-class PrintableStream:
-    """A text stream, such as standard output, without control characters other than breaks, tabs and colours.
-
-    Names and descriptions in foreign files may contain them; a terminal would obey.
-    """
-
-    _ALLOWED = re.compile(r"(\n|\t|\x1b\[[0-9;]*m)")
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        """Write a text with its control characters as escapes; returns its length as files do."""
-        plain = text if text.isprintable() else "".join(map(self._escaped, self._ALLOWED.split(text)))
-        self._stream.write(plain)
-        return len(text)
-
-    def _escaped(self, piece: str) -> str:
-        return piece if self._ALLOWED.fullmatch(piece) else one_line(piece, len(piece))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
 
 
 def number(value: float | None, digits: int = 3, *, zeros: bool = False) -> str:

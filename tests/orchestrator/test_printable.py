@@ -7,9 +7,8 @@ import zipfile
 
 import pytest
 
-from orchestrator.__main__ import main
+from orchestrator.__main__ import PrintableStream, main
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import PrintableStream
 from orchestrator.fmi import library
 from orchestrator.fmi.messages import WARNING, Log
 
