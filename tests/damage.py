@@ -37,7 +37,16 @@ NAMES = (  # of members
 )
 SNIPPETS = (  # bytes in a text
     *(b"<", b">", b'"', b"&", b"\0", b"\xff", b"]]>", b"<!--", b"<![CDATA[", b"&#0;", b"&#x1b;", b"&a;"),
-    *(b"\xef\xbb\xbf", b"<?x y?>", b"<a>" * 3000, b"<a/>" * 3000, b' x="1"', b' name="a"', b"<odd:e/>"),
+    *(
+        b"\xef\xbb\xbf",
+        b"<?x y?>",
+        b"<a>" * 3000,
+        b"<a/>" * 3000,
+        b' x="1"',
+        b' name="a"',
+        b"<odd:e/>",
+        b"[" * 5000,
+    ),
 )
 ENTITIES = b'<!ENTITY a0 "ha">' + b"".join(
     b'<!ENTITY a%d "%s">' % (n, b"&a%d;" % (n - 1) * 10) for n in range(1, 10)
@@ -63,14 +72,15 @@ def damaged(good: Mapping[str, bytes], seed: int) -> bytes:
 # ---- content ----------------------------------------------------------------------------------------------
 
 
-def _xml(draw: random.Random, members: Members) -> str:
-    names = [n for n in members if n.endswith((".xml", ".ssd", ".ssv", ".ssm", ".exp"))]
+def _name(draw: random.Random, members: Members, *more: str) -> str:
+    """The name of an XML file, or of a file with one of these suffixes."""
+    names = [n for n in members if n.endswith((".xml", ".ssd", ".ssv", ".ssm", ".exp", *more))]
     return draw.choice(names or list(members) or ["modelDescription.xml"])
 
 
 def tree(draw: random.Random, members: Members) -> None:
     """Attributes and elements dropped, repeated, renamed, moved, or with other values."""
-    name = _xml(draw, members)
+    name = _name(draw, members)
     try:
         root = etree.fromstring(members.get(name, b""), etree.XMLParser(huge_tree=True))
     except etree.XMLSyntaxError:
@@ -124,8 +134,8 @@ def element(draw: random.Random, elements: list[etree._Element]) -> None:
 
 
 def text(draw: random.Random, members: Members) -> None:
-    """Bytes of an XML file overwritten, inserted, cut; a document type."""
-    name = _xml(draw, members)
+    """Bytes of a text overwritten, inserted, cut; a document type."""
+    name = _name(draw, members, ".toml", ".csv", ".py")
     data = members.get(name, b"")
     at = draw.randrange(len(data) + 1)
     action = draw.random()

@@ -21,6 +21,7 @@ from any_fmu.models import Workshop
 from check.good import BUILD, DESCRIPTION, TERMINALS, XML_2, XML_3
 from damage import damaged
 
+from fmus.machine.ssp import VIEW
 from orchestrator import load
 from orchestrator.base.errors import Problem
 from orchestrator.check import DEFECT, check
@@ -149,6 +150,7 @@ def good(fmus: Workshop) -> Mapping[str, Good]:
             "resources/gain.fmu": gain,
             "resources/start.ssv": START.encode(),
             "resources/names.ssm": MAPPING.encode(),
+            "resources/view.toml": VIEW.read_bytes(),
             "resources/inner.ssp": packed(
                 {"SystemStructure.ssd": INNER.encode(), "resources/gain.fmu": gain}
             ),

@@ -106,7 +106,9 @@ def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
             extract_member(archive, member, folder)
         except ZIP_ERRORS as problem:
             if isinstance(problem, OSError) and problem.errno in FULL:
-                raise Problem(f"{archive.filename}: cannot be unpacked into {folder}: {problem}") from None
+                raise Problem(
+                    f"{archive.filename}: cannot be unpacked into {folder}: {problem.strerror}"
+                ) from None
             yield _error("archive.zip", f"member {member.filename!r} cannot be unpacked: {problem}")
 
 

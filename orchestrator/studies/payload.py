@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
+from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.engine import simulation_loop
 from orchestrator.engine.recorded_calls import recorded
@@ -64,7 +65,10 @@ class Payload:
         folder.mkdir(parents=True)
         archive = folder.with_suffix(".fmu")
         archive.write_bytes(self.archives[self.sources[source]])
-        Location(archive).extract(folder)
+        try:
+            Location(archive).extract(folder)
+        except Problem as problem:  # with the name of the source instead of that of the copy
+            raise Problem(str(problem).replace(str(archive), str(source))) from None
         archive.unlink()
         return Location(folder)
 
