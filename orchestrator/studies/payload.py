@@ -56,7 +56,7 @@ class Payload:
                     continue
                 key = name, component.source
                 if key not in copies:
-                    copies[key] = self._unpack(component.source, folder / str(len(copies)))
+                    copies[key] = self._unpack(component.source, folder / f"{len(copies):06}")
                 components[name] = replace(component, source=copies[key])
             cases[options] = replace(case, system=replace(case.system, components=components))
         return cases, {str(copy): str(source) for (_, source), copy in copies.items()}
