@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from orchestrator.base.coupling import Coupling
     from orchestrator.base.errors import Problem
     from orchestrator.data.recording import Recording, read_recording
-    from orchestrator.data.trace import Trace, read, read_trace, write, write_trace
+    from orchestrator.data.trace import Trace, read, read_trace
+    from orchestrator.data.trace_writer import write, write_trace
     from orchestrator.engine.job import Execution, Record
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
@@ -39,7 +40,8 @@ _MODULES = {
     "base.coupling": "Coupling",
     "base.errors": "Problem",
     "data.recording": "Recording read_recording",
-    "data.trace": "Trace read_trace write_trace read write",
+    "data.trace": "Trace read_trace read",
+    "data.trace_writer": "write_trace write",
     "engine.job": "Execution Record",
     "engine.result": "Card Interrupted Result RunFailed",
     "engine.run": "run",

@@ -47,8 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with signals_interrupt(), redirect_stdout(PrintableStream(sys.stdout)):
             status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)
-    except KeyboardInterrupt:
-        return _stopped()
+    except KeyboardInterrupt as interrupt:
+        return _stopped(str(interrupt))
     except Stopped as end:
         return _stopped(str(end))
     except Exception as error:

@@ -42,4 +42,5 @@ def run(
     from orchestrator.engine.run import run_to_file
 
     options = case.options() | steps.options() | {"error_estimate": error_estimate}
-    run_to_file(system, case.scenario, out, coupling=coupled.given(), **options)
+    result, file = run_to_file(system, case.scenario, out, coupling=coupled.given(), **options)
+    print(f"{result.card.text()}\n\n{file}")

@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.files import Location, csv_header
+from orchestrator.base.files import Location
 from orchestrator.data.table import Columns, read_columns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TIME = "time"
-CHUNK = 8192  # rows formatted at a time
 
 
 @dataclass(frozen=True)
@@ -101,47 +100,10 @@ def _check_samples(columns: Columns) -> None:
         raise Problem(f"{columns.location(gap + 1)}: expected {expected}, got none {interval}")
 
 
-def write_trace(trace: Trace, path: str | Path) -> Path:
-    """Write a trace as .csv or .parquet; reading the file gives bit-identical values."""
-    file = Path(path)
-    check_suffix(file)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        (write_csv if file.suffix.lower() == ".csv" else write_parquet)(trace, file)
-    except OSError as error:
-        raise Problem(f"{file}: cannot be written: {error.strerror or error}") from error
-    return file
-
-
 def check_suffix(path: str | Path) -> None:
     """Refuse a file name with an unknown suffix, before the computation starts."""
     if Path(path).suffix.lower() not in (".csv", ".parquet"):
         raise Problem(f"{path}: expected a file name ending in .csv or .parquet")
-
-
-def write_csv(trace: Trace, path: Path) -> None:
-    """Write a trace as CSV, each value as the shortest decimal that is read back as the same float64."""
-    columns = [trace.time, *trace.signals.values()]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(f"{csv_header([TIME, *trace.signals])}\n")
-        for first in range(0, len(trace.time), CHUNK):
-            rows = zip(*(c[first : first + CHUNK].tolist() for c in columns), strict=True)
-            file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
-
-
-def write_parquet(trace: Trace, path: Path) -> None:
-    """Write a trace as Parquet: one float64 column per signal, time first."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    units = {TIME: "s", **trace.units}
-    columns = {TIME: trace.time, **trace.signals}
-    fields = [
-        pa.field(n, pa.float64(), nullable=False, metadata={"unit": units[n]} if n in units else None)
-        for n in columns
-    ]
-    arrays = [pa.array(np.ascontiguousarray(v, dtype=np.float64)) for v in columns.values()]
-    pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), path)
 
 
 def _gap(steps: NDArray[np.float64]) -> int | None:
@@ -159,4 +121,4 @@ def _gap(steps: NDArray[np.float64]) -> int | None:
     return int(np.argmax(multiple > 1)) if multiple.max() > 1 else None
 
 
-read, write = read_trace, write_trace  # names in 0.1
+read = read_trace  # name in 0.1

@@ -111,22 +111,32 @@ class StatusCheck(Protocol):
 
 
 CHECK = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.c_int32)
+Allocate = Callable[[str, int], Any]  # (name, bytes) -> writable buffer
 PYTHON = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int32, ctypes.c_int32, ctypes.c_double, ctypes.c_double)
+
+
+def bytearray_of(name: str, size: int) -> bytearray:
+    """Memory of this process only."""
+    del name
+    return bytearray(size)
 
 
 class Binding:
     """A `Simulation` of engine.h: makes addresses and instructions for its members, handles its callbacks.
 
     simulation   the structure
+    allocate     makes the memory that is read after a crash
     components   the `RunningComponent` of each index, for callbacks about a component
     withdraw     called before a step is repeated
 
     All Python objects whose addresses C has are kept alive.
     """
 
-    def __init__(self) -> None:
-        self.h = engine_h()
-        self.simulation = self.h.Simulation()
+    def __init__(self, allocate: Allocate = bytearray_of) -> None:
+        """allocate: makes the memory of the structure and of the recorded block, see `isolated`."""
+        self.h, self.allocate = engine_h(), allocate
+        size = ctypes.sizeof(self.h.Simulation)
+        self.simulation = self.h.Simulation.from_buffer(allocate("simulation", size))
         self.components: Sequence[Any] = ()
         self.withdraw: Callable[[], None] = lambda: None
         self._checks: dict[int, StatusCheck] = {}
@@ -199,6 +209,8 @@ class Binding:
             type=ELEMENTS.index(call.fmu_values.dtype),
             array=self.array_of(call.values),
             sets=call.sets,
+            call=ctypes.addressof(call.call.slot),
+            function_number=call.call.number,
         )
         return self.checked(struct, call)
 
@@ -218,6 +230,7 @@ class Binding:
         if isinstance(call, DirectionalDerivative):
             struct.function, struct.instance, struct.fmi = call.address, call.component, call.fmi
             struct.unknowns, struct.knowns = self.at(call.unknowns), self.at(call.knowns)
+            struct.call, struct.function_number = ctypes.addressof(call.call.slot), call.call.number
             self.checked(struct, call)
         else:
             struct.index = self._register(call)

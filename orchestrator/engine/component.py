@@ -122,6 +122,7 @@ class RunningComponent:
             self._stepping = step = make(self.rollback)
             struct.instance, struct.fmi, struct.flags = step.component, step.fmi, step.flags
             struct.do_step, struct.get_state, struct.set_state = step.do_step, step.get_state, step.set_state
+            struct.call = binding.pointer(step.slot)
             for name, address in zip(("event", "terminate", "early", "last"), step.results, strict=False):
                 setattr(struct, name, address)
         struct.clock = binding.at(np.asarray(self.slave.log.clock))

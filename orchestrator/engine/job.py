@@ -1,28 +1,31 @@
-"""One run of a system, from opening to closing the FMUs, and further runs to estimate its error."""
+"""One run of a system, from opening to closing the FMUs."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
-from orchestrator.engine.c_library import library
+from orchestrator.data.trace_writer import RowSink, TraceSink
+from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import LinearPrediction
 from orchestrator.engine.masters import MASTERS
 from orchestrator.engine.network import Network
-from orchestrator.engine.recorder import EnergyMonitor, Recorder
-from orchestrator.engine.result import Card, Interrupted, Result, RunFailed, compare
+from orchestrator.engine.recorder import BondEnergy, EnergyMonitor, Recorder
+from orchestrator.engine.result import Card
 from orchestrator.engine.scenario import Scenario
-from orchestrator.engine.simulation_loop import ProgressBar, SimulationLoop, StepControl
+from orchestrator.engine.simulation_loop import SimulationLoop, StepControl
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
+from orchestrator.fmi.messages import Log
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.system import Component, System
 
@@ -65,14 +68,25 @@ class Execution:
     error_estimate   estimate the error of each signal at the recorded points by further runs: at half and at
                      twice the step, or, for adaptive steps, at a tenth of the tolerance
     progress         show a progress bar if the run takes longer than a second
+    isolate          run in a process of its own, so that an FMU that crashes ends only that process
+    time_limit       longest wall time of the run [s], in a process of its own
+    memory_limit     largest memory of the process [bytes]; default: that of this machine
     open             opens a component: returns an FMU, or any object with the methods of
-                     `orchestrator.fmi.calls.Slave`
+                     `orchestrator.fmi.calls.Slave`; a function other than `open_slave` needs this process
     """
 
     tolerance: float | None = None
     error_estimate: bool = False
     progress: bool = False
+    isolate: bool = True
+    time_limit: float = math.inf
+    memory_limit: float = math.inf
     open: Opener = open_slave
+
+    @property
+    def isolated(self) -> bool:
+        """Is the run in a process of its own?"""
+        return self.isolate and self.open is open_slave
 
 
 @dataclass
@@ -88,6 +102,37 @@ class OpenJob:
 
 
 @dataclass
+class Outcome:
+    """How a run ended, without its rows.
+
+    t             simulated until this time [s]
+    steps, ...    as in `Card`
+    logs          messages of the FMUs
+    notes         remarks on the run
+    problem       why the run ended early; None if it is complete
+    interrupted   the user ended it
+    """
+
+    t: float
+    steps: int = 0
+    passes: int = 0
+    repeated: int = 0
+    lengths: tuple[float, float] = (0.0, 0.0)
+    wall: float = 0.0
+    bonds: tuple[BondEnergy, ...] = ()
+    inside: Mapping[str, float] = field(default_factory=dict)
+    logs: tuple[Log, ...] = ()
+    notes: tuple[str, ...] = ()
+    problem: Problem | None = None
+    interrupted: bool = False
+
+    @property
+    def complete(self) -> bool:
+        """Did the run reach its stop time, or the time at which an FMU asked to end it?"""
+        return self.problem is None and not self.interrupted
+
+
+@dataclass
 class Job:
     """A system and all choices for a run except the time grid."""
 
@@ -97,37 +142,67 @@ class Job:
     record: Record = Record()
     execution: Execution = Execution()
 
-    def run(self, times: Grid) -> Result:
-        """Open all FMUs, run, and close them in any case."""
-        with self.opened(times) as opened:
+    def run(
+        self,
+        times: Grid,
+        sink: RowSink,
+        between: Callable[[float], None] = lambda _: None,
+        at_end: Callable[[Outcome], None] = lambda _: None,
+        allocate: Allocate = bytearray_of,
+    ) -> Outcome:
+        """Open all FMUs, run in this process, and close them in any case.
+
+        sink       receives the recorded rows
+        between    called with the time [s] between blocks of steps; a KeyboardInterrupt ends the run
+        at_end     called before the FMUs are closed
+        allocate   see `Binding`
+        """
+        with self.opened(times, sink, allocate) as opened:
             began = time.perf_counter()
+            problem, interrupted = None, False
             try:
-                self._step_to_end(opened)
+                self._step_to_end(opened, between)
             except KeyboardInterrupt:
-                raise Interrupted(self._result(opened, began, False)) from None
+                interrupted = True
             except Ended as ended:
                 opened.notes += (f"the run ends early: {ended}",)
-            except Problem as problem:
-                raise RunFailed(problem, self._result(opened, began, False)) from problem
-            return self._result(opened, began, True)
+            except Problem as raised:
+                problem = raised
+            opened.recorder.finish()
+            state, network = opened.loop.state, opened.network
+            outcome = Outcome(
+                t=state.t,
+                steps=state.steps,
+                passes=state.all_passes,
+                repeated=state.repeated,
+                lengths=(state.shortest, state.longest),
+                wall=time.perf_counter() - began,
+                bonds=tuple(opened.energy.energies()),
+                inside=opened.loop.busy_seconds,
+                logs=tuple(s.log for s in network.slaves.values()),
+                notes=network.notes + times.notes + opened.notes,
+                problem=problem,
+                interrupted=interrupted,
+            )
+            at_end(outcome)
+        return outcome
 
-    def _step_to_end(self, opened: OpenJob) -> None:
+    def _step_to_end(self, opened: OpenJob, between: Callable[[float], None]) -> None:
         """Step from the start to the stop time."""
-        loop, times = opened.loop, opened.times
-        progress = ProgressBar(times.stop - times.start, self.execution.progress)
-        with progress as bar, DeferredInterrupts() as interrupts:
-            loop.check_interrupts = interrupts.check
+        loop = opened.loop
+        with DeferredInterrupts() as interrupts:
             loop.begin()
-            while loop.state.done < times.steps:
+            while loop.state.done < opened.times.steps:
+                interrupts.check()
                 try:
                     loop.advance()
                 except Problem:
                     opened.recorder.collect()  # raises if a value is not finite: the cause of the failure
                     raise
-                bar.update(loop.state.t - times.start)
+                between(loop.state.t)
 
     @contextmanager
-    def opened(self, times: Grid, recorder_type: type[Recorder] = Recorder) -> Iterator[OpenJob]:
+    def opened(self, times: Grid, sink: RowSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
         """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
         signals = self.record.signals
         selected = None if signals is None else [self.system.port(name) for name in signals]
@@ -138,7 +213,9 @@ class Job:
             for name, component in self.system.components.items():
                 slaves[name] = self.execution.open(component)
                 stack.callback(slaves[name].close)
-            network = Network(self.system, slaves, self.scenario, selected, self.coupling.factors)
+            network = Network(
+                self.system, slaves, self.scenario, selected, self.coupling.factors, Binding(allocate)
+            )
             plan = MASTERS[self.coupling.master](self.system, self.coupling)
             inputs, prediction = CouplingInputs(network, plan), None
             if plan.prediction:
@@ -146,7 +223,7 @@ class Job:
             driven = self.scenario.initial(self.system, times.start) if self.scenario else {}
             initialise(self.system, slaves, driven, (times.start, times.stop), self.execution.tolerance)
             energy = EnergyMonitor(network, inputs.varying, self._bonds(network))
-            recorder = recorder_type(network, times, selected)
+            recorder = Recorder(network, times, sink, selected)
             control = self._control(inputs, times)
             stack.callback(network.free_saved_states)
             loop = SimulationLoop(network, plan, inputs, prediction, times, recorder, energy, control)
@@ -158,6 +235,31 @@ class Job:
                 *(prediction.notes if prediction else ()),
             )
             yield OpenJob(network, recorder, energy, loop, times, notes)
+
+    def card(self, times: Grid, outcome: Outcome, sink: TraceSink) -> Card:
+        """The accuracy card of a run that has ended."""
+        adaptive, simulated = self.coupling.adaptive, outcome.t - times.start
+        left_out = tuple(
+            f"{name}: {c.interface.unsupported_note}"
+            for name, c in self.system.components.items()
+            if c.interface.unsupported
+        )
+        return Card(
+            master=self.coupling.text,
+            step=times.step if adaptive is None else simulated / max(outcome.steps, 1),
+            record_step=times.every * times.step if not times.free else 0.0,
+            steps=outcome.steps,
+            simulated=simulated,
+            passes=outcome.passes,
+            repeated=outcome.repeated,
+            lengths=outcome.lengths,
+            adaptive=adaptive,
+            wall=outcome.wall,
+            bonds=outcome.bonds,
+            warnings=tuple(line for log in outcome.logs for line in log.warnings(sink)),
+            inside=outcome.inside,
+            notes=self.system.notes + left_out + outcome.notes,
+        )
 
     def stricter(self) -> Job:
         """The same adaptive run at a tenth of its tolerance."""
@@ -203,35 +305,6 @@ class Job:
             return [b for b in find_bonds(self.system) if influences(b.effort) and influences(b.flow)]
         return [bond_of(self.system, *pair) for pair in self.record.bonds]
 
-    def _result(self, opened: OpenJob, began: float, complete: bool) -> Result:
-        network, times, state = opened.network, opened.times, opened.loop.state
-        logs = [s.log for s in network.slaves.values()]
-        trace = opened.recorder.trace(list(self.system.outputs.values()))
-        left_out = tuple(
-            f"{name}: {c.interface.unsupported_note}"
-            for name, c in self.system.components.items()
-            if c.interface.unsupported
-        )
-        simulated = state.t - times.start
-        card = Card(
-            master=self.coupling.text,
-            step=times.step if self.coupling.adaptive is None else simulated / max(state.steps, 1),
-            record_step=times.every * times.step if not times.free else 0.0,
-            steps=state.steps,
-            simulated=simulated,
-            passes=state.all_passes,
-            repeated=state.repeated,
-            lengths=(state.shortest, state.longest),
-            adaptive=self.coupling.adaptive,
-            wall=time.perf_counter() - began,
-            bonds=tuple(opened.energy.energies()),
-            warnings=tuple(line for log in logs for line in log.warnings(trace)),
-            inside=opened.loop.busy_seconds,
-            notes=self.system.notes + left_out + network.notes + times.notes + opened.notes,
-        )
-        messages = sorted((m for log in logs for m in log.messages), key=lambda m: m.time)
-        return Result(self.system, trace, card, tuple(messages), complete, self.coupling)
-
 
 def guarded(system: System, coupling: Coupling) -> bool:
     """Are steps with too large an error divided? All components need rollback and steps of any length."""
@@ -248,28 +321,3 @@ def _check_instances(system: System) -> None:
             other = single.setdefault((interface.guid, interface.identifier), name)
             if other != name:
                 raise Problem(f"{other} and {name}: expected one instance of their FMU at most, got two")
-
-
-def with_error_estimate(job: Job, times: Grid, result: Result) -> Card:
-    """The card of a complete run with error estimates, or with a note if a further run fails."""
-    if times.free:
-        note = "no error estimate: two adaptive runs only meet at the points of a record step, give one"
-        return replace(result.card, notes=(*result.card.notes, note))
-    adaptive = job.coupling.adaptive is not None
-    try:
-        fine_job, fine_times = (job.stricter(), times) if adaptive else (job, times.finer())
-        fine, coarse = fine_job.run(fine_times).trace, None
-        if not adaptive and times.steps >= 4:
-            with suppress(RunFailed):
-                coarse = job.run(times.coarser()).trace
-    except RunFailed as failed:
-        setting = "a tenth of the tolerance" if adaptive else "half the step"
-        note = f"no error estimate, the run at {setting} failed: {failed}"
-        return replace(result.card, notes=(*result.card.notes, note))
-    except Interrupted:
-        raise Interrupted(result) from None
-    nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
-    outputs = result.trace.select(name for name in nominals if name in result.trace.signals)
-    errors = compare(fine, outputs, coarse, nominals)
-    notes = () if errors else ("no error estimate: no output changes",)
-    return replace(result.card, errors=errors, notes=(*result.card.notes, *notes))

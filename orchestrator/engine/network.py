@@ -122,12 +122,13 @@ class Network:
         scenario: Scenario | None = None,
         recorded: Iterable[Port] | None = None,
         substeps: Mapping[str, int] | None = None,
+        binding: Binding | None = None,
     ) -> None:
         """recorded: ports that are recorded, connected or not; default: all outputs and all exposed inputs.
 
         substeps: how many steps components take in one communication step; default: 1.
         """
-        self.system, self.slaves, self.binding = system, slaves, Binding()
+        self.system, self.slaves, self.binding = system, slaves, binding or Binding()
         self.components = {
             name: RunningComponent(slave, (substeps or {}).get(name, 1)) for name, slave in slaves.items()
         }

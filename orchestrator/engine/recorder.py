@@ -14,7 +14,7 @@ the step.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -23,73 +23,118 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import RowSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Call
 from orchestrator.ssp.power_bonds import Bond
-from orchestrator.ssp.system import Outlet, Port
+from orchestrator.ssp.system import Port
 
 BLOCK = 256  # points between two calls of `collect`, at most
+Array = NDArray[np.float64]
 
 
-class _Block:
+@dataclass(frozen=True)
+class RowLayout:
+    """The recorded signals, and where their values are in the block of points that C fills.
+
+    names, units      of the signals
+    columns           index of each signal among the Real and then the Integer values of a point
+    scaled            indices of the outputs of the system: factors * value + offsets
+    reals, integers   number of values of a point
+    every             every `every`-th communication point is recorded
+    """
+
+    names: tuple[str, ...]
+    units: Mapping[str, str]
+    columns: NDArray[np.intp]
+    scaled: NDArray[np.intp]
+    factors: Array
+    offsets: Array
+    reals: int
+    integers: int
+    every: int
+
+    def values(self, block: Block, rows: NDArray[np.intp]) -> Array:
+        """The signals at some points of a block, shape (rows, signals)."""
+        values = np.hstack([block.reals[rows], block.integers[rows]])[:, self.columns]
+        values[:, self.scaled] = self.factors * values[:, self.scaled] + self.offsets
+        return values
+
+
+class Block:
     """The points since the last call of `collect`, filled by C; values have the shape (points, signals)."""
 
-    def __init__(self, reals: int, integers: int) -> None:
-        self.time = np.zeros(BLOCK)
-        self.reals = np.zeros((BLOCK, reals))
-        self.integers = np.zeros((BLOCK, integers), dtype=np.int32)
+    def __init__(self, layout: RowLayout, memory: Any) -> None:
+        self.time = np.frombuffer(memory, np.float64, BLOCK)
+        reals, integers, first = BLOCK * layout.reals, BLOCK * layout.integers, 8 * BLOCK
+        self.reals = np.frombuffer(memory, np.float64, reals, first).reshape(BLOCK, layout.reals)
+        flat = np.frombuffer(memory, np.int32, integers, first + 8 * reals)
+        self.integers = flat.reshape(BLOCK, layout.integers)
+
+    @staticmethod
+    def size(layout: RowLayout) -> int:
+        """Size of its memory [bytes]."""
+        return BLOCK * (8 + 8 * layout.reals + 4 * layout.integers)
+
+    def finite_rows(self, filled: int) -> int:
+        """Number of rows before the first one with a value that is not finite."""
+        finite = np.isfinite(self.reals[:filled]).all(axis=1)
+        return filled if finite.all() else int(np.argmin(finite))
 
 
-class _Record:
-    """All recorded points; values have the shape (signals, points), so that each signal is contiguous."""
-
-    def __init__(self, points: int, reals: int, integers: int) -> None:
-        self.time = np.zeros(points)
-        self.reals = np.zeros((reals, points))
-        self.integers = np.zeros((integers, points), dtype=np.int32)
-
-    def store(self, first: int, block: _Block, rows: NDArray[np.intp]) -> None:
-        """Copy rows of a block to the points from `first` on; the arrays grow if necessary."""
-        last = first + len(rows)
-        if last > len(self.time):
-            self._grow(2 * last)
-        self.time[first:last] = block.time[rows]
-        self.reals[:, first:last] = block.reals[rows].T
-        self.integers[:, first:last] = block.integers[rows].T
-
-    def _grow(self, points: int) -> None:
-        larger = _allocate(points, len(self.reals), len(self.integers))
-        n = len(self.time)
-        larger.time[:n], larger.reals[:, :n], larger.integers[:, :n] = self.time, self.reals, self.integers
-        self.time, self.reals, self.integers = larger.time, larger.reals, larger.integers
+def recorded_rows(collected: int, filled: int, every: int) -> NDArray[np.intp]:
+    """The rows of a block that are recorded; `collected`: number of points before the block."""
+    return np.arange(-collected % every, filled, every)
 
 
 class Recorder:
-    """Records all signals in the arrays of a network, or selected ones.
+    """Passes recorded points to a sink: all signals in the arrays of a network, or selected ones.
 
     C writes every communication point to a block. The points of the grid are recorded, and always the latest
     one.
 
-    block    the points since the last call of `collect`
-    points   number of communication points that were collected
-    struct   `Recorder` of engine.h; `filled` is the number of points in the block
+    layout   the recorded signals
     """
 
-    def __init__(self, network: Network, times: Grid, selected: Sequence[Port] | None = None) -> None:
-        self._network, self._every = network, times.every
+    def __init__(
+        self, network: Network, times: Grid, sink: RowSink, selected: Sequence[Port] | None = None
+    ) -> None:
+        self._network, self._sink = network, sink
         all_ports = [*network.reals.index, *network.integers.index]
-        self._ports = list(selected) if selected is not None else _ordered(network, all_ports)
-        ports = self._ports if selected is not None else all_ports  # in the order of the arrays
+        ports = list(selected) if selected is not None else all_ports  # in the order of the arrays
         self._reals = [p for p in ports if p in network.reals.index]
         self._integers = [p for p in ports if p in network.integers.index]
-        self.block = _Block(len(self._reals), len(self._integers))
-        self._record = _allocate(times.rows + 1, len(self._reals), len(self._integers))
-        self._rows = self.points = 0
-        self.struct: Any = None
+        self.layout = self._layout(ports if selected is not None else _ordered(network, ports), times.every)
+        self.block = Block(self.layout, network.binding.allocate("rows", Block.size(self.layout)))
+        self._between: tuple[Array, Array] | None = None  # the latest point, if it is not on the grid
+        self._struct: Any = None
+        sink.begin(self.layout, times.rows + 1)
+
+    def _layout(self, ports: Sequence[Port], every: int) -> RowLayout:
+        system = self._network.system
+        column = {p: k for k, p in enumerate([*self._reals, *self._integers])}
+        sources = {str(p): (p, 1.0, 0.0, system.variable(p).unit) for p in ports}
+        for outlet in system.outputs.values():
+            if outlet.source in column:
+                sources[outlet.name] = (outlet.source, outlet.map.factor, outlet.map.offset, outlet.unit)
+        scaled = [k for k, name in enumerate(sources) if name in system.outputs]
+        maps = np.array([(factor, offset) for _, factor, offset, _ in sources.values()]).reshape(-1, 2)[
+            scaled
+        ]
+        return RowLayout(
+            names=tuple(sources),
+            units={name: unit.name for name, (_, _, _, unit) in sources.items() if unit},
+            columns=np.array([column[port] for port, *_ in sources.values()], np.intp),
+            scaled=np.array(scaled, np.intp),
+            factors=maps[:, 0],
+            offsets=maps[:, 1],
+            reals=len(self._reals),
+            integers=len(self._integers),
+            every=every,
+        )
 
     def fill(self, binding: Binding) -> None:
         """Fill the C structure; if all Real values are recorded, C copies their whole array."""
@@ -103,51 +148,39 @@ class Recorder:
             integer_count=len(self._integers),
             capacity=BLOCK,
         )
-        self.struct = binding.simulation.recorder
+        self._struct = binding.simulation.recorder
 
     def collect(self) -> None:
-        """Record the points of the block; raises Problem at the first value that is not finite."""
-        finite = np.isfinite(self.block.reals[: self.struct.filled])
-        if finite.all():
-            return self._collect_finite()
-        row, column = np.argwhere(~finite)[0]
-        self.struct.filled = int(row)
-        self._collect_finite()
-        value, t = self.block.reals[row, column], self.block.time[row]
-        raise Problem(f"{self._reals[column]}: expected a finite value, got {value} at t = {t:.9g} s")
+        """Pass on the points of the block; raises Problem at the first value that is not finite."""
+        filled, n = self._struct.filled, self._pass_on()
+        if n < filled:
+            row = self.block.reals[n]
+            column = int(np.argmin(np.isfinite(row)))
+            signal, t = self._reals[column], self.block.time[n]
+            raise Problem(f"{signal}: expected a finite value, got {row[column]} at t = {t:.9g} s")
 
-    def _collect_finite(self) -> None:
-        """Record the points of the grid; the row after them has the latest point, until it is overwritten."""
-        n = self.struct.filled
-        if n == 0:
-            return
-        on_grid = np.arange(-self.points % self._every, n, self._every)
-        self._record.store(self._rows, self.block, np.append(on_grid, n - 1))
-        self._rows, self.points, self.struct.filled = self._rows + len(on_grid), self.points + n, 0
+    def _pass_on(self) -> int:
+        """Pass on the points before the first one with a value that is not finite; returns their number."""
+        n = self.block.finite_rows(self._struct.filled)
+        if n:
+            rows = recorded_rows(self._struct.collected, n, self.layout.every)
+            self._sink.append(self.block.time[rows], self.layout.values(self.block, rows))
+            latest = np.arange(n - 1, n)
+            is_recorded = len(rows) and rows[-1] == n - 1
+            self._between = (
+                None if is_recorded else (self.block.time[latest], self.layout.values(self.block, latest))
+            )
+        self._struct.collected += n
+        self._struct.filled = 0
+        return n
 
-    def trace(self, outlets: Sequence[Outlet] = ()) -> Trace:
-        """The recorded signals until now, and outputs of the system."""
-        self._collect_finite()
-        n = self._rows + (self.points > 0 and (self.points - 1) % self._every > 0)
-        columns: dict[Port, NDArray[np.float64]] = {}
-        columns |= {p: self._record.reals[i, :n] for i, p in enumerate(self._reals)}
-        columns |= {p: self._record.integers[i, :n].astype(np.float64) for i, p in enumerate(self._integers)}
-        signals = {str(p): columns[p] for p in self._ports}
-        units = {str(p): u.name for p in self._ports if (u := self._network.system.variable(p).unit)}
-        for outlet in outlets:
-            if outlet.source in columns:
-                signals[outlet.name] = outlet.map.factor * columns[outlet.source] + outlet.map.offset
-                units |= {outlet.name: outlet.unit.name} if outlet.unit else {}
-        return Trace(self._record.time[:n], signals, units)
-
-
-def _allocate(points: int, reals: int, integers: int) -> _Record:
-    """Arrays for all points; raises Problem if the memory is too small."""
-    try:
-        return _Record(points, reals, integers)
-    except (MemoryError, ValueError):  # ValueError: NumPy has no index for so many
-        size = f"{points:.3g} points of {reals + integers} signals"
-        raise Problem(f"{size} do not fit into memory; choose a longer record step or stop earlier") from None
+    def finish(self) -> None:
+        """Pass on the points that are left, and the latest one also if it is between two of the grid."""
+        if self._struct:
+            self._pass_on()
+        if self._between:
+            self._sink.append(*self._between)
+            self._between = None
 
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:

@@ -20,6 +20,7 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable
 from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import SignalNames, Signals
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.system import System
@@ -75,8 +76,9 @@ class RunFailed(Problem):
 class Interrupted(KeyboardInterrupt):
     """A run that the user interrupted; `result` has its record."""
 
-    def __init__(self, result: Result) -> None:
-        super().__init__()
+    def __init__(self, result: Result, message: str = "") -> None:
+        """message: the call into an FMU that was in progress, if it did not end in time."""
+        super().__init__(*filter(None, [message]))
         self.result = result
 
 
@@ -305,8 +307,11 @@ class RunMetadata:
         return "adaptive" in self.coupling
 
 
-def metadata(result: Result, options: Mapping[str, Any] | None = None) -> RunMetadata:
-    """The metadata of a run; options: those that the user chose."""
+def metadata(
+    result: Result, options: Mapping[str, Any] | None = None, signals: Signals | None = None
+) -> RunMetadata:
+    """The metadata of a run; options: those that the user chose; default of `signals`: those of the trace."""
+    signals = signals or SignalNames(tuple(result.trace.signals), result.trace.units)
     system, card = result.system, result.card
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
@@ -319,8 +324,8 @@ def metadata(result: Result, options: Mapping[str, Any] | None = None) -> RunMet
         swapped={c.name: str(c.source) for c in system.components.values() if c.replaced},
         given={name: value for name, value in (options or {}).items() if value},
         inside=card.inside,
-        units=result.trace.units,
-        inputs=tuple(str(p) for p in system.ports("input") if str(p) in result.trace.signals),
+        units=signals.units,
+        inputs=tuple(str(p) for p in system.ports("input") if str(p) in signals.names),
         coupling=result.coupling.settings,
         steps=card.steps,
         passes=card.passes,
@@ -334,21 +339,27 @@ def metadata_file(trace: Path) -> Path:
     return trace.with_suffix(SUFFIX)
 
 
-def write_metadata(result: Result, trace: Path, options: Mapping[str, Any] | None = None) -> Path:
+def metadata_text(
+    result: Result, sha256: str, options: Mapping[str, Any] | None = None, signals: Signals | None = None
+) -> str:
+    """The metadata of a run, for the file next to its trace with this checksum."""
+    data = {"sha256": sha256} | asdict(metadata(result, options, signals))
+    return json.dumps(data, indent=1, ensure_ascii=False, default=str) + "\n"
+
+
+def write_metadata(
+    result: Result, trace: Path, options: Mapping[str, Any] | None = None, signals: Signals | None = None
+) -> Path:
     """Write the metadata of a run next to its trace, which exists."""
-    text = json.dumps(
-        {"sha256": _digest(trace)} | asdict(metadata(result, options)),
-        indent=1,
-        ensure_ascii=False,
-        default=str,
-    )
-    metadata_file(trace).write_text(text + "\n", encoding="utf-8", newline="\n")
+    text = metadata_text(result, _digest(trace), options, signals)
+    metadata_file(trace).write_text(text, encoding="utf-8", newline="\n")
     return metadata_file(trace)
 
 
 def _digest(trace: Path) -> str:
     """The checksum that relates metadata to their trace, also if both are renamed."""
-    return hashlib.sha256(trace.read_bytes()).hexdigest()
+    with trace.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_metadata(path: Path) -> RunMetadata | None:

@@ -1,20 +1,39 @@
-"""`run`: co-simulates a system with the user's choices; `run_to_file`: the same for the command line."""
+"""`run`: co-simulates a system with the user's choices; `run_to_file`: the same for the command line.
+
+Both run the job in a process of its own, see `isolated`, unless they are asked not to.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.files import Location, make_folder, require_system
-from orchestrator.data.trace import Trace, check_suffix, read_trace, write_trace
-from orchestrator.engine.job import Execution, Job, Record, guarded, open_slave, with_error_estimate
-from orchestrator.engine.result import Interrupted, Result, RunFailed, write_metadata
+from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.data.trace import Trace, read_trace
+from orchestrator.data.trace_writer import TraceFile, TraceInMemory, TraceSink
+from orchestrator.engine.isolated import run_isolated, start_process
+from orchestrator.engine.job import Execution, Job, Outcome, Record, guarded, open_slave
+from orchestrator.engine.result import (
+    Card,
+    Interrupted,
+    Result,
+    RunFailed,
+    compare,
+    metadata_file,
+    metadata_text,
+    write_metadata,
+)
 from orchestrator.engine.scenario import Scenario, drive
 from orchestrator.engine.time_grid import (
     RECORD_STEP,
+    Grid,
     free_grid,
     grid,
     record_interval,
@@ -64,11 +83,36 @@ def run(
     execution    tolerance of the FMUs, error estimate, progress bar, other component classes: see
                  `Execution`
     options      fields of `Record` and `Execution` as single arguments: record_step, bonds, tolerance,
-                 error_estimate, progress, open
+                 error_estimate, progress, isolate, time_limit, memory_limit, open
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
+    case = system, scenario, master, step, start, stop, swap, parameters, set, record, execution
+    job, times = prepare(*case, **options)
+    sink = TraceInMemory()
+    outcome = simulate(job, times, sink)
+    result = finished(job, times, outcome, sink, sink.trace)
+    return with_error_estimate(job, times, result) if job.execution.error_estimate else result
+
+
+def prepare(
+    system: System | str | Path,
+    scenario: Trace | str | Path | Location | None = None,
+    master: str | Coupling | None = None,
+    step: float | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    parameters: Sequence[str | Path] = (),
+    set: Mapping[str, Value | str] | None = None,
+    record: Record | Sequence[str] | None = None,
+    execution: Execution | None = None,
+    **options: Any,
+) -> tuple[Job, Grid]:
+    """The job of a run and its communication points; arguments of `run`."""
     record, execution = _with_options(record, execution, options)
+    if execution.isolated:
+        start_process()
     system = with_swaps(system if isinstance(system, System) else load(system), swap or {})
     if master is not None:
         system = system.coupled(master if isinstance(master, Coupling) else Coupling(master))
@@ -87,11 +131,26 @@ def run(
     else:
         corners = driving.table.corners() if driving else ()
         times = free_grid(system, trace, step, start, stop, record.step, corners)
-    job = Job(system, driving, coupling, record, execution)
-    result = job.run(times)
-    return (
-        replace(result, card=with_error_estimate(job, times, result)) if execution.error_estimate else result
-    )
+    return Job(system, driving, coupling, record, execution), times
+
+
+def simulate(job: Job, times: Grid, sink: TraceSink) -> Outcome:
+    """Run a job, in a process of its own or in this one; the rows go to `sink`."""
+    with ProgressBar(times.stop - times.start, job.execution.progress) as bar:
+        run_job = run_isolated if job.execution.isolated else Job.run
+        return run_job(job, times, sink, lambda t: bar.update(t - times.start))
+
+
+def finished(job: Job, times: Grid, outcome: Outcome, sink: TraceSink, trace: Trace) -> Result:
+    """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
+    messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
+    card = job.card(times, outcome, sink)
+    result = Result(job.system, trace, card, tuple(messages), outcome.complete, job.coupling)
+    if outcome.interrupted:
+        raise Interrupted(result, str(outcome.problem or ""))
+    if outcome.problem:
+        raise RunFailed(outcome.problem, result) from outcome.problem
+    return result
 
 
 def _with_options(
@@ -118,21 +177,84 @@ def _scenario(
     return trace, drive(system, trace, label)
 
 
+def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
+    """A complete run with error estimates on its card, or with a note if a further run fails."""
+
+    def repeated(job: Job, times: Grid) -> Trace:
+        sink = TraceInMemory()
+        return finished(job, times, simulate(job, times, sink), sink, sink.trace).trace
+
+    def with_note(text: str) -> Result:
+        return replace(result, card=replace(result.card, notes=(*result.card.notes, text)))
+
+    if times.free:
+        return with_note(
+            "no error estimate: two adaptive runs only meet at the points of a record step, give one"
+        )
+    adaptive = job.coupling.adaptive is not None
+    try:
+        fine_job, fine_times = (job.stricter(), times) if adaptive else (job, times.finer())
+        fine, coarse = repeated(fine_job, fine_times), None
+        if not adaptive and times.steps >= 4:
+            with suppress(RunFailed):
+                coarse = repeated(job, times.coarser())
+    except RunFailed as failed:
+        setting = "a tenth of the tolerance" if adaptive else "half the step"
+        return with_note(f"no error estimate, the run at {setting} failed: {failed}")
+    except Interrupted as interrupted:
+        raise Interrupted(result, str(interrupted)) from None
+    nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
+    outputs = result.trace.select(name for name in nominals if name in result.trace.signals)
+    errors = compare(fine, outputs, coarse, nominals)
+    notes = () if errors else ("no error estimate: no output changes",)
+    card = replace(result.card, errors=errors, notes=(*result.card.notes, *notes))
+    return replace(result, card=card)
+
+
+class ProgressBar:
+    """Shows how much of `total` [s] is simulated, if `enabled` and the run takes longer than `delay`."""
+
+    delay = 1.0  # [s] of wall time
+
+    def __init__(self, total: float, enabled: bool) -> None:
+        self._total, self._enabled = total, enabled
+        self._began = time.perf_counter()
+        self._bar: Any = None
+        self._task: Any = None
+
+    def __enter__(self) -> ProgressBar:
+        return self
+
+    def __exit__(
+        self, type_: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, simulated: float) -> None:
+        """Show that `simulated` [s] are simulated."""
+        if not self._enabled or (self._bar is None and time.perf_counter() - self._began < self.delay):
+            return
+        if self._bar is None:
+            self._open()
+        self._bar.update(self._task, completed=simulated)
+
+    def _open(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
+        text = TextColumn("{task.completed:.2f} of {task.total:g} s simulated")
+        console = Console(stderr=True)
+        self._bar = Bar(text, BarColumn(), TimeRemainingColumn(), console=console, transient=True)
+        self._task = self._bar.add_task("run", total=self._total)
+        self._bar.start()
+
+
 # ---- for the command line
 
 
-def run_to_file(system: Path, scenario: Path | None, out: Path, **options: Any) -> None:
-    """Co-simulate, write the trace, print the accuracy card; the trace of an aborted run is written too."""
-    result = run_or_save(system, scenario, out, **options)
-    save(result, out, requested_options(scenario=scenario, **options))
-
-
-def requested_options(coupling: Mapping[str, Any] | None = None, **options: Any) -> dict[str, Any]:
-    """All options that the user chose, in one mapping, for the metadata of a trace."""
-    return {**options, **(coupling or {})}
-
-
-def run_or_save(
+def run_to_file(
     system: Path,
     scenario: Path | Trace | None,
     out: Path,
@@ -143,8 +265,11 @@ def run_or_save(
     cut: Sequence[str] = (),
     swap: Mapping[str, str] | None = None,
     **options: Any,
-) -> Result:
-    """Co-simulate with a progress bar; a run that ends early is saved to the file `out`.
+) -> tuple[Result, str]:
+    """Co-simulate with a progress bar, and write the rows to the file `out` while they are made.
+
+    The file gets its name at the end of a complete run, together with its metadata. The rows of a run that
+    ends early stay in a partial file, see `trace_writer`. Returns the result and a line about the file.
 
     record_step   [s]; default: the largest multiple of the step up to 5 ms, at least one step
     coupling      the user's choices, with the names of the fields of `Coupling`
@@ -152,7 +277,8 @@ def run_or_save(
     cut           patterns of inputs whose connections are removed before anything else
     swap          replaced FMUs: component -> name of a variant, or path
     """
-    check_suffix(out)
+    start_process()
+    file = TraceFile(out)
     loaded = with_swaps(load(require_system(system)).without(*cut), swap or {})
     loaded = loaded.coupled(coupling) if coupling else loaded
     interval = record_step
@@ -161,28 +287,50 @@ def run_or_save(
     elif record_step is None:
         interval = record_interval(step_length(loaded, step))
     make_folder(out.parent)
+    given = {
+        "step": step,
+        "record_step": record_step,
+        "cut": cut,
+        "swap": swap,
+        **options,
+        **(coupling or {}),
+    }
+    given["scenario"] = None if isinstance(scenario, Trace) else scenario
+    job, times = prepare(loaded, scenario, step=step, record_step=interval, progress=True, **options)
     try:
-        return run(loaded, scenario, step=step, record_step=interval, progress=True, **options)
-    except (RunFailed, Interrupted) as ended:
-        arguments = {"step": step, "record_step": record_step, "cut": cut, "swap": swap}
-        file = None if isinstance(scenario, Trace) else scenario
-        save(ended.result, out, requested_options(coupling, scenario=file, **arguments, **options))
+        outcome = simulate(job, times, file)
+        with DeferredInterrupts(second_at_once=False):  # a file is written whole or not at all
+            result, summary = _published(job, times, outcome, file, given)
+    except BaseException:
+        file.close()
         raise
+    return with_error_estimate(job, times, result) if job.execution.error_estimate else result, summary
 
 
-def save(result: Result, out: Path, options: Mapping[str, Any]) -> None:
-    """Write the trace and its metadata; print the card."""
-    write_trace(result.trace, out)
-    write_metadata(result, out, options)
-    print(result.card.text())
-    end = f" up to t = {result.trace.time[-1]:.6g} s" if len(result.trace.time) else ""
-    early = "" if result.complete else f"the run ended early; its record{end} is in "
-    print(f"\n{early}{file_summary(result, out)}")
+def _published(
+    job: Job, times: Grid, outcome: Outcome, file: TraceFile, given: Mapping[str, Any]
+) -> tuple[Result, str]:
+    """Give the file of a complete run its name; raises RunFailed or Interrupted for another one."""
+    try:
+        result = finished(
+            job, times, outcome, file, file.trace(file.path if outcome.complete else file.partial)
+        )
+    except (RunFailed, Interrupted) as ended:
+        file.close()
+        if file.partial.is_file():  # CSV; Parquet contains the units
+            with suppress(OSError):  # the disk may be full
+                write_metadata(ended.result, file.partial, given, file)
+        end = f" up to t = {file.last:.6g} s" if file.rows else ""
+        summary = _summary(ended.result.card, file, file.partial)
+        print(f"{ended.result.card.text()}\n\nthe run ended early; its record{end} is in {summary}")
+        raise
+    complete, digest = file.finish()
+    file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file)})
+    return result, _summary(result.card, file, file.path)
 
 
-def file_summary(result: Result, out: Path) -> str:
-    """The file of a trace with its number of signals and rows, and the record step."""
-    trace, card = result.trace, result.card
+def _summary(card: Card, file: TraceFile, name: Path) -> str:
+    """A file with its number of signals and rows, and the record step."""
     has_interval = card.record_step > card.step or (card.adaptive is not None and card.record_step > 0)
     interval = f", every {card.record_step:g} s" if has_interval else ""
-    return f"{out}: {len(trace.signals)} signals, {len(trace.time)} rows{interval}"
+    return f"{name}: {len(file.names)} signals, {file.rows} rows{interval}"

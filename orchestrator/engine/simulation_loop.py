@@ -7,12 +7,9 @@ the plan of the master.
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from ctypes import c_double
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +23,7 @@ from orchestrator.engine.time_grid import Grid
 TIMED_STEPS = 20  # number of steps whose times decide about threads
 MIN_SAVING = 2e-5  # [s] of wall time per step; with less, threads are not used: waking one takes about 5e-6 s
 CORES = os.cpu_count() or 1  # number of threads for the components of one run, at most
-CHECK_INTERVAL = 0.1  # [s] of wall time between two checks for an interrupt, at most
+ADVANCE_TIME = 0.1  # [s] of wall time that one call of `advance` takes, at most
 
 
 @dataclass(frozen=True)
@@ -51,9 +48,8 @@ class StepControl:
 class SimulationLoop:
     """A run from its start to its end, in blocks of recorded points.
 
-    state                `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may
-                         increase `total`
-    check_interrupts     called between blocks; raises if the user interrupts the run
+    state   `Simulation` of engine.h: time t [s], steps, passes, ...; a caller of `advance` may increase
+            `total`
     """
 
     def __init__(
@@ -72,7 +68,6 @@ class SimulationLoop:
         self._recorder, self._control = recorder, control
         self._binding, self.state = network.binding, network.binding.simulation
         self._components = [*network.components.values()]
-        self.check_interrupts: Callable[[], None] = lambda: None
         self._threads_undecided = not plan.sequential and len(self._components) > 1
         self._fill_times(times)
         self._plan_rollback(times)
@@ -93,8 +88,7 @@ class SimulationLoop:
         self._recorder.collect()
 
     def advance(self) -> None:
-        """Step until a block of points is full, for CHECK_INTERVAL, or to the end."""
-        self.check_interrupts()
+        """Step until a block of points is full, for ADVANCE_TIME, or to the end."""
         self._binding.call("simulation_advance")
         self._recorder.collect()
         if self._threads_undecided and self.state.steps >= TIMED_STEPS:
@@ -128,7 +122,7 @@ class SimulationLoop:
     def _fill_times(self, times: Grid) -> None:
         sim = self.state
         sim.start, sim.step, sim.t, sim.total = times.start, times.step, times.start, times.steps
-        sim.free, sim.patience, sim.shortest = times.free, CHECK_INTERVAL, np.inf
+        sim.free, sim.patience, sim.shortest = times.free, ADVANCE_TIME, np.inf
         sim.events, sim.event_count = self._binding.at(np.array(times.events, float)), len(times.events)
         if c := self._control:
             first = min(max(c.first, c.smallest), c.largest)
@@ -173,43 +167,3 @@ class SimulationLoop:
         sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.corrected
         sim.sequential, sim.tolerance = plan.sequential, plan.tolerance
         sim.bonds, sim.bond_count = at(np.array(inputs.bonds, np.int32).reshape(-1)), len(inputs.bonds)
-
-
-class ProgressBar:
-    """Shows how much of `total` [s] is simulated, if `enabled` and the run takes longer than `delay`."""
-
-    delay = 1.0  # [s] of wall time
-
-    def __init__(self, total: float, enabled: bool) -> None:
-        self._total, self._enabled = total, enabled
-        self._began = time.perf_counter()
-        self._bar: Any = None
-        self._task: Any = None
-
-    def __enter__(self) -> ProgressBar:
-        return self
-
-    def __exit__(
-        self, type_: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def update(self, simulated: float) -> None:
-        """Show that `simulated` [s] are simulated."""
-        if not self._enabled or (self._bar is None and time.perf_counter() - self._began < self.delay):
-            return
-        if self._bar is None:
-            self._open()
-        self._bar.update(self._task, completed=simulated)
-
-    def _open(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        text = TextColumn("{task.completed:.2f} of {task.total:g} s simulated")
-        console = Console(stderr=True)
-        self._bar = Bar(text, BarColumn(), TimeRemainingColumn(), console=console, transient=True)
-        self._task = self._bar.add_task("run", total=self._total)
-        self._bar.start()

@@ -19,6 +19,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.fmi.instance import BoundCall
 from orchestrator.fmi.messages import Log
+from orchestrator.worker.calls import CallSlot
 
 Buffer = NDArray[Any]  # float64 for floating-point types; int32 for integers, Enumeration and Boolean
 Call = Callable[[], None]
@@ -195,6 +196,7 @@ class StepCalls:
     flags                              address of the first three results as one integer; 0 in FMI 2.0
     check_step, check_get, check_set   raise the exception for a status of the three functions
     clock                              communication point and start of the step, see `Log.clock`
+    slot                               the call in progress, see `worker.calls`
     """
 
     component: int
@@ -208,6 +210,7 @@ class StepCalls:
     check_get: Callable[[int], None]
     check_set: Callable[[int], None]
     clock: NDArray[np.float64]
+    slot: CallSlot
 
 
 def compatible_buffer(values: Buffer, count: int, ctype: Any) -> Buffer:

@@ -60,7 +60,7 @@ class RunningFmu:
         face = self.interface
         folder = self._cleanup.enter_context(fmu.unpacked())
         library = load_library(folder, face.identifier, face.fmi, self._label)
-        self.fmu = FmuInstance(library, self.log, self.exchange, self._before)
+        self.fmu = FmuInstance(library, self.log, self.exchange, self._before, self._label)
         self._cleanup.callback(self._unless_fatal, library.close)
         self._cleanup.callback(self.fmu.free)
         resources = resources_location(folder, face.fmi)
@@ -337,6 +337,7 @@ class CoSimulationFmu(RunningFmu):
             check_get=lambda status: self.fmu.check_status(status, self.fmu.describe_call(get)),
             check_set=lambda status: self.fmu.check_status(status, self.fmu.describe_call(set_)),
             clock=np.ctypeslib.as_array(self.log.clock),
+            slot=self.fmu.slot,
         )
 
     # ---- rollback

@@ -19,6 +19,7 @@ from typing import Any
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.library import Library, callbacks2, logger3, register_log, unregister_log
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
+from orchestrator.worker.calls import CallSlot, function_number, new_slot
 
 FMI2_NAMES = {  # FMI 3.0 -> FMI 2.0
     "GetFMUState": "GetFMUstate",
@@ -47,6 +48,7 @@ TYPES: dict[int, dict[str, Any]] = {  # FMI version -> type in the name of a fun
     },
 }
 LAST_TIME, TERMINATED = 2, 3  # fmi2StatusKind
+STEP = function_number("DoStep")
 GUARD_BYTES = 64  # after the buffer of a serialised state, to detect a write beyond its end
 CallHook = Callable[[str, float], None]
 
@@ -98,15 +100,22 @@ def as_parameter(argument: Any) -> Any:
 
 
 class BoundCall:
-    """A call with fixed arguments; `check_status` raises an exception for a status worse than a warning."""
+    """A call with fixed arguments; `check_status` raises an exception for a status worse than a warning.
 
-    __slots__ = ("_call", "check_status")
+    slot, number   where the number of the function is while the call is in progress, see `worker.calls`
+    """
 
-    def __init__(self, call: Callable[[], int], check_status: Callable[[int], None]) -> None:
-        self._call, self.check_status = call, check_status
+    __slots__ = ("_call", "check_status", "number", "slot")
+
+    def __init__(
+        self, call: Callable[[], int], check_status: Callable[[int], None], slot: CallSlot, number: int
+    ) -> None:
+        self._call, self.check_status, self.slot, self.number = call, check_status, slot, number
 
     def __call__(self) -> None:
+        self.slot.function = self.number
         status = self._call()
+        self.slot.function = 0
         if status:
             self.check_status(status)
 
@@ -116,6 +125,7 @@ class FmuInstance:
 
     exchange   True for Model Exchange, False for Co-Simulation
     before     called before each function, with its name and the time [s]
+    slot       the call in progress
     handle     NULL before `instantiate` and after `free`
     worst      the worst status of all calls
     flags      FMI 3.0: event, terminate and early return of the last step; 0 if none of them is set
@@ -124,12 +134,20 @@ class FmuInstance:
     """
 
     def __init__(
-        self, library: Library, log: Log, exchange: bool = False, before: CallHook | None = None
+        self,
+        library: Library,
+        log: Log,
+        exchange: bool = False,
+        before: CallHook | None = None,
+        label: str = "",
     ) -> None:
+        """`label`: component and file of the FMU, for messages after a crash."""
         self.library, self.log, self.exchange, self.before = library, log, exchange, before
         self.fmi, self.types = library.fmi, TYPES[library.fmi]
         self.handle, self.worst = ctypes.c_void_p(), 0
         self._environment: int = register_log(log)
+        self.slot = new_slot(label or log.component, library.fmi)
+        log.clock = self.slot.clock
         self._experiment: tuple[Any, ...] = ()
         self.flags, self.reached = ctypes.c_uint32(0), ctypes.c_double(math.nan)
         first = ctypes.addressof(self.flags)
@@ -152,10 +170,13 @@ class FmuInstance:
         function = self.library.function(name, result)
         if self.before:
             self.before(self.library.prefix + name, self.log.time)
+        self.slot.function = function_number(name)
         try:
             return function(*arguments)
         except OSError as error:
             raise Crashed(f"{error} in {self.library.prefix}{name}") from None
+        finally:
+            self.slot.function = 0
 
     def status(self, function: str, *arguments: Any) -> int:
         """Call a function and return its status."""
@@ -174,7 +195,11 @@ class FmuInstance:
         call = partial(self.library.function(name), as_parameter(self.handle), *map(as_parameter, arguments))
         if self.before:
             call = partial(self._call, name, self.handle, *arguments)
-        return BoundCall(call, lambda status: self.check_status(status, description))
+        check = partial(self._check_bound, description)
+        return BoundCall(call, check, self.slot, function_number(name))
+
+    def _check_bound(self, description: str, status: int) -> None:
+        self.check_status(status, description)
 
     def describe_call(self, function: str, variables: Sequence[str] = ()) -> str:
         """A call in words, for messages: fmi2GetReal of a, b, c, ..."""
@@ -255,6 +280,9 @@ class FmuInstance:
         if self.handle and self.worst < FATAL:
             self._call("FreeInstance", self.handle, result=None)
         self.handle = ctypes.c_void_p()
+        self.slot.fmi = 0
+        self.slot = CallSlot.from_buffer_copy(self.slot)  # the other one may become that of another instance
+        self.log.clock = self.slot.clock
         unregister_log(self._environment)
 
     # ---- values
@@ -297,7 +325,10 @@ class FmuInstance:
         """Advance from t to t + h [s] and return the status; `final`: no state before t will be restored."""
         self.log.begin_step(t)
         times = ctypes.c_double(t), ctypes.c_double(h)
-        return self._step(*times, self.flag(final), *self._results)
+        self.slot.function = STEP
+        status = self._step(*times, self.flag(final), *self._results)
+        self.slot.function = 0
+        return status
 
     def step_end(self, status: int) -> StepEnd:
         """Results of the last step, which returned `status`."""

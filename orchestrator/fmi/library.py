@@ -18,6 +18,7 @@ from typing import Any
 from orchestrator.base.errors import Problem, one_line
 from orchestrator.base.files import is_file_name
 from orchestrator.fmi.messages import Log, status_label
+from orchestrator.worker.calls import LOADING, UNLOADING, in_progress
 
 SYSTEM = {"win32": "windows", "darwin": "darwin"}.get(sys.platform, "linux")
 MACHINE = os.uname().machine if hasattr(os, "uname") else os.environ.get("PROCESSOR_ARCHITECTURE", "")
@@ -83,7 +84,8 @@ class Library:
         before = Path.cwd()
         os.chdir(path.parent)  # some libraries search for other libraries in the working directory
         try:
-            self._library = ctypes.CDLL(str(path))
+            with in_progress(name, fmi, LOADING):
+                self._library = ctypes.CDLL(str(path))
         finally:
             os.chdir(before)
 
@@ -110,10 +112,11 @@ class Library:
     def close(self) -> None:
         """Unload the library."""
         handle = ctypes.c_void_p(self._library._handle)
-        if sys.platform == "win32":
-            ctypes.windll.kernel32.FreeLibrary(handle)
-        else:
-            ctypes.CDLL(None).dlclose(handle)
+        with in_progress(self._name, self.fmi, UNLOADING):
+            if sys.platform == "win32":
+                ctypes.windll.kernel32.FreeLibrary(handle)
+            else:
+                ctypes.CDLL(None).dlclose(handle)
 
 
 # ---- callback functions

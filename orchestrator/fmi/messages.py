@@ -5,14 +5,14 @@ from __future__ import annotations
 import ctypes
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from orchestrator.base.errors import one_line
 
 if TYPE_CHECKING:
-    from orchestrator.data.trace import Trace
+    from orchestrator.data.trace_writer import TraceSink
 
 STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
@@ -56,6 +56,7 @@ class Log:
     names     value reference -> name, for messages of FMI 3.0
     limit     largest number of stored messages; further messages are only counted
     dropped   number of messages that were not stored
+    on_message   called with each message that is stored
     clock     last communication point and start of the last step [s]; also written by the loop in C
     """
 
@@ -64,9 +65,17 @@ class Log:
     limit: int = 1000
     messages: list[LogMessage] = field(default_factory=list)
     dropped: int = 0
+    on_message: Callable[[LogMessage], None] | None = None
     clock: ctypes.Array[ctypes.c_double] = field(
         default_factory=lambda: (ctypes.c_double * 2)(math.nan, math.nan)
     )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The messages, for another process."""
+        return self.__dict__ | {"on_message": None, "clock": [*self.clock]}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, clock=(ctypes.c_double * 2)(*state["clock"]))
 
     @property
     def time(self) -> float:
@@ -89,9 +98,10 @@ class Log:
         text = re.sub(r"^\s*fmi[23]\w+: ", "", text)  # without the name of the function
         text = " ".join(with_variable_names(text, self.names).split() if self.names else text.split())
         text = one_line(text)
-        self.messages.append(
-            LogMessage(self.time, self.component, status_label(status), text, self.clock[1], category)
-        )
+        message = LogMessage(self.time, self.component, status_label(status), text, self.clock[1], category)
+        self.messages.append(message)
+        if self.on_message:
+            self.on_message(message)
 
     def discard_repeated(self) -> None:
         """Discard the messages of steps after the last communication point, which will be repeated."""
@@ -111,16 +121,16 @@ class Log:
         texts = list(dict.fromkeys(m.text[:MAX_QUOTED] for m in recent))
         return "".join(f"; it says: {text}" for text in texts)
 
-    def warnings(self, trace: Trace | None = None) -> list[str]:
+    def warnings(self, recorded: TraceSink | None = None) -> list[str]:
         """Warnings and errors, one line each; messages that differ only in numbers are merged.
 
-        trace   recorded signals: their largest value is added, which can exceed the value in the message
+        recorded   signals: their largest magnitude is added, which can exceed the value in the message
         """
         groups: dict[str, list[LogMessage]] = {}
         for m in self.messages:
             if m.status != "ok":
                 groups.setdefault(_NUMBER.sub("#", m.text), []).append(m)
-        lines = [_merged(group, trace) for group in groups.values()]
+        lines = [_merged(group, recorded) for group in groups.values()]
         return [*lines, f"{self.component}: {self.dropped} more messages"] if self.dropped else lines
 
 
@@ -134,9 +144,9 @@ def with_variable_names(text: str, names: Mapping[int, str]) -> str:
     return re.sub(r"#(\d{0,10})#", name, text)  # a value reference is below 2^32
 
 
-def _merged(group: list[LogMessage], trace: Trace | None) -> str:
+def _merged(group: list[LogMessage], recorded: TraceSink | None) -> str:
     """One line for messages that differ only in numbers, with the text of the first one."""
-    first, largest = group[0], _largest(group[0], trace)
+    first, largest = group[0], _largest(group[0], recorded)
     if len(group) == 1:
         return f"{first}{f' ({largest})' if largest else ''}"
     varying = len({_TIME.sub("", m.text) for m in group}) > 1
@@ -145,12 +155,12 @@ def _merged(group: list[LogMessage], trace: Trace | None) -> str:
     return f"{first.component}: {first.text} ({'; '.join(filter(None, (count, largest)))})"
 
 
-def _largest(message: LogMessage, trace: Trace | None) -> str:
+def _largest(message: LogMessage, recorded: TraceSink | None) -> str:
     """The largest recorded magnitude of the variable in a message; empty if it was not recorded."""
     match = _NAME.match(message.text)
     name = f"{message.component}.{match[1]}" if match else ""
-    if trace is None or name not in trace.signals or not len(trace.time):
+    largest = recorded.largest(name) if recorded is not None else None
+    if recorded is None or largest is None:
         return ""
-    row = int(abs(trace[name]).argmax())
-    value = f"{trace[name][row]:.6g} {trace.units.get(name, '')}".rstrip()
-    return f"largest recorded: {value} at t = {trace.time[row]:.6g} s"
+    value = f"{largest[0]:.6g} {recorded.units.get(name, '')}".rstrip()
+    return f"largest recorded: {value} at t = {largest[1]:.6g} s"

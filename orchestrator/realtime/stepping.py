@@ -21,10 +21,9 @@ import numpy as np
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import Signals
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
-from orchestrator.engine.network import Network
 from orchestrator.engine.recorded_calls import recorded
-from orchestrator.engine.recorder import Recorder
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
@@ -34,7 +33,7 @@ from orchestrator.realtime.shared_memory import Command, attach
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.swap import with_swaps
-from orchestrator.ssp.system import Port, System
+from orchestrator.ssp.system import System
 from orchestrator.worker.main import Channel
 
 GRACE = 2.0  # [s] for the last frame and for closing the FMUs
@@ -197,20 +196,19 @@ class RestDelay:
         return np.where(resting & (self._left >= 0), now, commanded)
 
 
-class LatestRecorder(Recorder):
-    """Keeps only the values of the latest communication point: `values`, in the order of the ports."""
+class LatestValues:
+    """A sink that keeps only the values of the latest communication point, shape (signals,)."""
 
-    def __init__(self, network: Network, times: Grid, selected: Sequence[Port] | None = None) -> None:
-        super().__init__(network, replace(times, steps=1), selected)
-        self.values = np.zeros(len(self._ports))
-        self._real_targets = np.array([self._ports.index(p) for p in self._reals], dtype=np.intp)
-        self._integer_targets = np.array([self._ports.index(p) for p in self._integers], dtype=np.intp)
+    def begin(self, signals: Signals, rows: int) -> None:
+        """Allocate the values."""
+        del rows
+        self.values = np.zeros(len(signals.names))
 
-    def _collect_finite(self) -> None:
-        if last := self.struct.filled:
-            self.values[self._real_targets] = self.block.reals[last - 1]
-            self.values[self._integer_targets] = self.block.integers[last - 1]
-            self.struct.filled = 0
+    def append(self, times: Array, values: Array) -> None:
+        """Keep the last of the rows."""
+        del times
+        if len(values):
+            self.values[:] = values[-1]
 
 
 class FrameStepper:
@@ -239,15 +237,15 @@ class FrameStepper:
         self._times = times
         self.units = _units(system, setup)
         job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
+        latest = LatestValues()
         with ExitStack() as stack:
-            opened = stack.enter_context(job.opened(times, LatestRecorder))
-            self._loop, self._latest = opened.loop, opened.recorder
+            opened = stack.enter_context(job.opened(times, latest))
+            self._loop = opened.loop
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
             self.notes = (*system.notes, *suggested, *opened.network.notes)
             self._exit = stack.pop_all()
-        assert isinstance(self._latest, LatestRecorder)
-        self.values = self._latest.values
+        self.values = latest.values[: len(setup.signals)]
 
     def advance(self, axes: Array) -> None:
         """Step one frame, in which the axes move linearly to these values, shape (axes,)."""

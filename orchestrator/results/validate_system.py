@@ -19,9 +19,9 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
 from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, fill_gaps, read_recording
-from orchestrator.data.trace import Trace, write_trace
-from orchestrator.engine.result import Card, Result, write_metadata
-from orchestrator.engine.run import file_summary, requested_options, run_or_save
+from orchestrator.data.trace import Trace
+from orchestrator.engine.result import Card, Result
+from orchestrator.engine.run import run_to_file
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
@@ -235,7 +235,7 @@ def validate_system(
     page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
-    result = run_or_save(system, scenario or commands, trace, **options, every_point=False)
+    result, file = run_to_file(system, scenario or commands, trace, **options, every_point=False)
     # A reference of the default system contains signals that a swapped FMU lacks.
     missing = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
     against = against.select([name for name in against.signals if name not in missing])
@@ -252,8 +252,6 @@ def validate_system(
     ]
     card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
     result = replace(result, card=card)
-    write_trace(result.trace, trace)
-    write_metadata(result, trace, requested_options(scenario=scenario, **options))
     if not layout:
         default_title = page.title if reference is None and scenario is None else ""
         title = default_title or f"{(scenario or system).stem} against {against.heading}"
@@ -261,7 +259,7 @@ def validate_system(
     facts = _facts(system, scenario, against.heading, card, **options)
     validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate)
     Console().print(summary(validation))
-    print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file_summary(result, trace)}")
+    print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
     return validation.passed
 
 

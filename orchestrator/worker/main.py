@@ -1,7 +1,7 @@
 """Child's side of a worker process: `python -m orchestrator.worker.main MODULE:FUNCTION FOLDER`.
 
-Messages are pickled: those of the parent arrive on standard input, answers go to standard output. The output
-that an FMU prints is discarded.
+Messages are pickled: those of the parent arrive on standard input, answers go to standard output. What an FMU
+prints goes to the file of stderr. Temporary files are made in the folder of the process.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import pickle
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -19,6 +20,7 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from orchestrator.worker.activity import ActivityRecord
+from orchestrator.worker.calls import share_calls
 
 _END_OF_INPUT = object()
 
@@ -34,7 +36,8 @@ class Channel:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.grace, self.ended = folder, 0.0, threading.Event()
-        self.activity = ActivityRecord(folder / "beacon")
+        self.activity = ActivityRecord(folder / "activity")
+        share_calls(folder / "calls")
         self._answers = _redirect_output()
         self._messages: SimpleQueue[Any] = SimpleQueue()
         threading.Thread(target=self._read, args=(sys.stdin.buffer,), daemon=True).start()
@@ -45,6 +48,11 @@ class Channel:
         if message is _END_OF_INPUT:
             raise EOFError
         return message
+
+    @property
+    def waiting(self) -> bool:
+        """Is there a message, or has the parent closed its end?"""
+        return not self._messages.empty()
 
     def put(self, message: Any) -> None:
         """Send an object that can be pickled, without buffering, so that it survives a crash."""
@@ -60,16 +68,22 @@ class Channel:
             self.ended.set()
             self._messages.put(_END_OF_INPUT)
             time.sleep(self.grace)
-            shutil.rmtree(self.folder, ignore_errors=True)
-            os._exit(0)
+            _end(self.folder)
 
 
 def _redirect_output() -> IO[bytes]:
-    """A copy of standard output for answers; standard output is redirected to the null device."""
+    """A copy of standard output for answers; standard output is redirected to stderr."""
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     return answers
+
+
+def _end(folder: Path) -> None:
+    """Remove the folder, and end this process and those that FMUs have started."""
+    shutil.rmtree(folder, ignore_errors=True)
+    if hasattr(os, "killpg") and os.getpgrp() == os.getpid():
+        os.killpg(os.getpgrp(), signal.SIGKILL)
+    os._exit(0)
 
 
 def main(target: str, folder: Path) -> None:
@@ -85,7 +99,7 @@ def main(target: str, folder: Path) -> None:
         sys.stderr.flush()
         os._exit(1)
     if channel.ended.is_set():  # the parent may have ended
-        shutil.rmtree(folder, ignore_errors=True)
+        _end(folder)
     os._exit(0)
 
 

@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import Any
 
 from orchestrator.worker.activity import Activity, ActivityRecord
@@ -31,6 +31,7 @@ ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits
 MAX_QUOTED = 200  # characters of the last line of stderr
 MAX_STDERR = 1 << 20  # bytes; a longer stderr file is emptied
+MAX_MESSAGES = 64  # waiting to be read; then the process waits, so that memory stays bounded
 SIGNAL_NAMES = {
     "SIGSEGV": "segmentation fault",
     "SIGBUS": "bus error",
@@ -90,13 +91,14 @@ class Worker:
         in_folder: bool = False,
     ) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-        self._activity = ActivityRecord(self.folder / "beacon")
+        self._activity = ActivityRecord(self.folder / "activity")
         options = {"cwd": self.folder} if in_folder else {}
         self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
-        self._messages: SimpleQueue[Any] = SimpleQueue()
+        self._messages: Queue[Any] = Queue(MAX_MESSAGES)
         reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
         reader.start()
-        self.close = weakref.finalize(self, _end, self._child, reader, self._activity, self.folder, grace)
+        end = self._child, reader, self._messages, self._activity, self.folder, grace
+        self.close = weakref.finalize(self, _end, *end)
 
     @property
     def pid(self) -> int:
@@ -123,12 +125,22 @@ class Worker:
         return float(pages) * os.sysconf("SC_PAGE_SIZE")
 
     @property
-    def last_stderr_line(self) -> str:
-        """The last line of stderr."""
+    def printed(self) -> list[str]:
+        """The lines on stdout and stderr; only the latest ones if there are many."""
         with suppress(OSError):
             text = (self.folder / "errors").read_text(encoding="utf-8", errors="replace")
-            return text.strip().rpartition("\n")[2][:MAX_QUOTED]
-        return ""
+            return [line.strip()[:MAX_QUOTED] for line in text.splitlines() if line.strip()]
+        return []
+
+    def forget_printed(self) -> None:
+        """Empty the file of stdout and stderr."""
+        with suppress(OSError):  # Windows locks files in use
+            os.truncate(self.folder / "errors", 0)
+
+    @property
+    def last_stderr_line(self) -> str:
+        """The last line on stdout and stderr."""
+        return (self.printed or [""])[-1]
 
     @property
     def report(self) -> str:
@@ -192,7 +204,7 @@ class Worker:
             try:
                 yield self.get(POLL_INTERVAL)
             except TimeoutError:
-                self._truncate_stderr()
+                pass
             except EOFError:
                 return
             activity, now = self.activity, time.monotonic()
@@ -200,23 +212,29 @@ class Worker:
                 count, last_call = activity.count, now
             if count and now - last_call > limits.call_time:  # count is 0 while Python starts
                 raise LimitExceeded(f"hang: no return within {limits.call_time:g} s {activity}")
-            if self.memory > limits.memory:
-                raise LimitExceeded(
-                    f"uses more than {limits.memory / 1e9:.3g} GB of memory, stopped {activity}"
-                )
-            if now - begin > limits.total_time:
-                raise LimitExceeded(
-                    f"not done within {limits.total_time:g} s, stopped {activity}", timed_out=True
-                )
+            try:
+                self.check_limits(limits, begin)
+            except LimitExceeded as limit:
+                raise LimitExceeded(f"{limit}, stopped {activity}", limit.timed_out) from None
             if stop is not None and stop.is_set():
                 raise LimitExceeded("interrupted", timed_out=True)
 
-    def _truncate_stderr(self) -> None:
-        """Empty the stderr file if it is too large."""
-        errors = self.folder / "errors"
-        with suppress(OSError):  # Windows locks files in use
-            if errors.stat().st_size > MAX_STDERR:
-                os.truncate(errors, 0)
+    def check_limits(self, limits: WorkerLimits, began: float) -> None:
+        """Raise LimitExceeded at the limit of memory or of total time; empty a stderr file that is too large.
+
+        began   beginning of the work, by `time.monotonic` [s]
+        """
+        with suppress(OSError):
+            if (self.folder / "errors").stat().st_size > MAX_STDERR:
+                self.forget_printed()
+        if self.memory > limits.memory:
+            raise LimitExceeded(f"uses more than {limits.memory / 1e9:.3g} GB of memory")
+        if time.monotonic() - began > limits.total_time:
+            raise LimitExceeded(f"not done within {limits.total_time:g} s", timed_out=True)
+
+    def kill(self) -> None:
+        """End the process and its children at once; messages that it has sent can still be read."""
+        _kill(self._child)
 
 
 def machine_memory() -> float:
@@ -231,8 +249,9 @@ def _start(
     target: str, folder: Path, environment: Mapping[str, str], **options: Any
 ) -> subprocess.Popen[bytes]:
     """Start a new Python process, without a fork of this one."""
+    temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))  # removed with what FMUs leave there
     roots = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
-    variables = {**os.environ, "PYTHONPATH": os.pathsep.join(roots), **environment}
+    variables = {**os.environ, **temporary, "PYTHONPATH": os.pathsep.join(roots), **environment}
     with (folder / "errors").open("ab") as errors:
         return subprocess.Popen(
             [sys.executable, "-m", "orchestrator.worker.main", target, str(folder)],
@@ -245,7 +264,7 @@ def _start(
         )
 
 
-def _read(source: Any, messages: SimpleQueue[Any]) -> None:
+def _read(source: Any, messages: Queue[Any]) -> None:
     """Queue all complete messages until the process ends."""
     with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError, AttributeError, ImportError):
         while True:
@@ -253,9 +272,19 @@ def _read(source: Any, messages: SimpleQueue[Any]) -> None:
     messages.put(_END_OF_MESSAGES)
 
 
+def _kill(child: subprocess.Popen[bytes]) -> None:
+    """Kill a process and its children."""
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, signal.SIGKILL)
+    if child.poll() is None:
+        child.kill()
+
+
 def _end(
     child: subprocess.Popen[bytes],
     reader: threading.Thread,
+    messages: Queue[Any],
     activity: ActivityRecord,
     folder: Path,
     grace: float,
@@ -266,13 +295,13 @@ def _end(
             child.stdin.close()
     with suppress(subprocess.TimeoutExpired):
         child.wait(grace)
-    if hasattr(os, "killpg"):
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(child.pid, signal.SIGKILL)
-    if child.poll() is None:
-        child.kill()
+    _kill(child)
     child.wait()
-    reader.join(1.0)
+    until = time.monotonic() + 1.0
+    while reader.is_alive() and time.monotonic() < until:
+        with suppress(Empty):  # the reader may wait for a place in the queue
+            messages.get(timeout=0.01)
+        reader.join(0.01)
     with suppress(OSError):
         if child.stdout is not None:
             child.stdout.close()

@@ -5,7 +5,7 @@ import pytest
 
 from orchestrator import Coupling, Problem, run
 from orchestrator.base.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
-from orchestrator.data.trace import write_trace
+from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine.masters import MASTERS as MADE
 from orchestrator.engine.result import read_metadata, write_metadata
 

@@ -16,7 +16,8 @@ from matplotlib import image
 from numpy.typing import NDArray
 from view.standin import LONG, wait
 
-from orchestrator.data.trace import Trace, write_trace
+from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.machine import APART, RealTimeMachine
 from orchestrator.realtime.replay import Replay
 from orchestrator.view import server as serving

@@ -17,7 +17,8 @@ from hypothesis.extra.numpy import arrays
 from view.modes import DESCRIPTION
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace, write_trace
+from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
 from orchestrator.ssp.assembly import assemble

@@ -88,7 +88,9 @@ static int call_fmi(const Access *a) {
 static int access_values(Simulation *sim, const Access *a) {
     const int same = a->fmu_values == a->values;
     if (!same && a->sets && !convert(a)) return sim->check_status(a, 0, OUT_OF_RANGE);
+    *a->call = a->function_number;
     const int status = call_fmi(a);
+    *a->call = 0;
     if (status) {
         const int verdict = sim->check_status(a, 0, status);
         if (verdict) return verdict;
@@ -127,9 +129,11 @@ int directional_derivative(Simulation *sim, const Derivative *d) {
     const size_t m = (size_t)d->unknown_count, n = (size_t)d->known_count;
     int status;
     if (!d->function) return sim->call_python(CALL, d->index, 0.0, 0.0);
+    *d->call = d->function_number;
     if (d->fmi == 2)
         status = ((Derivative2 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, d->result);
     else status = ((Derivative3 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, n, d->result, m);
+    *d->call = 0;
     return status ? sim->check_status(d, 0, status) : CONTINUE;
 }
 
@@ -138,10 +142,12 @@ int component_step(Simulation *sim, int k, double t, double h) {
     p->clock[0] = p->clock[1] = t;
     if (!p->do_step) return sim->call_python(STEP, k, t, h);
     int status;
+    *p->call = STEP;
     if (p->fmi == 2) status = ((Step2 *)p->do_step)(p->instance, t, h, p->never_restored);
     else
         status = ((Step3 *)p->do_step)(p->instance, t, h, p->never_restored != 0, p->event, p->terminate, p->early,
                                        p->last);
+    *p->call = 0;
     if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
     return CONTINUE;
 }
@@ -149,13 +155,17 @@ int component_step(Simulation *sim, int k, double t, double h) {
 int component_save(Simulation *sim, int k) {
     Component *p = &sim->components[k];
     if (!p->do_step) return sim->call_python(SAVE, k, 0.0, 0.0);
+    *p->call = SAVE;
     const int status = ((GetState *)p->get_state)(p->instance, &p->state);
+    *p->call = 0;
     return status ? sim->check_status(p->get_state, k, status) : CONTINUE;
 }
 
 int component_restore(Simulation *sim, int k) {
     Component *p = &sim->components[k];
     if (!p->do_step) return sim->call_python(RESTORE, k, 0.0, 0.0);
+    *p->call = RESTORE;
     const int status = ((SetState *)p->set_state)(p->instance, p->state);
+    *p->call = 0;
     return status ? sim->check_status(p->set_state, k, status) : CONTINUE;
 }

@@ -25,7 +25,7 @@ enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of va
 enum { ACCESS, COPY, LOOP, PYTHON };                              /* types of instructions */
 enum { DRIVEN = -1, NO_SLOPE = -1, DEGREE = 3 };
 enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
-enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python */
+enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python; also numbers of FMI functions */
 enum { OUT_OF_RANGE = -1, WITHDRAWN = -3 };                /* further statuses: an integer that the other type cannot
                                     hold; a step that is repeated, so that its messages do not count */
 enum { SOLVED = 0, SINGULAR = -1, NOT_CONVERGED = -2 };    /* outcomes for an algebraic loop */
@@ -47,7 +47,8 @@ typedef struct Access { /* one FMI call that gets or sets several variables */
     const uint32_t *references;
     const int32_t *orders;      /* orders of derivatives; NULL for values */
     void *fmu_values, *values;  /* in the type of the FMU, and in the array of the run; the same if the types agree */
-    int32_t count, fmi, type, array, sets;
+    int32_t *call; /* the call of this instance that is in progress, readable after a crash; 0: none */
+    int32_t count, fmi, type, array, sets, function_number;
 } Access;
 
 typedef struct ConnectionCopy { /* copies values of outputs to the inputs that they feed, within one array */
@@ -70,7 +71,8 @@ typedef struct Derivative { /* directional derivative of the unknowns when the k
     void *function, *instance; /* NULL: Python makes the call */
     const uint32_t *unknowns, *knowns;
     double *seed, *result;
-    int32_t fmi, unknown_count, known_count, index;
+    int32_t *call;
+    int32_t fmi, unknown_count, known_count, index, function_number;
 } Derivative;
 
 typedef struct LoopMember { /* a component in an algebraic loop; first_...: its first index in the loop's u and y */
@@ -148,6 +150,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     void *event, *terminate, *early, *last; /* results of a step in FMI 3.0 */
     const uint32_t *flags;                  /* the first three of them; NULL in FMI 2.0 */
     double *clock;                          /* the last communication point, and the beginning of the step */
+    int32_t *call;                          /* as in Access */
     double busy;                            /* wall time in its steps [s] */
     double fixed_step;                      /* length of each of its own steps; 0 if it may vary */
     int32_t fmi;
@@ -193,6 +196,7 @@ typedef struct Recorder { /* a block of rows; Python collects them between two c
     double *time, *reals;
     int32_t *integers;
     int32_t real_count, integer_count, filled, capacity;
+    int64_t collected; /* communication points before the block */
 } Recorder;
 
 typedef struct StepSize { /* see step_size.c */

@@ -1,0 +1,376 @@
+"""Writes traces row by row: into memory, or into a file that gets its name when it is complete.
+
+While a run goes on, its rows are in NAME.partial.csv, or in a folder NAME.partial.parquet with Parquet files
+that tools read as one table. `TraceFile.publish` gives a complete file its name in one operation. If the run
+fails, or if the process is killed, the partial file stays, and so does an earlier file NAME.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import csv_header
+from orchestrator.data.trace import TIME, Trace, check_suffix, read_trace
+
+Array = NDArray[np.float64]
+CHUNK = 8192  # rows of a trace written at a time
+PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group
+MAX_KEPT = 32 << 20  # bytes; a longer trace is not kept in memory besides its file
+PART_TIME = 5.0  # [s] of wall time until the rows of a partial Parquet trace are written
+
+
+class Signals(Protocol):
+    """Names of the signals of a trace, and their units."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> Mapping[str, str]: ...
+
+
+class RowSink(Protocol):
+    """Receives the rows of a run.
+
+    begin    receives the signals and the expected number of rows
+    append   receives rows: times [s], shape (n,), and values, shape (n, signals)
+    """
+
+    def begin(self, signals: Any, rows: int) -> None: ...
+    def append(self, times: Array, values: Array) -> None: ...
+
+
+class SignalNames(NamedTuple):
+    """Signals by name."""
+
+    names: tuple[str, ...]
+    units: Mapping[str, str]
+
+
+class TraceSink:
+    """Receives the rows of a trace, and keeps the largest magnitude of each signal.
+
+    names, units   of the signals, from `begin` on
+    rows           number of rows until now
+    last           time of the last row [s]
+    """
+
+    def begin(self, signals: Signals, rows: int = 0) -> None:
+        """Receive the signals; `rows`: the expected number of rows."""
+        del rows
+        self.names, self.units, self.rows, self.last = signals.names, signals.units, 0, float("nan")
+        self._peaks, self._peak_times = np.zeros(len(self.names)), np.zeros(len(self.names))
+        self._columns = {name: k for k, name in enumerate(self.names)}
+
+    def append(self, times: Array, values: Array) -> None:
+        """Receive rows: times [s], shape (n,), and values, shape (n, signals)."""
+        if not len(times):
+            return
+        self.rows, self.last = self.rows + len(times), float(times[-1])
+        row = np.argmax(np.abs(values), axis=0)
+        largest = values[row, np.arange(len(self.names))]
+        higher = np.abs(largest) > np.abs(self._peaks)
+        self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
+
+    def largest(self, name: str) -> tuple[float, float] | None:
+        """The value of largest magnitude and its time [s]; None if the signal is not recorded."""
+        k = self._columns.get(name)
+        return None if k is None or not self.rows else (float(self._peaks[k]), float(self._peak_times[k]))
+
+
+class TraceInMemory(TraceSink):
+    """The rows as a `Trace`, whose signals are contiguous."""
+
+    def begin(self, signals: Signals, rows: int = 0) -> None:
+        """Allocate the arrays; raises Problem if they do not fit into memory."""
+        super().begin(signals)
+        self._times, self._values = np.zeros(0), np.zeros((len(self.names), 0))
+        self._allocate(rows)
+
+    def append(self, times: Array, values: Array) -> None:
+        """Store rows; the arrays grow if necessary."""
+        first = self.rows
+        super().append(times, values)
+        if self.rows > len(self._times):
+            self._allocate(2 * self.rows)
+        self._times[first : self.rows] = times
+        self._values[:, first : self.rows] = values.T
+
+    def _allocate(self, rows: int) -> None:
+        try:
+            times, values = np.zeros(rows), np.zeros((len(self.names), rows))
+        except (MemoryError, ValueError):  # ValueError: NumPy has no index for so many
+            size = f"{rows:.3g} points of {len(self.names)} signals"
+            advice = "choose a longer record step or stop earlier"
+            raise Problem(f"{size} do not fit into memory; {advice}") from None
+        stored = len(self._times)
+        times[:stored], values[:, :stored] = self._times, self._values
+        self._times, self._values = times, values
+
+    @property
+    def trace(self) -> Trace:
+        """All rows until now."""
+        signals = {name: self._values[k, : self.rows] for k, name in enumerate(self.names)}
+        return Trace(self._times[: self.rows], signals, self.units)
+
+
+class TraceOnDisk(Trace):
+    """A trace in a file, which is read at the first use of its samples."""
+
+    def __init__(self, path: Path, units: Mapping[str, str]) -> None:
+        self.__dict__.update(units=units, path=path)
+
+    @cached_property
+    def _samples(self) -> Trace:
+        return read_trace(self.__dict__["path"])
+
+    @property
+    def time(self) -> Array:
+        """As in `Trace`."""
+        return self._samples.time
+
+    @property
+    def signals(self) -> Mapping[str, Array]:
+        """As in `Trace`."""
+        return self._samples.signals
+
+
+class TraceFile(TraceSink):
+    """A trace in a .csv or .parquet file, under a partial name until `publish`.
+
+    path      name of the complete file
+    partial   name until then; a folder for Parquet
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        check_suffix(path)
+        self.path, self._kept = Path(path), TraceInMemory()
+        self.partial = self.path.with_name(f"{self.path.stem}.partial{self.path.suffix}")
+        self._format: _Format | None = None
+
+    def begin(self, signals: Signals, rows: int = 0) -> None:
+        """Make the partial file; that of an earlier run is removed."""
+        super().begin(signals, rows)
+        self._kept.begin(signals)
+        with _naming(self.path):
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            remove_partial(self.partial)
+            make = _Csv if self.path.suffix.lower() == ".csv" else _Parquet
+            self._format = make(self.partial, self.names, self.units)
+            self._identity = os.stat(self.partial).st_ino
+
+    def append(self, times: Array, values: Array) -> None:
+        """Write rows; if the disk is full, the file ends with the last row that fits."""
+        assert self._format is not None
+        with _naming(self.partial):
+            self._format.append(times, values)
+        super().append(times, values)
+        if self.rows * 8 * len(self.names) > MAX_KEPT:
+            self._kept.begin(self)  # releases the memory
+        elif self._kept.rows + len(times) == self.rows:
+            self._kept.append(times, values)
+
+    def trace(self, path: Path) -> Trace:
+        """All rows: those in memory, or, if they are too many, those in the file when they are needed."""
+        return self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(path, self.units)
+
+    def finish(self) -> tuple[Path, str]:
+        """Write what is left, and close; returns the file, still under another name, and its SHA-256."""
+        assert self._format is not None
+        with _naming(self.partial):
+            return self._format.finish()
+
+    def publish(self, complete: Path, others: Mapping[Path, str] | None = None) -> None:
+        """Give a complete file its name, and write `others`, name -> text, at the same time."""
+        temporary = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in others or {}}
+        try:
+            with _naming(self.path):
+                for file, text in (others or {}).items():
+                    temporary[file].write_text(text, encoding="utf-8", newline="\n")
+                if not self.partial.exists() or os.stat(self.partial).st_ino != self._identity:
+                    raise Problem(f"{self.path}: expected one run that writes this file, got two")
+                complete.replace(self.path)
+                for file, other in temporary.items():
+                    other.replace(file)
+                remove_partial(self.partial)
+        finally:
+            for other in temporary.values():
+                other.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Write what is left into the partial file, and close it."""
+        if self._format is not None:
+            with _naming(self.partial):
+                self._format.close()
+
+
+class _Format(Protocol):
+    """How rows are written to a partial file or folder."""
+
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None: ...
+    def append(self, times: Array, values: Array) -> None: ...
+    def finish(self) -> tuple[Path, str]: ...
+    def close(self) -> None: ...
+
+
+class _Csv:
+    """CSV: each value is the shortest decimal that is read back as the same float64."""
+
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
+        del units
+        self._path, self._size, self._digest = path, 0, hashlib.sha256()
+        self._file = path.open("wb", buffering=0)
+        self._write(f"{csv_header([TIME, *names])}\n".encode())
+
+    def append(self, times: Array, values: Array) -> None:
+        rows = np.column_stack([times, values]).tolist()
+        self._write("".join([",".join(map(repr, row)) + "\n" for row in rows]).encode())
+
+    def _write(self, data: bytes) -> None:
+        """Write all bytes or none."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        except BaseException:
+            end = data.rfind(b"\n", 0, len(data) - len(rest)) + 1  # of the last row that fits
+            self._size += end
+            self._file.truncate(self._size)
+            raise
+        self._size += len(data)
+        self._digest.update(data)
+
+    def finish(self) -> tuple[Path, str]:
+        self._file.close()
+        return self._path, self._digest.hexdigest()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class _Parquet:
+    """Parquet: one float64 column per signal, time first, with units in the metadata of the fields.
+
+    The rows go to files in a folder, so that all rows but the latest ones can be read at any time. Tools
+    ignore files in it whose names begin with an underscore.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
+        import pyarrow as pa
+
+        self._folder, self._blocks = path, list[Array]()
+        self._parts, self._rows, self._written = 0, 0, time.monotonic()
+        units = {TIME: "s", **units}
+        fields = [
+            pa.field(n, pa.float64(), nullable=False, metadata={"unit": units[n]} if n in units else None)
+            for n in (TIME, *names)
+        ]
+        self._schema = pa.schema(fields)
+        path.mkdir()
+
+    def append(self, times: Array, values: Array) -> None:
+        self._blocks.append(np.column_stack([times, values]))
+        self._rows += len(times)
+        if self._rows >= PART_ROWS or time.monotonic() - self._written > PART_TIME:
+            self.close()
+
+    def close(self) -> None:
+        import pyarrow.parquet as pq
+
+        if not self._rows:
+            return
+        unnamed = self._folder / "_part"
+        try:
+            pq.write_table(self._table(), unnamed)
+        except OSError:
+            unnamed.unlink(missing_ok=True)
+            raise
+        self._parts += 1
+        unnamed.replace(self._folder / f"part-{self._parts:06}.parquet")
+        self._blocks, self._rows, self._written = [], 0, time.monotonic()
+
+    def finish(self) -> tuple[Path, str]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        whole, waiting = self._folder / "_whole", list[Any]()
+        try:
+            with pq.ParquetWriter(whole, self._schema) as writer:
+                for part in range(self._parts):
+                    waiting.append(pq.read_table(self._folder / f"part-{part + 1:06}.parquet"))
+                    if sum(table.num_rows for table in waiting) >= PART_ROWS:
+                        writer.write_table(pa.concat_tables(waiting))
+                        waiting.clear()
+                writer.write_table(pa.concat_tables([*waiting, self._table()]))
+        except OSError:
+            whole.unlink(missing_ok=True)
+            self.close()
+            raise
+        with whole.open("rb") as file:
+            return whole, hashlib.file_digest(file, "sha256").hexdigest()
+
+    def _table(self) -> Any:
+        """The rows that are in memory."""
+        import pyarrow as pa
+
+        rows = np.concatenate([np.zeros((0, len(self._schema))), *self._blocks])
+        arrays = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
+        return pa.Table.from_arrays(arrays, schema=self._schema)
+
+
+class _naming:
+    """Context in which an OSError becomes a Problem that names a file."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if isinstance(error, OSError):
+            raise Problem(f"{self._file}: cannot be written: {error.strerror or error}") from error
+
+
+def remove_partial(partial: Path) -> None:
+    """Remove the partial file or folder of an earlier run."""
+    if partial.is_dir():
+        shutil.rmtree(partial)
+    else:
+        partial.unlink(missing_ok=True)
+
+
+def write_trace(trace: Trace, path: str | Path) -> Path:
+    """Write a trace as .csv or .parquet; reading the file gives bit-identical values."""
+    file = TraceFile(path)
+    try:
+        units = {name: unit for name, unit in trace.units.items() if name in trace.signals}
+        file.begin(SignalNames(tuple(trace.signals), units))
+        columns = [*trace.signals.values()]
+        for first in range(0, len(trace.time), CHUNK):
+            last = min(first + CHUNK, len(trace.time))
+            rows = np.zeros((last - first, len(columns)))
+            for k, column in enumerate(columns):
+                rows[:, k] = column[first:last]
+            file.append(trace.time[first:last], rows)
+        file.publish(file.finish()[0])
+    except BaseException:
+        with suppress(Problem):
+            file.close()
+        remove_partial(file.partial)
+        raise
+    return file.path
+
+
+write = write_trace  # name in 0.1

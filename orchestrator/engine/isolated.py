@@ -1,0 +1,285 @@
+"""Runs a job in a process of its own, so that an FMU that crashes or hangs ends only that process.
+
+`main` runs in the child: it opens the FMUs, runs the engine, and sends rows, messages of the FMUs and the
+outcome. `run_isolated` runs in the parent: it passes the rows to a sink, ends the child after an interrupt or
+at a limit, and finds out which call into which FMU was in progress. The points since the last rows that were
+sent, and the state of the simulation, are in files that the child maps into its memory: they survive the child.
+
+The process is started before the parent has read the system, and one idle process is kept for the next run.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from orchestrator.worker.calls import calls_in_progress
+from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
+
+if TYPE_CHECKING:
+    from orchestrator.data.trace_writer import TraceSink
+    from orchestrator.engine.job import Job, Outcome
+    from orchestrator.engine.recorder import RowLayout
+    from orchestrator.engine.time_grid import Grid
+    from orchestrator.fmi.messages import LogMessage
+    from orchestrator.worker.main import Channel
+
+POLL = 0.05  # [s] between two checks for interrupts and limits
+STOP_TIME = 1.0  # [s] that a run has to end by itself after an interrupt
+PROGRESS_TIME = 0.1  # [s] between two messages about the progress
+STOP = "stop"  # message to the child
+TARGET = "orchestrator.engine.isolated:main"
+
+_idle: list[tuple[Worker, dict[str, str]]] = []  # with the environment variables at its start
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """Message to the child: the run to do, and the working directory."""
+
+    job: Job
+    times: Grid
+    directory: str
+
+
+# ---- the parent
+
+
+def start_process() -> None:
+    """Start a process for the next run, if none is idle."""
+    if not _idle:
+        _idle.append((Worker(TARGET, "run"), dict(os.environ)))
+
+
+def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]) -> Outcome:
+    """Run a job in a child process; `between` is called with the simulated time [s] now and then.
+
+    Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
+    """
+    from orchestrator.base.interrupts import DeferredInterrupts
+
+    with _process() as worker, DeferredInterrupts(second_at_once=False) as interrupts:
+        worker.put(RunTask(job, times, os.getcwd()))
+        return _Supervision(worker, job, times, sink, between).outcome(interrupts.check)
+
+
+@contextmanager
+def _process() -> Iterator[Worker]:
+    """An idle process, else a new one; kept for the next run unless this one fails."""
+    start_process()
+    worker, environment = _idle.pop()
+    if environment != dict(os.environ) or not worker.alive:
+        worker.close()
+        worker, environment = Worker(TARGET, "run"), dict(os.environ)
+    try:
+        worker.forget_printed()
+        yield worker
+    except BaseException:
+        worker.close()
+        raise
+    if worker.alive and not _idle:
+        _idle.append((worker, environment))
+    else:
+        worker.close()
+
+
+class _Supervision:
+    """One run in a child process, seen from the parent."""
+
+    def __init__(
+        self, worker: Worker, job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]
+    ) -> None:
+        execution = job.execution
+        self._worker, self._times, self._sink, self._between = worker, times, sink, between
+        memory = min(execution.memory_limit, machine_memory())
+        self._limits = WorkerLimits(total_time=execution.time_limit, memory=memory)
+        self._layout: RowLayout | None = None
+        self._outcome: Outcome | None = None
+        self._messages: list[LogMessage] = []
+        self._kill_at, self._killed_because = float("inf"), ""
+
+    def outcome(self, check: Callable[[], None]) -> Outcome:
+        """Wait for the end of the run; `check` raises KeyboardInterrupt if the user interrupts it."""
+        began = time.monotonic()
+        while True:
+            try:
+                name, content = self._worker.get(POLL)
+            except TimeoutError:
+                name = ""
+            except EOFError:
+                return self._ended_by_fmu()
+            if name == "closed":
+                return self._complete()
+            if name:
+                self._receive(name, content)
+            try:
+                check()
+                if not self._killed_because:
+                    self._worker.check_limits(self._limits, began)
+            except KeyboardInterrupt:
+                if self._kill_at < float("inf"):
+                    self._kill("interrupted")
+                self._worker.put(STOP)
+                self._kill_at = min(self._kill_at, time.monotonic() + STOP_TIME)
+            except LimitExceeded as limit:
+                self._kill(str(limit))
+            if time.monotonic() > self._kill_at:
+                self._kill("interrupted")
+
+    def _kill(self, reason: str) -> None:
+        self._killed_because = self._killed_because or reason
+        self._worker.kill()
+
+    def _receive(self, name: str, content: Any) -> None:
+        """Handle one message of the child."""
+        if name == "rows":
+            self._sink.append(*content)
+        elif name == "time":
+            self._between(content)
+        elif name == "begin":
+            self._layout, rows = content
+            self._sink.begin(self._layout, rows)
+        elif name == "message":
+            self._messages.append(content)
+        elif name == "outcome":
+            self._outcome = content
+        elif name == "problem":
+            raise content
+        else:
+            raise RuntimeError(content)
+
+    def _complete(self) -> Outcome:
+        """The outcome of a run that ended by itself."""
+        assert self._outcome is not None
+        if printed := self._worker.printed:
+            more = f" and {len(printed) - 1} more lines" if len(printed) > 1 else ""
+            self._outcome.notes += (f"the FMUs printed: {printed[0]}{more}",)
+        return self._outcome
+
+    def _ended_by_fmu(self) -> Outcome:
+        """The outcome of a run whose process ended: by a call into an FMU, by an interrupt, or at a limit."""
+        from orchestrator.base.errors import Problem
+        from orchestrator.engine.job import Outcome
+        from orchestrator.fmi.messages import Log
+
+        interrupted = self._killed_because == "interrupted"
+        message = self._cause()
+        if self._layout is None:
+            raise KeyboardInterrupt(message) if interrupted else Problem(message)
+        outcome = self._outcome or Outcome(self._times.start)
+        if self._outcome is None:
+            self._rescue(outcome, self._layout)
+            by_component: dict[str, list[LogMessage]] = {}
+            for logged in self._messages:
+                by_component.setdefault(logged.component, []).append(logged)
+            outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
+        outcome.interrupted = interrupted
+        outcome.problem = Problem(message)
+        return outcome
+
+    def _cause(self) -> str:
+        """The FMU, what happened, and in which call, in one line."""
+        calls = list(calls_in_progress(self._worker.folder / "calls"))
+        ending = self._killed_because or self._worker.ending.replace("exit", "ended the process with exit")
+        if not calls:
+            return ending if self._killed_because else f"the process of the run: {ending}{self._last_words()}"
+        where = "; ".join(f"{call.component}: {ending} in {call}" for call in calls)
+        return f"{where}{self._last_words()}"
+
+    def _last_words(self) -> str:
+        """The last messages that FMUs logged or printed."""
+        logged = [f"; {m.component} says: {m.text}" for m in self._messages[-2:]]
+        printed = [f"; printed: {line}" for line in self._worker.printed[-1:]]
+        return "".join([*logged, *printed])
+
+    def _rescue(self, outcome: Outcome, layout: RowLayout) -> None:
+        """Complete an outcome and the rows by what the files of the child contain."""
+        import numpy as np
+
+        from orchestrator.engine.c_library import engine_h
+        from orchestrator.engine.recorder import Block, recorded_rows
+
+        folder, sink = self._worker.folder, self._sink
+        state = engine_h().Simulation.from_buffer_copy((folder / "simulation").read_bytes())
+        block = Block(layout, (folder / "rows").read_bytes())
+        count = block.finite_rows(state.recorder.filled)
+        rows = recorded_rows(state.recorder.collected, count, layout.every)
+        rows = np.union1d(rows, np.arange(count)[-1:])  # the latest point is always recorded
+        rows = rows[~(block.time[rows] <= sink.last)]  # those that were not sent; NaN without any row
+        sink.append(block.time[rows], layout.values(block, rows))
+        outcome.t, outcome.steps, outcome.passes = state.t, state.steps, state.all_passes
+        outcome.repeated, outcome.lengths = state.repeated, (state.shortest, state.longest)
+
+
+# ---- the child
+
+
+def main(channel: Channel) -> None:
+    """Run what the parent asks for, one job after the other."""
+    import traceback
+
+    from orchestrator.base.errors import Problem
+    from orchestrator.engine import job as _job  # noqa: F401  imported while the parent reads the system
+    from orchestrator.engine.c_library import library
+
+    with suppress(Problem):  # the run reports it
+        library()
+    while True:
+        task = channel.get()
+        if task == STOP:  # of a run that has ended meanwhile
+            continue
+        try:
+            _run(channel, task)
+            channel.put(("closed", None))
+        except Problem as problem:
+            channel.put(("problem", problem))
+        except Exception:
+            channel.put(("defect", traceback.format_exc()))
+
+
+def _run(channel: Channel, task: RunTask) -> None:
+    from dataclasses import replace
+
+    from orchestrator.engine.job import open_slave
+    from orchestrator.fmi.calls import Slave
+    from orchestrator.ssp.system import Component
+
+    os.chdir(task.directory)
+    reported = 0.0
+
+    class Sender:
+        """Sends rows to the parent."""
+
+        def begin(self, layout: RowLayout, rows: int) -> None:
+            channel.put(("begin", (layout, rows)))
+
+        def append(self, times: Any, values: Any) -> None:
+            channel.put(("rows", (times, values)))
+
+    def open_fmu(component: Component) -> Slave:
+        slave = open_slave(component)
+        slave.log.on_message = lambda message: channel.put(("message", message))
+        return slave
+
+    def between(t: float) -> None:
+        nonlocal reported
+        if channel.waiting and channel.get() == STOP:
+            raise KeyboardInterrupt
+        if time.monotonic() - reported > PROGRESS_TIME:
+            reported = time.monotonic()
+            channel.put(("time", t))
+
+    def allocate(name: str, size: int) -> mmap.mmap:
+        file = channel.folder / name
+        file.unlink(missing_ok=True)
+        with file.open("w+b") as opened:
+            opened.truncate(size)
+            return mmap.mmap(opened.fileno(), size)
+
+    job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
+    job.run(task.times, Sender(), between, lambda outcome: channel.put(("outcome", outcome)), allocate)
