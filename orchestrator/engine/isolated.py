@@ -3,7 +3,8 @@
 `main` runs in the child: it opens the FMUs, runs the engine, and sends rows, messages of the FMUs and the
 outcome. `run_isolated` runs in the parent: it passes the rows to a sink, ends the child after an interrupt or
 at a limit, and finds out which call into which FMU was in progress. The points since the last rows that were
-sent, and the state of the simulation, are in files that the child maps into its memory: they survive the child.
+sent, and the state of the simulation, are in files that the child maps into its memory and that survive the
+child.
 
 The process is started before the parent has read the system, and one idle process is kept for the next run.
 """

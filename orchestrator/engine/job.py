@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 from orchestrator.base.coupling import Coupling
@@ -179,7 +180,7 @@ class Job:
                 wall=time.perf_counter() - began,
                 bonds=tuple(opened.energy.energies()),
                 inside=opened.loop.busy_seconds,
-                logs=tuple(s.log for s in network.slaves.values()),
+                logs=tuple(copy(s.log) for s in network.slaves.values()),
                 notes=network.notes + times.notes + opened.notes,
                 problem=problem,
                 interrupted=interrupted,

@@ -71,8 +71,8 @@ class Log:
     )
 
     def __getstate__(self) -> dict[str, Any]:
-        """The messages, for another process."""
-        return self.__dict__ | {"on_message": None, "clock": [*self.clock]}
+        """The messages until now, for a copy or for another process."""
+        return self.__dict__ | {"messages": [*self.messages], "on_message": None, "clock": [*self.clock]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, clock=(ctypes.c_double * 2)(*state["clock"]))

@@ -35,7 +35,7 @@ class Channel:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.grace, self.ended = folder, 0.0, threading.Event()
+        self.folder, self.grace, self.ended, self._parent = folder, 0.0, threading.Event(), os.getppid()
         self.activity = ActivityRecord(folder / "activity")
         share_calls(folder / "calls")
         self._answers = _redirect_output()
@@ -59,6 +59,13 @@ class Channel:
         pickle.dump(message, self._answers, pickle.HIGHEST_PROTOCOL)
         self._answers.flush()
 
+    def end(self) -> None:
+        """Remove the folder, and end this process; if the parent has ended, also those that FMUs started."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        if hasattr(os, "killpg") and os.getppid() != self._parent and os.getpgrp() == os.getpid():
+            os.killpg(os.getpgrp(), signal.SIGKILL)
+        os._exit(0)
+
     def _read(self, source: IO[bytes]) -> None:
         """Queue messages until the input ends; then end the process, even during a call of an FMU."""
         try:
@@ -68,7 +75,7 @@ class Channel:
             self.ended.set()
             self._messages.put(_END_OF_INPUT)
             time.sleep(self.grace)
-            _end(self.folder)
+            self.end()
 
 
 def _redirect_output() -> IO[bytes]:
@@ -76,14 +83,6 @@ def _redirect_output() -> IO[bytes]:
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     return answers
-
-
-def _end(folder: Path) -> None:
-    """Remove the folder, and end this process and those that FMUs have started."""
-    shutil.rmtree(folder, ignore_errors=True)
-    if hasattr(os, "killpg") and os.getpgrp() == os.getpid():
-        os.killpg(os.getpgrp(), signal.SIGKILL)
-    os._exit(0)
 
 
 def main(target: str, folder: Path) -> None:
@@ -99,7 +98,7 @@ def main(target: str, folder: Path) -> None:
         sys.stderr.flush()
         os._exit(1)
     if channel.ended.is_set():  # the parent may have ended
-        _end(folder)
+        channel.end()
     os._exit(0)
 
 
