@@ -15,6 +15,8 @@ from orchestrator.cli.options import (
     StepOptions,
     System,
     app,
+    number,
+    seconds,
     with_option_groups,
 )
 
@@ -36,11 +38,27 @@ def run(
             " --adaptive; print the change of the signals and the order.",
         ),
     ] = False,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S", help="Longest wall time of the run [s]; default: no limit.", parser=seconds
+        ),
+    ] = None,
+    memory_limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="GB",
+            help="Largest memory of the process of the FMUs [1e9 bytes]; default: that of the machine.",
+            parser=number,
+        ),
+    ] = None,
     coupled: CouplingOptions,
 ) -> None:
     """Co-simulate a system and record its signals."""
     from orchestrator.engine.run import run_to_file
 
     options = case.options() | steps.options() | {"error_estimate": error_estimate}
+    options |= {"time_limit": time_limit} if time_limit is not None else {}
+    options |= {"memory_limit": 1e9 * memory_limit} if memory_limit is not None else {}
     result, file = run_to_file(system, case.scenario, out, coupling=coupled.given(), **options)
     print(f"{result.card.text()}\n\n{file}")

@@ -85,9 +85,9 @@ def read_columns(
     named   True if a text file has a row of names; else its columns are "0", "1", ...
     """
     file = source if isinstance(source, Location) else Location(source)
-    if not file.members and not file.path.is_file():
-        raise Problem(f"{file}: no such file")
     suffix = Path(str(file)).suffix.lower()
+    if not file.members and not file.path.is_file() and not (file.is_folder and suffix == ".parquet"):
+        raise Problem(f"{file}: no such file")
     if suffix == ".parquet":
         columns = _read_parquet(file, names)
     else:
@@ -289,16 +289,22 @@ def _number(cell: str) -> float | None:
 
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
-    """Columns of a Parquet file with units from the metadata of the fields. A null is a gap."""
+    """Columns of a Parquet file, or of a folder of them, with units from the fields. A null is a gap."""
     import pyarrow
     import pyarrow.parquet
 
     try:
-        with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else file.path) as opened:
-            schema = opened.schema_arrow
-            selected = list(_column_indices(schema.names, names, str(file)))
-            check_size(file, 8 * len(selected) * opened.metadata.num_rows, "columns")
-            table = opened.read(columns=selected)
+        parts = sorted(file.path.glob("*.parquet")) if file.is_folder else [file.path]
+        tables, rows = [], 0
+        for part in parts:
+            with pyarrow.parquet.ParquetFile(BytesIO(file.read()) if file.members else part) as opened:
+                schema, rows = opened.schema_arrow, rows + opened.metadata.num_rows
+                selected = list(_column_indices(schema.names, names, str(file)))
+                check_size(file, 8 * len(selected) * rows, "columns")
+                tables.append(opened.read(columns=selected))
+        if not tables:
+            raise Problem(f"{file}: expected Parquet files in this folder, got none")
+        table = pyarrow.concat_tables(tables)
         values = {name: _arrow_values(table.column(name), f"{file}: row", name) for name in selected}
         metadata = {name: schema.field(name).metadata or {} for name in selected}
         units = {name: data[b"unit"].decode() for name, data in metadata.items() if b"unit" in data}

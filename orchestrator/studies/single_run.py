@@ -59,7 +59,7 @@ def outcome(study: Study, case: StudyCase, sample: Sample, open: Opener = open_s
             record=list(dict.fromkeys(str(signal(system, o.signal)) for o in study.outputs)),
             record_step=study.record_step,
             bonds=(),
-            open=open,
+            isolate=False,  # the process of the study is one already
         )
         # In a trace, outputs of the system have the name and unit that the system declares.
         names = {o.signal: o.signal for o in study.outputs if o.signal in system.outputs}

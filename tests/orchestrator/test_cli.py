@@ -308,8 +308,9 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
     ]
     assert main(["run", str(fmus["fails"]), *options]) == 2
     printed = capsys.readouterr()
-    assert len(read_trace("o.csv").time) == 6
-    assert "the run ended early; its record up to t = 0.5 s is in o.csv" in printed.out
+    assert len(read_trace("o.partial.csv").time) == 6
+    assert not Path("o.csv").exists()
+    assert "the run ended early; its record up to t = 0.5 s is in o.partial.csv" in printed.out
     assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
 
 
@@ -319,14 +320,14 @@ from orchestrator.__main__ import main
 from orchestrator.base.coupling import CONTROLS, MASTERS
 from orchestrator.check.report import TOOLS
 from orchestrator.cli import app
-from orchestrator.engine.recorder import Recorder
+from orchestrator.data.trace_writer import TraceFile
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
-collect = Recorder.collect
-def interrupt(self):
-    collect(self)
-    if self.points > 1000:
+append = TraceFile.append
+def interrupt(self, times, values):
+    append(self, times, values)
+    if 1000 < self.rows < 2000:
         os.kill(os.getpid(), signal.SIGINT)
-Recorder.collect = interrupt
+TraceFile.append = interrupt
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -338,9 +339,9 @@ def test_ctrl_c_leaves_the_record(fmus):
     arguments = ["run", str(fmus["mass_b"]), "--stop", "1e4", "--record-step", "1e-3", "--out", "o.parquet"]
     ended = python(INTERRUPTED, *arguments)
     assert ended.returncode == 130, ended.stderr
-    assert "is in o.parquet" in ended.stdout
+    assert "is in o.partial.parquet" in ended.stdout
     assert "Traceback" not in ended.stderr
-    assert len(read_trace("o.parquet").time) > 1000
+    assert len(read_trace("o.partial.parquet").time) > 1000
 
 
 def python(code, *arguments):

@@ -9,6 +9,7 @@ from any_fmu.outcome import OPENERS
 
 from orchestrator import Coupling, Trace, assemble, run
 from orchestrator.base.files import Location
+from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_prediction import Linearisation
@@ -115,7 +116,8 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
     def ends(rejected):
         coupling = Coupling("interface-jacobian", adaptive=1e-3, lag=lag)
         job = Job(open_oscillator, None, coupling)
-        with job.opened(Grid(0.0, 0.5, 1, first=1e-2, free=True)) as opened:
+        sink = TraceInMemory()
+        with job.opened(Grid(0.0, 0.5, 1, first=1e-2, free=True), sink) as opened:
             state, tries = opened.loop.state, 0
             size = engine_h().StepSize.from_address(state.step_size)
             state.patience = 0.0  # one step at a time
@@ -125,7 +127,7 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
                 state.error_tolerance = 1e-300 if tries % (rejected + 1) < rejected else 1e300
                 tries += 1
                 opened.loop.advance()
-            return (state.steps, state.repeated), opened.recorder.trace()["a.x"]
+            return (state.steps, state.repeated), sink.trace["a.x"]
 
     (counts, once), (more, thrice) = ends(0), ends(2)
     assert counts == (50, 0)

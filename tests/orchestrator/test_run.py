@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from orchestrator import Execution, Interrupted, Problem, Record, RunFailed, Trace, assemble, run
+from orchestrator.data.trace_writer import SignalNames, TraceInMemory
 from orchestrator.engine.result import Card, compare
-from orchestrator.engine.simulation_loop import ProgressBar
+from orchestrator.engine.run import ProgressBar
 from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.system import Component, System
@@ -227,7 +228,10 @@ def test_warnings_that_differ_in_numbers_only_are_merged():
         "m: the step was cut at t = 1.0 s (2 times, first at t = 2.5 s)",
     ]
     forces = np.array([0.0, -758.0, 60.0])
-    record = Trace(np.array([0.0, 1.0, 2.0]), {"m.force": forces, "void": forces}, {"m.force": "N"})
+    record = TraceInMemory()
+    record.begin(SignalNames(("m.force", "void"), {"m.force": "N"}))
+    for t, force in enumerate(forces):  # rows that arrive one by one
+        record.append(np.array([float(t)]), np.array([[force, force]]))
     peak, void, _ = log.warnings(record)
     assert peak.endswith("(the first of 3, at t = 0.5 s; largest recorded: -758 N at t = 1 s)")
     assert void == "m at t = 2.5 s: void = 3e-7 m3"  # of another component

@@ -234,7 +234,7 @@ def test_a_missing_compiler_is_one_line_with_the_package_to_install(monkeypatch,
     with pytest.raises(
         Problem, match=r"^the engine is not compiled: .*; install the Python package ziglang"
     ) as told:
-        run(oscillator, step=1e-2, stop=0.5)
+        run(oscillator, step=1e-2, stop=0.5, isolate=False)
     assert type(told.value) is Problem  # no run was begun
     assert reason in str(told.value)
     assert len(str(told.value).splitlines()) == 1
@@ -329,7 +329,7 @@ def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, wo
     C checks for an interrupt every 0.1 s. What counts is the time that the process computes: a machine that
     is busy with other things may take longer to let it.
     """
-    assert simulation_loop.CHECK_INTERVAL <= 0.1
+    assert simulation_loop.ADVANCE_TIME <= 0.1
     files = [part.source.path for part in moving.components.values()]
     late, rows, reached, steps, complete = interrupted(*files, master, in_c, worth)
     assert float(late) < 1.0
@@ -355,17 +355,18 @@ GROWTH = (
     + """
 import os
 import numpy as np
-from orchestrator.engine import job
+from orchestrator.engine import run as runs
 sizes, looks = np.ones(100_000, int), 0
-class Scale(job.ProgressBar):
+class Scale(runs.ProgressBar):
     def update(self, done):
         global looks
         with open("/proc/self/statm") as file:
             sizes[looks] = int(file.read().split()[1])  # pages
         looks += 1
-job.ProgressBar = Scale
+runs.ProgressBar = Scale
 steps, master = int(sys.argv[4]), Coupling(**eval(sys.argv[3]))
-run(system, master=master, step=1e-3, stop=steps * 1e-3, record_step=steps * 1e-3 / int(sys.argv[5]))
+stop = steps * 1e-3
+run(system, master=master, step=1e-3, stop=stop, record_step=stop / int(sys.argv[5]), isolate=False)
 early = looks // 10
 print((sizes[early:looks].max() - sizes[:early].max()) * os.sysconf("SC_PAGE_SIZE"))
 """

@@ -12,6 +12,7 @@ from pyssp_standard.ssd import SSD
 from orchestrator import Coupling, Problem, Trace, load, run
 from orchestrator.__main__ import main
 from orchestrator.data.trace import read_trace
+from orchestrator.engine.result import read_metadata
 
 SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 HEAD = f"""<ssd:SystemStructureDescription version="1.0" name="pair"
@@ -95,15 +96,13 @@ def test_a_master_from_python_puts_the_suggestion_aside(make):
         (["--master", "hermite", "--guard", "0"], Coupling("hermite", guard=0)),
     ],
 )
-def test_the_command_line_changes_single_settings(make, tmp_path, monkeypatch, options, expected):
+def test_the_command_line_changes_single_settings(make, tmp_path, options, expected):
     """The choices of the file are kept unless a master is given."""
-    ran = []
     path = make(annotated(coupling(inside=FACTOR)))
-    monkeypatch.setattr("orchestrator.engine.run.save", lambda result, *_: ran.append(result))
     assert main(["run", str(path), "--out", str(tmp_path / "o.csv"), *options]) == 0
-    (result,) = ran
-    assert result.coupling == expected
-    assert result.card.steps == (100 if "--master" in options else 10)
+    metadata = read_metadata(tmp_path / "o.csv")
+    assert metadata.coupling == expected.settings
+    assert metadata.steps == (100 if "--master" in options else 10)
 
 
 def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.process import Worker, machine_memory
+from orchestrator.worker.process import Worker, WorkerLimits, machine_memory
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")
 SOON = 20.0  # s: long after anything that is waited for here, also on a crowded machine
@@ -161,7 +161,7 @@ def test_much_that_is_written_to_stderr_is_thrown_away(start, monkeypatch):
     worker = start("end")
     worker.put("stay")
     worker.get(SOON)
-    worker._truncate_stderr()
+    worker.check_limits(WorkerLimits(), 0.0)
     assert until(lambda: worker.last_stderr_line == "")
 
 
