@@ -19,7 +19,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.worker.calls import calls_in_progress
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
 if TYPE_CHECKING:
@@ -185,12 +184,11 @@ class _Supervision:
 
     def _cause(self) -> str:
         """The FMU, what happened, and in which call, in one line."""
-        calls = list(calls_in_progress(self._worker.folder / "calls"))
-        ending = self._killed_because or self._worker.ending.replace("exit", "ended the process with exit")
-        if not calls:
-            return ending if self._killed_because else f"the process of the run: {ending}{self._last_words()}"
-        where = "; ".join(f"{call.component}: {ending} in {call}" for call in calls)
-        return f"{where}{self._last_words()}"
+        worker = self._worker
+        cause = self._killed_because or worker.ending.replace("exit", "the process ended with exit")
+        if cause == "interrupted":
+            return worker.where
+        return f"{cause} {worker.where}{self._last_words()}"
 
     def _last_words(self) -> str:
         """The last messages that FMUs logged or printed."""

@@ -26,7 +26,6 @@ from orchestrator.realtime.shared_memory import (
     SharedState,
     size,
 )
-from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.process import Worker, machine_memory
 
 KEPT = 1800.0  # [s]; frames of this time are kept
@@ -55,7 +54,6 @@ class MachineProcess:
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
         self._worker = Worker(target, "live", END_TIMEOUT, descriptors=memory.descriptors)
-        self._activity = ActivityRecord(self._worker.folder / "beacon")  # readable after the end
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
         self._began = self._heard = time.monotonic()
@@ -166,8 +164,8 @@ class MachineProcess:
 
     @property
     def _where(self) -> str:
-        """The last call into an FMU."""
-        return str(self._activity.read())
+        """The call into an FMU that is in progress, or was at the end."""
+        return self._worker.where
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import Signals
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
-from orchestrator.engine.recorded_calls import recorded
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
@@ -52,7 +51,7 @@ def main(channel: Channel) -> None:
     )
     details: dict[str, Any] = {}
     try:
-        stepper = FrameStepper(task.setup, recorded(channel.activity))
+        stepper = FrameStepper(task.setup)
         _run(stepper, task, shared, details, lambda: not channel.ended.is_set())
     except Exception as problem:
         message = str(problem) if isinstance(problem, Problem) else f"{type(problem).__name__}: {problem}"

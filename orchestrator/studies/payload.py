@@ -17,7 +17,6 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.engine import simulation_loop
-from orchestrator.engine.recorded_calls import recorded
 from orchestrator.studies.cases import Options, Sample, StudyCase
 from orchestrator.studies.single_run import outcome
 from orchestrator.studies.study import Study
@@ -101,13 +100,9 @@ def main(channel: Channel) -> None:
     simulation_loop.CORES = 1  # there is a process on every core
     study_payload: Payload = channel.get()
     cases, originals = study_payload.unpacked(channel.folder / "fmus")
-    open_fmu = recorded(channel.activity, originals)
-    channel.put("ready")
+    channel.put(originals)
     while True:
         sample: Sample = channel.get()
         began = time.perf_counter()
-        result = outcome(study_payload.study, cases[sample.options], sample, open_fmu)
-        reason = result.reason
-        for unpacked, original in originals.items():  # folders differ from process to process
-            reason = reason.replace(unpacked, original)
-        channel.put(replace(result, reason=reason, wall=time.perf_counter() - began))
+        result = outcome(study_payload.study, cases[sample.options], sample)
+        channel.put(replace(result, wall=time.perf_counter() - began))

@@ -8,8 +8,9 @@ from __future__ import annotations
 import pickle
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from distributed import WorkerPlugin, get_worker
@@ -31,7 +32,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         """name: name of the plugin in this cluster; data: pickled payload."""
         self.name, self._data = name, data
         self._idle: queue.SimpleQueue[Worker]
-        self._processes: set[Worker]
+        self._processes: dict[Worker, Mapping[str, str]]  # unpacked FMU -> original FMU
 
     def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """Read the study; called on the Dask worker."""
@@ -39,7 +40,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         gigabytes = self._study.memory_limit
         memory = MEMORY_SHARE * machine_memory() if gigabytes is None else 1e9 * gigabytes
         self._limits = WorkerLimits(total_time=self._study.time_limit, memory=memory)
-        self._idle, self._processes, self._stop = queue.SimpleQueue(), set(), threading.Event()
+        self._idle, self._processes, self._stop = queue.SimpleQueue(), {}, threading.Event()
 
     def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """End all processes, including those that run a sample."""
@@ -53,12 +54,17 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         for sample in batch:
             process = self._process()
             process.put(sample)
+            originals = self._processes[process]
             try:
-                outcomes.append(self._answer(process, self._limits))
+                outcome: RunOutcome = self._answer(process, self._limits)
                 self._idle.put(process)
             except ProcessEnded as ended:
+                outcome = failed(self._study, sample.run, str(ended))
                 self._close(process)
-                outcomes.append(failed(self._study, sample.run, str(ended)))
+            reason = outcome.reason
+            for unpacked, original in originals.items():  # folders differ from process to process
+                reason = reason.replace(unpacked, original)
+            outcomes.append(replace(outcome, reason=reason))
         return outcomes
 
     def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
@@ -78,10 +84,10 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
             raise Problem("the study is stopped")
         single_thread = {f"{name}_NUM_THREADS": "1" for name in THREADS}
         process = Worker("orchestrator.studies.payload:main", "sweep", environment=single_thread)
-        self._processes.add(process)
+        self._processes[process] = {}
         process.put(self._data)
         try:
-            self._answer(process, WorkerLimits())
+            self._processes[process] = self._answer(process, WorkerLimits())
         except ProcessEnded as ended:
             self._close(process)
             raise Problem(f"a process for runs could not be started: {ended}") from None
@@ -89,7 +95,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
 
     def _close(self, process: Worker) -> None:
         process.close()
-        self._processes.discard(process)
+        self._processes.pop(process, None)
 
 
 class ProcessEnded(Exception):

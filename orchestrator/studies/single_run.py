@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.engine.job import Opener, open_slave
 from orchestrator.engine.run import run
 from orchestrator.studies.cases import Sample, StudyCase, signal
 from orchestrator.studies.study import Output, Study
@@ -46,7 +45,7 @@ def failed(study: Study, run: int, reason: str) -> RunOutcome:
     return RunOutcome(run, FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
 
 
-def outcome(study: Study, case: StudyCase, sample: Sample, open: Opener = open_slave) -> RunOutcome:
+def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
     """Run a sample; an error becomes its outcome."""
     system = case.system
     try:

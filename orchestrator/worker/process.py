@@ -97,7 +97,8 @@ class Worker:
         self._messages: Queue[Any] = Queue(MAX_MESSAGES)
         reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
         reader.start()
-        end = self._child, reader, self._messages, self._activity, self.folder, grace
+        self._last: list[str] = []
+        end = self._child, reader, self._messages, self._activity, self.folder, grace, self._last
         self.close = weakref.finalize(self, _end, *end)
 
     @property
@@ -109,6 +110,11 @@ class Worker:
     def alive(self) -> bool:
         """True while the process runs."""
         return self._child.poll() is None
+
+    @property
+    def where(self) -> str:
+        """The calls into FMUs that are in progress, or were at the end; else the last activity."""
+        return self._last[0] if self._last else _where(self.folder, self._activity)
 
     @property
     def activity(self) -> Activity:
@@ -146,7 +152,7 @@ class Worker:
     def report(self) -> str:
         """Cause of the end, last activity and last line of stderr, for a message."""
         cause = self.ending.replace("exit status", "the process ended with exit status")
-        return f"{cause} {self.activity}" + (
+        return f"{cause} {self.where}" + (
             f' ("{self.last_stderr_line[:120]}")' if self.last_stderr_line else ""
         )
 
@@ -215,7 +221,7 @@ class Worker:
             try:
                 self.check_limits(limits, begin)
             except LimitExceeded as limit:
-                raise LimitExceeded(f"{limit}, stopped {activity}", limit.timed_out) from None
+                raise LimitExceeded(f"{limit}, stopped {self.where}", limit.timed_out) from None
             if stop is not None and stop.is_set():
                 raise LimitExceeded("interrupted", timed_out=True)
 
@@ -272,6 +278,14 @@ def _read(source: Any, messages: Queue[Any]) -> None:
     messages.put(_END_OF_MESSAGES)
 
 
+def _where(folder: Path, activity: ActivityRecord) -> str:
+    calls = [
+        f"in {call} of {call.label.decode(errors='replace')}" for call in calls_in_progress(folder / "calls")
+    ]
+    last = activity.read()
+    return "; ".join(calls) or (str(last) if last.count else "outside of the FMUs")
+
+
 def _kill(child: subprocess.Popen[bytes]) -> None:
     """Kill a process and its children."""
     if hasattr(os, "killpg"):
@@ -288,6 +302,7 @@ def _end(
     activity: ActivityRecord,
     folder: Path,
     grace: float,
+    last: list[str],
 ) -> None:
     """Close the pipe, wait, kill the process and its children, and remove the files."""
     with suppress(OSError):
@@ -305,5 +320,6 @@ def _end(
     with suppress(OSError):
         if child.stdout is not None:
             child.stdout.close()
+    last.append(_where(folder, activity))
     activity.close()
     shutil.rmtree(folder, ignore_errors=True)

@@ -85,7 +85,7 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     """The stderr of a child process is discarded if it becomes very long."""
     errors = sleeper.folder / "errors"
     errors.write_bytes(bytes(MAX_STDERR + 1))
-    ActivityRecord(sleeper.folder / "beacon").call("fmi2DoStep")
+    ActivityRecord(sleeper.folder / "activity").call("fmi2DoStep")
     with pytest.raises(LimitExceeded, match=r"^hang: no return within 0.2 s in fmi2DoStep$") as exceeded:
         list(sleeper.messages(WorkerLimits(call_time=0.2)))
     assert not exceeded.value.timed_out
@@ -135,7 +135,7 @@ def _hangs_in_a_step(there: Path) -> bool:
     """A child process is in the same call of fmi2DoStep as half a second ago."""
 
     def calls() -> set[bytes]:
-        return {b.read_bytes() for b in there.glob("probe-*/beacon")}
+        return {b.read_bytes() for b in there.glob("probe-*/activity")}
 
     before = calls()
     time.sleep(0.5)

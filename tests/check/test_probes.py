@@ -204,7 +204,7 @@ def test_a_growing_mode_is_not_stiff(oscillators, tmp_path):
 def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
     """This FMU allows one instance at a time, and each probe creates some."""
     subject = opened(oscillators.make(2, "once"), tmp_path)
-    trial = Trial(subject.folder, subject.model, "ModelExchange", ActivityRecord(tmp_path / "beacon"))
+    trial = Trial(subject.folder, subject.model, "ModelExchange", ActivityRecord(tmp_path / "activity"))
     for task in (importing_solver.nominals, importing_solver.late, importing_solver.stiff) * 2:
         assert list(task(trial)) == []
 
