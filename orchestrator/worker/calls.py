@@ -61,6 +61,11 @@ class CallSlot(ctypes.Structure):
         text = name if " " in name else f"fmi{self.fmi}{name}"
         return text + (f" at t = {t:.9g} s" if t == t else "")
 
+    @property
+    def instance(self) -> str:
+        """Component and file of the FMU."""
+        return self.label.decode(errors="replace")
+
 
 _Slots: Any = CallSlot * SLOTS
 _slots = _Slots()

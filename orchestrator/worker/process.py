@@ -26,6 +26,7 @@ from queue import Empty, Queue
 from typing import Any
 
 from orchestrator.worker.activity import Activity, ActivityRecord
+from orchestrator.worker.calls import calls_in_progress
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits
@@ -279,9 +280,8 @@ def _read(source: Any, messages: Queue[Any]) -> None:
 
 
 def _where(folder: Path, activity: ActivityRecord) -> str:
-    calls = [
-        f"in {call} of {call.label.decode(errors='replace')}" for call in calls_in_progress(folder / "calls")
-    ]
+    """The calls in progress in a process, else its last activity."""
+    calls = [f"in {call} of {call.instance}" for call in calls_in_progress(folder / "calls")]
     last = activity.read()
     return "; ".join(calls) or (str(last) if last.count else "outside of the FMUs")
 
