@@ -114,7 +114,7 @@ class Worker:
 
     @property
     def where(self) -> str:
-        """The calls into FMUs that are in progress, or were at the end; else the last activity."""
+        """The last activity, else the FMI calls in progress; also after `close`."""
         return self._last[0] if self._last else _where(self.folder, self._activity)
 
     @property
@@ -280,10 +280,11 @@ def _read(source: Any, messages: Queue[Any]) -> None:
 
 
 def _where(folder: Path, activity: ActivityRecord) -> str:
-    """The calls in progress in a process, else its last activity."""
+    """The last activity that a process has stored, else the FMI calls in progress."""
+    if (last := activity.read()).count:
+        return str(last)
     calls = [f"in {call} of {call.instance}" for call in calls_in_progress(folder / "calls")]
-    last = activity.read()
-    return "; ".join(calls) or (str(last) if last.count else "outside of the FMUs")
+    return "; ".join(calls) or "outside of the FMUs"
 
 
 def _kill(child: subprocess.Popen[bytes]) -> None:
