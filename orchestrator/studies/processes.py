@@ -62,7 +62,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
                 outcome = failed(self._study, sample.run, str(ended))
                 self._close(process)
             reason = outcome.reason
-            for unpacked, original in reversed(originals.items()):  # fmus/10 before fmus/1
+            for unpacked, original in originals.items():  # folders differ from process to process
                 reason = reason.replace(unpacked, original)
             outcomes.append(replace(outcome, reason=reason))
         return outcomes
