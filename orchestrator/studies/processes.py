@@ -53,6 +53,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         outcomes: list[RunOutcome] = []
         for sample in batch:
             process = self._process()
+            process.forget_printed()  # by the run before
             process.put(sample)
             originals = self._processes[process]
             try:

@@ -241,7 +241,7 @@ class Worker:
 
     def kill(self) -> None:
         """End the process and its children at once; messages that it has sent can still be read."""
-        _kill(self._child)
+        _kill(self._child, self.folder)
 
 
 def machine_memory() -> float:
@@ -287,13 +287,25 @@ def _where(folder: Path, activity: ActivityRecord) -> str:
     return "; ".join(calls) or "outside of the FMUs"
 
 
-def _kill(child: subprocess.Popen[bytes]) -> None:
-    """Kill a process and its children."""
+def _kill(child: subprocess.Popen[bytes], folder: Path) -> None:
+    """Kill a process and those that it has started, on Linux also those in sessions of their own."""
     if hasattr(os, "killpg"):
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, signal.SIGKILL)
     if child.poll() is None:
         child.kill()
+    for pid in _started_in(folder):
+        with suppress(ProcessLookupError, PermissionError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _started_in(folder: Path) -> Iterator[int]:
+    """Processes that have inherited the environment variable TMPDIR of a worker (Linux)."""
+    mark = b"TMPDIR=" + os.fsencode(folder) + b"\0"
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended, or belongs to another user
+            if mark in (process / "environ").read_bytes():
+                yield int(process.name)
 
 
 def _end(
@@ -311,7 +323,7 @@ def _end(
             child.stdin.close()
     with suppress(subprocess.TimeoutExpired):
         child.wait(grace)
-    _kill(child)
+    _kill(child, folder)
     child.wait()
     until = time.monotonic() + 1.0
     while reader.is_alive() and time.monotonic() < until:
@@ -319,7 +331,7 @@ def _end(
             messages.get(timeout=0.01)
         reader.join(0.01)
     with suppress(OSError):
-        if child.stdout is not None:
+        if child.stdout is not None and not reader.is_alive():  # closing it would wait for the reader
             child.stdout.close()
     last.append(_where(folder, activity))
     activity.close()

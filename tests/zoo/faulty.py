@@ -17,7 +17,7 @@ from orchestrator.base.compiler import SUFFIX, shared_library
 
 FLAGS = ("-std=gnu11", "-O1", "-fno-sanitize=undefined", "-fPIC", "-shared", "-Wall", "-Wextra", "-s")
 HANGS = ("spin", "sleep")
-HARMLESS = ("none", "fork", "print")  # the run ends as if nothing had happened
+HARMLESS = ("none", "fork", "daemon", "print")  # the run ends as if nothing had happened
 CAUSES = {  # what a message calls a fault that ends the process
     "exit_0": "exit status 0",
     "exit_7": "exit status 7",
