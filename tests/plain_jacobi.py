@@ -12,7 +12,7 @@ import numpy as np
 from work_cycle import SIGNALS
 
 from orchestrator import System, load, run
-from orchestrator.engine.initialisation import initialise
+from orchestrator.engine.network import initialise
 from orchestrator.engine.run import open_slave
 
 # the same algorithm on the same FMUs: only the times of the steps differ, by rounding, and with them the

@@ -55,6 +55,9 @@ def run(
     coupled: CouplingOptions,
 ) -> None:
     """Co-simulate a system and record its signals."""
+    from orchestrator.engine.isolated import start_process
+
+    start_process()  # before the slow imports
     from orchestrator.engine.run import run_to_file
 
     options = case.options() | steps.options() | {"error_estimate": error_estimate}

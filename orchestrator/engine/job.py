@@ -16,10 +16,9 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import RowSink, TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
-from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import LinearPrediction
 from orchestrator.engine.masters import MASTERS
-from orchestrator.engine.network import Network
+from orchestrator.engine.network import Network, initialise
 from orchestrator.engine.recorder import BondEnergy, EnergyMonitor, Recorder
 from orchestrator.engine.result import Card
 from orchestrator.engine.scenario import Scenario

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.engine.initialisation import initialise
 from orchestrator.engine.linear_prediction import Linearisation
+from orchestrator.engine.network import initialise
 from orchestrator.fmi.calls import Call, Slave
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.linear.cut_system import CutSystem

@@ -13,7 +13,7 @@ from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.files import Location
 from orchestrator.engine.c_library import library
-from orchestrator.engine.initialisation import initialise
+from orchestrator.engine.network import initialise
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import open_slave
 from orchestrator.fmi.calls import address
