@@ -28,6 +28,7 @@ from orchestrator.data.matlab import MAX_BYTES, check_size, first_line, read_var
 
 Array = NDArray[np.float64]
 SUFFIXES = (".csv", ".parquet", ".mat")
+PARTIAL = ".partial.csv"  # end of the name of a trace that is being written, see `trace_writer`
 GAP_MARKS = ("", "nan", "na", "n/a", "null", "none")  # texts that loggers write for a missing sample
 CHUNK = 5000  # rows of text converted at once, or cell by cell if one of them has a gap
 MAX_LISTED_COLUMNS = 256  # a matrix with more columns is read by rows
@@ -172,7 +173,10 @@ class _Text:
 
     def _text(self) -> str:
         try:
-            return self.file.read(MAX_BYTES).decode("utf-8-sig")
+            text = self.file.read(MAX_BYTES).decode("utf-8-sig")
+            if self.file.path.name.endswith(PARTIAL):  # the last row is cut if the run was killed
+                return text[: text.rfind("\n") + 1]
+            return text
         except UnicodeDecodeError as error:
             line, byte = error.object[: error.start].count(b"\n") + 1, error.object[error.start]
             got = f"got the byte 0x{byte:02x}"

@@ -101,7 +101,7 @@ class _Supervision:
         self._layout: RowLayout | None = None
         self._outcome: Outcome | None = None
         self._messages: list[LogMessage] = []
-        self._kill_at, self._killed_because = float("inf"), ""
+        self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
     def outcome(self, check: Callable[[], None]) -> Outcome:
         """Wait for the end of the run; `check` raises KeyboardInterrupt if the user interrupts it."""
@@ -211,6 +211,7 @@ class _Supervision:
         rows = np.union1d(rows, np.arange(count)[-1:])  # the latest point is always recorded
         rows = rows[~(block.time[rows] <= sink.last)]  # those that were not sent; NaN without any row
         sink.append(block.time[rows], layout.values(block, rows))
+        outcome.wall = time.perf_counter() - self._began
         outcome.t, outcome.steps, outcome.passes = state.t, state.steps, state.all_passes
         outcome.repeated, outcome.lengths = state.repeated, (state.shortest, state.longest)
 

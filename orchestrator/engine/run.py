@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from orchestrator.base.coupling import Coupling
+from orchestrator.base.errors import Stopped
 from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.data.trace import Trace, read_trace
@@ -301,6 +302,9 @@ def run_to_file(
         outcome = simulate(job, times, file)
         with DeferredInterrupts(second_at_once=False):  # a file is written whole or not at all
             result, summary = _published(job, times, outcome, file, given)
+    except KeyboardInterrupt as interrupt:  # the library of the command line would drop its message
+        file.close()
+        raise Stopped(str(interrupt)) from None
     except BaseException:
         file.close()
         raise

@@ -239,7 +239,7 @@ def validate_system(
     # A reference of the default system contains signals that a swapped FMU lacks.
     missing = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
     against = against.select([name for name in against.signals if name not in missing])
-    recorded = result.trace
+    recorded = result.trace.select(result.trace.signals)  # in memory, also if the run is long
     if len(result.system.components) == 1:
         against = without_repetitions(against)
         recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in page.signals)])
