@@ -74,8 +74,8 @@ def _told(error: Exception) -> int:
             return 2
         context = getattr(error, "ctx", None)
         message = f"{message.rstrip('.')}; see {context.command_path if context else 'harvester'} --help"
-    elif isinstance(error, OSError) and error.filename:
-        message = f"{error.filename}: {error.strerror}"
+    elif isinstance(error, OSError):
+        message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or message
     elif not isinstance(error, Problem):
         raise error
     print(f"harvester: {one_line(message)}", file=sys.stderr)

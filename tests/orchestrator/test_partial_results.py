@@ -1,0 +1,227 @@
+"""A result appears whole or not at all under its name; the rows of a run that ends early can be read."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator import Problem, Trace, read_trace, write_trace
+from orchestrator.data.trace_writer import PART_ROWS, SignalNames, TraceFile, TraceInMemory
+from orchestrator.engine.result import read_metadata
+from zoo.command import command, until
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
+FORMATS = (".csv", ".parquet")
+ENDLESS = ("--stop", "1e7", "--step", "1e-3", "--record-step", "1e-3")
+
+
+def rows(first, last):
+    """Times and values of the rows from `first` on; the values are 1/3 of the times and their negative."""
+    times = np.arange(first, last, dtype=float)
+    return times, np.stack([times / 3, -times / 3], axis=1)
+
+
+def begun(path):
+    """A trace file with two signals."""
+    file = TraceFile(path)
+    file.begin(SignalNames(("a", "b"), {"a": "m"}))
+    return file
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("blocks", [[1], [3, 5], [PART_ROWS, 7], [10] * 40, [0, 4, 0]])
+def test_rows_that_arrive_in_blocks_are_the_trace_written_at_once(tmp_path, suffix, blocks):
+    """Also beyond the number of rows of one Parquet file of a partial trace."""
+    file, memory, first = begun(tmp_path / f"blocks{suffix}"), TraceInMemory(), 0
+    memory.begin(file)
+    for count in blocks:
+        file.append(*rows(first, first + count))
+        memory.append(*rows(first, first + count))
+        first += count
+    file.publish(file.finish()[0])
+    again, whole = read_trace(file.path), read_trace(write_trace(memory.trace, tmp_path / f"whole{suffix}"))
+    for trace in (again, whole, file.trace(file.path)):
+        np.testing.assert_array_equal(trace.time, np.arange(first))
+        np.testing.assert_array_equal(trace["a"], np.arange(first) / 3)
+    assert again.units == whole.units == ({"a": "m"} if suffix == ".parquet" else {})
+    if suffix == ".csv":
+        assert file.path.read_bytes() == (tmp_path / "whole.csv").read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {f"blocks{suffix}", f"whole{suffix}"}
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_partial_trace_can_be_read_while_it_is_written(tmp_path, suffix, monkeypatch):
+    """Each time all rows that were written; the file under its name is the earlier one until the end."""
+    monkeypatch.setattr("orchestrator.data.trace_writer.PART_TIME", 0.0)
+    write_trace(Trace(np.array([0.0, 1.0]), {"a": np.array([7.0, 8.0])}), tmp_path / f"t{suffix}")
+    file = begun(tmp_path / f"t{suffix}")
+    for n in range(1, 6):
+        file.append(*rows(10 * (n - 1), 10 * n))
+        np.testing.assert_array_equal(read_trace(file.partial).time, np.arange(10 * n))
+        assert read_trace(file.path)["a"].tolist() == [7.0, 8.0]
+    file.publish(file.finish()[0])
+    assert len(read_trace(file.path).time) == 50
+    assert not file.partial.exists()
+
+
+def test_a_long_trace_is_read_from_its_file(tmp_path, monkeypatch):
+    """Beyond a limit the rows are not kept in memory; the trace is the same."""
+    monkeypatch.setattr("orchestrator.data.trace_writer.MAX_KEPT", 8 * 2 * 100)
+    file = begun(tmp_path / "t.csv")
+    for n in range(20):
+        file.append(*rows(10 * n, 10 * n + 10))
+    file.publish(file.finish()[0])
+    assert file._kept.rows == 0
+    trace = file.trace(file.path)
+    np.testing.assert_array_equal(trace["b"], -np.arange(200) / 3)
+    assert (len(trace.time), trace.units, file.largest("b")) == (200, {"a": "m"}, (-199 / 3, 199.0))
+
+
+def test_a_row_that_a_kill_has_cut_is_left_out(tmp_path):
+    """The last row of a partial CSV counts only with its line break: 1.25 may have become 1.2."""
+    path = tmp_path / "t.partial.csv"
+    path.write_text("time,a\n0.0,1.0\n1.0,1.5\n2.0,1.2", encoding="utf-8")
+    assert read_trace(path).time.tolist() == [0.0, 1.0]
+
+
+def test_two_runs_do_not_write_the_same_file(tmp_path):
+    """The first one does not publish the rows of the second one."""
+    first, second = begun(tmp_path / "t.csv"), begun(tmp_path / "t.csv")
+    first.append(*rows(0, 5))
+    second.append(*rows(0, 9))
+    with pytest.raises(Problem, match=r"t\.csv: expected one run that writes this file, got two$"):
+        first.publish(first.finish()[0])
+    second.publish(second.finish()[0])
+    assert len(read_trace(second.path).time) == 9
+
+
+# ---- a full disk
+
+LIMITED = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))"
+
+
+@posix
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_full_disk_leaves_the_earlier_result_and_whole_rows(fmus, tmp_path, suffix):
+    """The limit of a file's size is an error of the system like that of a full disk."""
+    arguments = ["run", fmus["mass_b"], "--out", f"t{suffix}"]
+    assert command([*arguments, "--stop", "1", "--step", "0.1"], tmp_path).status == 0
+    earlier = {p.name: p.read_bytes() for p in tmp_path.glob("t.*")}
+    assert {*earlier} == {f"t{suffix}", "t.run.json"}
+    ended = command([*arguments, *ENDLESS], tmp_path, setup=LIMITED)
+    assert ended.status == 2
+    (line,) = ended.lines
+    assert line.startswith(f"harvester: t.partial{suffix}: cannot be written: ")
+    assert (ended.files, ended.processes) == ((), ())
+    assert {name: (tmp_path / name).read_bytes() for name in earlier} == earlier
+    assert {p.name for p in tmp_path.glob("*t.*")} - {*earlier} <= {f"t.partial{suffix}"}
+    if suffix == ".csv":
+        assert 100 < len(read_trace(tmp_path / "t.partial.csv").time)
+        assert (tmp_path / "t.partial.csv").read_bytes().endswith(b"\n")
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_disk_that_is_full_at_the_end_leaves_all_rows(tmp_path, suffix, monkeypatch):
+    """As when the metadata do not fit any more."""
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    file = begun(tmp_path / f"t{suffix}")
+    file.append(*rows(0, 30))
+    complete, _ = file.finish()
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(Problem, match=r"cannot be written: No space left on device$"):
+        file.publish(complete, {tmp_path / "t.run.json": "{}"})
+    file.close()
+    assert [p.name for p in tmp_path.iterdir()] == [f"t.partial{suffix}"]
+    assert len(read_trace(file.partial).time) == 30
+
+
+# ---- processes that are killed
+
+SEED, KILLS = 17, 20
+
+
+def _children(pid):
+    """The child processes of a process."""
+    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
+    return [int(child) for child in listed]
+
+
+def _killed(fmu, folder, victims, delay, suffix):
+    """Run over an earlier result, and kill the engine, the supervisor, or both."""
+    arguments = [sys.executable, "-m", "orchestrator", "run", fmu, *ENDLESS, "--out", f"t{suffix}"]
+    paths = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": paths, "TMPDIR": str(folder / "temporary")}
+    (folder / "temporary").mkdir(exist_ok=True)
+    run = subprocess.Popen(
+        arguments, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    time.sleep(delay)
+    (engine,) = _children(run.pid)[:1] or [0]
+    for victim in victims:
+        if victim == "supervisor":
+            run.kill()
+        elif engine:
+            os.kill(engine, signal.SIGKILL)
+    if not engine:
+        run.kill()
+    _, error = run.communicate(timeout=60)
+    assert until(lambda: not engine or not Path(f"/proc/{engine}").exists() or _zombie(engine), 10.0)
+    return run.returncode, error
+
+
+def _zombie(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+@pytest.mark.parametrize("case", [*range(4), *(pytest.param(n, marks=pytest.mark.long) for n in range(4, KILLS))])
+def test_a_kill_leaves_the_earlier_result_and_a_readable_part(fmus, tmp_path, case):
+    """SIGKILL of the engine, of the supervisor, or of both, at random moments of a run."""
+    chosen = random.Random(100 * SEED + case)
+    suffix = FORMATS[case % 2]
+    victims = chosen.choice([["engine"], ["supervisor"], ["engine", "supervisor"], ["supervisor", "engine"]])
+    write_trace(Trace(np.array([0.0, 1.0]), {"b.x": np.array([7.0, 8.0])}), tmp_path / f"t{suffix}")
+    (tmp_path / "t.run.json").write_text("{}", encoding="utf-8")
+    earlier = {p.name: p.read_bytes() for p in tmp_path.glob("t.*")}
+    status, error = _killed(fmus["mass_b"], tmp_path, victims, chosen.uniform(0.2, 3.0), suffix)
+    assert {name: (tmp_path / name).read_bytes() for name in earlier} == earlier
+    partial = tmp_path / f"t.partial{suffix}"
+    if partial.exists() and (partial.is_file() or any(partial.iterdir())):
+        trace = read_trace(partial) if _has_rows(partial) else None
+        if trace is not None:  # no row is missing
+            np.testing.assert_allclose(np.diff(trace.time[:-1]), 1e-3, rtol=0, atol=1e-9)
+    assert error.count("\n") <= 1
+    if victims == ["engine"] and status == 2:
+        assert "killed by the system" in error
+
+
+def _has_rows(partial):
+    return partial.is_dir() or partial.read_bytes().count(b"\n") > 1
+
+
+@posix
+def test_trace_and_metadata_belong_together(fmus, tmp_path):
+    """Those of a complete run, and those of a run that failed."""
+    arguments = ["run", fmus["fails"], "--stop", "1", "--step", "0.1", "--out", "t.csv"]
+    assert command(arguments, tmp_path).status == 0
+    assert read_metadata(tmp_path / "t.csv").complete
+    text = (tmp_path / "t.run.json").read_bytes()
+    failed = [*arguments, "--set", "fails.when=0.45", "--set", "fails.how=3"]
+    assert command(failed, tmp_path).status == 2
+    assert (tmp_path / "t.run.json").read_bytes() == text
+    assert read_metadata(tmp_path / "t.csv").complete
+    assert not read_metadata(tmp_path / "t.partial.csv").complete
+    assert json.loads((tmp_path / "t.partial.run.json").read_text("utf-8"))["simulated"] == 0.5
