@@ -6,7 +6,11 @@ The work cycle, in turn by the FMUs of the parts and by harvester.fmu, which is 
 
 from __future__ import annotations
 
+import statistics
+import subprocess
+import sys
 import tempfile
+import time
 from pathlib import Path
 
 from fmus.machine.build import build_machine, data
@@ -28,22 +32,42 @@ def speed(system: System, master: str, step: float) -> tuple[float, float]:
     return best.wall / best.steps * 1e6, best.real_time_factor
 
 
+START = "from orchestrator.engine.isolated import start_process; start_process(); "
+RUN = "from orchestrator.engine.run import run_to_file; from pathlib import Path; "
+CALL = "run_to_file(Path({system!r}), None, Path({out!r}), isolate={isolate})"
+
+
+def process_costs(system: Path) -> dict[bool, float]:
+    """Median wall time [s] of a bare `harvester run`, and of the same run without a process of its own."""
+    times: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(2 * REPEATS + 1):
+        for isolate, walls in times.items():
+            call = CALL.format(system=str(system), out=str(system.with_suffix(".csv")), isolate=isolate)
+            began = time.perf_counter()
+            subprocess.run([sys.executable, "-c", START * isolate + RUN + call], check=True)
+            walls.append(time.perf_counter() - began)
+    return {isolate: statistics.median(walls) for isolate, walls in times.items()}
+
+
 def main() -> None:
     """Print the table."""
     cycle = data("scenarios/work_cycle.csv")
-    print(f"{'':<22}us per step inside the FMUs{'':<33}{'us per step in all':>20}{'times real time':>20}")
-    heads = [*SUBSYSTEMS, "sum", WHOLE, "whole/sum", "parts", "whole", "parts", "whole"]
-    print(f"{'master':<14}{'step':>8}" + "".join(f"{head:>12}" for head in heads))
     with tempfile.TemporaryDirectory() as folder:
         build_machine(Path(folder))
         parts, whole = (load(Path(folder) / f"{WHOLE}.{suffix}") for suffix in ("ssp", "fmu"))
+        costs = process_costs(Path(folder) / f"{WHOLE}.ssp")
+        difference = costs[True] - costs[False]
+        print(f"harvester run: {costs[True]:.3g} s, of which its process {difference:.2g} s (bar 0.15)\n")
+        print(f"{'':<22}us per step inside the FMUs{'':<33}{'us per step in all':>20}{'times real time':>20}")
+        heads = [*SUBSYSTEMS, "sum", WHOLE, "whole/sum", "parts", "whole", "parts", "whole"]
+        print(f"{'master':<14}{'step':>8}" + "".join(f"{head:>12}" for head in heads))
         for master, step in SETTINGS:
             found = inside([parts, whole], REPEATS, scenario=cycle, master=master, step=step)
             means = found[0] | found[1]
             total = sum(means[name] for name in SUBSYSTEMS)
-            costs = [*(means[name] for name in SUBSYSTEMS), total, means[WHOLE], means[WHOLE] / total]
+            inside_fmus = [*(means[name] for name in SUBSYSTEMS), total, means[WHOLE], means[WHOLE] / total]
             (slow, slow_factor), (fast, fast_factor) = (speed(s, master, step) for s in (parts, whole))
-            cells = "".join(f"{cost:>12.2f}" for cost in costs) + f"{slow:>12.1f}{fast:>12.1f}"
+            cells = "".join(f"{cost:>12.2f}" for cost in inside_fmus) + f"{slow:>12.1f}{fast:>12.1f}"
             print(f"{master:<14}{step * 1e3:>5g} ms{cells}{slow_factor:>12.0f}{fast_factor:>12.0f}")
 
 
