@@ -188,7 +188,8 @@ class _Supervision:
         cause = self._killed_because or worker.ending.replace("exit", "the process ended with exit")
         if cause == "interrupted":
             return worker.where
-        return f"{cause} {worker.where}{self._last_words()}"
+        process = "" if worker.where.startswith("in ") else "the process of the run: "
+        return f"{process}{cause} {worker.where}{self._last_words()}"
 
     def _last_words(self) -> str:
         """The last messages that FMUs logged or printed."""

@@ -5,6 +5,7 @@ Both run the job in a process of its own, see `isolated`, unless they are asked 
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -213,12 +214,12 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
 
 
 class ProgressBar:
-    """Shows how much of `total` [s] is simulated, if `enabled` and the run takes longer than `delay`."""
+    """Shows on a terminal how much of `total` [s] is simulated, if the run takes longer than `delay`."""
 
     delay = 1.0  # [s] of wall time
 
     def __init__(self, total: float, enabled: bool) -> None:
-        self._total, self._enabled = total, enabled
+        self._total, self._enabled = total, enabled and sys.stderr.isatty()
         self._began = time.perf_counter()
         self._bar: Any = None
         self._task: Any = None

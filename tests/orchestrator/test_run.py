@@ -1,5 +1,6 @@
 """Whole runs: time, records, partial results, the accuracy card."""
 
+import sys
 import time
 
 import numpy as np
@@ -327,7 +328,10 @@ def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(ProgressBar, "delay", 0.0)
+    run(oscillator, step=0.01, stop=10.0, progress=True)
+    assert capsys.readouterr().err == ""  # not a terminal
     monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     run(oscillator, step=0.01, stop=10.0, progress=True)
     assert "10 s simulated" in capsys.readouterr().err
 
