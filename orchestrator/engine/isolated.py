@@ -11,6 +11,7 @@ The process is started before the parent has read the system, and one idle proce
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
 import time
@@ -236,6 +237,8 @@ def main(channel: Channel) -> None:
             continue
         try:
             _run(channel, task)
+            if os.name == "posix":  # what FMUs printed may wait in the buffer of the C library
+                ctypes.CDLL(None).fflush(None)
             channel.put(("closed", None))
         except Problem as problem:
             channel.put(("problem", problem))

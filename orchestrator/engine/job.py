@@ -88,6 +88,14 @@ class Execution:
         """Is the run in a process of its own?"""
         return self.isolate and self.open is open_slave
 
+    def check(self) -> None:
+        """Refuse limits that cannot be enforced."""
+        for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
+            if not limit > 0:
+                raise Problem(f"{name}: expected a positive number, got {limit:g}")
+            if limit < math.inf and not self.isolated:
+                raise Problem(f"{name}: expected a run in a process of its own, got one in this process")
+
 
 @dataclass
 class OpenJob:

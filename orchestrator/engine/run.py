@@ -113,6 +113,7 @@ def prepare(
 ) -> tuple[Job, Grid]:
     """The job of a run and its communication points; arguments of `run`."""
     record, execution = _with_options(record, execution, options)
+    execution.check()
     if execution.isolated:
         start_process()
     system = with_swaps(system if isinstance(system, System) else load(system), swap or {})

@@ -105,5 +105,6 @@ def test_an_interrupt_is_obeyed_while_an_fmu_hangs(tmp_path: Path, fault: str, p
     assert obeyed(ended)
     assert ended.status == 130
     assert len(ended.lines) == 1
-    assert ended.lines[0].startswith("harvester: interrupted")
+    assert ended.lines[0].startswith(f"harvester: interrupted; in {fmu.call} ")
+    assert ended.lines[0].endswith(f" of lag ({fmu.fmu})")
     _check_rows(tmp_path, fmu)

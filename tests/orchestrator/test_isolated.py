@@ -1,0 +1,112 @@
+"""Runs in a process of their own, from Python: the same bits, failures with their rows, and the next run."""
+
+import os
+import sys
+
+import numpy as np
+import pytest
+from zoo.faulty import faulty
+
+from orchestrator import Problem, RunFailed, load, run
+from orchestrator.engine import isolated
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="faults and limits of POSIX")
+STEPS = {"step": 0.01, "stop": 1.0}
+
+
+def process():
+    """Id of the process that is kept for the next run."""
+    ((worker, _),) = isolated._idle
+    return worker.pid
+
+
+def test_the_numbers_are_those_of_a_run_in_this_process(oscillator):
+    """Bit by bit; so are card and metadata, except for wall times."""
+    one, other = (run(oscillator, **STEPS, isolate=isolate) for isolate in (True, False))
+    np.testing.assert_array_equal(one.trace.time, other.trace.time)
+    assert [*one.trace.signals] == [*other.trace.signals]
+    for name, values in other.trace.signals.items():
+        np.testing.assert_array_equal(one.trace[name], values, err_msg=name)
+    for field in ("bonds", "notes", "warnings", "steps", "passes", "lengths", "simulated"):
+        assert getattr(one.card, field) == getattr(other.card, field)
+
+
+def test_a_process_is_used_again(oscillator, monkeypatch):
+    """Unless the environment variables have changed, which an FMU may read."""
+    run(oscillator, **STEPS)
+    first = process()
+    run(oscillator, **STEPS)
+    assert process() == first
+    monkeypatch.setenv("HARVESTER_TEST", "1")
+    run(oscillator, **STEPS)
+    assert process() != first
+
+
+def test_relative_paths_are_those_of_the_caller(fmus, tmp_path, monkeypatch):
+    """Also if the working directory has changed since the process started."""
+    run(fmus["source"], **STEPS)
+    (tmp_path / "here.fmu").write_bytes(fmus["source"].read_bytes())
+    monkeypatch.chdir(tmp_path)
+    assert len(run("here.fmu", **STEPS).trace.time) == 101
+
+
+@posix
+def test_a_crash_gives_the_rows_and_the_next_run_works(tmp_path):
+    """The point before the crash is the last row, also between two recorded ones."""
+    crashing, good = faulty(tmp_path, "segfault", name="bad"), faulty(tmp_path)
+    for record_step, last in ((0.01, 0.5), (0.03, 0.5)):
+        with pytest.raises(
+            RunFailed, match=r"^segmentation fault in fmi2DoStep at t = 0\.5 s of bad "
+        ) as failed:
+            run(crashing.fmu, **STEPS, record_step=record_step)
+        trace = failed.value.result.trace
+        expected = [*np.arange(0.0, 0.5, record_step), last]
+        np.testing.assert_allclose(trace.time, expected[: len(trace.time)], rtol=0, atol=1e-12)  # rounding
+        assert trace.time[-1] == pytest.approx(last)
+        assert not failed.value.result.complete
+        assert failed.value.result.card.steps == 50
+    assert len(run(good.fmu, **STEPS).trace.time) == 101
+
+
+@posix
+def test_a_crash_before_the_run_is_a_problem_without_a_result(tmp_path):
+    """Nothing has been recorded."""
+    crashing = faulty(tmp_path, "exit_0", "initialise")
+    with pytest.raises(
+        Problem, match=r"^the process ended with exit status 0 in fmi2ExitInitializationMode"
+    ) as problem:
+        run(crashing.fmu, **STEPS)
+    assert type(problem.value) is Problem
+
+
+@posix
+def test_a_limit_of_time_ends_a_run_that_hangs(tmp_path):
+    """With the call that does not return."""
+    hanging = faulty(tmp_path, "sleep")
+    with pytest.raises(RunFailed, match=r"^not done within 1 s in fmi2DoStep at t = 0\.5 s of lag "):
+        run(hanging.fmu, **STEPS, time_limit=1.0)
+
+
+def test_a_limit_needs_a_process_of_its_own(oscillator):
+    """A limit that could not be kept is refused."""
+    with pytest.raises(Problem, match="time_limit: expected a run in a process of its own"):
+        run(oscillator, **STEPS, isolate=False, time_limit=1.0)
+
+
+@posix
+def test_what_an_fmu_prints_is_a_note(tmp_path):
+    """It does not reach the terminal, and not the next run."""
+    printing, good = faulty(tmp_path, "print", name="prints"), faulty(tmp_path)
+    notes = run(printing.fmu, **STEPS).card.notes
+    assert [note for note in notes if note.startswith("the FMUs printed: ")]
+    assert not [note for note in run(good.fmu, **STEPS).card.notes if "printed" in note]
+
+
+def test_a_defect_has_the_traceback_of_the_child(oscillator):
+    """A mistake of ours is not taken for one of the user."""
+    broken = load(next(iter(oscillator.components.values())).source.path)
+    broken.components["mass_a"].__dict__["start"] = {"mass": object()}
+    with pytest.raises(RuntimeError, match=r"Traceback(.|\n)*TypeError"):
+        run(broken, **STEPS)
+    assert os.getpid() > 0
+    assert run(oscillator, **STEPS).complete
