@@ -31,7 +31,7 @@ from orchestrator.worker.calls import calls_in_progress
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits
 MAX_QUOTED = 200  # characters of the last line of stderr
-MAX_STDERR = 1 << 20  # bytes; a longer stderr file is emptied
+MAX_STDERR = 1 << 20  # bytes; of a longer stderr file the beginning is kept
 MAX_MESSAGES = 64  # waiting to be read; then the process waits, so that memory stays bounded
 SIGNAL_NAMES = {
     "SIGSEGV": "segmentation fault",
@@ -139,10 +139,10 @@ class Worker:
             return [line.strip()[:MAX_QUOTED] for line in text.splitlines() if line.strip()]
         return []
 
-    def forget_printed(self) -> None:
-        """Empty the file of stdout and stderr."""
+    def forget_printed(self, kept: int = 0) -> None:
+        """Cut the file of stdout and stderr, except for the first bytes."""
         with suppress(OSError):  # Windows locks files in use
-            os.truncate(self.folder / "errors", 0)
+            os.truncate(self.folder / "errors", kept)
 
     @property
     def last_stderr_line(self) -> str:
@@ -227,13 +227,13 @@ class Worker:
                 raise LimitExceeded("interrupted", timed_out=True)
 
     def check_limits(self, limits: WorkerLimits, began: float) -> None:
-        """Raise LimitExceeded at the limit of memory or of total time; empty a stderr file that is too large.
+        """Raise LimitExceeded at the limit of memory or of total time; cut a stderr file that is too large.
 
         began   beginning of the work, by `time.monotonic` [s]
         """
         with suppress(OSError):
             if (self.folder / "errors").stat().st_size > MAX_STDERR:
-                self.forget_printed()
+                self.forget_printed(MAX_STDERR // 256)
         if self.memory > limits.memory:
             raise LimitExceeded(f"uses more than {limits.memory / 1e9:.3g} GB of memory")
         if time.monotonic() - began > limits.total_time:
