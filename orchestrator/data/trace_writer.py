@@ -173,7 +173,8 @@ class TraceFile(TraceSink):
     def append(self, times: Array, values: Array) -> None:
         """Write rows; if the disk is full, the file ends with the last row that fits."""
         assert self._format is not None
-        with _naming(self.partial):
+        end = self._format.end
+        with _naming(self.partial, f"; it has the rows up to t = {end:.6g} s" if end == end else ""):
             self._format.append(times, values)
         super().append(times, values)
         if self.rows * 8 * len(self.names) > MAX_KEPT:
@@ -216,7 +217,9 @@ class TraceFile(TraceSink):
 
 
 class _Format(Protocol):
-    """How rows are written to a partial file or folder."""
+    """How rows are written to a partial file or folder; end: time of the last row that is written [s]."""
+
+    end: float
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None: ...
     def append(self, times: Array, values: Array) -> None: ...
@@ -229,13 +232,14 @@ class _Csv:
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         del units
-        self._path, self._size, self._digest = path, 0, hashlib.sha256()
+        self._path, self._size, self._digest, self.end = path, 0, hashlib.sha256(), float("nan")
         self._file = path.open("wb", buffering=0)
         self._write(f"{csv_header([TIME, *names])}\n".encode())
 
     def append(self, times: Array, values: Array) -> None:
         rows = np.column_stack([times, values]).tolist()
         self._write("".join([",".join(map(repr, row)) + "\n" for row in rows]).encode())
+        self.end = rows[-1][0] if rows else self.end
 
     def _write(self, data: bytes) -> None:
         """Write all bytes or none."""
@@ -270,7 +274,7 @@ class _Parquet:
         import pyarrow as pa
 
         self._folder, self._blocks = path, list[Array]()
-        self._parts, self._rows, self._written = 0, 0, time.monotonic()
+        self._parts, self._rows, self._written, self.end = 0, 0, time.monotonic(), float("nan")
         units = {TIME: "s", **units}
         fields = [
             pa.field(n, pa.float64(), nullable=False, metadata={"unit": units[n]} if n in units else None)
@@ -280,6 +284,8 @@ class _Parquet:
         path.mkdir()
 
     def append(self, times: Array, values: Array) -> None:
+        if not len(times):
+            return
         self._blocks.append(np.column_stack([times, values]))
         self._rows += len(times)
         if self._rows >= PART_ROWS or time.monotonic() - self._written > PART_TIME:
@@ -296,7 +302,7 @@ class _Parquet:
         except OSError:
             unnamed.unlink(missing_ok=True)
             raise
-        self._parts += 1
+        self._parts, self.end = self._parts + 1, float(self._blocks[-1][-1, 0])
         unnamed.replace(self._folder / f"part-{self._parts:06}.parquet")
         self._blocks, self._rows, self._written = [], 0, time.monotonic()
 
@@ -332,15 +338,16 @@ class _Parquet:
 class _naming:
     """Context in which an OSError becomes a Problem that names a file."""
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
+    def __init__(self, file: Path, remark: str = "") -> None:
+        self._file, self._remark = file, remark
 
     def __enter__(self) -> None:
         pass
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         if isinstance(error, OSError):
-            raise Problem(f"{self._file}: cannot be written: {error.strerror or error}") from error
+            reason = error.strerror or str(error)
+            raise Problem(f"{self._file}: cannot be written: {reason}{self._remark}") from error
 
 
 def remove_partial(partial: Path) -> None:

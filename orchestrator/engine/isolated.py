@@ -157,6 +157,8 @@ class _Supervision:
     def _complete(self) -> Outcome:
         """The outcome of a run that ended by itself."""
         assert self._outcome is not None
+        if self._kill_at < float("inf"):  # the interrupt must not be lost, also if it came too late
+            self._outcome.interrupted = True
         if printed := self._worker.printed:
             more = f" and {len(printed) - 1} more lines" if len(printed) > 1 else ""
             self._outcome.notes += (f"the FMUs printed: {printed[0]}{more}",)

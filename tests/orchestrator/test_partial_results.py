@@ -119,6 +119,7 @@ def test_a_full_disk_leaves_the_earlier_result_and_whole_rows(fmus, tmp_path, su
     assert ended.status == 2
     (line,) = ended.lines
     assert line.startswith(f"harvester: t.partial{suffix}: cannot be written: ")
+    assert ("it has the rows up to t = " in line) == (suffix == ".csv")  # no Parquet file fits into the limit
     assert (ended.files, ended.processes) == ((), ())
     assert {name: (tmp_path / name).read_bytes() for name in earlier} == earlier
     assert {p.name for p in tmp_path.glob("*t.*")} - {*earlier} <= {f"t.partial{suffix}"}
