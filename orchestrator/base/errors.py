@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import islice
+from typing import Any
 
 MAX_COMPARED, MAX_COMPARABLE = 20_000, 200  # names and their characters that are compared, in 1 s
 MAX_LINE = 2000  # characters of a message; values in damaged files can have millions
@@ -51,6 +52,10 @@ class UnknownSignal(Problem, KeyError):
     """An unknown signal name; also a KeyError, because traces are used like mappings."""
 
     __str__ = Exception.__str__  # KeyError would quote the message
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """In another process a plain Problem."""
+        return Problem, self.args
 
     def __init__(self, name: str, names: Iterable[str], where: str = "") -> None:
         names = list(names)

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import secrets
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +26,7 @@ from orchestrator.base.files import csv_header
 from orchestrator.data.trace import TIME, Trace, check_suffix, read_trace
 
 Array = NDArray[np.float64]
+METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group
 MAX_KEPT = 32 << 20  # bytes; a longer trace is not kept in memory besides its file
@@ -155,7 +157,13 @@ class TraceFile(TraceSink):
 
     def __init__(self, path: str | Path) -> None:
         check_suffix(path)
-        self.path, self._kept = Path(path), TraceInMemory()
+        named = Path(path)
+        self.path = named.resolve() if named.is_symlink() else named  # the link stays
+        self._kept = TraceInMemory()
+        if self.path.is_dir():
+            raise Problem(f"{path}: expected the name of a file, got a folder")
+        if self.path.stem.endswith(".partial"):
+            raise Problem(f"{path}: expected another name: NAME.partial.* is for unfinished results")
         self.partial = self.path.with_name(f"{self.path.stem}.partial{self.path.suffix}")
         self._format: _Format | None = None
 
@@ -166,9 +174,8 @@ class TraceFile(TraceSink):
         with _naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)
-            make = _Csv if self.path.suffix.lower() == ".csv" else _Parquet
+            make: type[_Format] = _Csv if self.path.suffix.lower() == ".csv" else _Parquet
             self._format = make(self.partial, self.names, self.units)
-            self._identity = os.stat(self.partial).st_ino
 
     def append(self, times: Array, values: Array) -> None:
         """Write rows; if the disk is full, the file ends with the last row that fits."""
@@ -186,25 +193,34 @@ class TraceFile(TraceSink):
         """All rows: those in memory, or, if they are too many, those in the file when they are needed."""
         return self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(path, self.units)
 
-    def finish(self) -> tuple[Path, str]:
-        """Write what is left, and close; returns the file, still under another name, and its SHA-256."""
+    def finish(self, check: Callable[[], None] = lambda: None) -> tuple[Path, str]:
+        """Write what is left, and close; returns the file, still under another name, and its SHA-256.
+
+        check   called now and then; an exception leaves the partial file
+        """
         assert self._format is not None
         with _naming(self.partial):
-            return self._format.finish()
+            return self._format.finish(check)
+
+    @property
+    def sha256(self) -> str:
+        """The checksum of the partial file; empty for Parquet."""
+        return self._format.sha256 if self._format else ""
 
     def publish(self, complete: Path, others: Mapping[Path, str] | None = None) -> None:
         """Give a complete file its name, and write `others`, name -> text, at the same time."""
+        assert self._format is not None
         temporary = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in others or {}}
         try:
             with _naming(self.path):
                 for file, text in (others or {}).items():
                     temporary[file].write_text(text, encoding="utf-8", newline="\n")
-                if not self.partial.exists() or os.stat(self.partial).st_ino != self._identity:
-                    raise Problem(f"{self.path}: expected one run that writes this file, got two")
+                self._format.check_alone()
                 complete.replace(self.path)
                 for file, other in temporary.items():
                     other.replace(file)
                 remove_partial(self.partial)
+                self._format = None
         finally:
             for other in temporary.values():
                 other.unlink(missing_ok=True)
@@ -217,14 +233,21 @@ class TraceFile(TraceSink):
 
 
 class _Format(Protocol):
-    """How rows are written to a partial file or folder; end: time of the last row that is written [s]."""
+    """How rows are written to a partial file or folder.
+
+    end      time of the last row that is written [s]
+    sha256   of the partial file
+    """
 
     end: float
 
+    @property
+    def sha256(self) -> str: ...
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None: ...
     def append(self, times: Array, values: Array) -> None: ...
-    def finish(self) -> tuple[Path, str]: ...
+    def finish(self, check: Callable[[], None]) -> tuple[Path, str]: ...
     def close(self) -> None: ...
+    def check_alone(self) -> None: ...
 
 
 class _Csv:
@@ -234,6 +257,7 @@ class _Csv:
         del units
         self._path, self._size, self._digest, self.end = path, 0, hashlib.sha256(), float("nan")
         self._file = path.open("wb", buffering=0)
+        self._identity = os.fstat(self._file.fileno()).st_ino
         self._write(f"{csv_header([TIME, *names])}\n".encode())
 
     def append(self, times: Array, values: Array) -> None:
@@ -250,25 +274,37 @@ class _Csv:
         except BaseException:
             end = data.rfind(b"\n", 0, len(data) - len(rest)) + 1  # of the last row that fits
             self._size += end
+            self._digest.update(data[:end])
             self._file.truncate(self._size)
             raise
         self._size += len(data)
         self._digest.update(data)
 
-    def finish(self) -> tuple[Path, str]:
+    @property
+    def sha256(self) -> str:
+        return self._digest.hexdigest()
+
+    def finish(self, check: Callable[[], None]) -> tuple[Path, str]:
+        del check
         self._file.close()
-        return self._path, self._digest.hexdigest()
+        return self._path, self.sha256
 
     def close(self) -> None:
         self._file.close()
+
+    def check_alone(self) -> None:
+        if not self._path.is_file() or self._path.stat().st_ino != self._identity:
+            raise Problem(f"{self._path}: expected one run that writes this file, got two")
 
 
 class _Parquet:
     """Parquet: one float64 column per signal, time first, with units in the metadata of the fields.
 
     The rows go to files in a folder, so that all rows but the latest ones can be read at any time. Tools
-    ignore files in it whose names begin with an underscore.
+    ignore files in it whose names begin with an underscore, such as the mark by which a run knows its folder.
     """
+
+    sha256 = ""
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         import pyarrow as pa
@@ -282,6 +318,8 @@ class _Parquet:
         ]
         self._schema = pa.schema(fields)
         path.mkdir()
+        self._mark = path / f"_{secrets.token_hex(8)}"
+        self._mark.touch()
 
     def append(self, times: Array, values: Array) -> None:
         if not len(times):
@@ -296,6 +334,7 @@ class _Parquet:
 
         if not self._rows:
             return
+        self.check_alone()
         unnamed = self._folder / "_part"
         try:
             pq.write_table(self._table(), unnamed)
@@ -306,25 +345,34 @@ class _Parquet:
         unnamed.replace(self._folder / f"part-{self._parts:06}.parquet")
         self._blocks, self._rows, self._written = [], 0, time.monotonic()
 
-    def finish(self) -> tuple[Path, str]:
+    def check_alone(self) -> None:
+        if not self._mark.exists():
+            raise Problem(f"{self._folder}: expected one run that writes this folder, got two")
+
+    def finish(self, check: Callable[[], None]) -> tuple[Path, str]:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
+        self.check_alone()
         whole, waiting = self._folder / "_whole", list[Any]()
         try:
             with pq.ParquetWriter(whole, self._schema) as writer:
                 for part in range(self._parts):
+                    check()
                     waiting.append(pq.read_table(self._folder / f"part-{part + 1:06}.parquet"))
                     if sum(table.num_rows for table in waiting) >= PART_ROWS:
                         writer.write_table(pa.concat_tables(waiting))
                         waiting.clear()
                 writer.write_table(pa.concat_tables([*waiting, self._table()]))
-        except OSError:
+            digest = hashlib.sha256()
+            with whole.open("rb") as file:
+                while block := file.read(1 << 24):
+                    check()
+                    digest.update(block)
+        except BaseException:
             whole.unlink(missing_ok=True)
-            self.close()
             raise
-        with whole.open("rb") as file:
-            return whole, hashlib.file_digest(file, "sha256").hexdigest()
+        return whole, digest.hexdigest()
 
     def _table(self) -> Any:
         """The rows that are in memory."""
@@ -351,16 +399,22 @@ class _naming:
 
 
 def remove_partial(partial: Path) -> None:
-    """Remove the partial file or folder of an earlier run."""
-    if partial.is_dir():
-        shutil.rmtree(partial)
-    else:
+    """Remove the partial file or folder of an earlier run, and its metadata."""
+    partial.with_suffix(METADATA_SUFFIX).unlink(missing_ok=True)
+    if not partial.is_dir():
         partial.unlink(missing_ok=True)
+        return
+    if foreign := [p.name for p in partial.iterdir() if not p.name.startswith(("part-", "_"))]:
+        raise Problem(f"{partial}: expected parts of a trace, which are replaced, got {foreign[0]}")
+    shutil.rmtree(partial)
 
 
 def write_trace(trace: Trace, path: str | Path) -> Path:
     """Write a trace as .csv or .parquet; reading the file gives bit-identical values."""
     file = TraceFile(path)
+    for name, values in trace.signals.items():
+        if len(values) != len(trace.time):
+            raise Problem(f"{path}: {name}: expected {len(trace.time)} values, got {len(values)}")
     try:
         units = {name: unit for name, unit in trace.units.items() if name in trace.signals}
         file.begin(SignalNames(tuple(trace.signals), units))
@@ -377,7 +431,7 @@ def write_trace(trace: Trace, path: str | Path) -> Path:
             file.close()
         remove_partial(file.partial)
         raise
-    return file.path
+    return Path(path)
 
 
 write = write_trace  # name in 0.1

@@ -15,9 +15,11 @@ import ctypes
 import mmap
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
@@ -33,18 +35,32 @@ if TYPE_CHECKING:
 POLL = 0.05  # [s] between two checks for interrupts and limits
 STOP_TIME = 1.0  # [s] that a run has to end by itself after an interrupt
 PROGRESS_TIME = 0.1  # [s] between two messages about the progress
+MAX_MESSAGES = 1000  # of FMUs that are kept for a message after a crash
 STOP = "stop"  # message to the child
 TARGET = "orchestrator.engine.isolated:main"
 
 _idle: list[tuple[Worker, dict[str, str]]] = []  # with the environment variables at its start
+_numbers = count(1)  # of runs
+_of_parent: list[Any] = []  # in a forked process; never closed there
+
+
+def _after_fork() -> None:
+    """Leave the idle process to the parent."""
+    _of_parent.extend(_idle)
+    _idle.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 @dataclass(frozen=True)
 class RunTask:
-    """Message to the child: the run to do, and the working directory."""
+    """Message to the child: the run to do, its number, and the working directory."""
 
     job: Job
     times: Grid
+    number: int
     directory: str
 
 
@@ -64,9 +80,16 @@ def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[floa
     """
     from orchestrator.base.interrupts import DeferredInterrupts
 
-    with _process() as worker, DeferredInterrupts(second_at_once=False) as interrupts:
-        worker.put(RunTask(job, times, os.getcwd()))
-        return _Supervision(worker, job, times, sink, between).outcome(interrupts.check)
+    outcome: Outcome | None = None
+    try:
+        with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
+            supervision = _Supervision(worker, job, times, sink, between)
+            outcome = supervision.outcome(interrupts.check)
+    except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
+        if outcome is None:
+            raise
+        outcome.interrupted = True
+    return outcome
 
 
 @contextmanager
@@ -101,7 +124,9 @@ class _Supervision:
         self._limits = WorkerLimits(total_time=execution.time_limit, memory=memory)
         self._layout: RowLayout | None = None
         self._outcome: Outcome | None = None
-        self._messages: list[LogMessage] = []
+        self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
+        self._number = next(_numbers)
+        worker.put(RunTask(job, times, self._number, os.getcwd()))
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
     def outcome(self, check: Callable[[], None]) -> Outcome:
@@ -182,7 +207,8 @@ class _Supervision:
                 by_component.setdefault(logged.component, []).append(logged)
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
         outcome.interrupted = interrupted
-        outcome.problem = Problem(message)
+        first = f"{outcome.problem}; then " if outcome.problem else ""  # many FMUs crash when they are freed
+        outcome.problem = Problem(f"{first}{message}")
         return outcome
 
     def _cause(self) -> str:
@@ -196,7 +222,7 @@ class _Supervision:
 
     def _last_words(self) -> str:
         """The last messages that FMUs logged or printed."""
-        logged = [f"; {m.component} says: {m.text}" for m in self._messages[-2:]]
+        logged = [f"; {m.component} says: {m.text}" for m in [*self._messages][-2:]]
         printed = [f"; printed: {line}" for line in self._worker.printed[-1:]]
         return "".join([*logged, *printed])
 
@@ -208,11 +234,12 @@ class _Supervision:
         from orchestrator.engine.recorder import Block, recorded_rows
 
         folder, sink = self._worker.folder, self._sink
-        state = engine_h().Simulation.from_buffer_copy((folder / "simulation").read_bytes())
-        block = Block(layout, (folder / "rows").read_bytes())
-        count = block.finite_rows(state.recorder.filled)
-        rows = recorded_rows(state.recorder.collected, count, layout.every)
-        rows = np.union1d(rows, np.arange(count)[-1:])  # the latest point is always recorded
+        state, points = ((folder / f"{name}-{self._number}").read_bytes() for name in ("simulation", "rows"))
+        state = engine_h().Simulation.from_buffer_copy(state)
+        block = Block(layout, points)
+        filled = block.finite_rows(state.recorder.filled)
+        rows = recorded_rows(state.recorder.collected, filled, layout.every)
+        rows = np.union1d(rows, np.arange(filled)[-1:])  # and the latest point of the block
         rows = rows[~(block.time[rows] <= sink.last)]  # those that were not sent; NaN without any row
         sink.append(block.time[rows], layout.values(block, rows))
         outcome.wall = time.perf_counter() - self._began
@@ -246,11 +273,13 @@ def main(channel: Channel) -> None:
             channel.put(("problem", problem))
         except Exception:
             channel.put(("defect", traceback.format_exc()))
+        os.chdir(channel.folder)  # the user's folder may be removed
 
 
 def _run(channel: Channel, task: RunTask) -> None:
     from dataclasses import replace
 
+    from orchestrator.base.errors import Problem
     from orchestrator.engine.job import open_slave
     from orchestrator.fmi.calls import Slave
     from orchestrator.ssp.system import Component
@@ -281,11 +310,17 @@ def _run(channel: Channel, task: RunTask) -> None:
             channel.put(("time", t))
 
     def allocate(name: str, size: int) -> mmap.mmap:
-        file = channel.folder / name
-        file.unlink(missing_ok=True)
-        with file.open("w+b") as opened:
-            opened.truncate(size)
-            return mmap.mmap(opened.fileno(), size)
+        for earlier in channel.folder.glob(f"{name}-*"):
+            with suppress(OSError):  # Windows locks files in use
+                earlier.unlink()
+        try:
+            with (channel.folder / f"{name}-{task.number}").open("w+b") as file:
+                file.write(bytes(size))  # a full disk is an error now, not a signal later
+                file.flush()
+                return mmap.mmap(file.fileno(), size)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
     job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
     job.run(task.times, Sender(), between, lambda outcome: channel.put(("outcome", outcome)), allocate)

@@ -20,7 +20,7 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable
 from orchestrator.data.trace import Trace
-from orchestrator.data.trace_writer import SignalNames, Signals
+from orchestrator.data.trace_writer import METADATA_SUFFIX, SignalNames, Signals
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.system import System
@@ -267,9 +267,6 @@ def _error_row(e: SignalError) -> list[str]:
     return [e.name, f"{e.change:.2e}", e.unit, f"{e.largest:.1e}", order]
 
 
-SUFFIX = ".run.json"
-
-
 @dataclass(frozen=True)
 class RunMetadata:
     """Metadata of one run, as written next to its trace. Times in [s].
@@ -336,7 +333,7 @@ def metadata(
 
 def metadata_file(trace: Path) -> Path:
     """The metadata file of a trace."""
-    return trace.with_suffix(SUFFIX)
+    return trace.with_suffix(METADATA_SUFFIX)
 
 
 def metadata_text(

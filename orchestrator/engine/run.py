@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -30,7 +30,6 @@ from orchestrator.engine.result import (
     compare,
     metadata_file,
     metadata_text,
-    write_metadata,
 )
 from orchestrator.engine.scenario import Scenario, drive
 from orchestrator.engine.time_grid import (
@@ -164,7 +163,8 @@ def _with_options(
     allowed = {*of_record, "native", *(f.name for f in fields(Execution))}
     if unknown := sorted(options.keys() - allowed):
         raise TypeError(f"run() got an unexpected keyword argument {unknown[0]!r}")
-    record = record if isinstance(record, Record) else Record(record)
+    if not isinstance(record, Record):
+        record = Record(None if record is None else tuple(record))
     record_options = {of_record[name]: value for name, value in options.items() if name in of_record}
     others = {name: value for name, value in options.items() if name not in (*of_record, "native")}
     return replace(record, **record_options), replace(execution or Execution(), **others)
@@ -300,21 +300,29 @@ def run_to_file(
     }
     given["scenario"] = None if isinstance(scenario, Trace) else scenario
     job, times = prepare(loaded, scenario, step=step, record_step=interval, progress=True, **options)
+    result, summary = None, ""
     try:
         outcome = simulate(job, times, file)
-        with DeferredInterrupts(second_at_once=False):  # a file is written whole or not at all
-            result, summary = _published(job, times, outcome, file, given)
+        with DeferredInterrupts(second_at_once=False) as interrupts:
+            result, summary = _published(job, times, outcome, file, given, interrupts.check)
+        return with_error_estimate(job, times, result) if job.execution.error_estimate else result, summary
     except KeyboardInterrupt as interrupt:  # the library of the command line would drop its message
         file.close()
-        raise Stopped(str(interrupt)) from None
+        if result:  # the file is complete
+            print(result.card.text())
+        raise Stopped(str(interrupt) or summary) from None
     except BaseException:
         file.close()
         raise
-    return with_error_estimate(job, times, result) if job.execution.error_estimate else result, summary
 
 
 def _published(
-    job: Job, times: Grid, outcome: Outcome, file: TraceFile, given: Mapping[str, Any]
+    job: Job,
+    times: Grid,
+    outcome: Outcome,
+    file: TraceFile,
+    given: Mapping[str, Any],
+    check: Callable[[], None],
 ) -> tuple[Result, str]:
     """Give the file of a complete run its name; raises RunFailed or Interrupted for another one."""
     try:
@@ -325,12 +333,13 @@ def _published(
         file.close()
         if file.partial.is_file():  # CSV; Parquet contains the units
             with suppress(OSError):  # the disk may be full
-                write_metadata(ended.result, file.partial, given, file)
+                text = metadata_text(ended.result, file.sha256, given, file)
+                metadata_file(file.partial).write_text(text, encoding="utf-8", newline="\n")
         end = f" up to t = {file.last:.6g} s" if file.rows else ""
         summary = _summary(ended.result.card, file, file.partial)
         print(f"{ended.result.card.text()}\n\nthe run ended early; its record{end} is in {summary}")
         raise
-    complete, digest = file.finish()
+    complete, digest = file.finish(check)
     file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file)})
     return result, _summary(result.card, file, file.path)
 

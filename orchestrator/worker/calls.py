@@ -80,7 +80,8 @@ def share_calls(file: Path) -> None:
     """Keep the slots in a new file, before the first instance of this process."""
     global _slots
     with file.open("w+b") as opened:
-        opened.truncate(ctypes.sizeof(_Slots))
+        opened.write(bytes(ctypes.sizeof(_Slots)))  # a full disk is an error now, not a signal later
+        opened.flush()
         _slots = _Slots.from_buffer(mmap.mmap(opened.fileno(), ctypes.sizeof(_Slots)))
 
 

@@ -38,7 +38,7 @@ class Channel:
         self.folder, self.grace, self.ended, self._parent = folder, 0.0, threading.Event(), os.getppid()
         self.activity = ActivityRecord(folder / "activity")
         share_calls(folder / "calls")
-        self._answers = _redirect_output()
+        self._answers, self._writing = _redirect_output(), threading.Lock()
         self._messages: SimpleQueue[Any] = SimpleQueue()
         threading.Thread(target=self._read, args=(sys.stdin.buffer,), daemon=True).start()
 
@@ -56,8 +56,9 @@ class Channel:
 
     def put(self, message: Any) -> None:
         """Send an object that can be pickled, without buffering, so that it survives a crash."""
-        pickle.dump(message, self._answers, pickle.HIGHEST_PROTOCOL)
-        self._answers.flush()
+        with self._writing:  # an FMU may log from a thread of its own
+            pickle.dump(message, self._answers, pickle.HIGHEST_PROTOCOL)
+            self._answers.flush()
 
     def end(self) -> None:
         """Remove the folder, and end this process; if the parent has ended, also those that FMUs started."""
@@ -71,7 +72,7 @@ class Channel:
         try:
             while True:
                 self._messages.put(pickle.load(source))
-        except (EOFError, pickle.UnpicklingError, OSError):
+        except (EOFError, pickle.UnpicklingError, OSError, AttributeError, ImportError, TypeError):
             self.ended.set()
             self._messages.put(_END_OF_INPUT)
             time.sleep(self.grace)

@@ -7,6 +7,7 @@ orchestrator/cli/check.py.
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import pickle
@@ -32,7 +33,7 @@ ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits
 MAX_QUOTED = 200  # characters of the last line of stderr
 MAX_STDERR = 1 << 20  # bytes; of a longer stderr file the beginning is kept
-MAX_MESSAGES = 64  # waiting to be read; then the process waits, so that memory stays bounded
+MAX_MESSAGES = 16  # waiting to be read; then the process waits, so that memory stays bounded
 SIGNAL_NAMES = {
     "SIGSEGV": "segmentation fault",
     "SIGBUS": "bus error",
@@ -98,8 +99,8 @@ class Worker:
         self._messages: Queue[Any] = Queue(MAX_MESSAGES)
         reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
         reader.start()
-        self._last: list[str] = []
-        end = self._child, reader, self._messages, self._activity, self.folder, grace, self._last
+        self._last: list[str] = []  # `where` at the end, stored by the finalizer
+        end = os.getpid(), self._child, reader, self._messages, self._activity, self.folder, grace, self._last
         self.close = weakref.finalize(self, _end, *end)
 
     @property
@@ -173,8 +174,9 @@ class Worker:
         data = message if isinstance(message, bytes) else pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         assert self._child.stdin is not None
         with suppress(BrokenPipeError, OSError):  # the next `get` reports the end of the process
-            self._child.stdin.write(data)
-            self._child.stdin.flush()
+            rest = memoryview(data)
+            while rest:
+                rest = rest[self._child.stdin.write(rest) or 0 :]
 
     def get(self, timeout: float | None = None) -> Any:
         """The next message.
@@ -261,7 +263,8 @@ def _start(
     variables = {**os.environ, **temporary, "PYTHONPATH": os.pathsep.join(roots), **environment}
     with (folder / "errors").open("ab") as errors:
         return subprocess.Popen(
-            [sys.executable, "-m", "orchestrator.worker.main", target, str(folder)],
+            [sys.executable, "-P", "-m", "orchestrator.worker.main", target, str(folder)],
+            bufsize=0,  # a process that is forked from this one must not wait for the lock of a buffer
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,
@@ -273,9 +276,11 @@ def _start(
 
 def _read(source: Any, messages: Queue[Any]) -> None:
     """Queue all complete messages until the process ends."""
-    with suppress(EOFError, OSError, ValueError, pickle.UnpicklingError, AttributeError, ImportError):
+    unreadable = pickle.UnpicklingError, AttributeError, ImportError, TypeError
+    buffered = io.BufferedReader(io.FileIO(source.fileno(), closefd=False))
+    with suppress(EOFError, OSError, ValueError, *unreadable):
         while True:
-            messages.put(pickle.load(source))
+            messages.put(pickle.load(buffered))
     messages.put(_END_OF_MESSAGES)
 
 
@@ -309,6 +314,7 @@ def _started_in(folder: Path) -> Iterator[int]:
 
 
 def _end(
+    owner: int,
     child: subprocess.Popen[bytes],
     reader: threading.Thread,
     messages: Queue[Any],
@@ -318,6 +324,8 @@ def _end(
     last: list[str],
 ) -> None:
     """Close the pipe, wait, kill the process and its children, and remove the files."""
+    if os.getpid() != owner:  # this process was forked from the parent, which still uses the worker
+        return
     with suppress(OSError):
         if child.stdin is not None:
             child.stdin.close()

@@ -1,5 +1,6 @@
 """Runs in a process of their own, from Python: the same bits, failures with their rows, and the next run."""
 
+import multiprocessing
 import os
 import sys
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from zoo.faulty import faulty
 
-from orchestrator import Problem, RunFailed, load, run
+from orchestrator import Problem, RunFailed, assemble, load, run
 from orchestrator.engine import isolated
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="faults and limits of POSIX")
@@ -100,6 +101,30 @@ def test_what_an_fmu_prints_is_a_note(tmp_path):
     notes = run(printing.fmu, **STEPS).card.notes
     assert [note for note in notes if note.startswith("the FMUs printed: ")]
     assert not [note for note in run(good.fmu, **STEPS).card.notes if "printed" in note]
+
+
+@posix
+def test_a_crash_at_the_end_does_not_hide_why_the_run_failed(tmp_path):
+    """Many FMUs crash when they are freed after an error."""
+    failing, crashing = faulty(tmp_path, "nan", name="lag"), faulty(tmp_path, "segfault", "free", name="bad")
+    system = assemble({"first": failing.fmu, "second": crashing.fmu}, ["first.y -> second.u"])
+    with pytest.raises(
+        RunFailed, match=r"^first\.y: expected a .* got nan .*; then segmentation fault in fmi2Free"
+    ):
+        run(system, **STEPS)
+
+
+@posix
+def test_a_forked_process_has_its_own_process_for_runs(fmus, oscillator):
+    """That of the parent is neither used nor ended by it."""
+    run(oscillator, **STEPS)
+    before = process()
+    child = multiprocessing.get_context("fork").Process(target=run, args=(fmus["source"],), kwargs=STEPS)
+    child.start()
+    child.join(60.0)
+    assert child.exitcode == 0
+    run(oscillator, **STEPS)
+    assert process() == before
 
 
 def test_a_defect_has_the_traceback_of_the_child(oscillator):

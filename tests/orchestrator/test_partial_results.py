@@ -91,15 +91,45 @@ def test_a_row_that_a_kill_has_cut_is_left_out(tmp_path):
     assert read_trace(path).time.tolist() == [0.0, 1.0]
 
 
-def test_two_runs_do_not_write_the_same_file(tmp_path):
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_two_runs_do_not_write_the_same_file(tmp_path, suffix):
     """The first one does not publish the rows of the second one."""
-    first, second = begun(tmp_path / "t.csv"), begun(tmp_path / "t.csv")
+    first, second = begun(tmp_path / f"t{suffix}"), begun(tmp_path / f"t{suffix}")
     first.append(*rows(0, 5))
     second.append(*rows(0, 9))
-    with pytest.raises(Problem, match=r"t\.csv: expected one run that writes this file, got two$"):
+    with pytest.raises(Problem, match=r"t\.partial\S+: expected one run that writes this \w+, got two$"):
         first.publish(first.finish()[0])
     second.publish(second.finish()[0])
     assert len(read_trace(second.path).time) == 9
+
+
+@pytest.mark.parametrize("name", ["t.partial.csv", "folder.csv"])
+def test_a_name_that_cannot_be_written_is_refused_at_once(tmp_path, name):
+    """A name for unfinished results, and a folder; nothing is removed."""
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(Problem, match=r"expected (another name|the name of a file)"):
+        TraceFile(tmp_path / name)
+    (tmp_path / "t.partial.parquet").mkdir()
+    (tmp_path / "t.partial.parquet" / "mine.txt").touch()
+    with pytest.raises(Problem, match=r"expected parts of a trace, which are replaced, got mine\.txt$"):
+        begun(tmp_path / "t.parquet")
+
+
+@posix
+def test_a_link_stays_a_link(tmp_path):
+    """The result goes to the file that it names."""
+    (tmp_path / "results").mkdir()
+    (tmp_path / "t.csv").symlink_to(tmp_path / "results" / "first.csv")
+    write_trace(Trace(np.array([0.0, 1.0]), {"a": np.array([7.0, 8.0])}), tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").is_symlink()
+    assert read_trace(tmp_path / "results" / "first.csv")["a"].tolist() == [7.0, 8.0]
+
+
+def test_columns_of_another_length_are_refused(tmp_path):
+    """No value is repeated or left out."""
+    for values in (np.zeros(1), np.zeros(7)):
+        with pytest.raises(Problem, match=r"a: expected 5 values, got \d$"):
+            write_trace(Trace(np.arange(5.0), {"a": values}), tmp_path / "t.csv")
 
 
 # ---- a full disk
