@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import subprocess
 import sys
 
 import numpy as np
@@ -135,3 +136,35 @@ def test_a_defect_has_the_traceback_of_the_child(oscillator):
         run(broken, **STEPS)
     assert os.getpid() > 0
     assert run(oscillator, **STEPS).complete
+
+
+INTERRUPTS = """
+import os, random, signal, sys, threading
+from orchestrator import run
+signal.signal(signal.SIGINT, signal.default_int_handler)
+run(sys.argv[1], step=0.01, stop=1.0)
+chosen, lost = random.Random(17), 0
+for _ in range(40):
+    timer = threading.Timer(chosen.uniform(0.0, 0.03), os.kill, (os.getpid(), signal.SIGINT))
+    try:
+        timer.start()
+        run(sys.argv[1], step=0.01, stop=1.0)
+        lost += timer.finished.is_set()
+        timer.join()
+        signal.pause()
+    except KeyboardInterrupt:
+        timer.join()
+print(lost)
+"""
+
+
+@posix
+def test_no_interrupt_is_lost(fmus):
+    """Whenever it comes: a loop over runs ends, also if the run is complete at the same moment."""
+    arguments = [sys.executable, "-c", INTERRUPTS, str(fmus["source"])]
+    paths = os.pathsep.join(filter(None, sys.path))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    ended = subprocess.run(
+        arguments, capture_output=True, text=True, env=environment, timeout=120, check=False
+    )
+    assert (ended.stdout, ended.stderr) == ("0\n", "")
