@@ -426,7 +426,8 @@ def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     )
     assert main([command, "--scenario", "burst.csv", *option]) == 2
     printed = capsys.readouterr()
-    trace = read_trace("new/run.csv")
+    assert not Path("new/run.csv").exists()
+    trace = read_trace("new/run.partial.csv")
     assert 0.1 < trace.time[-1] < 0.5
     assert "the run ended early; its record up to t = " in printed.out
     assert printed.err.startswith("harvester: manipulator: the step failed at t = ")

@@ -102,7 +102,7 @@ def test_the_fastest_component_steps_first(system, monkeypatch):
         return order
 
     monkeypatch.setattr(LinearPrediction, "begin", noted)
-    run(system, master=MASTER, step=1e-2, stop=0.01)
+    run(system, master=MASTER, step=1e-2, stop=0.01, isolate=False)
     assert set(orders[0][:2]) == {"operator_input", "supply"}
     assert orders[0][-1] == "manipulator"
 

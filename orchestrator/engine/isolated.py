@@ -14,6 +14,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -56,12 +57,13 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True)
 class RunTask:
-    """Message to the child: the run to do, its number, and the working directory."""
+    """Message to the child: the run to do, its number, the working directory, and where modules are found."""
 
     job: Job
     times: Grid
     number: int
     directory: str
+    path: list[str]
 
 
 # ---- the parent
@@ -126,7 +128,7 @@ class _Supervision:
         self._outcome: Outcome | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
-        worker.put(RunTask(job, times, self._number, os.getcwd()))
+        worker.put(RunTask(job, times, self._number, os.getcwd(), [*sys.path]))
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
     def outcome(self, check: Callable[[], None]) -> Outcome:
@@ -285,6 +287,7 @@ def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.ssp.system import Component
 
     os.chdir(task.directory)
+    sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
     reported = 0.0
 
     class Sender:

@@ -82,14 +82,14 @@ def sleeper(monkeypatch):
 
 @bounded
 def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
-    """The stderr of a child process is discarded if it becomes very long."""
+    """Only the beginning of the stderr of a child process is kept if it becomes very long."""
     errors = sleeper.folder / "errors"
     errors.write_bytes(bytes(MAX_STDERR + 1))
     ActivityRecord(sleeper.folder / "activity").call("fmi2DoStep")
     with pytest.raises(LimitExceeded, match=r"^hang: no return within 0.2 s in fmi2DoStep$") as exceeded:
         list(sleeper.messages(WorkerLimits(call_time=0.2)))
     assert not exceeded.value.timed_out
-    assert errors.stat().st_size == 0
+    assert errors.stat().st_size <= MAX_STDERR // 256
 
 
 @bounded

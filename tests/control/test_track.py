@@ -134,7 +134,7 @@ def test_a_missed_limit_is_reported(fmu_dir, tmp_path, capsys):
         (["--through", "3,0", "--through", "3,1,1"], "--through 3,0: expected x,y,z in metres"),
         (["--through", "3,0,1", "--through", "-3,0,1"], "from the swing axis, expected at least 0.1 m"),
         (["--through", "0,0,3", "--through", "3,0,1"], "path: 0 m from the swing axis, expected at"),
-        (["--swap", "swing=lumped", "--set", "manipulator.head_mass=-5"], "machine swing=lumped, path line"),
+        (["--swap", "swing=lumped", "--set", "manipulator.initial_boom_angle=1.4"], "machine swing=lumped, path line"),
         (["--through", "3,0"], "--through 3,0: expected x,y,z in metres"),
         (["--through", "3,0,0", "--through", "9,0,0"], "--through 9,0,0: tip at radius 9 m, height"),
         (["--through", "3,0,1", "--through", "4,0,1", "--set", "swing.valve_dead_ban=1"],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from math import pi
 
 import numpy as np
@@ -70,8 +69,10 @@ POWERS = ["km999", "km-999", "m100", "m" + "9" * 5000, "km99.km99", "(" * 5000 +
 @pytest.mark.parametrize("unit", [*NAMES, *SLIPS, *POWERS])
 def test_unknown_unit_is_refused(unit: str) -> None:
     """A unit that is not known, or can be read in two ways, is named, not guessed."""
-    with pytest.raises(Problem, match=rf"file: unit '{re.escape(unit)}' is unknown, expected one like bar"):
+    with pytest.raises(Problem) as problem:
         parse_unit(unit, "file")
+    expected = f"file: unit '{unit}' is unknown, expected one like bar"
+    assert str(problem.value)[:1000] == expected[:1000]  # a long message is cut
 
 
 def test_wrong_quantity_is_refused() -> None:
