@@ -72,7 +72,7 @@ def test_unknown_unit_is_refused(unit: str) -> None:
     with pytest.raises(Problem) as problem:
         parse_unit(unit, "file")
     expected = f"file: unit '{unit}' is unknown, expected one like bar"
-    assert str(problem.value)[:1000] == expected[:1000]  # a long message is cut
+    assert str(problem.value).startswith(expected[:1000])  # a long message is cut
 
 
 def test_wrong_quantity_is_refused() -> None:
