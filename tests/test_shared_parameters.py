@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from fmus.contract import quantities
@@ -75,6 +77,27 @@ def test_an_ssp_keeps_what_its_parts_share(machine, tmp_path):
         "manipulator.boom_stroke",
     ]
     assert again.sharing("boom_bore") == []
+
+
+def test_a_swapped_part_may_use_a_shared_name_for_something_else(machine):
+    """An output, or a parameter of another dimension, is no shared parameter."""
+    part = machine.components["manipulator"]
+    declared = part.interface.variables["boom_stroke"]
+    mass = replace(declared.unit, name="kg", exponents=(1, *[0] * (len(declared.unit.exponents) - 1)))
+    for change in ({"causality": "output", "variability": "continuous"}, {"unit": mass}):
+        variables = {**part.interface.variables, "boom_stroke": replace(declared, **change)}
+        interface = replace(part.interface, variables=variables)
+        swapped = replace(part, interface=interface, replaced=part.interface)
+        other = replace(machine, components={**machine.components, "manipulator": swapped})
+        assert [str(port) for port in other.sharing("boom_stroke")] == ["boom_stick.boom_stroke"]
+        other.with_start({"boom_stick.boom_stroke": 0.6})
+
+
+def test_shared_values_of_few_digits_are_equal(machine):
+    """Other tools write 6 to 9 digits; a message about other values shows the difference."""
+    machine.with_start({"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.6 + 1e-7})
+    with pytest.raises(Problem, match=r"is 0\.6 and manipulator.boom_stroke is 0\.600002 m"):
+        machine.with_start({"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.600002})
 
 
 def test_an_assembled_system_shares_what_it_is_told(fmu_dir):

@@ -42,13 +42,27 @@ ERRORS = (
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 TEXTS = {2: "latin-1", 4: "utf-16-{}e", 16: "utf-8", 17: "utf-16-{}e", 18: "utf-32-{}e"}
 MATRIX, COMPRESSED = 14, 15
-STRUCT, CHAR, NUMERIC = 2, 4, range(6, 16)
+CELL, STRUCT, OBJECT, CHAR, SPARSE, NUMERIC = 1, 2, 3, 4, 5, range(6, 16)
+OTHERS = {
+    CELL: "a cell array",
+    STRUCT: "an array of structs",
+    OBJECT: "an object",
+    CHAR: "an array of texts",
+    SPARSE: "a sparse array",
+}
 COMPLEX = 0x800
 HEADER = 128  # bytes
 
 
+@dataclass(frozen=True)
+class NotNumbers:
+    """A variable whose content is not read. what: its kind for a message, such as "a cell array"."""
+
+    what: str
+
+
 def read_variables(file: Location) -> dict[str, Any]:
-    """Arrays and texts by name, scalar structs as dictionaries, without cells, objects and sparse arrays."""
+    """Arrays and texts by name, scalar structs as dictionaries, anything else as `NotNumbers`."""
     import h5py
 
     try:
@@ -95,49 +109,55 @@ def _check_declared(file: Location, name: str, declared: int, stored: int) -> No
 class _Hdf5:
     """Reader of an HDF5 file. Nothing outside of the file is read: no links, no external or virtual storage.
 
-    visited   addresses of the groups that were read; damage can make a group contain itself
-    count     number of the variables that were read
+    open     addresses of the groups around the variable that is read; damage can make a group contain itself
+    arrays   contents by address: a hard link is a second name of the same content
+    count    number of the variables that were read
     """
 
     file: Location
-    visited: set[int] = field(default_factory=set)
+    open: list[int] = field(default_factory=list)
+    arrays: dict[int, Any] = field(default_factory=dict)
     count: int = 0
 
     def group(self, group: Any) -> dict[str, Any]:
-        """A group (a struct) as a dictionary; text as str, without references (cells, objects)."""
+        """A group (a struct) as a dictionary; links and references (cells) are not followed."""
         import h5py
 
         address = h5py.h5o.get_info(group.id).addr
-        if address in self.visited:
+        if address in self.open:
             raise Problem(f"{self.file}: {group.name}: expected a struct, got one that contains itself")
-        self.visited.add(address)
+        self.open.append(address)
         result: dict[str, Any] = {}
         for name in group:
             if name.startswith("#"):
                 continue
-            link = group.get(name, getlink=True)
-            if not isinstance(link, h5py.HardLink):
-                target = getattr(link, "filename", None) or getattr(link, "path", "?")
-                raise Problem(f"{self.file}: {name!r}: expected a variable, got a link to {target}")
             self.count += 1
             if self.count > MAX_VARIABLES:
                 raise Problem(f"{self.file}: expected at most {MAX_VARIABLES} variables, got more")
-            item = group[name]
-            if isinstance(item, h5py.Group):
+            link = group.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink):
+                target = getattr(link, "filename", None) or getattr(link, "path", "?")
+                result[name] = NotNumbers(f"a link to {target}")
+            elif isinstance(item := group[name], h5py.Group):
                 result[name] = self.group(item)
-            elif isinstance(item, h5py.Dataset) and (content := self.content(name, item)) is not None:
-                result[name] = content
+            elif isinstance(item, h5py.Dataset):
+                place = h5py.h5o.get_info(item.id).addr
+                if place not in self.arrays:
+                    self.arrays[place] = self.content(name, item)
+                result[name] = self.arrays[place]
+        self.open.pop()
         return result
 
     def content(self, name: str, item: Any) -> Any:
-        """The content of a variable: numbers as an array, a text as str; None for anything else."""
+        """The content of a variable: numbers as an array, a text as str."""
         if item.is_virtual or item.external:
-            raise Problem(f"{self.file}: {name!r}: expected a variable, got values in another file")
-        text = item.attrs.get("MATLAB_class") == b"char"
-        if item.shape is None or item.dtype.kind not in ("u" if text else "fiub"):
-            return None
-        if np.any(item.attrs.get("MATLAB_empty", 0)):
-            return None
+            return NotNumbers("values in another file")
+        kind = item.attrs.get("MATLAB_class")
+        if item.shape is None or np.any(item.attrs.get("MATLAB_empty", 0)):
+            return NotNumbers("an empty array")
+        text = kind == b"char"
+        if item.dtype.kind not in ("u" if text else "fiub"):
+            return NotNumbers(f"of type {kind.decode() if isinstance(kind, bytes) else item.dtype}")
         _check_declared(self.file, name, item.size * item.dtype.itemsize, item.id.get_storage_size())
         values = np.asarray(item).T  # HDF5 has the dimensions in reverse order
         return "".join(map(chr, values.ravel())) if text else values
@@ -165,7 +185,7 @@ def _version_5(data: bytes) -> dict[str, Any]:
             kind, content = _next(_elements(memoryview(unpacked), order))
         if kind == MATRIX:
             name, value = _matrix(content, order)
-            if name and value is not None:  # the workspace of functions has no name
+            if name:  # the workspace of functions has no name
                 result[name] = value
     return result
 
@@ -192,9 +212,9 @@ def _next(elements: Iterator[tuple[int, memoryview]]) -> tuple[int, memoryview]:
 
 
 def _matrix(data: memoryview, order: str) -> tuple[str, Any]:
-    """Name and content of an array; None for the content of cells, objects and sparse arrays."""
+    """Name and content of an array."""
     if not data:  # an empty field of a struct
-        return "", None
+        return "", NotNumbers("an empty array")
     parts = _elements(data, order)
     flags = int(_numbers(*_next(parts), order)[0])
     shape = tuple(map(int, _numbers(*_next(parts), order)))
@@ -210,8 +230,8 @@ def _matrix(data: memoryview, order: str) -> tuple[str, Any]:
         names = bytes(_next(parts)[1])
         fields = [names[i : i + length].split(b"\0")[0].decode() for i in range(0, len(names), length)]
         contents = [_matrix(content, order)[1] for _, content in parts]
-        return name, {n: v for n, v in zip(fields, contents, strict=True) if v is not None}
-    return name, None
+        return name, dict(zip(fields, contents, strict=True))
+    return name, NotNumbers(OTHERS.get(flags & 0xFF, "an object"))
 
 
 def _numbers(kind: int, content: memoryview, order: str) -> NDArray[Any]:

@@ -8,11 +8,13 @@ matrix with many columns ("data(2,:)").
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -24,7 +26,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
-from orchestrator.data.matlab import MAX_BYTES, check_size, first_line, read_variables, shortened
+from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
 
 Array = NDArray[np.float64]
 SUFFIXES = (".csv", ".parquet", ".mat")
@@ -138,12 +140,12 @@ class _Text:
     def delimiter(self) -> str:
         return self.form.delimiter or ","
 
-    @property
+    @cached_property
     def mark(self) -> str | None:
         """The delimiter, None for any white space."""
         return self.delimiter if len(self.delimiter) == 1 else None
 
-    @property
+    @cached_property
     def decimal(self) -> str:
         return self.form.decimal or "."
 
@@ -166,7 +168,7 @@ class _Text:
             header = text[start:end].split()
         if not named:
             header, end = [str(i) for i in range(len(header))], start
-        lines = LINE_BREAK.sub("\n", text[end:]).rstrip("\n").split("\n")
+        lines = text[end:].replace("\r\n", "\n").replace("\r", "\n").rstrip("\n").split("\n")
         if named:  # the rest of the line of names, which is empty
             del lines[0]
         return header, len(LINE_BREAK.findall(text, 0, end)) + 1 + named, lines
@@ -184,7 +186,11 @@ class _Text:
 
     def split(self, line: str) -> list[str]:
         """The cells of a line."""
-        return _cells(line, self.mark)[0] if self.mark else line.split()
+        if not self.mark:
+            return line.split()
+        if len(line) > csv.field_size_limit():
+            return _cells(line, self.mark)[0]
+        return next(csv.reader([line], delimiter=self.mark), [])
 
     def check_marks(self, line: str, number: int) -> None:
         """Refuse an invalid delimiter or decimal mark, and a delimiter that is not in the row of names."""
@@ -339,8 +345,12 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
 
 def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a MATLAB file, which must have the same length."""
-    candidates = dict(_flat_columns("", read_variables(file)))
-    values = {}
+    candidates, values = dict(_flat_columns("", read_variables(file))), {}
+    for key, other in [c for c in candidates.items() if isinstance(c[1], NotNumbers)]:
+        for name in names or ():
+            if name == key or name.startswith((f"{key}.", f"{key}(")):
+                raise Problem(f"{file}: column {shortened(name)!r}: expected numbers, got {other.what}")
+        del candidates[key]
     for name in _column_indices(list(candidates), names, str(file)):
         column = candidates[name]
         if isinstance(column, str) or column.dtype.kind not in "fiub":
@@ -362,8 +372,10 @@ def _flat_columns(prefix: str, struct: Mapping[str, Any]) -> Iterator[tuple[str,
             continue
         if isinstance(item, dict):
             yield from _flat_columns(f"{name}.", item)
-        elif isinstance(item, str):
+        elif isinstance(item, str | NotNumbers):
             yield name, item
+        elif not np.size(item):
+            yield name, NotNumbers("an empty array")
         elif (array := np.squeeze(np.asarray(item))).ndim < 2:
             yield name, np.atleast_1d(array)
         elif array.ndim == 2 and array.shape[1] <= MAX_LISTED_COLUMNS:

@@ -155,7 +155,9 @@ class MachineProcess:
         """State and message by the last sign of life."""
         now, starting = time.monotonic(), status.state == "starting"
         if starting and now - self._began > START_TIMEOUT:
-            return "failed", f"the machine has not started within {START_TIMEOUT:g} s {self._where}"
+            self._failure = f"the machine has not started within {START_TIMEOUT:g} s {self._where}"
+            self._worker.close()
+            return "failed", self._failure
         if starting or status.heartbeat != self._heartbeat:
             self._heartbeat, self._heard = status.heartbeat, now
         if (silent := now - self._heard) > SILENT:

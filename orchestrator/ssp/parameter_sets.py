@@ -75,9 +75,7 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
                 variable = system.variable(port)
                 signals.notes.extend([note] if note else [])
                 if variable.settable:
-                    converted = coerce(str(port), variable, value.text, linear)
-                    check_bounds(f"{file}: {port}", variable, converted)
-                    start[port.component][port.variable] = converted
+                    start[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
                 else:
                     signals.notes.append(f"{file}: {port} keeps its value: the FMU determines it itself")
     return start

@@ -16,7 +16,8 @@ from orchestrator.base.xml import integer, real
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 
 MAX_NAMES = 4  # in a message
-ROUNDING = 1e-12  # relative difference of equal values after a conversion of units
+ROUNDING = 1e-12  # relative difference of equal values after a conversion of units; messages show 13 digits
+WRITTEN = 1e-6  # relative difference of equal values that tools have written with 6 to 9 digits
 RESOURCES = "resources"  # folder of an SSP
 
 
@@ -181,9 +182,15 @@ class System:
         return [port for port in self.ports("input") if port.variable == name]
 
     def sharing(self, name: str) -> list[Port]:
-        """The parameters that have the value of a shared parameter; a swapped FMU can lack it."""
-        components = (self.components[c] for c in self.shared.get(name, ()) if c in self.components)
-        return [Port(c.name, name) for c in components if name in c.interface.variables]
+        """The parameters that have the value of a shared parameter.
+
+        A swapped FMU can lack it, or can have something else under its name.
+        """
+        components = [self.components[c] for c in self.shared.get(name, ()) if c in self.components]
+        before = [(c.replaced or c.interface).variables.get(name) for c in components]
+        dimension = next((v.unit.dimension for v in before if v and v.unit), None)
+        ports = [Port(c.name, name) for c in components if name in c.interface.variables]
+        return [port for port in ports if _is_number_to_set(self.variable(port), dimension)]
 
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
@@ -252,6 +259,10 @@ class System:
                 start[port.component][port.variable] = converted
         components = {n: replace(c, start=start[n]) for n, c in self.components.items()}
         system = replace(self, components=components)
+        for component in components.values():
+            for name, value in component.start.items():
+                where = f"{self.source or self.name}: {component.name}.{name}"
+                check_bounds(where, component.interface.variables[name], value)
         system.check_shared()
         return system
 
@@ -267,9 +278,9 @@ class System:
                 for port in ports
             ]
             for port, value in zip(ports, values, strict=True):
-                if not math.isclose(value, values[0], rel_tol=ROUNDING):
+                if not math.isclose(value, values[0], rel_tol=WRITTEN):
                     in_unit = f" {unit.name}" if unit else ""
-                    got = f"{ports[0]} is {values[0]:g} and {port} is {value:g}{in_unit}"
+                    got = f"{ports[0]} is {values[0]:.9g} and {port} is {value:.9g}{in_unit}"
                     hint = f"set both at once by the name {name}"
                     raise Problem(f"{got}: expected one value of one physical quantity; {hint}")
 
@@ -296,6 +307,13 @@ class System:
         return replace(self, connections=kept, notes=self.notes + notes)
 
 
+def _is_number_to_set(variable: FmuVariable, dimension: object) -> bool:
+    """Is this a parameter that is a number of this dimension? Without a defined unit it is of any."""
+    same = dimension is None or variable.unit is None or variable.unit.dimension in (None, dimension)
+    is_parameter = variable.causality == "parameter" and variable.settable
+    return is_parameter and same and variable.kind not in ("String", "Boolean")
+
+
 def check_settable(port: Port, interface: FmuInterface) -> None:
     """Raise Problem if the FMU computes a variable itself."""
     variable = interface.variables[port.variable]
@@ -313,7 +331,7 @@ def check_bounds(context: str, variable: FmuVariable, value: Value, remark: str 
     unit = f" {variable.unit.name}" if variable.unit and variable.unit.name != "1" else ""
     for word, bound, sign in (("least", variable.minimum, 1.0), ("most", variable.maximum, -1.0)):
         if bound is not None and sign * (value - bound) < -ROUNDING * abs(bound):
-            raise Problem(f"{context}: expected at {word} {bound:g}{unit}, got {value:g}{unit}{remark}")
+            raise Problem(f"{context}: expected at {word} {bound:.13g}{unit}, got {value:.13g}{unit}{remark}")
 
 
 def coerce(

@@ -101,6 +101,7 @@ def sweep(
         results = store.Store(
             folder, prepared.payload.study, store.fingerprint(prepared.payload, prepared.table)
         )
+        results.forget_stopped()
         if not store.finished(folder):
             connection = nullcontext(client) if client else pool.client(workers)
             _run_missing(prepared, results, connection, watch or (lambda *_: None))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import pickle
 import queue
+import re
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -18,10 +19,13 @@ from distributed import WorkerPlugin, get_worker
 from orchestrator.base.errors import Problem
 from orchestrator.studies.cases import Sample
 from orchestrator.studies.single_run import RunOutcome, failed
+from orchestrator.studies.study import Study
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
 # Each process uses one thread, because there is a process on every core.
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
+WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
 MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
 
 
@@ -37,9 +41,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
         """Read the study; called on the Dask worker."""
         self._study = pickle.loads(self._data).study
-        gigabytes = self._study.memory_limit
-        memory = MEMORY_SHARE * machine_memory() if gigabytes is None else 1e9 * gigabytes
-        self._limits = WorkerLimits(total_time=self._study.time_limit, memory=memory)
+        self._limits = run_limits(self._study)
         self._idle, self._processes, self._stop = queue.SimpleQueue(), {}, threading.Event()
 
     def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
@@ -74,7 +76,8 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
             for answer in process.messages(limits, self._stop):
                 return answer
         except LimitExceeded as limit:
-            raise ProcessEnded(str(limit)) from None
+            name = "time_limit" if limit.timed_out else "memory_limit"
+            raise ProcessEnded(f"{name} = {_by_key(limits)[name]:.9g}: {limit}") from None
         raise ProcessEnded(process.report)
 
     def _process(self) -> Worker:
@@ -97,6 +100,23 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     def _close(self, process: Worker) -> None:
         process.close()
         self._processes.pop(process, None)
+
+
+def run_limits(study: Study) -> WorkerLimits:
+    """The limits of a run of a study on this machine."""
+    memory = MEMORY_SHARE * machine_memory() if study.memory_limit is None else 1e9 * study.memory_limit
+    return WorkerLimits(total_time=study.time_limit, memory=memory)
+
+
+def _by_key(limits: WorkerLimits) -> Mapping[str, float]:
+    """The limits by the keys of a study file and in its units, [s] and [GB]."""
+    return {"time_limit": limits.total_time, "memory_limit": limits.memory / 1e9}
+
+
+def limit_is_raised(reason: str, limits: WorkerLimits) -> bool:
+    """Did a limit stop the run that failed for this reason, and is that limit larger now?"""
+    stopped = STOPPED.match(reason)
+    return stopped is not None and _by_key(limits)[stopped[1]] > float(stopped[2]) * (1 + WRITTEN)
 
 
 class ProcessEnded(Exception):

@@ -3,7 +3,8 @@
     study.toml     copy of the TOML file of the study
     study.json     the resolved study, and hashes of everything that determines its results
     lock           locked while a process runs the study
-    parts/         finished batches while the study runs; the name of each file has a checksum of its content
+    parts/         finished batches while the study runs, and afterwards if a limit has stopped a run; the
+                   name of each file has a checksum of its content
     bands.parquet  signals stored over time, for the bands of the report: run, time [s], a column per signal
     runs.parquet   one row per run: run, status, reason, then the columns that `study` lists
     log.csv        run, status and wall time [s]; not part of the results
@@ -36,6 +37,7 @@ import pyarrow.parquet as pq
 from orchestrator.base.errors import Problem
 from orchestrator.base.toml import quote_key
 from orchestrator.studies.payload import Payload, digest
+from orchestrator.studies.processes import STOPPED, limit_is_raised, run_limits
 from orchestrator.studies.single_run import RunOutcome, band_times
 from orchestrator.studies.study import Choice, Factor, Output, Study
 
@@ -148,6 +150,26 @@ class Store:
         """The numbers of the runs that are done."""
         return {n for file in self._files() for n in _read(file, ["run"])["run"].to_pylist()}
 
+    def forget_stopped(self) -> None:
+        """Forget the runs that a limit has stopped that is larger now; they are computed again."""
+        limits = run_limits(self.study)
+        for file in self._files():
+            rows = _read(file)
+            keep = [not limit_is_raised(reason, limits) for reason in rows["reason"].to_pylist()]
+            kept = rows.filter(pa.array(keep))
+            if len(kept) == len(rows):
+                continue
+            (self.folder / "runs.parquet").unlink(missing_ok=True)  # the study is not finished any more
+            file.unlink()
+            if len(kept):
+                self._put(kept)
+
+    def _put(self, rows: pa.Table) -> None:
+        content = BytesIO()
+        pq.write_table(rows, content)
+        name = f"batch-{rows['run'][0].as_py():09}-{_checksum(content.getvalue())}.parquet"
+        put(self._parts / name, lambda partial: partial.write_bytes(content.getvalue()))
+
     def add(self, batch: Sequence[RunOutcome]) -> None:
         """Store the outcomes of a batch."""
         self._parts.mkdir(exist_ok=True)
@@ -163,14 +185,16 @@ class Store:
         for i, name in enumerate(self.study.bands):
             lists = [np.empty(0) if r.bands is None else r.bands[i] for r in batch]
             columns[f"{BAND}{name}"] = pa.array(lists, pa.list_(pa.float64()))
-        content = BytesIO()
-        pq.write_table(pa.table(columns), content)
-        name = f"batch-{batch[0].run:09}-{_checksum(content.getvalue())}.parquet"
-        put(self._parts / name, lambda partial: partial.write_bytes(content.getvalue()))
-        with (self.folder / "log.csv").open("a", encoding="utf-8") as log:
-            if not log.tell():
-                log.write(LOG)
-            log.writelines(f"{r.run},{r.status},{r.wall:.6f}\n" for r in batch)
+        self._put(pa.table(columns))
+        log_file = self.folder / "log.csv"
+        try:
+            with log_file.open("a", encoding="utf-8") as log:
+                if not log.tell():
+                    log.write(LOG)
+                log.writelines(f"{r.run},{r.status},{r.wall:.6f}\n" for r in batch)
+        except OSError as error:  # such as a full disk; the log is not part of the results
+            message = f"{error.strerror or error}: the times of {len(batch)} runs are left out"
+            logging.getLogger(__name__).warning("%s: cannot be written: %s", log_file, message)
 
     def finish(self, inputs: pa.Table, units: Mapping[str, str]) -> None:
         """Write the results; `inputs`: columns with samples and start values, in the order of the runs."""
@@ -183,6 +207,8 @@ class Store:
         units = {**units, **{o.column: o.unit for o in self.study.outputs}}
         write = partial(pq.write_table, _with_units(runs, units), write_page_checksum=True)
         put(self.folder / "runs.parquet", write)
+        if any(STOPPED.match(reason) for reason in runs["reason"].to_pylist()):
+            return  # larger limits compute these runs again, and keep the others
         for file in self._parts.glob("*"):
             file.unlink()
         self._parts.rmdir()

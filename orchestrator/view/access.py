@@ -2,7 +2,8 @@
 
 Host     must be a loopback name, a numeric address or an allowed name; a page under a foreign name that
          resolves to this computer (DNS rebinding) is refused
-method   GET without content, which could be slow to arrive; the page's own messages come over websockets
+method   GET or HEAD without content, which could be slow to arrive; the page's own messages come over
+         websockets
 Origin   if present, must be the page's own host, so that no foreign page opens a websocket
 site     a request that another site has caused (link, image, frame, script) is refused, by Sec-Fetch-Site. A
          browser that does not send it is judged by Referer
@@ -71,8 +72,10 @@ class Guard:
         headers = _headers(scope)
         if error := _host_error(headers, self._rules):
             await refuse(scope, receive, send, 400, error)
-        elif scope["type"] == "http" and scope["method"] != "GET":
-            await refuse(scope, receive, send, 405, f"expected the method GET, found {scope['method'][:20]}")
+        elif scope["type"] == "http" and scope["method"] not in ("GET", "HEAD"):
+            await refuse(
+                scope, receive, send, 405, f"expected the method GET or HEAD, found {scope['method'][:20]}"
+            )
         elif headers.get("content-length", ["0"]) != ["0"] or "transfer-encoding" in headers:
             await refuse(scope, receive, send, 413, "expected a request without content")
         elif self._has_token(scope) and not self._has_cookie(headers):
@@ -85,7 +88,8 @@ class Guard:
             message = "open the address with its token, as printed by `harvester view`"
             await refuse(scope, receive, send, 401, message)
         else:
-            await self._app(scope, receive, send)
+            # a HEAD request is answered like GET; the server leaves out the content
+            await self._app({**scope, "method": "GET"} if scope["type"] == "http" else scope, receive, send)
 
     def _has_cookie(self, headers: dict[str, list[str]]) -> bool:
         cookies = SimpleCookie()
@@ -133,7 +137,7 @@ def _site_error(headers: dict[str, list[str]]) -> str:
         foreign = any(_origin(referer) != host.lower() for referer in headers.get("referer", []))
     if not foreign:
         return ""
-    return f"opened from another site: enter http://{host}/ in the address bar instead"
+    return f"opened from another site: enter {host}/ in the address bar instead"
 
 
 def _is_ahead(headers: dict[str, list[str]]) -> bool:

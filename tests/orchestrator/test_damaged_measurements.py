@@ -244,10 +244,10 @@ def deep(file: h5py.File) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (link(h5py.ExternalLink("other.mat", "/x")), "'x': expected a variable, got a link to other.mat"),
-        (link(h5py.SoftLink("/time")), "'x': expected a variable, got a link to /time"),
-        (dataset(1, 10, external=[("other.bin", 0, 80)]), "'x': expected a variable, got values in another"),
-        (virtual, "'x': expected a variable, got values in another file"),
+        (link(h5py.ExternalLink("other.mat", "/x")), "'x': expected numbers, got a link to other.mat"),
+        (link(h5py.SoftLink("/time")), "'x': expected numbers, got a link to /time"),
+        (dataset(1, 10, external=[("other.bin", 0, 80)]), "'x': expected numbers, got values in another"),
+        (virtual, "'x': expected numbers, got values in another file"),
         (dataset(1, 10**10, chunks=(1, 1000)), "expected at most 8 GiB of samples, got 'x' of 74.5 GiB"),
         (
             dataset(1, 10**8, chunks=(1, 1000)),
@@ -338,3 +338,20 @@ def test_a_long_description_is_read_in_seconds(tmp_path):
     path.write_text(tables, encoding="utf-8")
     path.with_suffix(".csv").write_text("time\n0\n1\n", encoding="utf-8")
     refused(path.with_suffix(".csv"), "column 's0' expected, got time", read_recording)
+
+
+def test_links_inside_a_mat_file_are_no_obstacle(tmp_path):
+    """A second hard link is a second name; soft and external links count only if they are asked for."""
+
+    def change(file: h5py.File) -> None:
+        group = file.create_group("run")
+        group["y"] = np.arange(10.0)[None]
+        file["again"], file["soft"] = group, h5py.SoftLink("/run")
+        file["outside"] = h5py.ExternalLink("other.mat", "/x")
+
+    names = {"time", "run.y", "again.y"}
+    columns = read_columns(mat73(tmp_path / "a.mat", change), names).values
+    assert set(columns) == names
+    assert columns["again.y"].tolist() == list(range(10))
+    with pytest.raises(Problem, match=r"column 'soft\.y': expected numbers, got a link to /run"):
+        read_columns(tmp_path / "a.mat", {"time", "soft.y"})

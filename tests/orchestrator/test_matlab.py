@@ -2,12 +2,15 @@
 
 import struct
 
+import h5py
 import numpy as np
 import pytest
 import scipy.io
 
+from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.data.matlab import read_variables
+from orchestrator.data.matlab import NotNumbers, read_variables
+from orchestrator.data.table import read_columns
 
 VARIABLES = {
     "double": np.arange(6.0).reshape(2, 3),
@@ -37,7 +40,48 @@ def test_variables_are_those_that_scipy_reads(tmp_path, packed):
     scipy.io.savemat(path, VARIABLES, do_compression=packed)
     expected = {n: v for n, v in scipy.io.loadmat(path, simplify_cells=True).items() if n in VARIABLES}
     del expected["cell"]
-    assert equal(read_variables(Location(path)), expected)
+    found = read_variables(Location(path))
+    assert found.pop("cell") == NotNumbers("a cell array")
+    assert equal(found, expected)
+
+
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_what_is_not_numbers_is_named_when_it_is_asked_for(tmp_path, version):
+    """And is no obstacle otherwise."""
+    path = tmp_path / "a.mat"
+    if version == "5":
+        structs = np.array([(1.0,), (2.0,)], dtype=[("y", "f8")])
+        others = {
+            "cell": VARIABLES["cell"],
+            "run": structs,
+            "thin": scipy.sparse.eye(3),
+            "none": np.empty((0, 0)),
+        }
+        others |= {"texts": np.array(["a", "b"]), "inner": {"cell": VARIABLES["cell"]}}
+        scipy.io.savemat(path, {"t": np.arange(3.0), "x": np.arange(3.0), **others})
+    else:
+        with h5py.File(path, "w") as file:
+            file["t"] = file["x"] = np.arange(3.0)[None]
+            file["cell"] = np.array([[file["t"].ref]], dtype=h5py.ref_dtype)
+            file["cell"].attrs["MATLAB_class"] = np.bytes_("cell")
+    assert list(read_columns(path, {"t", "x"}).values) == ["t", "x"]
+    asked = (
+        {"cell": "of type cell"}
+        if version == "7.3"
+        else {
+            "cell": "a cell array",
+            "cell(:,2)": "a cell array",
+            "run.y": "an array of structs",
+            "thin": "a sparse array",
+            "none": "an empty array",
+            "texts": "an array of texts",
+            "inner.cell": "a cell array",
+        }
+    )
+    for name, what in asked.items():
+        with pytest.raises(Problem) as refused:
+            read_columns(path, {"t", name})
+        assert str(refused.value) == f"{path}: column {name!r}: expected numbers, got {what}"
 
 
 def test_version_4_is_read_too(tmp_path):

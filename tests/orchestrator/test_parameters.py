@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from any_fmu.edit import edited
 
 from orchestrator import Problem, assemble, load, run
 
@@ -100,3 +101,15 @@ def test_a_system_without_sets_says_so(fmus):
     """A single FMU has none."""
     with pytest.raises(Problem, match=r"parameter set 'steep' is unknown; .* contains none"):
         run(str(fmus["gain"]), parameters=["steep"])
+
+
+def test_a_value_of_an_ssp_outside_its_limits_can_be_corrected(fmus, zip_ssp, tmp_path):
+    """The final values count: the SSP loads, a run without a correction is refused with all digits."""
+    limit = (r'(name="factor"[^>]*>\s*<Real)', r'\1 max="1.5708"')
+    gain = edited(fmus["gain"], tmp_path / "gain.fmu", limit)
+    files = {"resources/gain.fmu": gain, "resources/plain.ssv": ssv(g__factor=1.57080000001)}
+    system = load(zip_ssp(SSD, files))
+    got = r"SystemStructure\.ssd: g\.factor: expected at most 1\.5708, got 1\.57080000001"
+    with pytest.raises(Problem, match=got):
+        run(system, step=0.5, stop=0.5)
+    assert factor(system, set={"u": 1.0, "g.factor": 1.5}) == 1.5

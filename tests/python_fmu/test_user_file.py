@@ -113,8 +113,12 @@ def test_the_description_is_complete(tmp_path):
             ("Parameters, Inputs, State, Outputs =", "Parameters, inputs, State, Outputs ="),
             "inputs is unknown; did you mean Inputs?",
         ),
-        (("    start =", "    inital = {}\n    start ="), "Lag.inital is unknown; did you mean initial?"),
-        (("self, x, u, p, t, h)", "self, x, u, p, h)"), "found step(self, x, u, p, h)"),
+        (
+            ("    start =", "    def inital(self, x, u, p): return {}\n    start ="),
+            "Lag.inital is unknown; did you mean initial?",
+        ),
+        (("    start =", "    inner_stap = 0.1\n    start ="), "did you mean inner_step?"),
+        (("self, x, u, p, t, h)", "self, x, u, p, h)"), "found step(x, u, p, h)"),
         (
             ('"N/s", "Its', '"N.s/mm2x", "Its'),
             "lag.py:19: Quantity: Its derivative: unit 'N.s/mm2x' is unknown",
@@ -160,7 +164,9 @@ def test_the_build_refuses(tmp_path, change, said):
 
 
 def test_helpers_of_any_name_are_the_users_own(tmp_path):
-    """A name close to one that the class defines is no slip, nor is a model without state and step."""
+    """A name close to one of another kind is no slip, nor is a model without state and step."""
+    own = "t_start, restart, file, filters, parameter, required, step_s = 0.0, True, 'a', [1], 2.0, True, 1"
+    assert built(tmp_path, ("    start =", f"    {own}\n    start =")).is_file()
     assert built(tmp_path, ("    start =", "    steps, _state, flows = 3, 4, 5\n    start =")).is_file()
     head = written(tmp_path).read_text(encoding="utf-8").partition("class Lag")[0]
     static = (
@@ -169,6 +175,26 @@ def test_helpers_of_any_name_are_the_users_own(tmp_path):
     text = head + static + "        return Outputs(y=u.u, z=u.w)\n"
     (tmp_path / "sum.py").write_text(text, encoding="utf-8")
     assert build_user(tmp_path / "sum.py", tmp_path / "out").is_file()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("    def step(self, ", "    @staticmethod\n    def step("),
+        ("    def step(self, ", "    @classmethod\n    def step(cls, "),
+        (
+            "    def step(self, ",
+            "    def __init__(self):\n        self.step = self.later\n\n    def later(self, ",
+        ),
+        ("] = 0.1", "] = np.float32(0.1)"),
+        ('{"u": 1.0}', '{"u": np.array(1.0)}'),
+        ("    start =", "    inner_step = np.float32(0.1)\n    start ="),
+        ("    start =", "    inner_step = np.array(1)\n    start ="),
+    ],
+)
+def test_methods_and_numbers_of_any_origin(tmp_path, change):
+    """A method may need no instance or be assigned; numbers may be those of NumPy."""
+    assert built(tmp_path, change, ("GAIN = 1.0", "import numpy as np\n\nGAIN = 1.0")).is_file()
 
 
 def test_a_folder_and_a_missing_file_are_named(tmp_path):

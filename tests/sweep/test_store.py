@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 from sweep.studies import GAIN, content, run, study
@@ -214,3 +216,50 @@ def test_a_file_is_no_folder_for_results(file, one):
     (file.parent / "out").write_text("")
     with pytest.raises(Problem, match=r"out: cannot be a folder for results: File exists$"):
         run(file, one)
+
+
+def stopped(outcome, reason):
+    """The outcome of a run that failed for a reason."""
+    return replace(outcome, status="failed", reason=reason, outputs=outcome.outputs * np.nan, bands=None)
+
+
+def test_a_larger_limit_runs_stopped_runs_again(file, one):
+    """Also in a finished study; other failed runs and those stopped at larger limits stay."""
+    ready, rows = store_of(file, file.parent / "out"), rows_of(file, one)
+    late = stopped(rows[2], "time_limit = 5: not done within 5 s, stopped in fmi2DoStep of gain")
+    large = stopped(rows[5], "memory_limit = 1e+09: uses more than 1e+09 GB of memory")
+    ready.add([rows[0], rows[1], late])
+    ready.add([large, stopped(rows[7], "segmentation fault")])
+    file.write_text(f"time_limit = 5\n{file.read_text()}")
+    _, runs = run(file, one)
+    assert runs == [3, 4, 6, 8, 9, 10, 11]
+    assert run(file, one)[1] == []
+    file.write_text(file.read_text().replace("time_limit = 5", "time_limit = 60"))
+    results, runs = run(file, one)
+    assert runs == [2]
+    assert results.table["run"].tolist() == list(range(12))
+    assert list(results.table.query("status == 'failed'")["run"]) == [5, 7]
+    assert len(results.bands["run"].unique()) == 10
+    assert run(file, one)[1] == []
+
+
+def test_a_run_stopped_at_its_time_limit_runs_again(file, one):
+    """The reason of a stopped run names the limit, by which a start with a larger one finds it."""
+    text = file.read_text()
+    file.write_text(f"time_limit = 1e-9\n{text}")
+    results, _ = run(file, one)
+    again = [i for i, r in enumerate(results.table["reason"]) if r.startswith("time_limit = 1e-09: not done")]
+    assert again
+    file.write_text(text)
+    results, runs = run(file, one)
+    assert runs == again
+    assert set(results.table["status"]) == {"ok"}
+
+
+def test_a_log_that_cannot_be_written_is_left_out(file, one, caplog):
+    """It is not part of the results."""
+    out, ready = file.parent / "out", store_of(file, file.parent / "out")
+    (out / "log.csv").mkdir()
+    ready.add([rows_of(file, one)[0]])
+    assert ready.done() == {0}
+    assert f"{out / 'log.csv'}: cannot be written: Is a directory" in caplog.text

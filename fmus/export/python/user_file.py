@@ -17,7 +17,7 @@ from fmus.contract import Subsystem
 from fmus.export.interface import Interface, Variable
 from fmus.export.model_description import Unknowns
 from fmus.export.python.instance import Instance
-from fmus.export.python.user_model import Model, UserModel, check_class, read_only
+from fmus.export.python.user_model import Model, UserModel, check_model, read_only
 from fmus.solver import Array
 from orchestrator.base.errors import Problem
 
@@ -88,8 +88,9 @@ def load(path: Path) -> Model:
         )
     if not models[0].name:
         models[0].name = path.stem
-    check_class(models[0])
-    return read_only(models[0]())
+    model = models[0]()
+    check_model(model)
+    return read_only(model)
 
 
 def _native(names: Mapping[str, object]) -> str:

@@ -23,8 +23,10 @@ import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, make_dataclass
 from difflib import get_close_matches
+from itertools import product
 from numbers import Real
 from pathlib import Path
+from types import FunctionType
 from typing import Annotated, Any, ClassVar
 
 import casadi as ca
@@ -104,36 +106,62 @@ class Model:
 
 LEAST_INNER_STEP = 1e-9  # s; a step of 1 ms then takes a million calls, some seconds
 ATTRIBUTES = tuple(name for name in vars(Model) if not name.startswith("_"))
+MIN_LETTERS = 4  # shorter names resemble each other by chance
 METHODS = ("initial", "step", "observe", "require")
 
 
-def check_class(model: type[Model]) -> None:
-    """Refuse a class whose attributes are misspelled, missing or of a wrong type.
+def check_model(model: Model) -> None:
+    """Refuse a model whose attributes are misspelled, missing or of a wrong type.
 
-    A public attribute of another name is the user's own, unless it resembles one of `Model` that the class
-    does not define.
+    A public attribute of another name is the user's own. It is refused if the class lacks an attribute of
+    `Model` of the same kind whose name differs in one letter or in case.
     """
-    own = {n for c in model.__mro__ if c not in (Model, object) for n in vars(c) if not n.startswith("_")}
-    absent = {name.lower(): name for name in ATTRIBUTES if name not in own}
-    for name in sorted(own - set(ATTRIBUTES)):
-        if similar := get_close_matches(name.lower(), absent, n=1, cutoff=0.8):
-            raise Problem(f"{model.__name__}.{name} is unknown; did you mean {absent[similar[0]]}?")
+    classes = [c for c in type(model).__mro__ if c not in (Model, object)]
+    own = {n for names in (vars(model), *map(vars, classes)) for n in names if not n.startswith("_")}
+    theirs = sorted(own - set(ATTRIBUTES))
+    for name, absent in product(theirs, [n for n in ATTRIBUTES if n not in own]):
+        kind = _kind(inspect.getattr_static(Model, absent))
+        if kind and kind == _kind(inspect.getattr_static(model, name)) and _is_misspelt(name, absent):
+            raise Problem(f"{type(model).__name__}.{name} is unknown; did you mean {absent}?")
     needed = ("step", "observe") if model.State is not Nothing else ("observe",)
     for name in METHODS:
-        declared = list(inspect.signature(getattr(Model, name)).parameters)
-        wanted = f"{model.__name__}: expected a method {name}({', '.join(declared[1:])})"
+        declared = list(inspect.signature(getattr(Model, name)).parameters)[1:]
+        wanted = f"{type(model).__name__}: expected a method {name}({', '.join(declared)})"
         if name not in own and name in needed:
-            raise Problem(f"{wanted}, found none{suggest(name, own - set(ATTRIBUTES))}")
+            raise Problem(f"{wanted}, found none{suggest(name, theirs)}")
         method = getattr(model, name)
         try:
             inspect.signature(method).bind(*declared)
         except TypeError as error:  # not a function, or of other arguments
             raise Problem(f"{wanted}, found {_shown(name, method)} ({error})") from None
-    _check_settings(model)
+        except ValueError:  # a function of a compiled library, whose arguments are unknown
+            continue
+    _check_settings(type(model))
+
+
+def _kind(value: object) -> type | None:
+    """The kinds of attributes that are compared; None for other values."""
+    if isinstance(value, staticmethod | classmethod):
+        return FunctionType
+    return next((kind for kind in (FunctionType, type, Mapping, Real) if isinstance(value, kind)), None)
+
+
+def _is_misspelt(name: str, meant: str) -> bool:
+    """Do two names of 4 or more letters differ in case, or in one letter that is missing or other?"""
+    a, b = sorted((name.lower(), meant.lower()), key=len)
+    same = next((i for i, pair in enumerate(zip(a, b, strict=False)) if pair[0] != pair[1]), len(a))
+    return len(a) >= MIN_LETTERS and a[same + (len(a) == len(b)) :] == b[same + 1 :]
 
 
 def _shown(name: str, method: object) -> str:
     return f"{name}{inspect.signature(method)}" if callable(method) else repr(method)
+
+
+def _is_number(value: object) -> bool:
+    """Is this a number of Python or NumPy, also as an array without dimensions?"""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _check_settings(model: type[Model]) -> None:
@@ -146,7 +174,7 @@ def _check_settings(model: type[Model]) -> None:
     if not isinstance(model.name, str):
         raise Problem(f"{model.__name__}.name: expected text, found {model.name!r}")
     longest = model.inner_step
-    if not isinstance(longest, int | float) or not longest >= LEAST_INNER_STEP:
+    if not _is_number(longest) or not longest >= LEAST_INNER_STEP:
         raise Problem(
             f"{model.__name__}.inner_step: expected at least {LEAST_INNER_STEP:g} s, found {longest!r}"
         )
@@ -198,9 +226,9 @@ def _interface(model: Model) -> Interface:
 
 
 def _start_value(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if not _is_number(value):
         raise Problem(f"{name}: expected a number, found {value!r}")
-    return float(value)
+    return float(value)  # type: ignore[arg-type]  # it is a number
 
 
 def _declared(model: Model, name: str, group: object) -> Mapping[str, Quantity]:
