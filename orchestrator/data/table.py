@@ -190,14 +190,14 @@ class _Text:
             return line.split()
         if len(line) > csv.field_size_limit():
             return _cells(line, self.mark)[0]
-        return next(csv.reader([line], delimiter=self.mark), [])
+        return next(csv.reader([line], delimiter=self.mark, skipinitialspace=self.mark != " "), [])
 
     def check_marks(self, line: str, number: int) -> None:
         """Refuse an invalid delimiter or decimal mark, and a delimiter that is not in the row of names."""
         origin = "the default" if self.form.delimiter is None else "as set"
         if self.decimal not in (".", ","):
             raise Problem(f"{self.file}: [file] decimal: expected '.' or ',', got {self.decimal!r}")
-        if not self.mark and self.delimiter != r"\s+":
+        if self.delimiter in ('"', "\r", "\n") or (not self.mark and self.delimiter != r"\s+"):
             expected = "expected one character such as ';'"
             raise Problem(f"{self.file}: [file] delimiter: {expected}, got {self.delimiter!r}")
         if self.delimiter == self.decimal:

@@ -66,6 +66,19 @@ def test_a_process_that_dies_is_told_and_a_restart_works(opened, drift):
     assert station.ready().state != "failed"
 
 
+def test_a_process_that_does_not_start_is_ended(opened, drift, monkeypatch):
+    """It stays failed, and a restart works."""
+    station = opened(drift)
+    with monkeypatch.context() as patch:
+        patch.setattr(machine, "START_TIMEOUT", 0.0)
+        station.restart(drift)
+        until(lambda: station.latest().state == "failed")
+    assert station.latest().message.startswith("the machine has not started within 0 s")
+    assert gone(station.pid)
+    station.restart(drift)
+    until(lambda: station.latest().state == "running")
+
+
 @posix
 def test_a_process_that_hangs_is_told(opened, drift, monkeypatch):
     """As when an FMU does not return; it may come back, and it can be ended."""

@@ -18,7 +18,7 @@ import scipy.io
 from fmus import parameters
 from orchestrator import Problem, Trace, read_recording, read_trace, write_trace
 from orchestrator.data.description import Description, Origin, SignalDescription, write_description
-from orchestrator.data.table import read_columns
+from orchestrator.data.table import TextFormat, read_columns
 from orchestrator.studies.study import read as read_study
 
 SECONDS = 10.0  # for one file, on a busy machine; a good one takes some milliseconds
@@ -355,3 +355,12 @@ def test_links_inside_a_mat_file_are_no_obstacle(tmp_path):
     assert columns["again.y"].tolist() == list(range(10))
     with pytest.raises(Problem, match=r"column 'soft\.y': expected numbers, got a link to /run"):
         read_columns(tmp_path / "a.mat", {"time", "soft.y"})
+
+
+def test_quoted_numbers_may_have_spaces_around(tmp_path):
+    """As the names of columns may."""
+    path = tmp_path / "a.csv"
+    path.write_text('a,b\n1,2\n 3 , "4" \n')
+    assert read_columns(path, None).values["b"].tolist() == [2, 4]
+    with pytest.raises(Problem, match="delimiter: expected one character such as ';', got '\"'"):
+        read_columns(path, None, TextFormat(delimiter='"'))
