@@ -38,25 +38,41 @@ def test_the_cache_is_private(cache):
     assert made() == library
 
 
-def test_a_folder_that_others_can_write_to_is_not_used(cache, caplog):
-    """The library is compiled for this process, and one line says why."""
-    made().write_bytes(b"code of somebody else")
-    cache.chmod(0o777)
+def test_an_own_folder_that_others_can_write_to_becomes_private(cache, caplog):
+    """Without a word, and its libraries are used: only a file that others can change is made again."""
+    library = made()
+    before = library.stat().st_mtime_ns
+    cache.chmod(0o775)
     with caplog.at_level(logging.WARNING):
-        library, again = made(), made()
-    assert library.parent != cache
-    assert again == library
-    assert library.read_bytes() != b"code of somebody else"
-    (message,) = [record.getMessage() for record in caplog.records]
-    assert message.startswith(f"{cache}: expected a folder that only you own and can write to")
+        assert made() == library
+    assert cache.stat().st_mode & 0o777 == 0o700
+    assert library.stat().st_mtime_ns == before
+    assert not caplog.records
 
 
 @pytest.mark.usefixtures("cache")
-def test_a_folder_of_another_user_is_not_used(monkeypatch):
-    """Also by the superuser, to whom every folder is open."""
+def test_a_link_in_the_cache_is_replaced(tmp_path):
+    """It could have been made while others could write to the folder."""
+    library, other = made(), tmp_path / "other.so"
+    other.write_bytes(b"some other library")
+    other.chmod(0o700)
+    library.unlink()
+    library.symlink_to(other)
+    assert made() == library
+    assert not library.is_symlink()
+    assert other.read_bytes() == b"some other library"
+
+
+def test_a_folder_of_another_user_is_not_used(cache, caplog, monkeypatch):
+    """Also by the superuser, to whom every folder is open; one line says why."""
     library, user = made(), os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: user + 1)
-    assert made() != library
+    with caplog.at_level(logging.WARNING):
+        own, again = made(), made()
+    assert own != library
+    assert cache not in (own.parent, again.parent)
+    (message,) = [record.getMessage() for record in caplog.records]
+    assert message.startswith(f"{cache}: expected a folder of your own")
 
 
 def test_a_file_that_others_can_write_to_is_made_again(cache):

@@ -19,16 +19,24 @@ from test_damaged_files import INNER, LONGEST, MAPPING, MOST, OUTER, START, pack
 
 from orchestrator import load
 from orchestrator.__main__ import main
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import MAX_NESTING, Location
+from orchestrator.base.files import MAX_DIRECTORY, MAX_NESTING, Location, extract_member, size_fault
+from orchestrator.base.xml import MAX_ITEMS
 from orchestrator.check import check
+from orchestrator.check.read_ls_ref import resolve
+from orchestrator.check.rules import archive as archive_rules
+from orchestrator.check.subject import Subject
 from orchestrator.fmi.library import find_library
 from orchestrator.fmi.read_description import read_description
+from orchestrator.results.validate_system import _provenance
 from orchestrator.ssp.assembly import open_component
+from orchestrator.view.view_description import view_description
 
 Members = Mapping[str, bytes]
 GOOD: Members = {DESCRIPTION: XML_2.encode(), "binaries/linux64/lag.so": b"no library"}
-ZEROS = bytes(150 << 20)  # above the size up to which any ratio is accepted
+ZEROS = bytes(150 << 20)
+BOMB = 800_000_000  # bytes; above the size up to which any ratio is accepted
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +102,12 @@ def with_member(name: str, data: bytes = b"", method: int = zipfile.ZIP_DEFLATED
     return change
 
 
+def bomb(path: Path) -> None:
+    """Add a member that declares much more than it has."""
+    with_member("resources/bomb", b"0")(path)
+    in_directory(24, "I", BOMB, member=2)(path)
+
+
 def wrong_sum(path: Path) -> None:
     """Change the check sum of the library, in front of it and in the directory."""
     in_directory(16, "I", 1, member=1)(path)
@@ -110,12 +124,13 @@ ARCHIVES: Mapping[
     "method": (in_directory(10, "H", 99), "compressed with 99, expected deflate or store", "archive.method"),
     "lzma": (with_member("a", b"b", zipfile.ZIP_LZMA), "compressed with lzma", "archive.method"),
     "same bytes": (in_directory(42, "I", 0, member=1), "expected separate members", "archive.zip"),
-    "bomb": (with_member("resources/bomb", ZEROS), "expected at most 200 times its size", "archive.size"),
+    "bomb": (bomb, "expected at most 200 times its size", "archive.size"),
     "4 GB": (in_directory(24, "I", 0xFFFFFFF0), "MB unpacked, got 4295 MB", "archive.size"),
     "up": (with_member("../evil"), "has '..' in its path", "archive.name"),
     "root": (with_member("/tmp/evil"), "expected a relative path", "archive.name"),
     "drive": (with_member("C:/evil"), "expected a relative path", "archive.name"),
-    "backslash": (with_member("..\\evil"), "expected forward slashes", "archive.name"),
+    "backslash": (with_member("..\\evil"), "has '..' in its path", "archive.name"),
+    "backslashes": (with_member("\\\\host\\evil"), "expected a relative path", "archive.name"),
     "nul": (with_member("evil\0.txt"), "has a control character", "archive.name"),
     "deep": (with_member("d/" * 3000 + "x"), "has 6001 characters, expected at most 1000", "archive.name"),
     "file as folder": (with_member(f"{DESCRIPTION}/x"), "cannot be unpacked into", "archive.zip"),
@@ -150,6 +165,100 @@ def test_a_member_is_read_up_to_the_size_it_declares(tmp_path: Path) -> None:
     assert peak() - before < len(ZEROS) / 2
 
 
+def test_sparse_data_are_no_bomb() -> None:
+    """150 MB of zeros pack to 150 kB."""
+    member = zipfile.ZipInfo("resources/map.bin")
+    member.file_size = len(ZEROS)
+    assert size_fault([member], len(ZEROS) // 1000) == ""
+    member.file_size = BOMB
+    assert "at most 200 times" in size_fault([member], BOMB // 1000)
+
+
+def test_a_large_member_is_not_unpacked_to_be_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The size that it declares is above the limit of the reader."""
+    path = fmu(tmp_path / "x.fmu")
+    monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("unpacked"))
+    with pytest.raises(Problem, match=rf"x\.fmu/{DESCRIPTION}: expected at most 0 MB"):
+        Location(path).member(DESCRIPTION).read(100)
+
+
+def test_a_long_list_of_members_is_refused(tmp_path: Path) -> None:
+    """Before it is read: by its size in the last record of the archive."""
+    path = fmu(tmp_path / "x.fmu")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, len(data) - 10, MAX_DIRECTORY + 1)
+    path.write_bytes(data)
+    message = "a list of members of at most 10 MB"
+    with pytest.raises(Problem, match=message):
+        load(path)
+    assert any(message in f.text for f in check(path, run=False).findings if f.rule == "archive.zip")
+
+
+def test_the_name_in_an_extra_field_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newer versions of Python unpack under this name (Info-ZIP 0x7075); it may only add letters."""
+    names = {
+        "resources/a": ("../evil", "has '..' in its path"),
+        "resources/b": ("resources/c", "name 'resources/c' in an extra field"),
+        "resources/├╝": ("resources/ü", ""),
+    }
+    monkeypatch.setattr(
+        zipfile.ZipInfo,
+        "_decodeExtra",
+        lambda self, *_: setattr(self, "filename", names.get(self.filename, (self.filename,))[0]),
+    )
+    for written, (other, message) in names.items():
+        path = fmu(tmp_path / "x.fmu", more={written: b""})
+        faults = {f.text for f in check(path, run=False).findings if f.rule == "archive.name"}
+        if not message:
+            with Location(path).unpacked() as folder:
+                assert (folder / other).is_file()
+            assert not faults
+            continue
+        with pytest.raises(Problem, match=message), Location(path).unpacked():
+            pass
+        assert any(message in text for text in faults)
+        with zipfile.ZipFile(path) as archive, pytest.raises(zipfile.BadZipFile, match=message):
+            extract_member(archive, archive.infolist()[-1], tmp_path / "folder")
+    assert not (tmp_path / "evil").exists()
+
+
+def test_backslashes_in_names_are_slashes(gain: Path, tmp_path: Path) -> None:
+    """Old packers on Windows write them; a check reports them."""
+    path = tmp_path / "x.fmu"
+    with zipfile.ZipFile(gain) as good:
+        members = {n: good.read(n) for n in good.namelist()}
+    path.write_bytes(packed({n.replace("/", "\\"): data for n, data in members.items()}))
+    with Location(path).unpacked() as folder:
+        assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} == set(members)
+    assert set(Location(path).names()) == set(members)
+    assert all(Location(path).member(n).read() == data for n, data in members.items())
+    assert "archive.name" in {f.rule for f in check(path, run=False).findings}
+
+
+@pytest.mark.parametrize("name", ["全\u3000部", "a\u00a0b", "\u0645\u06cc\u200c\u062e", "a\u200db"])
+def test_names_of_all_scripts_are_read(name: str, gain: Path, tmp_path: Path) -> None:
+    """Only control characters of ASCII are refused: Japanese, French and Persian need other ones."""
+    file = f"resources/{name}.fmu"
+    change = ('name="a" source="resources/gain.fmu"', f'name="a" source="{file}"')
+    assert "a" in load(system(tmp_path / "x.ssp", gain, change, more={file: gain.read_bytes()})).components
+    assert resolve(tmp_path, tmp_path, f"{name}.csv") == (tmp_path / f"{name}.csv").resolve()
+    assert resolve(tmp_path, tmp_path, "a\x7f.csv") is None
+    with pytest.raises(Problem, match="control character"):
+        Location(tmp_path / "x.ssp").member("a\x7f")
+
+
+def test_a_rule_searches_all_files_within_one_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that many large files do not take many times as long."""
+    monkeypatch.setattr(archive_rules, "MAX_SEARCHED", 100)
+    texts = {f"{n}.txt": f"/home/{n}/x".encode().ljust(80) for n in "abc"}
+    for name, data in texts.items():
+        (tmp_path / name).write_bytes(data)
+    searched = list(archive_rules._searched(Subject(tmp_path, tmp_path), texts))
+    assert searched == [("a.txt", texts["a.txt"]), ("b.txt", texts["b.txt"][:20])]
+
+
 def test_a_large_description_of_constant_text_is_read(tmp_path: Path) -> None:
     """The ratio counts only for large archives: regular descriptions of good FMUs pack well."""
     path = fmu(tmp_path / "x.fmu", ('license="MIT"', f'license="{" " * 9_000_000}"'))
@@ -159,9 +268,10 @@ def test_a_large_description_of_constant_text_is_read(tmp_path: Path) -> None:
 
 def test_a_bomb_in_a_system_is_refused(gain: Path, tmp_path: Path) -> None:
     """Also if the archive of the system itself is small unpacked, and if it contains itself many times."""
-    bomb = packed({**GOOD, "resources/bomb": ZEROS})
+    file = fmu(tmp_path / "bomb.fmu")
+    bomb(file)
     with pytest.raises(Problem, match=r"x\.ssp/resources/gain\.fmu: expected at most 200 times its size"):
-        load(system(tmp_path / "x.ssp", gain, more={"resources/gain.fmu": bomb}))
+        load(system(tmp_path / "x.ssp", gain, more={"resources/gain.fmu": file.read_bytes()}))
     text = INNER.replace("resources/gain.fmu", "x.ssp").replace(
         'name="g"', 'name="g" type="application/x-ssp-package"'
     )
@@ -216,6 +326,21 @@ def test_a_full_temporary_folder_is_told(tmp_path: Path, monkeypatch: pytest.Mon
         check(path, run=False)
 
 
+def test_a_disk_that_is_full_at_the_last_block_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the name of the file that is read."""
+
+    class Full(tempfile.SpooledTemporaryFile):  # type: ignore[type-arg]
+        def flush(self) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = fmu(tmp_path / "x.fmu")
+    monkeypatch.setattr(tempfile, "SpooledTemporaryFile", Full)
+    with pytest.raises(Problem, match=rf"x\.fmu/{DESCRIPTION}: cannot be unpacked: No space left"):
+        Location(path).member(DESCRIPTION).read()
+
+
 # ---- descriptions ------------------------------------------------------------------------------------------
 
 CO = "<CoSimulation modelIdentifier="
@@ -232,7 +357,7 @@ DESCRIPTIONS: Mapping[str, tuple[tuple[str, str], str]] = {
     "20 MB": (('license="MIT"', f'license="{"x" * 20_000_000}"'), "cannot be read as XML: .*limit"),
     "levels": (("<LogCategories>", "<a>" * 150 + "</a>" * 150 + "<LogCategories>"), "at most 100 levels"),
     "many levels": (("<LogCategories>", "<a>" * 90_000), "cannot be read as XML: Excessive depth"),
-    "items": (("<LogCategories>", "<LogCategories>" + "<a/>" * 4_000_001), "at most 4000000 elements"),
+    "items": (("<LogCategories>", "<LogCategories>" + "<a/>" * MAX_ITEMS), "a limit of this tool"),
     "encoding": (('encoding="UTF-8"', 'encoding="evil"'), "cannot be read as XML: .*encoding"),
     "line break": (('name="y"', 'name="a&#10;b&#27;[2J" x=""'), ""),
 }
@@ -254,6 +379,30 @@ def test_a_description_is_refused(name: str, tmp_path: Path) -> None:
     assert all(line.isprintable() for line in report.text().split("\n"))
     assert time.process_time() - start < LONGEST
     assert find_library(tmp_path, "../../x/evil", 2) is None
+
+
+def test_a_long_identifier_names_no_library(tmp_path: Path) -> None:
+    """Names of files have at most 255 characters."""
+    path = fmu(tmp_path / "x.fmu", (f'{CO}"lag"', f'{CO}"{"x" * 260}"'))
+    with Location(path).unpacked() as folder:
+        for system in ("linux64", "win64", "darwin64"):
+            (folder / "binaries" / system).mkdir(exist_ok=True)
+        assert find_library(folder, "x" * 260, 2) is None
+    assert load(path).components["x"].interface.identifier == "x" * 260
+
+
+def test_other_files_of_an_fmu_are_read_up_to_their_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A description of the view and the origin of parameters: TOML, at most 4 MB."""
+    limits = list[int]()
+    read = Location.read
+    monkeypatch.setattr(Location, "read", lambda self, limit: limits.append(limit) or read(self, limit))
+    loaded = load(fmu(tmp_path / "x.fmu"))
+    limits.clear()
+    view_description(loaded)
+    assert _provenance(loaded.components["x"]) == {}
+    assert limits == [toml.MAX_BYTES] * 2
 
 
 LAUGHS = '<!ENTITY a0 "ha">' + "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
@@ -288,7 +437,10 @@ def test_other_encodings_are_read(encoding: str, tmp_path: Path) -> None:
 
 SOURCE = 'name="a" source="resources/gain.fmu"'
 BINDING = 'ParameterBinding source="resources/start.ssv"'
-LEAVES = "expected a path inside of the archive"
+LEAVES = "expected a path inside of the archive; unpack it"
+SHARED = '<hc:SharedParameter xmlns:hc="urn:harvester-cosim:coupling" name="{}">{}</hc:SharedParameter>{}'
+END = "</ssc:Annotation></ssd:Annotations></ssd:DefaultExperiment>"
+A = '<hc:Component name="a"/>'
 SYSTEMS: Mapping[str, tuple[tuple[str, str], str]] = {
     "up": ((SOURCE, 'name="a" source="../gain.fmu"'), LEAVES),
     "up and up": ((SOURCE, f'name="a" source="{"../" * 40}etc/passwd"'), LEAVES),
@@ -310,6 +462,8 @@ SYSTEMS: Mapping[str, tuple[tuple[str, str], str]] = {
     "brackets": ((SOURCE, 'name="a" source="http://[::1"'), "expected a URI, got Invalid IPv6 URL"),
     "nul": ((SOURCE, 'name="a" source="a%00b"'), "expected a path without control characters"),
     "no name": ((SOURCE, 'source="resources/gain.fmu"'), "Component: expected an attribute name, got source"),
+    "shared output": ((END, SHARED.format("y", A, END)), r"x\.ssp/\S+: shared parameter y: .* got causality"),
+    "shared by none": ((END, SHARED.format("factor", "", END)), "expected at least one Component"),
     "itself": (('source="other.ssd"', 'source="SystemStructure.ssd"'), "includes itself"),
 }
 

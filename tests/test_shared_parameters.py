@@ -11,7 +11,9 @@ from fmus.machine.parts import FAMILIES, SHARED
 from fmus.parameters import values
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
+from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.system import Component, System
 from orchestrator.ssp.write import write_ssp
 from orchestrator.studies.parameter_study import prepare
 from orchestrator.studies.study import read
@@ -106,6 +108,42 @@ def test_an_assembled_system_shares_what_it_is_told(fmu_dir):
     assemble(fmus, start={"boom_stick.boom_stroke": 0.6})
     with pytest.raises(Problem, match="expected one value of one physical quantity"):
         assemble(fmus, start={"boom_stick.boom_stroke": 0.6}, shared={"boom_stroke": tuple(fmus)})
+
+
+CLAIMS = {  # name -> what it is instead of a numeric parameter with a start value
+    "text": "causality parameter and type String",
+    "y": "causality output and type Real",
+    "bare": "causality parameter and type Real without a start value",
+    "factr": "none of this name; did you mean",
+}
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_what_cannot_be_shared_is_refused(name):
+    """In one line, before any value is compared; so is a component that does not exist."""
+    variables = (
+        FmuVariable("factor", causality="parameter", start="1"),
+        FmuVariable("bare", causality="parameter"),
+        FmuVariable("text", "String", "parameter", start="a"),
+        FmuVariable("y", causality="output", start="1"),
+    )
+    part = Component("a", FmuInterface({v.name: v for v in variables}))
+    System("s", {"a": part}, shared={"factor": ("a",)}).check_sharing()
+    expected = f"shared parameter {name}: expected a numeric parameter with a start value in a, got"
+    system = System("s", {"a": part}, shared={name: ("a",)})
+    with pytest.raises(Problem, match=f"^{expected} {CLAIMS[name]}"):
+        system.check_sharing()
+    system.check_shared()  # such as after a swap: not compared
+    with pytest.raises(Problem, match="start value in b, got no such component"):
+        System("s", {"a": part}, shared={"factor": ("a", "b")}).check_sharing()
+
+
+def test_three_shared_values_are_set_all_at_once():
+    """The line does not say both."""
+    part = FmuInterface({"factor": FmuVariable("factor", causality="parameter", start="1")})
+    system = System("s", {n: Component(n, part) for n in "abc"}, shared={"factor": tuple("abc")})
+    with pytest.raises(Problem, match="; set all at once by the name factor"):
+        system.with_start({"c.factor": 2.0})
 
 
 def test_a_factor_of_a_study_sets_all_parts(fmu_dir, tmp_path):

@@ -27,6 +27,9 @@ from orchestrator.base.errors import Problem
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
+OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permission to write for others than the owner
+
+
 class CompilerError(Problem):
     """The compiler is missing or reports an error; `output` is the whole text that it wrote to stderr."""
 
@@ -51,7 +54,9 @@ def shared_library(
     try:
         folder = cache_folder().resolve()  # what is checked is what is used, also behind a symbolic link
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if _is_private(folder):
+        if _owned(folder):
+            if folder.stat().st_mode & OTHERS:
+                folder.chmod(0o700)
             return _compile(folder / file, name, code, arguments)
         _warn_of_shared(folder)
     except OSError:  # the cache is not writable
@@ -67,21 +72,28 @@ def cache_folder() -> Path:
     return Path(folder or Path.home() / ".cache") / "harvester-cosim"
 
 
-def _is_private(path: Path) -> bool:
-    """True if the user owns a file or folder and nobody else can write to it; the superuser always can.
+def _owned(path: Path) -> bool:
+    """True if the user owns a file or folder itself, not only the target of a symbolic link.
 
     The cache of Windows is in the profile of the user, which other users cannot change.
     """
+    return sys.platform == "win32" or path.lstat().st_uid == os.geteuid()
+
+
+def _is_private(file: Path) -> bool:
+    """True if the user owns a regular file and nobody else can write to it; the superuser always can."""
     if sys.platform == "win32":
-        return True
-    status = path.stat()
-    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        return file.is_file()
+    if not os.path.lexists(file):
+        return False
+    mode = file.lstat().st_mode
+    return _owned(file) and stat.S_ISREG(mode) and not mode & OTHERS
 
 
 @cache
 def _warn_of_shared(folder: Path) -> None:
     """Say once in a process that the cache is not used."""
-    reason = "expected a folder that only you own and can write to (chmod go-w)"
+    reason = "expected a folder of your own, got one of another user"
     logging.getLogger(__name__).warning("%s: %s: compiled code is not kept there", folder, reason)
 
 
@@ -99,7 +111,7 @@ def _compile(
     arguments: Sequence[str],
     environment: Mapping[str, str] | None = None,
 ) -> Path:
-    if library.is_file() and _is_private(library):
+    if _is_private(library):
         return library
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         for file, data in code.items():
@@ -115,7 +127,7 @@ def _compile(
         try:
             made.replace(library)
         except OSError:  # on Windows, if another process compiled it meanwhile and has loaded it
-            if not (library.is_file() and _is_private(library)):
+            if not _is_private(library):
                 raise
     return library
 

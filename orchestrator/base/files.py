@@ -28,9 +28,10 @@ if TYPE_CHECKING:
 # The largest FMUs in use have some 100 MB. Those with Python or Java inside have 1 GB and 20 000 files.
 MAX_UNPACKED = 2 << 30  # bytes of all members of one archive
 MAX_MEMBERS = 50_000
+MAX_DIRECTORY = 10 << 20  # bytes of the list of members, 200 for each; `zipfile` reads this in 4 s
 # Packed descriptions of 200 000 variables have a tenth of their size, constant bytes have a thousandth.
 MAX_RATIO = 200
-ANY_RATIO = 100 << 20  # bytes up to which the ratio does not matter
+ANY_RATIO = 500 << 20  # bytes up to which the ratio does not matter, such as sparse tables of 150 MB
 MAX_NESTING = 8  # archives inside archives; the FMU in an SSP in an SSP has 2
 MAX_PATH = (
     1000  # characters of the name of a member; Linux allows 4096 with the temporary folder, Windows 260
@@ -49,8 +50,13 @@ ZIP_ERRORS = (
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
+def has_control(text: str) -> bool:
+    """True if a text has control characters of ASCII; other characters may be part of a name."""
+    return any(ord(c) < 32 or ord(c) == 127 for c in text)
+
+
 def why_unsafe(name: str) -> str:
-    """Why a member must not be unpacked under its name; empty if it may."""
+    """Why a member must not be unpacked under a name; empty if it may."""
     if not name:
         return "is empty"
     if "\\" in name:
@@ -61,12 +67,31 @@ def why_unsafe(name: str) -> str:
         return "has '..' in its path, expected none"
     if len(name) > MAX_PATH:
         return f"has {len(name)} characters, expected at most {MAX_PATH}"
-    return "has a control character, expected none" if any(ord(c) < 32 for c in name) else ""
+    return "has a control character, expected none" if has_control(name) else ""
 
 
 def is_file_name(name: str) -> bool:
     """True for the name of a file without a path."""
     return name not in (".", "..") and "/" not in name and not why_unsafe(name)
+
+
+def forward(name: str) -> str:
+    """The name of a member with forward slashes; old packers on Windows write backslashes."""
+    return name.replace("\\", "/")
+
+
+def name_fault(member: zipfile.ZipInfo) -> str:
+    """Why a member must not be unpacked under its names; empty if it may.
+
+    Newer versions of Python take `filename` from an extra field (Info-ZIP 0x7075), which spells names that
+    are not ASCII.
+    """
+    written, name = forward(member.orig_filename), member.filename
+    if fault := why_unsafe(written) or why_unsafe(name):
+        return fault
+    if written != name and written.isascii():
+        return f"has the name {name!r} in an extra field, expected one name"
+    return ""
 
 
 def why_unreadable(member: zipfile.ZipInfo) -> str:
@@ -100,8 +125,23 @@ def overlap(members: Sequence[zipfile.ZipInfo]) -> str:
     return ""
 
 
+def open_archive(file: IO[bytes]) -> zipfile.ZipFile:
+    """An archive whose members have names with forward slashes; raises one of `ZIP_ERRORS`."""
+    record = zipfile._EndRecData(file)  # type: ignore[attr-defined]  # as ZipFile does
+    if record and (size := record[zipfile._ECD_SIZE]) > MAX_DIRECTORY:  # type: ignore[attr-defined]
+        limit = f"a list of members of at most {MAX_DIRECTORY / 1e6:.0f} MB"
+        raise zipfile.BadZipFile(f"expected {limit}, got {size / 1e6:.0f} MB")
+    archive = zipfile.ZipFile(file)
+    for member in archive.infolist():
+        member.filename = forward(member.filename)
+        archive.NameToInfo[member.filename] = member
+    return archive
+
+
 def extract_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Path) -> None:
-    """Unpack a member with a safe name; raises one of `ZIP_ERRORS`. A symbolic link becomes a file."""
+    """Unpack a member; raises one of `ZIP_ERRORS`, also for unsafe names. A symbolic link becomes a file."""
+    if fault := name_fault(member) or why_unreadable(member):
+        raise zipfile.BadZipFile(f"member {member.orig_filename!r} {fault}")
     target = folder / member.filename
     if member.is_dir():
         target.mkdir(parents=True, exist_ok=True)
@@ -143,23 +183,25 @@ class Location:
 
     def read(self, limit: int = MAX_UNPACKED) -> bytes:
         """The bytes of the file, at most `limit`."""
-        with self._open() as file:
-            size = file.seek(0, os.SEEK_END)
-            if size > limit:
-                raise Problem(f"{self}: expected at most {limit / 1e6:.0f} MB, got {size / 1e6:.0f} MB")
+        with self._open(limit) as file:
+            self._check_size(file.seek(0, os.SEEK_END), limit)
             file.seek(0)
             return file.read()
 
+    def _check_size(self, size: int, limit: int) -> None:
+        if size > limit:
+            raise Problem(f"{self}: expected at most {limit / 1e6:.0f} MB, got {size / 1e6:.0f} MB")
+
     @contextmanager
-    def _open(self) -> Iterator[IO[bytes]]:
-        """The file, opened for reading; a member is unpacked before."""
+    def _open(self, limit: int = MAX_UNPACKED) -> Iterator[IO[bytes]]:
+        """The file, opened for reading; a member, of at most `limit` bytes, is unpacked before."""
         if not self.members:
             with self._open_path() as file:
                 yield file
             return
         with tempfile.SpooledTemporaryFile(MAX_BUFFER) as file:
             with self.parent.zip() as archive:
-                self._unpack(archive, file)
+                self._unpack(archive, file, limit)
             yield file
 
     def _open_path(self) -> IO[bytes]:
@@ -170,7 +212,7 @@ class Location:
         except OSError as error:
             raise Problem(f"{self.path}: cannot be read: {error.strerror}") from None
 
-    def _unpack(self, archive: zipfile.ZipFile, file: IO[bytes]) -> None:
+    def _unpack(self, archive: zipfile.ZipFile, file: IO[bytes], limit: int) -> None:
         """Unpack this member of its archive into a file."""
         try:
             member = archive.getinfo(self.members[-1])
@@ -181,9 +223,11 @@ class Location:
             ) from None
         if fault := why_unreadable(member):
             raise Problem(f"{self}: the member {fault}")
+        self._check_size(member.file_size, limit)
         try:
             with archive.open(member) as source:
                 shutil.copyfileobj(source, file, CHUNK)
+            file.flush()  # here, so that a full disk is an error of this member
         except ZIP_ERRORS as error:
             raise Problem(f"{self}: cannot be unpacked: {_reason(error)}") from None
 
@@ -199,7 +243,7 @@ class Location:
             raise Problem(f"{self}: expected at most {MAX_NESTING} archives inside each other")
         with self._open() as file, ExitStack() as stack:
             try:
-                archive = stack.enter_context(zipfile.ZipFile(file))
+                archive = stack.enter_context(open_archive(file))
             except ZIP_ERRORS as error:
                 known = isinstance(error, zipfile.BadZipFile) and "not a zip" in str(error)
                 got = "something else" if known else f"a damaged one: {_reason(error)}"
@@ -239,7 +283,7 @@ class Location:
         except ValueError as error:
             raise Problem(f"{context} a URI, got {error}") from None
         path = unquote(parts.path)
-        if not path.isprintable():
+        if has_control(path):
             raise Problem(f"{context} a path without control characters")
         if parts.netloc not in ("", "localhost") or (len(parts.scheme) > 1 and parts.scheme != "file"):
             raise Problem(f"{context} a relative path or a file: URI")
@@ -247,7 +291,7 @@ class Location:
             return Location(Path(path) if parts.scheme == "file" else self.path.parent / path)
         name = _normalised(PurePosixPath(self.members[-1]).parent / path)
         if parts.scheme or why_unsafe(name):
-            raise Problem(f"{context} a path inside of the archive")
+            raise Problem(f"{context} a path inside of the archive; unpack it to use files elsewhere")
         return Location(self.path, (*self.members[:-1], name))
 
     def extract(self, folder: Path) -> None:
@@ -257,9 +301,6 @@ class Location:
                 shutil.copytree(self.path, folder)
                 return
             with self.zip() as archive:
-                for member in archive.infolist():
-                    if fault := why_unsafe(member.orig_filename) or why_unreadable(member):
-                        raise Problem(f"{self}: member {member.orig_filename!r} {fault}")
                 for member in archive.infolist():
                     extract_member(archive, member, folder)
         except ZIP_ERRORS as error:

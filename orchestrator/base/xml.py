@@ -19,7 +19,7 @@ from orchestrator.base.files import Location
 Element = Any  # lxml ships no types
 # The largest descriptions in use have 100 000 variables, 1.5 million elements and attributes, and 40 MB.
 MAX_BYTES = 200 << 20
-MAX_ITEMS = 4_000_000  # elements and attributes; each takes 200 bytes of memory or less
+MAX_ITEMS = 2_500_000  # elements and attributes; each takes up to 450 bytes of memory, together 1.1 GB
 MAX_NAME = 10_000  # characters of an attribute `name`, which many messages quote; the longest have some 500
 MAX_LEVELS = 100  # systems inside systems take two each
 
@@ -129,7 +129,8 @@ def _root(file: Location) -> Element:
 def too_large(text: bytes) -> str:
     """Why a text would take too much memory as a tree; empty if it would not."""
     items = text.count(b"<") + text.count(b"=")
-    return f"expected at most {MAX_ITEMS} elements and attributes, got {items}" if items > MAX_ITEMS else ""
+    limit = f"expected at most {MAX_ITEMS} elements and attributes, a limit of this tool"
+    return f"{limit}, got {items}" if items > MAX_ITEMS else ""
 
 
 def excess(root: Element) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, has_control
 from orchestrator.base.xml import Element, child, children, local_name, parse, read_xml
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
@@ -74,7 +74,7 @@ def resolve(folder: Path, base: Path, source: str) -> Path | None:
     except ValueError:  # such as brackets without end
         return None
     name = unquote(parts.path)
-    if parts.scheme or parts.netloc or not name or name.startswith("/") or not name.isprintable():
+    if parts.scheme or parts.netloc or not name or name.startswith("/") or has_control(name):
         return None
     path = (base / name).resolve()
     return path if path.is_relative_to(folder.resolve()) else None

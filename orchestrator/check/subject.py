@@ -18,11 +18,12 @@ from orchestrator.base.files import (
     FULL,
     ZIP_ERRORS,
     extract_member,
+    name_fault,
+    open_archive,
     overlap,
     size_fault,
     temporary_folder,
     why_unreadable,
-    why_unsafe,
 )
 from orchestrator.check.finding import Finding
 
@@ -37,7 +38,7 @@ SYMBOLIC_LINK = 0o120000
 def unpack(path: Path, folder: Path) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
     """Unpack members with safe names into `folder`; returns the names of all members, and findings."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with path.open("rb") as file, open_archive(file) as archive:
             members = archive.infolist()
             refusals = list(_refusals(members, path.stat().st_size))
             faults = refusals or [*_faults(members), *_extract(archive, folder)]
@@ -75,8 +76,10 @@ def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
     """Findings about the members listed in the central directory of the archive."""
     for member in members:
         name = member.orig_filename
-        if reason := why_unsafe(name):
-            yield _error("archive.name", f"member {name!r} {reason}")
+        if fault := name_fault(member):
+            yield _error("archive.name", f"member {name!r} {fault}")
+        elif "\\" in name:
+            yield _error("archive.name", f"member {name!r} has a backslash, expected forward slashes")
         if member.external_attr >> 16 & 0o170000 == SYMBOLIC_LINK:
             yield _error("archive.link", f"member {name!r} is a symbolic link, expected a file")
         if fault := why_unreadable(member):
@@ -100,7 +103,7 @@ def _duplicates(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
 def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:
     """Unpack the members that can be unpacked; yields findings on the others."""
     for member in archive.infolist():
-        if why_unsafe(member.orig_filename) or why_unreadable(member) or member.is_dir():
+        if name_fault(member) or why_unreadable(member) or member.is_dir():
             continue
         try:
             extract_member(archive, member, folder)

@@ -54,7 +54,7 @@ def find_library(folder: Path, identifier: str, fmi: int) -> Path | None:
     if not is_file_name(identifier):  # a path could lead out of the FMU
         return None
     paths = (folder / "binaries" / name / f"{identifier}{SUFFIX}" for name in platform_folders(fmi))
-    return next((p for p in paths if p.is_file()), None)
+    return next((p for p in paths if os.path.isfile(p)), None)  # False for a name that is too long
 
 
 def load_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:

@@ -178,7 +178,7 @@ def _provenance(component: Component) -> Mapping[str, Mapping[str, Any]]:
         return {}
     try:
         file = component.source.member("resources/parameters.toml")
-        tables = toml.read(file, file.read()).data.get("parameters", {})
+        tables = toml.read(file, file.read(toml.MAX_BYTES)).data.get("parameters", {})
     except Problem:
         return {}  # other FMUs have no such file, or a different file of that name
     return tables if isinstance(tables, dict) else {}

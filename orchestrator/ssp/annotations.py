@@ -81,6 +81,8 @@ def read_shared(root: XmlElement, components: Collection[str]) -> dict[str, tupl
     for element in _own_elements(root):
         if element.name == SHARED:
             names = tuple(e.required("name") for e in element.children("Component"))
+            if not names:
+                raise element.problem("expected at least one Component, got none")
             for name in names:
                 if name not in components:
                     expected = f"expected a component of the system, got {name!r}"

@@ -52,7 +52,7 @@ def assemble(
     inlets = {n: _inlet(system, n, ends, notes) for n, ends in (inputs or {}).items()}
     _check_one_source(checked, inlets)
     suggestion = Suggestion() if step is None else Suggestion(Coupling("gauss-seidel"), step)
-    return replace(
+    system = replace(
         system,
         connections=tuple(checked),
         inputs=inlets,
@@ -61,6 +61,8 @@ def assemble(
         notes=tuple(notes),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
     ).with_start(start or {})
+    system.check_sharing()
+    return system
 
 
 def open_component(name: str, fmu: Location, exchange: bool = False) -> Component:

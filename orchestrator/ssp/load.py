@@ -64,12 +64,14 @@ def _load_ssd(ssd: Location, exchange: bool) -> System:
     read = cache(partial(read_interface, exchange=exchange))  # several components may have the same FMU
     components = {name: Component(name, read(fmu), fmu) for name, fmu in flat.sources.items()}
     try:
-        system = _connected(flat, System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd))
+        system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
+        system = _connected(flat, system)
+        system.check_sharing()
     except Problem as problem:
         raise Problem(f"{ssd}: {str(problem).removeprefix(f'{ssd}: ')}") from None
     if not components:
         raise Problem(f"{ssd}: the system has no components: expected at least one FMU")
-    return replace(system, suggestion=suggestion, shared=shared)
+    return replace(system, suggestion=suggestion)
 
 
 def _connected(flat: FlatStructure, system: System) -> System:

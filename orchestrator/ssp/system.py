@@ -54,12 +54,14 @@ class Component:
             return "" if declared.kind == "String" else float("nan")
         return coerce(f"{self.name}.{variable}", declared, declared.start)
 
+    def has_start(self, variable: str) -> bool:
+        """Has a variable a start value, from the system or the FMU?"""
+        return variable in self.start or self.interface.variables[variable].start is not None
+
     def real_parameters(self) -> dict[str, float]:
         """Values of the Real parameters that have one, by name."""
         real = [v for v in self.interface.variables.values() if v.is_real and v.causality == "parameter"]
-        return {
-            v.name: float(self.value(v.name)) for v in real if v.name in self.start or v.start is not None
-        }
+        return {v.name: float(self.value(v.name)) for v in real if self.has_start(v.name)}
 
 
 @dataclass(frozen=True)
@@ -190,7 +192,30 @@ class System:
         before = [(c.replaced or c.interface).variables.get(name) for c in components]
         dimension = next((v.unit.dimension for v in before if v and v.unit), None)
         ports = [Port(c.name, name) for c in components if name in c.interface.variables]
-        return [port for port in ports if _is_number_to_set(self.variable(port), dimension)]
+        numbers = [p for p in ports if _is_number_to_set(self.variable(p), dimension)]
+        return [p for p in numbers if self.components[p.component].has_start(name)]
+
+    def check_sharing(self) -> None:
+        """Raise Problem if a component lacks a parameter that it shares."""
+        for name, components in self.shared.items():
+            for component in components:
+                if Port(component, name) not in self.sharing(name):
+                    expected = f"expected a numeric parameter with a start value in {component}"
+                    raise Problem(
+                        f"shared parameter {name}: {expected}, got {self._instead(component, name)}"
+                    )
+
+    def _instead(self, component: str, name: str) -> str:
+        """What a component has under a name, in words."""
+        if component not in self.components:
+            return f"no such component{suggest(component, self.components)}"
+        variables = self.components[component].interface.variables
+        if name not in variables:
+            return f"none of this name{suggest(name, variables)}"
+        variable = variables[name]
+        unit = f" in {variable.unit.name}" if variable.unit else ""
+        without = "" if self.components[component].has_start(name) else " without a start value"
+        return f"causality {variable.causality} and type {variable.kind}{unit}{without}"
 
     def has(self, name: str) -> bool:
         """Does `targets` accept this name? Faster than `targets`, which searches for similar names."""
@@ -281,7 +306,7 @@ class System:
                 if not math.isclose(value, values[0], rel_tol=WRITTEN):
                     in_unit = f" {unit.name}" if unit else ""
                     got = f"{ports[0]} is {values[0]:.9g} and {port} is {value:.9g}{in_unit}"
-                    hint = f"set both at once by the name {name}"
+                    hint = f"set {'both' if len(ports) == 2 else 'all'} at once by the name {name}"
                     raise Problem(f"{got}: expected one value of one physical quantity; {hint}")
 
     def coupled(self, choices: Coupling | Mapping[str, Any]) -> System:

@@ -142,7 +142,8 @@ class _Writer:
         times = {"startTime": 0.0 if s.start is None else s.start, "stopTime": s.stop}
         experiment = add(root, "ssd:DefaultExperiment", **times)
         write_suggestion(system, experiment, s.suggestion)
-        write_shared(experiment, s.shared)
+        shared = {name: [port.component for port in s.sharing(name)] for name in s.shared}
+        write_shared(experiment, {name: names for name, names in shared.items() if names})
         return xml_text(root)
 
     def signal_dictionary(self) -> bytes:

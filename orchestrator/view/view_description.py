@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.toml import Rule, read_dataclass
+from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import parse_unit, reader_unit
 from orchestrator.realtime.setup import Axis, Frame, Machine
@@ -212,7 +212,7 @@ def view_description(system: System) -> ViewDescription:
     files += [component.source.member(name) for component in system.components.values() if component.source]
     for file in files:
         with suppress(Problem):  # the file does not exist
-            data = file.read()
+            data = file.read(MAX_BYTES)
             break
     else:
         return of_outputs(system)

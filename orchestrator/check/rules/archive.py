@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import PurePosixPath
 
@@ -110,13 +110,19 @@ TEXT_FILES = (
 )
 
 
-MAX_SEARCHED = 50_000_000  # bytes of a file that are searched for paths, in 1 s
+MAX_SEARCHED = 50_000_000  # bytes of all files of a rule that are searched for paths, in 1 s
 
 
-def _beginning(subject: Subject, file: str) -> bytes:
-    """The part of a file that is searched."""
-    with (subject.folder / file).open("rb") as opened:
-        return opened.read(MAX_SEARCHED)
+def _searched(subject: Subject, files: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+    """Files in order of their names, each with the part of it that is searched."""
+    left = MAX_SEARCHED
+    for file in sorted(files):
+        with (subject.folder / file).open("rb") as opened:
+            data = opened.read(left)
+        yield file, data
+        left -= len(data)
+        if not left:
+            return
 
 
 @CONTENTS.rule("contents.icon", "The FMU has an icon", "OpenModelica#13162")
@@ -182,8 +188,7 @@ def vendors(subject: Subject) -> Iterator[Finding]:
 
 @CONTENTS.rule("contents.paths", "Files contain no paths of the machine on which the FMU was made")
 def private_paths(subject: Subject) -> Iterator[Finding]:
-    for file in sorted(f for f in subject.files if f.endswith(TEXT_FILES)):
-        data = _beginning(subject, file)
+    for file, data in _searched(subject, (f for f in subject.files if f.endswith(TEXT_FILES))):
         if match := LOCAL_PATH.search(data):
             line = data.count(b"\n", 0, match.start()) + 1
             path = match.group()[:80].decode("utf-8", "replace")
@@ -192,8 +197,8 @@ def private_paths(subject: Subject) -> Iterator[Finding]:
 
 @CONTENTS.rule("contents.machine", "Libraries contain no paths of the machine on which they were built")
 def machine(subject: Subject) -> Iterator[Finding]:
-    for file in sorted({b.file for b in subject.binaries}):
-        if match := LOCAL_PATH.search(_beginning(subject, file)):
+    for file, data in _searched(subject, {b.file for b in subject.binaries}):
+        if match := LOCAL_PATH.search(data):
             yield note(f"{file}: contains the path {match.group()[:80].decode('utf-8', 'replace')}")
 
 
