@@ -122,7 +122,11 @@ ARCHIVES: Mapping[
     "wrong sum": (wrong_sum, "cannot be unpacked into .*Bad CRC-32", "archive.zip"),
     "encrypted": (in_directory(8, "H", 1), "is encrypted, expected no encryption", "archive.method"),
     "method": (in_directory(10, "H", 99), "compressed with 99, expected deflate or store", "archive.method"),
-    "lzma": (with_member("a", b"b", zipfile.ZIP_LZMA), "compressed with lzma", "archive.method"),
+    "lzma": (
+        with_member("a", b"b", zipfile.ZIP_LZMA),
+        "compressed with lzma, .* pack it again",
+        "archive.method",
+    ),
     "same bytes": (in_directory(42, "I", 0, member=1), "expected separate members", "archive.zip"),
     "bomb": (bomb, "expected at most 200 times its size", "archive.size"),
     "4 GB": (in_directory(24, "I", 0xFFFFFFF0), "MB unpacked, got 4295 MB", "archive.size"),
@@ -437,7 +441,7 @@ def test_other_encodings_are_read(encoding: str, tmp_path: Path) -> None:
 
 SOURCE = 'name="a" source="resources/gain.fmu"'
 BINDING = 'ParameterBinding source="resources/start.ssv"'
-LEAVES = "expected a path inside of the archive; unpack it"
+LEAVES = "expected a path inside of the archive; unpack the SSP"
 SHARED = '<hc:SharedParameter xmlns:hc="urn:harvester-cosim:coupling" name="{}">{}</hc:SharedParameter>{}'
 END = "</ssc:Annotation></ssd:Annotations></ssd:DefaultExperiment>"
 A = '<hc:Component name="a"/>'

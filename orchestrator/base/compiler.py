@@ -25,8 +25,6 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-
-
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permission to write for others than the owner
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # The largest FMUs in use have some 100 MB. Those with Python or Java inside have 1 GB and 20 000 files.
 MAX_UNPACKED = 2 << 30  # bytes of all members of one archive
 MAX_MEMBERS = 50_000
-MAX_DIRECTORY = 10 << 20  # bytes of the list of members, 200 for each; `zipfile` reads this in 4 s
+MAX_DIRECTORY = 10 << 20  # bytes of the list of members, 200 for each; `zipfile` reads this in 2 s
 # Packed descriptions of 200 000 variables have a tenth of their size, constant bytes have a thousandth.
 MAX_RATIO = 200
 ANY_RATIO = 500 << 20  # bytes up to which the ratio does not matter, such as sparse tables of 150 MB
@@ -101,7 +101,7 @@ def why_unreadable(member: zipfile.ZipInfo) -> str:
     if member.compress_type in METHODS:
         return ""
     method = zipfile.compressor_names.get(member.compress_type, str(member.compress_type))  # type: ignore[attr-defined]
-    return f"is compressed with {method}, expected deflate or store"
+    return f"is compressed with {method}, expected deflate or store; unpack the archive and pack it again"
 
 
 def size_fault(members: Sequence[zipfile.ZipInfo], packed: int) -> str:
@@ -246,7 +246,7 @@ class Location:
                 archive = stack.enter_context(open_archive(file))
             except ZIP_ERRORS as error:
                 known = isinstance(error, zipfile.BadZipFile) and "not a zip" in str(error)
-                got = "something else" if known else f"a damaged one: {_reason(error)}"
+                got = "something else" if known else f"one that cannot be read: {_reason(error)}"
                 raise Problem(f"{self}: expected a zip archive, got {got}") from None
             members = archive.infolist()
             if fault := size_fault(members, file.seek(0, os.SEEK_END)) or overlap(members):
@@ -291,7 +291,7 @@ class Location:
             return Location(Path(path) if parts.scheme == "file" else self.path.parent / path)
         name = _normalised(PurePosixPath(self.members[-1]).parent / path)
         if parts.scheme or why_unsafe(name):
-            raise Problem(f"{context} a path inside of the archive; unpack it to use files elsewhere")
+            raise Problem(f"{context} a path inside of the archive; unpack the SSP to use other files")
         return Location(self.path, (*self.members[:-1], name))
 
     def extract(self, folder: Path) -> None:
