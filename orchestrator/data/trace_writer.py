@@ -42,15 +42,17 @@ class Signals(Protocol):
     def units(self) -> Mapping[str, str]: ...
 
 
-class RowSink(Protocol):
-    """Receives the rows of a run.
+class PointSink(Protocol):
+    """Receives the recorded points of a run.
 
-    begin    receives the signals and the expected number of rows
-    append   receives rows: times [s], shape (n,), and values, shape (n, signals)
+    begin           receives the layout of the signals (`engine.recorder.RowLayout`) and the expected number
+                    of points
+    append_points   receives times [s], shape (n,), Real and Integer values, shape (n, ...); the arrays are
+                    overwritten later
     """
 
     def begin(self, signals: Any, rows: int) -> None: ...
-    def append(self, times: Array, values: Array) -> None: ...
+    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None: ...
 
 
 class SignalNames(NamedTuple):
@@ -61,7 +63,7 @@ class SignalNames(NamedTuple):
 
 
 class TraceSink:
-    """Receives the rows of a trace, and keeps the largest magnitude of each signal.
+    """Receives the rows of a trace.
 
     names, units   of the signals, from `begin` on
     rows           number of rows until now
@@ -72,23 +74,26 @@ class TraceSink:
         """Receive the signals; `rows`: the expected number of rows."""
         del rows
         self.names, self.units, self.rows, self.last = signals.names, signals.units, 0, float("nan")
-        self._peaks, self._peak_times = np.zeros(len(self.names)), np.zeros(len(self.names))
+        self._layout: Any = signals
         self._columns = {name: k for k, name in enumerate(self.names)}
+
+    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
+        """Receive points of a run, whose layout was given to `begin`."""
+        self.append(times, self._layout.values(reals, integers))
 
     def append(self, times: Array, values: Array) -> None:
         """Receive rows: times [s], shape (n,), and values, shape (n, signals)."""
-        if not len(times):
-            return
-        self.rows, self.last = self.rows + len(times), float(times[-1])
-        row = np.argmax(np.abs(values), axis=0)
-        largest = values[row, np.arange(len(self.names))]
-        higher = np.abs(largest) > np.abs(self._peaks)
-        self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
+        del values
+        if len(times):
+            self.rows, self.last = self.rows + len(times), float(times[-1])
 
     def largest(self, name: str) -> tuple[float, float] | None:
         """The value of largest magnitude and its time [s]; None if the signal is not recorded."""
         k = self._columns.get(name)
-        return None if k is None or not self.rows else (float(self._peaks[k]), float(self._peak_times[k]))
+        return None if k is None or not self.rows else self._peak(k)
+
+    def _peak(self, column: int) -> tuple[float, float]:
+        raise NotImplementedError
 
 
 class TraceInMemory(TraceSink):
@@ -119,6 +124,11 @@ class TraceInMemory(TraceSink):
         stored = len(self._times)
         times[:stored], values[:, :stored] = self._times, self._values
         self._times, self._values = times, values
+
+    def _peak(self, column: int) -> tuple[float, float]:
+        values = self._values[column, : self.rows]
+        row = int(np.argmax(np.abs(values)))
+        return float(values[row]), float(self._times[row])
 
     @property
     def trace(self) -> Trace:
@@ -170,6 +180,7 @@ class TraceFile(TraceSink):
     def begin(self, signals: Signals, rows: int = 0) -> None:
         """Make the partial file; that of an earlier run is removed."""
         super().begin(signals, rows)
+        self._peaks, self._peak_times = np.zeros(len(self.names)), np.zeros(len(self.names))
         self._kept.begin(signals)
         with _naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -188,6 +199,15 @@ class TraceFile(TraceSink):
             self._kept.begin(self)  # releases the memory
         elif self._kept.rows + len(times) == self.rows:
             self._kept.append(times, values)
+
+        if len(times):
+            row = np.argmax(np.abs(values), axis=0)
+            largest = values[row, np.arange(len(self.names))]
+            higher = np.abs(largest) > np.abs(self._peaks)
+            self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
+
+    def _peak(self, column: int) -> tuple[float, float]:
+        return float(self._peaks[column]), float(self._peak_times[column])
 
     def trace(self, path: Path) -> Trace:
         """All rows: those in memory, or, if they are too many, those in the file when they are needed."""

@@ -165,8 +165,8 @@ class _Supervision:
 
     def _receive(self, name: str, content: Any) -> None:
         """Handle one message of the child."""
-        if name == "rows":
-            self._sink.append(*content)
+        if name == "points":
+            self._sink.append_points(*content)
         elif name == "time":
             self._between(content)
         elif name == "begin":
@@ -243,7 +243,7 @@ class _Supervision:
         rows = recorded_rows(state.recorder.collected, filled, layout.every)
         rows = np.union1d(rows, np.arange(filled)[-1:])  # and the latest point of the block
         rows = rows[~(block.time[rows] <= sink.last)]  # those that were not sent; NaN without any row
-        sink.append(block.time[rows], layout.values(block, rows))
+        sink.append_points(*block.points(rows))
         outcome.wall = time.perf_counter() - self._began
         outcome.t, outcome.steps, outcome.passes = state.t, state.steps, state.all_passes
         outcome.repeated, outcome.lengths = state.repeated, (state.shortest, state.longest)
@@ -291,13 +291,13 @@ def _run(channel: Channel, task: RunTask) -> None:
     reported = 0.0
 
     class Sender:
-        """Sends rows to the parent."""
+        """Sends points to the parent."""
 
         def begin(self, layout: RowLayout, rows: int) -> None:
             channel.put(("begin", (layout, rows)))
 
-        def append(self, times: Any, values: Any) -> None:
-            channel.put(("rows", (times, values)))
+        def append_points(self, *points: Any) -> None:
+            channel.put(("points", points))
 
     def open_fmu(component: Component) -> Slave:
         slave = open_slave(component)

@@ -13,7 +13,7 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import first_names
-from orchestrator.data.trace_writer import RowSink, TraceSink
+from orchestrator.data.trace_writer import PointSink, TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.linear_prediction import LinearPrediction
@@ -153,7 +153,7 @@ class Job:
     def run(
         self,
         times: Grid,
-        sink: RowSink,
+        sink: PointSink,
         between: Callable[[float], None] = lambda _: None,
         at_end: Callable[[Outcome], None] = lambda _: None,
         allocate: Allocate = bytearray_of,
@@ -210,7 +210,7 @@ class Job:
                 between(loop.state.t)
 
     @contextmanager
-    def opened(self, times: Grid, sink: RowSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
+    def opened(self, times: Grid, sink: PointSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
         """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
         signals = self.record.signals
         selected = None if signals is None else [self.system.port(name) for name in signals]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace_writer import RowSink
+from orchestrator.data.trace_writer import PointSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
@@ -32,6 +32,7 @@ from orchestrator.fmi.calls import Call
 from orchestrator.ssp.power_bonds import Bond
 from orchestrator.ssp.system import Port
 
+Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
 BLOCK = 256  # points between two calls of `collect`, at most
 Array = NDArray[np.float64]
 
@@ -57,9 +58,10 @@ class RowLayout:
     integers: int
     every: int
 
-    def values(self, block: Block, rows: NDArray[np.intp]) -> Array:
-        """The signals at some points of a block, shape (rows, signals)."""
-        values = np.hstack([block.reals[rows], block.integers[rows]])[:, self.columns]
+    def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
+        """The signals at some points, shape (points, signals)."""
+        points = np.hstack([reals, integers]) if self.integers else reals
+        values = np.take(points, self.columns, axis=1)
         values[:, self.scaled] = self.factors * values[:, self.scaled] + self.offsets
         return values
 
@@ -78,6 +80,10 @@ class Block:
     def size(layout: RowLayout) -> int:
         """Size of its memory [bytes]."""
         return BLOCK * (8 + 8 * layout.reals + 4 * layout.integers)
+
+    def points(self, rows: slice | NDArray[np.intp]) -> Points:
+        """Times, Real and Integer values of some points; views of the memory for a slice."""
+        return self.time[rows], self.reals[rows], self.integers[rows]
 
     def finite_rows(self, filled: int) -> int:
         """Number of rows before the first one with a value that is not finite."""
@@ -100,7 +106,7 @@ class Recorder:
     """
 
     def __init__(
-        self, network: Network, times: Grid, sink: RowSink, selected: Sequence[Port] | None = None
+        self, network: Network, times: Grid, sink: PointSink, selected: Sequence[Port] | None = None
     ) -> None:
         self._network, self._sink = network, sink
         all_ports = [*network.reals.index, *network.integers.index]
@@ -109,7 +115,7 @@ class Recorder:
         self._integers = [p for p in ports if p in network.integers.index]
         self.layout = self._layout(ports if selected is not None else _ordered(network, ports), times.every)
         self.block = Block(self.layout, network.binding.allocate("rows", Block.size(self.layout)))
-        self._between: tuple[Array, Array] | None = None  # the latest point, if it is not on the grid
+        self._between: Points | None = None  # the latest point, if it is not on the grid
         self._struct: Any = None
         sink.begin(self.layout, times.rows + 1)
 
@@ -164,12 +170,9 @@ class Recorder:
         n = self.block.finite_rows(self._struct.filled)
         if n:
             rows = recorded_rows(self._struct.collected, n, self.layout.every)
-            self._sink.append(self.block.time[rows], self.layout.values(self.block, rows))
-            latest = np.arange(n - 1, n)
+            self._sink.append_points(*self.block.points(slice(n) if len(rows) == n else rows))
             is_recorded = len(rows) and rows[-1] == n - 1
-            self._between = (
-                None if is_recorded else (self.block.time[latest], self.layout.values(self.block, latest))
-            )
+            self._between = None if is_recorded else self.block.points(np.arange(n - 1, n))
         self._struct.collected += n
         self._struct.filled = 0
         return n
@@ -179,7 +182,7 @@ class Recorder:
         if self._struct:
             self._pass_on()
         if self._between:
-            self._sink.append(*self._between)
+            self._sink.append_points(*self._between)
             self._between = None
 
 

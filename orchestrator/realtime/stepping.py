@@ -17,12 +17,13 @@ from math import inf, isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.data.trace_writer import Signals
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
+from orchestrator.engine.recorder import RowLayout
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
@@ -198,16 +199,15 @@ class RestDelay:
 class LatestValues:
     """A sink that keeps only the values of the latest communication point, shape (signals,)."""
 
-    def begin(self, signals: Signals, rows: int) -> None:
+    def begin(self, signals: RowLayout, rows: int) -> None:
         """Allocate the values."""
         del rows
-        self.values = np.zeros(len(signals.names))
+        self._layout, self.values = signals, np.zeros(len(signals.names))
 
-    def append(self, times: Array, values: Array) -> None:
-        """Keep the last of the rows."""
-        del times
-        if len(values):
-            self.values[:] = values[-1]
+    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
+        """Keep the last of the points."""
+        if len(times):
+            self.values[:] = self._layout.values(reals[-1:], integers[-1:])[0]
 
 
 class FrameStepper:

@@ -31,6 +31,7 @@ from orchestrator.worker.calls import calls_in_progress
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits
+PIPE_SIZE = 1 << 20  # bytes; an unprivileged user may have that
 MAX_QUOTED = 200  # characters of the last line of stderr
 MAX_STDERR = 1 << 20  # bytes; of a longer stderr file the beginning is kept
 MAX_MESSAGES = 16  # waiting to be read; then the process waits, so that memory stays bounded
@@ -96,6 +97,7 @@ class Worker:
         self._activity = ActivityRecord(self.folder / "activity")
         options = {"cwd": self.folder} if in_folder else {}
         self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
+        _enlarge(self._child.stdout)
         self._messages: Queue[Any] = Queue(MAX_MESSAGES)
         reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
         reader.start()
@@ -272,6 +274,15 @@ def _start(
             **SESSION_OPTIONS,
             **options,
         )
+
+
+def _enlarge(pipe: Any) -> None:
+    """Let a message of a run fit into a pipe, which else takes 64 kB and then makes the process wait."""
+    if sys.platform == "linux":
+        import fcntl
+
+        with suppress(OSError):  # the user has too many large pipes
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
 
 
 def _read(source: Any, messages: Queue[Any]) -> None:
