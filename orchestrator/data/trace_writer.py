@@ -102,38 +102,53 @@ class TraceInMemory(TraceSink):
     def begin(self, signals: Signals, rows: int = 0) -> None:
         """Allocate the arrays; raises Problem if they do not fit into memory."""
         super().begin(signals)
-        self._times, self._values = np.zeros(0), np.zeros((len(self.names), 0))
+        points = hasattr(signals, "columns")  # values arrive in the order of the points of a run
+        self._order = self._layout.columns if points else np.arange(len(self.names))
+        self._scaled = dict(zip(self._layout.scaled, range(len(self.names)), strict=False)) if points else {}
+        count = self._layout.reals + self._layout.integers if points else len(self.names)
+        self._times, self._values = np.zeros(0), np.zeros((count, 0))
         self._allocate(rows)
 
     def append(self, times: Array, values: Array) -> None:
         """Store rows; the arrays grow if necessary."""
-        first = self.rows
-        super().append(times, values)
+        self.append_points(times, values, np.zeros((len(times), 0), np.int32))
+
+    def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
+        """Store points; the arrays grow if necessary."""
+        first, count = self.rows, reals.shape[1]
+        super().append(times, reals)
         if self.rows > len(self._times):
             self._allocate(2 * self.rows)
         self._times[first : self.rows] = times
-        self._values[:, first : self.rows] = values.T
+        self._values[:count, first : self.rows] = reals.T
+        self._values[count:, first : self.rows] = integers.T
 
     def _allocate(self, rows: int) -> None:
         try:
-            times, values = np.zeros(rows), np.zeros((len(self.names), rows))
+            times, values = np.zeros(rows), np.zeros((len(self._values), rows))
         except (MemoryError, ValueError):  # ValueError: NumPy has no index for so many
-            size = f"{rows:.3g} points of {len(self.names)} signals"
+            size = f"{rows:.3g} points of {len(self._values)} signals"
             advice = "choose a longer record step or stop earlier"
             raise Problem(f"{size} do not fit into memory; {advice}") from None
         stored = len(self._times)
         times[:stored], values[:, :stored] = self._times, self._values
         self._times, self._values = times, values
 
+    def _signal(self, column: int) -> Array:
+        values: Array = self._values[self._order[column], : self.rows]
+        if (k := self._scaled.get(column)) is None:
+            return values
+        return np.asarray(self._layout.factors[k] * values + self._layout.offsets[k])
+
     def _peak(self, column: int) -> tuple[float, float]:
-        values = self._values[column, : self.rows]
+        values = self._signal(column)
         row = int(np.argmax(np.abs(values)))
         return float(values[row]), float(self._times[row])
 
     @property
     def trace(self) -> Trace:
         """All rows until now."""
-        signals = {name: self._values[k, : self.rows] for k, name in enumerate(self.names)}
+        signals = {name: self._signal(k) for k, name in enumerate(self.names)}
         return Trace(self._times[: self.rows], signals, self.units)
 
 
