@@ -196,7 +196,7 @@ class TraceFile(TraceSink):
         """Make the partial file; that of an earlier run is removed."""
         super().begin(signals, rows)
         self._peaks, self._peak_times = np.zeros(len(self.names)), np.zeros(len(self.names))
-        self._kept.begin(signals)
+        self._kept.begin(SignalNames(self.names, self.units))  # of rows, not of points
         with _naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)

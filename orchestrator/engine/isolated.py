@@ -27,7 +27,7 @@ from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, mac
 
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import TraceSink
-    from orchestrator.engine.job import Job, Outcome
+    from orchestrator.engine.job import Job, RunEnd
     from orchestrator.engine.recorder import RowLayout
     from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.messages import LogMessage
@@ -75,14 +75,14 @@ def start_process() -> None:
         _idle.append((Worker(TARGET, "run"), dict(os.environ)))
 
 
-def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]) -> Outcome:
+def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]) -> RunEnd:
     """Run a job in a child process; `between` is called with the simulated time [s] now and then.
 
     Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
     """
     from orchestrator.base.interrupts import DeferredInterrupts
 
-    outcome: Outcome | None = None
+    outcome: RunEnd | None = None
     try:
         with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
             supervision = _Supervision(worker, job, times, sink, between)
@@ -125,13 +125,13 @@ class _Supervision:
         memory = min(execution.memory_limit, machine_memory())
         self._limits = WorkerLimits(total_time=execution.time_limit, memory=memory)
         self._layout: RowLayout | None = None
-        self._outcome: Outcome | None = None
+        self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
         worker.put(RunTask(job, times, self._number, os.getcwd(), [*sys.path]))
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
-    def outcome(self, check: Callable[[], None]) -> Outcome:
+    def outcome(self, check: Callable[[], None]) -> RunEnd:
         """Wait for the end of the run; `check` raises KeyboardInterrupt if the user interrupts it."""
         began = time.monotonic()
         while True:
@@ -181,7 +181,7 @@ class _Supervision:
         else:
             raise RuntimeError(content)
 
-    def _complete(self) -> Outcome:
+    def _complete(self) -> RunEnd:
         """The outcome of a run that ended by itself."""
         assert self._outcome is not None
         if self._kill_at < float("inf"):  # the interrupt must not be lost, also if it came too late
@@ -191,17 +191,17 @@ class _Supervision:
             self._outcome.notes += (f"the FMUs printed: {printed[0]}{more}",)
         return self._outcome
 
-    def _ended_by_fmu(self) -> Outcome:
+    def _ended_by_fmu(self) -> RunEnd:
         """The outcome of a run whose process ended: by a call into an FMU, by an interrupt, or at a limit."""
         from orchestrator.base.errors import Problem
-        from orchestrator.engine.job import Outcome
+        from orchestrator.engine.job import RunEnd
         from orchestrator.fmi.messages import Log
 
         interrupted = self._killed_because == "interrupted"
         message = self._cause()
         if self._layout is None:
             raise KeyboardInterrupt(message) if interrupted else Problem(message)
-        outcome = self._outcome or Outcome(self._times.start)
+        outcome = self._outcome or RunEnd(self._times.start)
         if self._outcome is None:
             self._rescue(outcome, self._layout)
             by_component: dict[str, list[LogMessage]] = {}
@@ -228,17 +228,17 @@ class _Supervision:
         printed = [f"; printed: {line}" for line in self._worker.printed[-1:]]
         return "".join([*logged, *printed])
 
-    def _rescue(self, outcome: Outcome, layout: RowLayout) -> None:
+    def _rescue(self, outcome: RunEnd, layout: RowLayout) -> None:
         """Complete an outcome and the rows by what the files of the child contain."""
         import numpy as np
 
         from orchestrator.engine.c_library import engine_h
-        from orchestrator.engine.recorder import Block, recorded_rows
+        from orchestrator.engine.recorder import PointBlock, recorded_rows
 
         folder, sink = self._worker.folder, self._sink
         state, points = ((folder / f"{name}-{self._number}").read_bytes() for name in ("simulation", "rows"))
         state = engine_h().Simulation.from_buffer_copy(state)
-        block = Block(layout, points)
+        block = PointBlock(layout, points)
         filled = block.finite_rows(state.recorder.filled)
         rows = recorded_rows(state.recorder.collected, filled, layout.every)
         rows = np.union1d(rows, np.arange(filled)[-1:])  # and the latest point of the block

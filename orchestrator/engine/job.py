@@ -110,7 +110,7 @@ class OpenJob:
 
 
 @dataclass
-class Outcome:
+class RunEnd:
     """How a run ended, without its rows.
 
     t             simulated until this time [s]
@@ -155,9 +155,9 @@ class Job:
         times: Grid,
         sink: PointSink,
         between: Callable[[float], None] = lambda _: None,
-        at_end: Callable[[Outcome], None] = lambda _: None,
+        at_end: Callable[[RunEnd], None] = lambda _: None,
         allocate: Allocate = bytearray_of,
-    ) -> Outcome:
+    ) -> RunEnd:
         """Open all FMUs, run in this process, and close them in any case.
 
         sink       receives the recorded rows
@@ -178,7 +178,7 @@ class Job:
                 problem = raised
             opened.recorder.finish()
             state, network = opened.loop.state, opened.network
-            outcome = Outcome(
+            end = RunEnd(
                 t=state.t,
                 steps=state.steps,
                 passes=state.all_passes,
@@ -192,8 +192,8 @@ class Job:
                 problem=problem,
                 interrupted=interrupted,
             )
-            at_end(outcome)
-        return outcome
+            at_end(end)
+        return end
 
     def _step_to_end(self, opened: OpenJob, between: Callable[[float], None]) -> None:
         """Step from the start to the stop time."""
@@ -244,9 +244,9 @@ class Job:
             )
             yield OpenJob(network, recorder, energy, loop, times, notes)
 
-    def card(self, times: Grid, outcome: Outcome, sink: TraceSink) -> Card:
+    def card(self, times: Grid, end: RunEnd, sink: TraceSink) -> Card:
         """The accuracy card of a run that has ended."""
-        adaptive, simulated = self.coupling.adaptive, outcome.t - times.start
+        adaptive, simulated = self.coupling.adaptive, end.t - times.start
         left_out = tuple(
             f"{name}: {c.interface.unsupported_note}"
             for name, c in self.system.components.items()
@@ -254,19 +254,19 @@ class Job:
         )
         return Card(
             master=self.coupling.text,
-            step=times.step if adaptive is None else simulated / max(outcome.steps, 1),
+            step=times.step if adaptive is None else simulated / max(end.steps, 1),
             record_step=times.every * times.step if not times.free else 0.0,
-            steps=outcome.steps,
+            steps=end.steps,
             simulated=simulated,
-            passes=outcome.passes,
-            repeated=outcome.repeated,
-            lengths=outcome.lengths,
+            passes=end.passes,
+            repeated=end.repeated,
+            lengths=end.lengths,
             adaptive=adaptive,
-            wall=outcome.wall,
-            bonds=outcome.bonds,
-            warnings=tuple(line for log in outcome.logs for line in log.warnings(sink)),
-            inside=outcome.inside,
-            notes=self.system.notes + left_out + outcome.notes,
+            wall=end.wall,
+            bonds=end.bonds,
+            warnings=tuple(line for log in end.logs for line in log.warnings(sink)),
+            inside=end.inside,
+            notes=self.system.notes + left_out + end.notes,
         )
 
     def stricter(self) -> Job:

@@ -66,7 +66,7 @@ class RowLayout:
         return values
 
 
-class Block:
+class PointBlock:
     """The points since the last call of `collect`, filled by C; values have the shape (points, signals)."""
 
     def __init__(self, layout: RowLayout, memory: Any) -> None:
@@ -114,7 +114,7 @@ class Recorder:
         self._reals = [p for p in ports if p in network.reals.index]
         self._integers = [p for p in ports if p in network.integers.index]
         self.layout = self._layout(ports if selected is not None else _ordered(network, ports), times.every)
-        self.block = Block(self.layout, network.binding.allocate("rows", Block.size(self.layout)))
+        self.block = PointBlock(self.layout, network.binding.allocate("rows", PointBlock.size(self.layout)))
         self._between: Points | None = None  # the latest point, if it is not on the grid
         self._struct: Any = None
         sink.begin(self.layout, times.rows + 1)

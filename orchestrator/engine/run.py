@@ -21,7 +21,7 @@ from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.isolated import run_isolated, start_process
-from orchestrator.engine.job import Execution, Job, Outcome, Record, guarded, open_slave
+from orchestrator.engine.job import Execution, Job, Record, RunEnd, guarded, open_slave
 from orchestrator.engine.result import (
     Card,
     Interrupted,
@@ -136,14 +136,14 @@ def prepare(
     return Job(system, driving, coupling, record, execution), times
 
 
-def simulate(job: Job, times: Grid, sink: TraceSink) -> Outcome:
+def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
     """Run a job, in a process of its own or in this one; the rows go to `sink`."""
     with ProgressBar(times.stop - times.start, job.execution.progress) as bar:
         run_job = run_isolated if job.execution.isolated else Job.run
         return run_job(job, times, sink, lambda t: bar.update(t - times.start))
 
 
-def finished(job: Job, times: Grid, outcome: Outcome, sink: TraceSink, trace: Trace) -> Result:
+def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Trace) -> Result:
     """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(times, outcome, sink)
@@ -319,7 +319,7 @@ def run_to_file(
 def _published(
     job: Job,
     times: Grid,
-    outcome: Outcome,
+    outcome: RunEnd,
     file: TraceFile,
     given: Mapping[str, Any],
     check: Callable[[], None],

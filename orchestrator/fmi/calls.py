@@ -19,7 +19,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 from orchestrator.fmi.instance import BoundCall
 from orchestrator.fmi.messages import Log
-from orchestrator.worker.calls import CallSlot
+from orchestrator.worker.call_slots import CallSlot
 
 Buffer = NDArray[Any]  # float64 for floating-point types; int32 for integers, Enumeration and Boolean
 Call = Callable[[], None]
@@ -196,7 +196,7 @@ class StepCalls:
     flags                              address of the first three results as one integer; 0 in FMI 2.0
     check_step, check_get, check_set   raise the exception for a status of the three functions
     clock                              communication point and start of the step, see `Log.clock`
-    slot                               the call in progress, see `worker.calls`
+    slot                               the call in progress, see `worker.call_slots`
     """
 
     component: int

@@ -19,7 +19,7 @@ from typing import Any
 from orchestrator.base.errors import Problem
 from orchestrator.fmi.library import Library, callbacks2, logger3, register_log, unregister_log
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
-from orchestrator.worker.calls import CallSlot, function_number, new_slot
+from orchestrator.worker.call_slots import CallSlot, function_number, new_slot
 
 FMI2_NAMES = {  # FMI 3.0 -> FMI 2.0
     "GetFMUState": "GetFMUstate",
@@ -102,7 +102,7 @@ def as_parameter(argument: Any) -> Any:
 class BoundCall:
     """A call with fixed arguments; `check_status` raises an exception for a status worse than a warning.
 
-    slot, number   where the number of the function is while the call is in progress, see `worker.calls`
+    slot, number   where the number of the function is while the call is in progress, see `worker.call_slots`
     """
 
     __slots__ = ("_call", "check_status", "number", "slot")

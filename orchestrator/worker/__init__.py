@@ -1,9 +1,10 @@
 """Worker processes: child processes that run FMUs and may crash, hang or use up the memory.
 
-process.py    parent's side: start a worker, exchange messages, enforce limits of time and memory, clean up
-main.py       child's side: receive messages, run a function, end when the parent ends
-activity.py   last FMI call and time of the child in shared memory, readable after a crash
+process.py      parent's side: start a worker, exchange messages, enforce limits of time and memory, clean up
+main.py         child's side: receive messages, run a function, end when the parent ends
+call_slots.py   FMI calls in progress of the child in shared memory, readable after a crash
+activity.py     what a probe of `harvester check` is doing, likewise
 
-Checks, studies and real-time machines load FMUs in worker processes. The child imports only the standard
-library before its function needs more, so that it starts in less than 0.1 s.
+Runs, checks, studies and real-time machines load FMUs in worker processes. The child imports only the
+standard library before its function needs more, so that it starts in less than 0.1 s.
 """

@@ -20,7 +20,7 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.calls import share_calls
+from orchestrator.worker.call_slots import share_calls
 
 _END_OF_INPUT = object()
 

@@ -27,7 +27,7 @@ from queue import Empty, Queue
 from typing import Any
 
 from orchestrator.worker.activity import Activity, ActivityRecord
-from orchestrator.worker.calls import calls_in_progress
+from orchestrator.worker.call_slots import calls_in_progress
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits

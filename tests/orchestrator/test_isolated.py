@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from zoo.faulty import faulty
 
-from orchestrator import Problem, RunFailed, assemble, load, run
+from orchestrator import Problem, RunFailed, assemble, load, read_trace, run, write_ssp
 from orchestrator.engine import isolated
+from orchestrator.engine.run import run_to_file
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="faults and limits of POSIX")
 STEPS = {"step": 0.01, "stop": 1.0}
@@ -31,6 +32,18 @@ def test_the_numbers_are_those_of_a_run_in_this_process(oscillator):
         np.testing.assert_array_equal(one.trace[name], values, err_msg=name)
     for field in ("bonds", "notes", "warnings", "steps", "passes", "lengths", "simulated"):
         assert getattr(one.card, field) == getattr(other.card, field)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_the_file_has_the_rows_of_the_result(oscillator, tmp_path, suffix):
+    """In memory, in the file, and in a run without a file: each signal has its own values."""
+    system = write_ssp(oscillator, tmp_path / "o.ssp")
+    result, _ = run_to_file(system, None, tmp_path / f"t{suffix}", **STEPS, record_step=0.01)
+    plain, stored = run(system, **STEPS).trace, read_trace(tmp_path / f"t{suffix}")
+    assert [*result.trace.signals] == [*plain.signals] == [*stored.signals]
+    for name, values in plain.signals.items():
+        np.testing.assert_array_equal(result.trace[name], values, err_msg=name)
+        np.testing.assert_array_equal(stored[name], values, err_msg=name)
 
 
 def test_a_process_is_used_again(oscillator, monkeypatch):
