@@ -23,7 +23,7 @@ HOSTILE = (  # values of attributes
     *("\u202eevil", "\N{GRINNING FACE}e\u0301", "\x7f\x85", "{0}", "%s%n", "a.b.c", "$(evil)", "\ufeff"),
 )
 NAMES = (  # of members
-    *("../evil", "a/../../evil", "/tmp/evil", "C:/evil", "C:evil", "\\evil", "..\\evil", "evil\0.fmu"),
+    *("../evil", "a/../../evil", "/outside/evil", "C:/evil", "C:evil", "\\evil", "..\\evil", "evil\0.fmu"),
     *(
         "d/" * 3000 + "x",
         "x" * 300,
