@@ -264,6 +264,13 @@ class Location:
         """True if this is a folder, such as an unpacked archive."""
         return not self.members and os.path.isdir(self.path)
 
+    @property
+    def exists(self) -> bool:
+        """True if the file is there."""
+        if not self.members:
+            return os.path.isfile(self.path)
+        return self.members[-1] in self.parent.names()
+
     def names(self) -> list[str]:
         """Names of the files of this archive or folder, with forward slashes."""
         if self.is_folder:

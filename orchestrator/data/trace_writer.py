@@ -14,9 +14,10 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,58 +29,80 @@ from orchestrator.data.trace import TIME, Trace, check_suffix, read_trace
 Array = NDArray[np.float64]
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 CHUNK = 8192  # rows of a trace written at a time
-PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group
-MAX_KEPT = 32 << 20  # bytes; a longer trace is not kept in memory besides its file
-PART_TIME = 5.0  # [s] of wall time until the rows of a partial Parquet trace are written
+PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
+PART_TIME = 5.0  # [s] of wall time until rows are in a partial Parquet trace: what a kill may take
+MAX_KEPT = 32 << 20  # bytes that are kept in memory besides a file: 190 s of 110 signals every 5 ms
 
 
-class Signals(Protocol):
-    """Names of the signals of a trace, and their units."""
+@dataclass(frozen=True)
+class RowLayout:
+    """The signals of a trace, and where their values are in a recorded point of a run.
+
+    names, units      of the signals
+    columns           index of each signal among the Real and then the Integer values of a point; None: the
+                      values of a point are those of the signals
+    scaled            indices of the signals that are outputs of the system: factors * value + offsets
+    reals, integers   number of values of a point
+    every             every `every`-th communication point is recorded
+    """
+
+    names: tuple[str, ...]
+    units: Mapping[str, str]
+    columns: NDArray[np.intp] | None = None
+    scaled: Sequence[int] = ()
+    factors: Sequence[float] = ()
+    offsets: Sequence[float] = ()
+    reals: int = 0
+    integers: int = 0
+    every: int = 1
 
     @property
-    def names(self) -> tuple[str, ...]: ...
+    def order(self) -> NDArray[np.intp]:
+        """Index of each signal among the values of a point."""
+        return np.arange(len(self.names)) if self.columns is None else self.columns
+
     @property
-    def units(self) -> Mapping[str, str]: ...
+    def width(self) -> int:
+        """Number of values of a point."""
+        return len(self.names) if self.columns is None else self.reals + self.integers
+
+    def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
+        """The signals at some points, shape (points, signals)."""
+        points = np.hstack([reals, integers]) if self.integers else reals
+        values = np.take(points, self.order, axis=1)
+        for k, factor, offset in zip(self.scaled, self.factors, self.offsets, strict=True):
+            values[:, k] = factor * values[:, k] + offset
+        return values
 
 
 class PointSink(Protocol):
     """Receives the recorded points of a run.
 
-    begin           receives the layout of the signals (`engine.recorder.RowLayout`) and the expected number
-                    of points
+    begin           receives the layout and the expected number of points
     append_points   receives times [s], shape (n,), Real and Integer values, shape (n, ...); the arrays are
                     overwritten later
     """
 
-    def begin(self, signals: Any, rows: int) -> None: ...
+    def begin(self, layout: RowLayout, rows: int) -> None: ...
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None: ...
-
-
-class SignalNames(NamedTuple):
-    """Signals by name."""
-
-    names: tuple[str, ...]
-    units: Mapping[str, str]
 
 
 class TraceSink:
     """Receives the rows of a trace.
 
-    names, units   of the signals, from `begin` on
-    rows           number of rows until now
-    last           time of the last row [s]
+    layout   the signals, from `begin` on
+    rows     number of rows until now
+    last     time of the last row [s]
     """
 
-    def begin(self, signals: Signals, rows: int = 0) -> None:
+    def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Receive the signals; `rows`: the expected number of rows."""
         del rows
-        self.names, self.units, self.rows, self.last = signals.names, signals.units, 0, float("nan")
-        self._layout: Any = signals
-        self._columns = {name: k for k, name in enumerate(self.names)}
+        self.layout, self.rows, self.last = layout, 0, float("nan")
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
-        """Receive points of a run, whose layout was given to `begin`."""
-        self.append(times, self._layout.values(reals, integers))
+        """Receive points of a run."""
+        self.append(times, self.layout.values(reals, integers))
 
     def append(self, times: Array, values: Array) -> None:
         """Receive rows: times [s], shape (n,), and values, shape (n, signals)."""
@@ -89,24 +112,21 @@ class TraceSink:
 
     def largest(self, name: str) -> tuple[float, float] | None:
         """The value of largest magnitude and its time [s]; None if the signal is not recorded."""
-        k = self._columns.get(name)
-        return None if k is None or not self.rows else self._peak(k)
+        if not self.rows or name not in self.layout.names:
+            return None
+        return self._peak(self.layout.names.index(name))
 
-    def _peak(self, column: int) -> tuple[float, float]:
+    def _peak(self, signal: int) -> tuple[float, float]:
         raise NotImplementedError
 
 
 class TraceInMemory(TraceSink):
     """The rows as a `Trace`, whose signals are contiguous."""
 
-    def begin(self, signals: Signals, rows: int = 0) -> None:
+    def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Allocate the arrays; raises Problem if they do not fit into memory."""
-        super().begin(signals)
-        points = hasattr(signals, "columns")  # values arrive in the order of the points of a run
-        self._order = self._layout.columns if points else np.arange(len(self.names))
-        self._scaled = dict(zip(self._layout.scaled, range(len(self.names)), strict=False)) if points else {}
-        count = self._layout.reals + self._layout.integers if points else len(self.names)
-        self._times, self._values = np.zeros(0), np.zeros((count, 0))
+        super().begin(layout)
+        self._times, self._values = np.zeros(0), np.zeros((layout.width, 0))
         self._allocate(rows)
 
     def append(self, times: Array, values: Array) -> None:
@@ -134,22 +154,19 @@ class TraceInMemory(TraceSink):
         times[:stored], values[:, :stored] = self._times, self._values
         self._times, self._values = times, values
 
-    def _signal(self, column: int) -> Array:
-        values: Array = self._values[self._order[column], : self.rows]
-        if (k := self._scaled.get(column)) is None:
-            return values
-        return np.asarray(self._layout.factors[k] * values + self._layout.offsets[k])
-
-    def _peak(self, column: int) -> tuple[float, float]:
-        values = self._signal(column)
+    def _peak(self, signal: int) -> tuple[float, float]:
+        values = self.trace[self.layout.names[signal]]
         row = int(np.argmax(np.abs(values)))
         return float(values[row]), float(self._times[row])
 
     @property
     def trace(self) -> Trace:
         """All rows until now."""
-        signals = {name: self._signal(k) for k, name in enumerate(self.names)}
-        return Trace(self._times[: self.rows], signals, self.units)
+        layout, values = self.layout, self._values[:, : self.rows]
+        signals = {name: values[k] for name, k in zip(layout.names, layout.order, strict=True)}
+        for k, factor, offset in zip(layout.scaled, layout.factors, layout.offsets, strict=True):
+            signals[layout.names[k]] = factor * signals[layout.names[k]] + offset
+        return Trace(self._times[: self.rows], signals, layout.units)
 
 
 class TraceOnDisk(Trace):
@@ -192,16 +209,16 @@ class TraceFile(TraceSink):
         self.partial = self.path.with_name(f"{self.path.stem}.partial{self.path.suffix}")
         self._format: _Format | None = None
 
-    def begin(self, signals: Signals, rows: int = 0) -> None:
+    def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Make the partial file; that of an earlier run is removed."""
-        super().begin(signals, rows)
-        self._peaks, self._peak_times = np.zeros(len(self.names)), np.zeros(len(self.names))
-        self._kept.begin(SignalNames(self.names, self.units))  # of rows, not of points
+        super().begin(layout, rows)
+        self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))
+        self._kept.begin(RowLayout(layout.names, layout.units))  # of rows, not of points
         with _naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)
             make: type[_Format] = _Csv if self.path.suffix.lower() == ".csv" else _Parquet
-            self._format = make(self.partial, self.names, self.units)
+            self._format = make(self.partial, layout.names, layout.units)
 
     def append(self, times: Array, values: Array) -> None:
         """Write rows; if the disk is full, the file ends with the last row that fits."""
@@ -210,23 +227,22 @@ class TraceFile(TraceSink):
         with _naming(self.partial, f"; it has the rows up to t = {end:.6g} s" if end == end else ""):
             self._format.append(times, values)
         super().append(times, values)
-        if self.rows * 8 * len(self.names) > MAX_KEPT:
-            self._kept.begin(self)  # releases the memory
+        if values.shape[1] * 8 * self.rows > MAX_KEPT:
+            self._kept.begin(self._kept.layout)  # releases the memory
         elif self._kept.rows + len(times) == self.rows:
             self._kept.append(times, values)
-
         if len(times):
             row = np.argmax(np.abs(values), axis=0)
-            largest = values[row, np.arange(len(self.names))]
+            largest = values[row, np.arange(values.shape[1])]
             higher = np.abs(largest) > np.abs(self._peaks)
             self._peaks[higher], self._peak_times[higher] = largest[higher], times[row[higher]]
 
-    def _peak(self, column: int) -> tuple[float, float]:
-        return float(self._peaks[column]), float(self._peak_times[column])
+    def _peak(self, signal: int) -> tuple[float, float]:
+        return float(self._peaks[signal]), float(self._peak_times[signal])
 
     def trace(self, path: Path) -> Trace:
         """All rows: those in memory, or, if they are too many, those in the file when they are needed."""
-        return self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(path, self.units)
+        return self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(path, self.layout.units)
 
     def finish(self, check: Callable[[], None] = lambda: None) -> tuple[Path, str]:
         """Write what is left, and close; returns the file, still under another name, and its SHA-256.
@@ -452,7 +468,7 @@ def write_trace(trace: Trace, path: str | Path) -> Path:
             raise Problem(f"{path}: {name}: expected {len(trace.time)} values, got {len(values)}")
     try:
         units = {name: unit for name, unit in trace.units.items() if name in trace.signals}
-        file.begin(SignalNames(tuple(trace.signals), units))
+        file.begin(RowLayout(tuple(trace.signals), units))
         columns = [*trace.signals.values()]
         for first in range(0, len(trace.time), CHUNK):
             last = min(first + CHUNK, len(trace.time))

@@ -26,9 +26,8 @@ from typing import TYPE_CHECKING, Any
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
 if TYPE_CHECKING:
-    from orchestrator.data.trace_writer import TraceSink
+    from orchestrator.data.trace_writer import RowLayout, TraceSink
     from orchestrator.engine.job import Job, RunEnd
-    from orchestrator.engine.recorder import RowLayout
     from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel

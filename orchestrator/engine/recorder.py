@@ -14,7 +14,7 @@ the step.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace_writer import PointSink
+from orchestrator.data.trace_writer import PointSink, RowLayout
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
@@ -35,35 +35,6 @@ from orchestrator.ssp.system import Port
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
 BLOCK = 256  # points between two calls of `collect`, at most
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class RowLayout:
-    """The recorded signals, and where their values are in the block of points that C fills.
-
-    names, units      of the signals
-    columns           index of each signal among the Real and then the Integer values of a point
-    scaled            indices of the outputs of the system: factors * value + offsets
-    reals, integers   number of values of a point
-    every             every `every`-th communication point is recorded
-    """
-
-    names: tuple[str, ...]
-    units: Mapping[str, str]
-    columns: NDArray[np.intp]
-    scaled: NDArray[np.intp]
-    factors: Array
-    offsets: Array
-    reals: int
-    integers: int
-    every: int
-
-    def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
-        """The signals at some points, shape (points, signals)."""
-        points = np.hstack([reals, integers]) if self.integers else reals
-        values = np.take(points, self.columns, axis=1)
-        values[:, self.scaled] = self.factors * values[:, self.scaled] + self.offsets
-        return values
 
 
 class PointBlock:
@@ -134,9 +105,9 @@ class Recorder:
             names=tuple(sources),
             units={name: unit.name for name, (_, _, _, unit) in sources.items() if unit},
             columns=np.array([column[port] for port, *_ in sources.values()], np.intp),
-            scaled=np.array(scaled, np.intp),
-            factors=maps[:, 0],
-            offsets=maps[:, 1],
+            scaled=scaled,
+            factors=maps[:, 0].tolist(),
+            offsets=maps[:, 1].tolist(),
             reals=len(self._reals),
             integers=len(self._integers),
             every=every,

@@ -20,7 +20,7 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable
 from orchestrator.data.trace import Trace
-from orchestrator.data.trace_writer import METADATA_SUFFIX, SignalNames, Signals
+from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.system import System
@@ -305,10 +305,10 @@ class RunMetadata:
 
 
 def metadata(
-    result: Result, options: Mapping[str, Any] | None = None, signals: Signals | None = None
+    result: Result, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
 ) -> RunMetadata:
     """The metadata of a run; options: those that the user chose; default of `signals`: those of the trace."""
-    signals = signals or SignalNames(tuple(result.trace.signals), result.trace.units)
+    signals = signals or RowLayout(tuple(result.trace.signals), result.trace.units)
     system, card = result.system, result.card
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
@@ -337,7 +337,7 @@ def metadata_file(trace: Path) -> Path:
 
 
 def metadata_text(
-    result: Result, sha256: str, options: Mapping[str, Any] | None = None, signals: Signals | None = None
+    result: Result, sha256: str, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
 ) -> str:
     """The metadata of a run, for the file next to its trace with this checksum."""
     data = {"sha256": sha256} | asdict(metadata(result, options, signals))
@@ -345,7 +345,7 @@ def metadata_text(
 
 
 def write_metadata(
-    result: Result, trace: Path, options: Mapping[str, Any] | None = None, signals: Signals | None = None
+    result: Result, trace: Path, options: Mapping[str, Any] | None = None, signals: RowLayout | None = None
 ) -> Path:
     """Write the metadata of a run next to its trace, which exists."""
     text = metadata_text(result, _digest(trace), options, signals)

@@ -333,14 +333,14 @@ def _published(
         file.close()
         if file.partial.is_file():  # CSV; Parquet contains the units
             with suppress(OSError):  # the disk may be full
-                text = metadata_text(ended.result, file.sha256, given, file)
+                text = metadata_text(ended.result, file.sha256, given, file.layout)
                 metadata_file(file.partial).write_text(text, encoding="utf-8", newline="\n")
         end = f" up to t = {file.last:.6g} s" if file.rows else ""
         summary = _summary(ended.result.card, file, file.partial)
         print(f"{ended.result.card.text()}\n\nthe run ended early; its record{end} is in {summary}")
         raise
     complete, digest = file.finish(check)
-    file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file)})
+    file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file.layout)})
     return result, _summary(result.card, file, file.path)
 
 
@@ -348,4 +348,4 @@ def _summary(card: Card, file: TraceFile, name: Path) -> str:
     """A file with its number of signals and rows, and the record step."""
     has_interval = card.record_step > card.step or (card.adaptive is not None and card.record_step > 0)
     interval = f", every {card.record_step:g} s" if has_interval else ""
-    return f"{name}: {len(file.names)} signals, {file.rows} rows{interval}"
+    return f"{name}: {len(file.layout.names)} signals, {file.rows} rows{interval}"

@@ -162,5 +162,5 @@ def _largest(message: LogMessage, recorded: TraceSink | None) -> str:
     largest = recorded.largest(name) if recorded is not None else None
     if recorded is None or largest is None:
         return ""
-    value = f"{largest[0]:.6g} {recorded.units.get(name, '')}".rstrip()
+    value = f"{largest[0]:.6g} {recorded.layout.units.get(name, '')}".rstrip()
     return f"largest recorded: {value} at t = {largest[1]:.6g} s"

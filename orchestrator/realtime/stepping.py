@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import RowLayout
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
-from orchestrator.engine.recorder import RowLayout
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
@@ -199,10 +199,10 @@ class RestDelay:
 class LatestValues:
     """A sink that keeps only the values of the latest communication point, shape (signals,)."""
 
-    def begin(self, signals: RowLayout, rows: int) -> None:
+    def begin(self, layout: RowLayout, rows: int) -> None:
         """Allocate the values."""
         del rows
-        self._layout, self.values = signals, np.zeros(len(signals.names))
+        self._layout, self.values = layout, np.zeros(len(layout.names))
 
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None:
         """Keep the last of the points."""

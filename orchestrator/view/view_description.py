@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -210,13 +209,10 @@ def view_description(system: System) -> ViewDescription:
     name, source = f"resources/{FILE}", system.source
     files = [source.resolve(name)] if source and str(source).endswith(".ssd") else []
     files += [component.source.member(name) for component in system.components.values() if component.source]
-    for file in files:
-        with suppress(Problem):  # the file does not exist
-            data = file.read(MAX_BYTES)
-            break
-    else:
+    file = next((file for file in files if file.exists), None)
+    if file is None:
         return of_outputs(system)
-    return read_dataclass(ViewDescription, read_toml(Path(str(file)), data))
+    return read_dataclass(ViewDescription, read_toml(Path(str(file)), file.read(MAX_BYTES)))
 
 
 def of_outputs(system: System) -> ViewDescription:

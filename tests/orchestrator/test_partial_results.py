@@ -14,7 +14,7 @@ import pytest
 from zoo.command import command, until
 
 from orchestrator import Problem, Trace, read_trace, write_trace
-from orchestrator.data.trace_writer import PART_ROWS, SignalNames, TraceFile, TraceInMemory
+from orchestrator.data.trace_writer import PART_ROWS, RowLayout, TraceFile, TraceInMemory
 from orchestrator.engine.result import read_metadata
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
@@ -31,7 +31,7 @@ def rows(first, last):
 def begun(path):
     """A trace file with two signals."""
     file = TraceFile(path)
-    file.begin(SignalNames(("a", "b"), {"a": "m"}))
+    file.begin(RowLayout(("a", "b"), {"a": "m"}))
     return file
 
 
@@ -40,7 +40,7 @@ def begun(path):
 def test_rows_that_arrive_in_blocks_are_the_trace_written_at_once(tmp_path, suffix, blocks):
     """Also beyond the number of rows of one Parquet file of a partial trace."""
     file, memory, first = begun(tmp_path / f"blocks{suffix}"), TraceInMemory(), 0
-    memory.begin(file)
+    memory.begin(file.layout)
     for count in blocks:
         file.append(*rows(first, first + count))
         memory.append(*rows(first, first + count))

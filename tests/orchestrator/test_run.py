@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Execution, Interrupted, Problem, Record, RunFailed, Trace, assemble, run
-from orchestrator.data.trace_writer import SignalNames, TraceInMemory
+from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine.result import Card, compare
 from orchestrator.engine.run import ProgressBar
 from orchestrator.fmi.description import FmuInterface, FmuVariable
@@ -230,7 +230,7 @@ def test_warnings_that_differ_in_numbers_only_are_merged():
     ]
     forces = np.array([0.0, -758.0, 60.0])
     record = TraceInMemory()
-    record.begin(SignalNames(("m.force", "void"), {"m.force": "N"}))
+    record.begin(RowLayout(("m.force", "void"), {"m.force": "N"}))
     for t, force in enumerate(forces):  # rows that arrive one by one
         record.append(np.array([float(t)]), np.array([[force, force]]))
     peak, void, _ = log.warnings(record)
