@@ -31,7 +31,7 @@ from orchestrator.fmi.library import find_library
 from orchestrator.fmi.read_description import read_description
 from orchestrator.results.validate_system import _provenance
 from orchestrator.ssp.assembly import open_component
-from orchestrator.view.view_description import view_description
+from orchestrator.view.view_description import FILE, view_description
 
 Members = Mapping[str, bytes]
 GOOD: Members = {DESCRIPTION: XML_2.encode(), "binaries/linux64/lag.so": b"no library"}
@@ -405,9 +405,11 @@ def test_other_files_of_an_fmu_are_read_up_to_their_limit(
     limits = list[int]()
     read = Location.read
     monkeypatch.setattr(Location, "read", lambda self, limit: limits.append(limit) or read(self, limit))
-    loaded = load(fmu(tmp_path / "x.fmu"))
+    loaded = load(
+        fmu(tmp_path / "x.fmu", more={f"resources/{FILE}": b"gauges = []\ncharts = []\nfull_pressure = 1e7"})
+    )
     limits.clear()
-    view_description(loaded)
+    assert view_description(loaded).full_pressure == 1e7
     assert _provenance(loaded.components["x"]) == {}
     assert limits == [toml.MAX_BYTES] * 2
 
