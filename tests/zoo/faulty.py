@@ -112,11 +112,11 @@ def faulty(
     archive = archive.swap(f'"{token}"', f'"{token} {fault} {phase} {made.committed}"')
     exchange = description.partition("<ModelExchange")[2].partition("<CoSimulation")[0]
     archive = archive.swap(f"<ModelExchange{exchange}", "")
-    for unused in (
-        ' providesDirectionalDerivative="true"',
-        '<SourceFiles><File name="lag.c"/></SourceFiles>',
-    ):
-        archive = archive.swap(unused, "") if major == 2 else archive
+    derivative = "providesDirectionalDerivative" + "s" * (major - 2)
+    unused = [f' {derivative}="true"']
+    unused += ['<SourceFiles><File name="lag.c"/></SourceFiles>'] if major == 2 else []
+    for text in unused:
+        archive = archive.swap(text, "")
     archive.put(f"binaries/{platform}/lag{SUFFIX}", library(major)).write(made.fmu)
     return made
 
