@@ -33,8 +33,7 @@ MAX_DIRECTORY = 10 << 20  # bytes of the list of members, 200 for each; `zipfile
 MAX_RATIO = 200
 ANY_RATIO = 500 << 20  # bytes up to which the ratio does not matter, such as sparse tables of 150 MB
 MAX_NESTING = 8  # archives inside archives; the FMU in an SSP in an SSP has 2
-# Linux allows 4096 characters with the temporary folder, Windows 260.
-MAX_PATH = 1000  # characters of the name of a member
+MAX_PATH = 1000  # characters of the name of a member; a whole path has at most 4096 on Linux, 260 on Windows
 MAX_BUFFER = 64 << 20  # bytes of an inner archive in memory; a larger one is in a temporary file
 CHUNK = 1 << 20  # bytes that are unpacked at once
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # compression that FMI and SSP permit
