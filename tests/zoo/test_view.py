@@ -23,8 +23,8 @@ SELECTED += [("spin", "instantiate"), ("exit_0", "initialise"), ("exit_0", "free
 AS_COMMANDS = [("segfault", "step"), ("spin", "step"), ("exit_0", "instantiate"), ("abort", "free")]
 
 
-def _limits(fault: str) -> tuple[float, float]:
-    """Times without an answer in a step and in the start; a leak takes its time on a loaded machine."""
+def _timeouts(fault: str) -> tuple[float, float]:
+    """Timeouts [s] of a step and of the start; long for a leak, which takes its time on a loaded machine."""
     return (LONG, LONG) if fault == "leak" else (SILENT, STARTED)
 
 
@@ -65,7 +65,7 @@ def test_a_fault_fails_the_machine(
 ) -> None:
     """Frames until then stay; the process and what it started are gone after the close."""
     fmu = faulty(tmp_path, fault, phase)
-    silent, started = _limits(fault)
+    silent, started = _timeouts(fault)
     monkeypatch.setattr(realtime, "SILENT", silent)
     monkeypatch.setattr(realtime, "START_TIMEOUT", started)
     try:
@@ -99,7 +99,7 @@ def _view(folder: Path, fmu: Faulty) -> Ended:
         return "session-" in (folder / "stderr").read_text("utf-8")
 
     arguments = ["view", fmu.fmu, "--no-open", "--port", "0", "--results", "results"]
-    limits = "m.MEMORY, m.SILENT, m.START_TIMEOUT = {}, {}, {}".format(1e9 * MEMORY, *_limits(fmu.fault))
+    limits = "m.MEMORY, m.SILENT, m.START_TIMEOUT = {}, {}, {}".format(1e9 * MEMORY, *_timeouts(fmu.fault))
     return command(arguments, folder, begun, f"import orchestrator.realtime.machine as m; {limits}")
 
 
