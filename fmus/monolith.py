@@ -17,9 +17,12 @@ from numpy.typing import NDArray
 from fmus.composition import couple
 from fmus.contract import Subsystem, column, quantities
 from fmus.parameters import Values, values
+from orchestrator.base.errors import Problem
 from orchestrator.base.interrupts import DeferredInterrupts
 
 Array = NDArray[np.float64]
+
+SAME_TIME = 1e-10  # s: times closer than this are equal; six times the rounding unit of 1e5 s
 
 
 @dataclass(frozen=True)
@@ -77,18 +80,63 @@ def join(
     )
 
 
+def merge_times(first: Array, second: Array) -> Array:
+    """The times of `first`, and those of `second` that differ from all of them by more than `SAME_TIME`.
+
+    Two grids that should share a time often differ by its rounding: 3 * 0.1 is not 0.3. Raises Problem if
+    two times of one grid are equal to `SAME_TIME`, because a jump between them would be lost.
+    """
+    for time in (first, second):
+        refuse_equal_times(time)
+    after = np.searchsorted(first, second)
+    nearest = np.minimum(
+        np.abs(second - first[np.maximum(after - 1, 0)]),
+        np.abs(second - first[np.minimum(after, len(first) - 1)]),
+    )
+    return np.sort(np.concatenate([first, second[nearest > SAME_TIME]]))
+
+
+def refuse_equal_times(time: Array) -> None:
+    """Raise Problem unless each time [s] exceeds the one before by more than `SAME_TIME`."""
+    short = np.nonzero(~(np.diff(time) > SAME_TIME))[0]
+    if short.size:
+        a, b = time[short[0]], time[short[0] + 1]
+        raise Problem(
+            f"times: expected steps of more than {SAME_TIME:g} s, got {b - a:.3g} s after t = {a:.9g} s; "
+            "fmus.monolith.merge_times joins two nearly equal grids"
+        )
+
+
 def breakpoints(time: Array, samples: Array, tolerance: float = 1e-9) -> NDArray[np.int64]:
     """Indices at which piecewise linear samples (n, m) over time (n,) change slope, and of both ends.
 
-    tolerance   distance of a sample from the line through its neighbours up to which it is on the line;
+    Corners are found from each sample and its neighbours. Where the samples of a curve are so dense that no
+    single one is a corner, the worst sample between two corners becomes one.
+
+    tolerance   distance of a sample from the line between corners up to which it is on the line;
                 at least the rounding error of the samples, for example of a pressure in Pa
     """
     rounding = 8 * np.finfo(float).eps * np.abs(samples).max(axis=0)
+    allowed = np.maximum(tolerance, rounding)
     gaps = np.diff(time)[:, None]
     kink = np.abs(np.diff(np.diff(samples, axis=0) / gaps, axis=0)) * np.minimum(gaps[1:], gaps[:-1])
-    return np.concatenate(
-        [[0], 1 + np.nonzero((kink > np.maximum(tolerance, rounding)).any(axis=1))[0], [len(samples) - 1]]
-    )
+    corners = [0, *(1 + np.nonzero((kink > allowed).any(axis=1))[0]), len(samples) - 1]
+    spans, found = list(pairwise(corners)), {*corners}
+    while spans:
+        first, last = spans.pop()
+        worst = _farthest_from_the_line(time[first : last + 1], samples[first : last + 1], allowed)
+        if worst:
+            found.add(first + worst)
+            spans += [(first, first + worst), (first + worst, last)]
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _farthest_from_the_line(time: Array, samples: Array, allowed: Array) -> int:
+    """Index of the sample that is farthest from the line between first and last; 0: all are on it."""
+    share = (time - time[0]) / (time[-1] - time[0])
+    line = samples[0] + share[:, None] * (samples[-1] - samples[0])
+    distance = (np.abs(samples - line) / allowed).max(axis=1)[1:-1]
+    return int(np.argmax(distance)) + 1 if (distance > 1).any() else 0
 
 
 def simulate(
@@ -100,9 +148,12 @@ def simulate(
 ) -> tuple[Array, Array]:
     """States (n, nx) and outputs (n, ny) at `time` (n,), inputs (n, nu) linear between the samples.
 
+    Raises Problem if two times are equal but for rounding; see `merge_times`.
+
     p           parameter values, including the initial pose; default: those of the model
     tolerance   relative tolerance, and absolute tolerance divided by the nominal value of each state
     """
+    refuse_equal_times(time)
     scale = ca.DM(model.nominal)
     p = model.p if p is None else p
     t, z = ca.SX.sym("t"), ca.SX.sym("z", len(model.states))

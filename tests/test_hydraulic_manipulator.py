@@ -22,6 +22,7 @@ from orchestrator import read_trace
 from orchestrator import run as orchestrate
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
+from orchestrator.data.trace import Trace
 from orchestrator.studies.convergence.settings import choose
 
 ROOT = Path(__file__).parents[1]
@@ -183,6 +184,21 @@ def test_joined_ode_follows_the_reference(reference):
     # velocity and force: of the same size relative to their range, 0.08 m/s and 6 kN
     assert error("arm.s1_dot") < 1e-4
     assert error("arm.f_h") < 12
+
+
+def test_joined_ode_of_a_finely_sampled_manoeuvre():
+    """A curve whose rows fall on the output times but for rounding is solved like one with the same times."""
+    time, summed = np.linspace(0, 1, 1001), np.append(0.0, np.cumsum(np.full(1000, 1e-3)))
+    assert 0 < np.max(np.abs(summed - time)) < 1e-12  # s
+    kappa0 = values(HYDRAULICS).u["kappa"]
+
+    def solved(rows):
+        return solve(Trace(rows, {"kappa": kappa0 + 0.005 * (1 - np.cos(2 * np.pi * rows))}), time)
+
+    found, expected = solved(summed), solved(time)
+    # rounding: 1e-12 s of a motion of 0.1 m/s and of pressures that change by 1e7 Pa/s
+    np.testing.assert_allclose(found["arm.s1"], expected["arm.s1"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found["hydraulics.p_1"], expected["hydraulics.p_1"], rtol=0, atol=1e-3)
 
 
 def test_manoeuvre_starts_in_equilibrium():

@@ -9,8 +9,9 @@ import pytest
 from fmus.contract import quantities, symbolic
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.machine.poses import parameter, pose_grid
-from fmus.monolith import breakpoints, join, simulate
+from fmus.monolith import SAME_TIME, breakpoints, join, merge_times, simulate
 from fmus.parameters import values
+from orchestrator.base.errors import Problem
 
 MODEL = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
 SUPPLY = values(SUBSYSTEMS["swing"]).u["supply_pressure"]
@@ -209,6 +210,33 @@ def test_breakpoints_are_the_corners_of_a_piecewise_linear_signal():
     uneven = np.array([0.0, 0.2, 0.201, 0.5, 1.0])
     line = np.interp(uneven, [0, 0.2, 0.5, 1.0], [0, 1, 1, 0])[:, None]
     assert list(breakpoints(uneven, line)) == [0, 1, 3, 4]
+
+
+@pytest.mark.parametrize("gap", [1e-9, 1e-6, 1e-5])
+def test_breakpoints_give_the_samples_of_a_dense_curve(gap):
+    """Where no sample of a curve is a corner for its neighbours, lines between breakpoints still pass it."""
+    t = np.unique(np.concatenate([np.linspace(0, 1, 101), np.linspace(0, 1, 101)[:-1] + gap]))
+    curve = np.column_stack([np.sin(t), 2e7 + 1e6 * np.cos(t)])
+    corners = breakpoints(t, curve)
+    for k, allowed in ((0, 1e-9), (1, 8 * np.finfo(float).eps * 2.1e7)):  # tolerance; rounding of pressures
+        assert np.max(np.abs(np.interp(t, t[corners], curve[corners, k]) - curve[:, k])) <= allowed
+
+
+def test_grids_that_differ_by_rounding_are_merged():
+    """Times that two grids share but for rounding stand once, as the first grid has them; others are kept."""
+    first, second = np.linspace(0, 1, 11), np.append(np.cumsum(np.full(10, 0.1)), 1.05)
+    assert np.any(np.isin(second, first, invert=True)[:-1])  # rounding makes them differ
+    np.testing.assert_array_equal(merge_times(first, second), [*first, 1.05])
+    np.testing.assert_array_equal(merge_times(second, first), [0.0, *second])
+
+
+def test_times_that_are_equal_but_for_rounding_are_refused():
+    """No silent line between inputs at equal times: one sentence with the time and the remedy."""
+    for bad in ([0.0, 1.0, 1.0 + SAME_TIME / 2, 2.0], [0.0, 1.0, 0.5], [0.0, np.nan, 1.0]):
+        with pytest.raises(Problem, match=r"more than 1e-10 s.*merge_times"):
+            simulate(MODEL, np.array(bad), np.tile(MODEL.u, (len(bad), 1)))
+        with pytest.raises(Problem, match="more than 1e-10 s"):
+            merge_times(np.array([0.0, 2.0]), np.array(bad))
 
 
 def test_monolith_reaches_its_tolerance():

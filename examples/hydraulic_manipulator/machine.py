@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fmus.contract import Subsystem, quantities
 from fmus.export.build import build_all
-from fmus.monolith import join, simulate
+from fmus.monolith import join, merge_times, simulate
 from orchestrator.data.trace import Trace
 from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.write import write_ssp
@@ -64,7 +64,7 @@ def solve(manoeuvre: Trace, time: Array) -> Trace:
     kappa is linear between the samples of the manoeuvre, which count as times of their own.
     """
     corners = manoeuvre.time[(manoeuvre.time > time[0]) & (manoeuvre.time < time[-1])]
-    grid = np.unique(np.concatenate([time, corners]))
+    grid = merge_times(time, corners)
     model = join(SUBSYSTEMS, SIGNALS + RATES + HOLDING, INPUTS)
     _, outputs = simulate(model, grid, manoeuvre.at(grid)["kappa"][:, None])
     sampled = outputs[np.searchsorted(grid, time)].T
