@@ -433,3 +433,14 @@ def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     assert printed.err.startswith("harvester: manipulator: the step failed at t = ")
     assert "is violated" in printed.err
     assert printed.err.count("it says") == 1
+    assert "likely cause" not in printed.err  # the coupling is not to blame
+
+
+@pytest.mark.usefixtures("here")
+def test_a_coupling_that_kills_the_run_is_named(capsys):
+    """Jacobi at 10 ms, rate ports connected: the FMU that fails is not the cause, and the message says so."""
+    assert main(["run", "--master", "jacobi", "--step", "0.01", "--out", "coarse.csv"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("harvester: boom_stick: the step failed at t = ")
+    assert "; likely cause: the coupling, jacobi with a step of 0.01 s (energy error " in error
+    assert error.endswith("; take a shorter step or the master hermite\n")

@@ -42,6 +42,7 @@ CAVITY_SCALE = 5e3  # dP [Pa]
 _LARGEST_EXPONENT = 40.0  # a cavity of 1e9 m3; keeps trial steps of a solver finite
 _SMALLEST_EXPONENT = -60.0  # 1e-26 of C_ref; keeps exp() out of the slow denormal numbers
 
+RATED_PRESSURE = 35e6  # Pa, of mobile valves, cylinders and hoses of the class; above it an FMU warns
 ATMOSPHERE = 101325.0  # p_0 [Pa], standard
 FLOOR = 20e3  # absolute pressure [Pa] down to which the polytropic law is used; 80 kPa below tank
 
@@ -52,8 +53,10 @@ def pressure(text: str) -> Quantity:
     During cavitation errors must be small compared with dP. After strokes of 1 to 6 V, some with cavitation,
     the error of the pressures is 0.004 % of their range at a tolerance of 1e-6. With the absolute tolerance
     from the nominal value it would be 0.35 % at the same cost.
+
+    Only variants with relief valves limit it; if it is also an output, the FMU warns above RATED_PRESSURE.
     """
-    return Quantity("Pa", text, 1e7, absolute=1e5)
+    return Quantity("Pa", text, 1e7, absolute=1e5, warn_above=RATED_PRESSURE)
 
 
 def cavity(text: str) -> Quantity:

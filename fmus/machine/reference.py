@@ -155,7 +155,8 @@ def _extrapolated(sub: Subsystem, u: ca.SX, tau: ca.SX) -> Any:
 def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mapping[str, Array]) -> list[str]:
     """Outputs of the result: those that vary and do not jump when the next inputs are set.
 
-    Inputs without a rate jump at each communication point. Outputs with warnings are excluded.
+    Inputs without a rate jump at each communication point. Excluded are outputs with a warning below
+    their nominal value, such as forces of end stops: in ordinary operation they are zero.
     """
     model, outputs = symbolic(sub), quantities(sub.outputs)
     jumping = [
@@ -164,7 +165,7 @@ def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mappin
     return [
         name
         for i, (name, q) in enumerate(outputs.items())
-        if q.warn_above is None
+        if (q.warn_above is None or q.warn_above > q.nominal)
         and np.ptp(result[name]) > CONSTANT * q.nominal
         and not ca.depends_on(model.y[i], column(*jumping))
     ]

@@ -93,6 +93,7 @@ NO_EXCHANGE = 1e-9  # of the largest exchange of a bond,
 NO_EXCHANGE_ENERGY = 1e-12  # or [J]
 SMALL_EXCHANGE = 1e-2  # of the largest exchange of a bond: below it a relative residual has no meaning
 UNRELIABLE = 0.05  # relative residual above which a result is not reliable
+CAUSE = 0.1  # relative residual above which the coupling is the likely cause of a failure
 
 
 @dataclass(frozen=True)
@@ -171,16 +172,29 @@ class Card:
             text += f", {passes} passes each"
         return text + (f", {self.repeated} repeated" if self.repeated else "")
 
-    def _unreliable(self) -> list[str]:
-        """A warning for each bond whose energy error is too large for a reliable result."""
+    def _bonds_above(self, limit: float) -> list[BondEnergy]:
+        """The bonds whose relative energy error exceeds `limit`."""
         most = max((b.exchanged for b in self.bonds), default=0.0)
         relevant = [b for b in self.bonds if b.exchanged >= SMALL_EXCHANGE * most > 0]
+        return [b for b in relevant if abs(b.relative) > limit]
+
+    def _unreliable(self) -> list[str]:
+        """A warning for each bond whose energy error is too large for a reliable result."""
         return [
             f"energy error of the coupling: {b.relative:+.1%} of what {b.name} exchanged; the result is not"
             " reliable, take shorter steps"
-            for b in relevant
-            if abs(b.relative) > UNRELIABLE
+            for b in self._bonds_above(UNRELIABLE)
         ]
+
+    def likely_cause(self) -> str:
+        """The coupling, for the message of a failed run, if a bond has a large energy error; else empty."""
+        worst = max(self._bonds_above(CAUSE), key=lambda b: abs(b.relative), default=None)
+        if worst is None:
+            return ""
+        error = f"energy error {worst.relative:+.0%} of what {worst.name} exchanged"
+        other = "" if self.master.startswith("hermite") else " or the master hermite"
+        cause = f"the coupling, {self.master} with a step of {self.step:.6g} s ({error})"
+        return f"likely cause: {cause}; take a shorter step{other}"
 
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
         """Energy error of the coupling [J], energy exchanged [J], and their ratio."""

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from orchestrator.base.coupling import Coupling
-from orchestrator.base.errors import Stopped
+from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.data.trace import Trace, read_trace
@@ -151,7 +151,9 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
     if outcome.problem:
-        raise RunFailed(outcome.problem, result) from outcome.problem
+        cause = card.likely_cause()
+        problem = Problem(f"{outcome.problem}; {cause}") if cause else outcome.problem
+        raise RunFailed(problem, result) from outcome.problem
     return result
 
 

@@ -144,6 +144,17 @@ def test_a_bond_at_rest_has_no_share():
     assert card_of((idle,)).text().endswith("\n\nno power bond exchanges energy")
 
 
+def test_the_likely_cause_of_a_failure_needs_a_large_energy_error():
+    """Master, step and worst bond above 10 %; a bond that hardly exchanges anything is no evidence."""
+    fine, idle = BondEnergy("fine", 90.0, 90.0, 1e3), BondEnergy("idle", 1.0, 1.0, 2.0)
+    assert card_of(()).likely_cause() == card_of((fine, idle)).likely_cause() == ""
+    bonds = (fine, BondEnergy("bad", -300.0, 400.0, 1e3), BondEnergy("worse", 420.0, 500.0, 1e3))
+    assert card_of(bonds).likely_cause() == (
+        "likely cause: the coupling, jacobi with a step of 0.001 s"
+        " (energy error +42% of what worse exchanged); take a shorter step or the master hermite"
+    )
+
+
 def test_requested_bonds_must_be_opposite_connections(bounce):
     """A requested bond is checked and used."""
     assert bond_of(bounce, "mass.force", "spring.v").name == "mass - spring"

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 
 from fmus.components import chamber, orifice
 from fmus.components.orifice import PressureValve
+from fmus.export.build import build_all
 from fmus.machine.parts import parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import values
+from orchestrator import Trace, run
 
 VALVE = PressureValve(pressure=24.8e6, gain=1e-9, rounding=2e5)
 
@@ -85,3 +87,21 @@ def test_anti_cavitation_valves_keep_the_oil_from_tearing():
     assert lowest(fine) > chamber.VAPOUR_PRESSURE
     assert fine["boom_stick.boom_void_volume"].max() < usual["boom_stick.boom_void_volume"].max() / 5
     assert fine["boom_stick.boom_anti_cavitation_flow"].max() > 1e-5  # m3/s: they work
+
+
+@pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
+def test_a_pressure_beyond_the_class_is_a_warning_where_no_relief_limits_it(tmp_path, variant):
+    """Closed valve, shaft driven: one message for each excursion above 350 bar; `detailed` stays below."""
+    sub = parts(swing=variant)["swing"]
+    fmu = build_all([sub], {2: tmp_path})[2][0]
+    time = np.array([0.0, 0.1, 0.11, 0.15, 0.17, 0.25, 0.26, 0.4, 0.41, 0.45, 0.47, 0.55, 0.56, 0.7])
+    speed = 0.5 * np.array([0, 0, 1, 1, -1, -1, 0, 0, 1, 1, -1, -1, 0, 0])  # rad/s
+    done = run(str(fmu), Trace(time, {"swing_speed": speed}), step=1e-3)
+    excursions = {}
+    for line in ("a", "b"):
+        above = done.trace[f"{sub.name}.swing_pressure_{line}"] > 35e6
+        messages = [m.text for m in done.messages if m.text.startswith(f"swing_pressure_{line} = ")]
+        excursions[line] = np.count_nonzero(above[1:] & ~above[:-1])
+        assert len(messages) == excursions[line]
+        assert all("is above 3.5e+07 Pa" in text for text in messages)
+    assert all(excursions.values()) if variant != "detailed" else not any(excursions.values())
