@@ -28,6 +28,9 @@ STRIDE = 4  # the reference trace keeps every fourth sample
 def model():
     """The project's joined ODE; the rates of the commands do not enter it."""
     inputs = {name: targets for name, targets in INPUTS.items() if not name.endswith("_rate")}
+    inputs = {
+        name: targets for name, targets in inputs.items() if not name.startswith("load_sensing")
+    }  # unused
     return join(SUBSYSTEMS, CONNECTIONS, inputs)
 
 

@@ -31,10 +31,11 @@ from fmus.boom_stick.variables import (
     DetailedBoomStickOutputs,
     DetailedBoomStickParameters,
 )
-from fmus.components import chamber, cylinder, hose, orifice, spool_valve
+from fmus.components import chamber, cylinder, hose, load_sensing, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, Line, LineState
+from fmus.components.load_sensing import LoadPressure
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
@@ -109,8 +110,16 @@ class DetailedDrive:
         spool = spool_valve.spool_rates(self.spool, self.x.spool, commanded)
         return DriveState(spool, (head, rod), self.pressure_rates())
 
-    def observe(self) -> dict[str, Scalar]:
-        """Outputs by name without prefix; those in `drive.TOTALS` are summed over both drives."""
+    def load_pressure(self) -> LoadPressure:
+        """Load pressure of the section."""
+        return load_sensing.load_pressure(
+            *(self.x.spool.position, self.x.spool.speed),
+            *((self.spool.overlap_pa, self.spool.overlap_pb), 1),
+            *(self.x.pressures, self.pressure_rates(), self.u.tank_pressure),
+        )
+
+    def observe(self) -> dict[str, Any]:
+        """Outputs by name without prefix, for `drive.joint_outputs`."""
         (head, rod), (p_head, p_rod) = self.cylinder.areas, self.x.pressures
         fluid, tank = self.line.fluid, self.u.tank_pressure
         relieved = tuple(out - back for out, back in zip(self.relief, self.anti_cavitation, strict=True))
@@ -134,6 +143,7 @@ class DetailedDrive:
             "stored_energy": compression + sum(hose.stored_energy(self.line, x) for x in self.x.lines),
             "dissipated_power": edges + relief_heat + sum(hose.heat(self.line, x) for x in self.x.lines),
             "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
+            drive.LOAD: self.load_pressure(),
         }
         for side, p, port, line in zip(SIDES, self.x.pressures, self.ports, self.x.lines, strict=True):
             outputs |= {
@@ -249,7 +259,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
     def observe(x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters) -> DetailedBoomStickOutputs:
         """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
         boom, stick = (d.observe() for d in _drives(names, x, u, p))
-        return drive.joint_outputs(DetailedBoomStickOutputs, boom, stick)
+        return DetailedBoomStickOutputs(**drive.joint_outputs(boom, stick))
 
     sub = Subsystem(
         name="boom_stick",

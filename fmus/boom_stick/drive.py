@@ -18,17 +18,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from fmus.boom_stick.variables import AXES, BoomStickInputs, OilState
-from fmus.components import chamber, cylinder, hose, ports, spool_valve
+from fmus.components import chamber, cylinder, hose, load_sensing, ports, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
+from fmus.components.load_sensing import LoadPressure
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Terminal
 
 Pair = tuple[Scalar, Scalar]  # (head side, rod side)
-G = TypeVar("G", bound=Group)
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,13 @@ class CylinderDrive:
 
 @dataclass(frozen=True)
 class DriveInterface:
-    """Inputs of a drive: command [V], supply, tank pressure [Pa], piston position [m] and velocity [m/s]."""
+    """Inputs of a drive.
+
+    Command [V] and its rate, supply and tank pressure [Pa], piston position [m] and velocity [m/s].
+    """
 
     command: Scalar
+    command_rate: Scalar
     supply_pressure: Scalar
     tank_pressure: Scalar
     position: Scalar
@@ -68,8 +72,12 @@ def interfaces(u: BoomStickInputs) -> tuple[DriveInterface, DriveInterface]:
     """Inputs of the boom drive and of the stick drive."""
     line_pressures = (u.supply_pressure, u.tank_pressure)
     return (
-        DriveInterface(u.boom_command, *line_pressures, u.boom_position, u.boom_velocity),
-        DriveInterface(u.stick_command, *line_pressures, u.stick_position, u.stick_velocity),
+        DriveInterface(
+            u.boom_command, u.boom_command_rate, *line_pressures, u.boom_position, u.boom_velocity
+        ),
+        DriveInterface(
+            u.stick_command, u.stick_command_rate, *line_pressures, u.stick_position, u.stick_velocity
+        ),
     )
 
 
@@ -148,8 +156,8 @@ def observe(
     ports: Iterable[EdgeFlows],
     u: DriveInterface,
     hose_heat: Scalar,
-) -> dict[str, Scalar]:
-    """Outputs of one drive by name without prefix; those in TOTALS are summed over both drives.
+) -> dict[str, Any]:
+    """Outputs of one drive by name without prefix, for `joint_outputs`.
 
     The convected power is P^2 / (2 beta) times the volume rate of the growing chamber, minus that of the
     shrinking one. It is required for the energy balance (docs/equations.md, section 7).
@@ -170,17 +178,35 @@ def observe(
         "convected_power": (head * x.head_pressure**2 - rod * x.rod_pressure**2)
         * u.velocity
         / (2 * d.bulk_modulus),
+        LOAD: _load_pressure(d, pressures, pressure_rates, u),
     }
+
+
+def _load_pressure(
+    d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: DriveInterface
+) -> LoadPressure:
+    """Load pressure of the section."""
+    curve = ((d.valve.dead_band, d.valve.dead_band), d.valve.full_command)
+    return load_sensing.load_pressure(
+        u.command, u.command_rate, *curve, pressures, pressure_rates, u.tank_pressure
+    )
 
 
 # ---- both drives
 
 TOTALS = ("supply_flow", "return_flow", "stored_energy", "dissipated_power", "convected_power")
+LOAD = "load_pressure"  # of one drive, a `LoadPressure`
 
 
-def joint_outputs(outputs: type[G], boom: Mapping[str, Scalar], stick: Mapping[str, Scalar]) -> G:
-    """Outputs of both drives, those in TOTALS summed."""
-    return outputs(**prefixed(boom, stick, TOTALS), **{name: boom[name] + stick[name] for name in TOTALS})
+def joint_outputs(boom: Mapping[str, Any], stick: Mapping[str, Any]) -> dict[str, Scalar]:
+    """Outputs of both drives: those in TOTALS summed, and the higher LOAD."""
+    load = load_sensing.highest(boom[LOAD], stick[LOAD])
+    return {
+        **prefixed(boom, stick, (*TOTALS, LOAD)),
+        **{name: boom[name] + stick[name] for name in TOTALS},
+        "boom_stick_load_pressure": load.value,
+        "boom_stick_load_pressure_rate": load.rate,
+    }
 
 
 def prefixed(
@@ -224,4 +250,5 @@ TERMINALS: tuple[Terminal, ...] = (
     *(ports.lever(axis) for axis in AXES),
     ports.supply_line(),
     ports.return_line(),
+    ports.load_sensing_line("boom_stick"),
 )

@@ -44,7 +44,7 @@ def observe(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> Bo
             drive.drives(p), (OilState.of(x, axis) for axis in AXES), drive.interfaces(u), strict=True
         )
     )
-    return drive.joint_outputs(BoomStickOutputs, boom, stick)
+    return BoomStickOutputs(**drive.joint_outputs(boom, stick))
 
 
 def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> dict[str, Scalar]:

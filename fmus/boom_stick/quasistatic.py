@@ -64,7 +64,7 @@ def observe(
         drive.observe(d, oil, drive.pressure_rates(d, oil, inputs), ports, inputs, 0)
         for d, oil, ports, inputs in _evaluated(x, u, p)
     )
-    return drive.joint_outputs(BoomStickOutputs, boom, stick)
+    return BoomStickOutputs(**drive.joint_outputs(boom, stick))
 
 
 def initial(

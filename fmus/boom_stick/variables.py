@@ -104,6 +104,15 @@ class BoomStickInputs(Group, boom=DriveInputs, stick=DriveInputs):
         "Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8
     )
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5)
+    load_sensing_pressure: Scalar = Quantity(
+        "Pa",
+        "Pressure of the load-sensing line, only used by compensated drives",
+        1e7,
+        rate="load_sensing_pressure_rate",
+    )
+    load_sensing_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: time derivative of load_sensing_pressure, may stay unconnected", 1e8
+    )
     boom_command: Scalar = Quantity(
         "V",
         "Command to the boom valve, positive raises the boom",
@@ -133,6 +142,12 @@ class BoomStickOutputs(BoomStickState, boom=DriveOutputs, stick=DriveOutputs):
 
     supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return line", 1e-3)
+    boom_stick_load_pressure: Scalar = Quantity(
+        "Pa", "Higher load pressure of boom and stick, to the load-sensing line", 1e7
+    )
+    boom_stick_load_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: exact time derivative of boom_stick_load_pressure", 1e8
+    )
     stored_energy: Scalar = Quantity("J", "Energy of oil compression and of the moving oil columns", 1e3)
     dissipated_power: Scalar = Quantity("W", "Power dissipated by metering edges and hoses", 1e4)
     convected_power: Scalar = Quantity(

@@ -69,6 +69,27 @@ def return_line() -> Terminal:
     return Terminal("return_line", "line", "Return line: pressure, and flow out of the drive", members)
 
 
+def _load_sensing_members(drive: str) -> tuple[Member, ...]:
+    return (
+        Member("pressure", "load_sensing_pressure"),
+        Member("pressure_rate", "load_sensing_pressure_rate"),
+        Member("load_pressure", f"{drive}_load_pressure"),
+        Member("load_pressure_rate", f"{drive}_load_pressure_rate"),
+    )
+
+
+def load_sensing_line(drive: str) -> Terminal:
+    """Load-sensing line at the valves of a drive: its load pressure, and the highest one of all drives."""
+    text = "Load-sensing line: load pressure of the drive, and pressure of the line"
+    return Terminal("load_sensing_line", "line", text, _load_sensing_members(drive))
+
+
+def load_sensing_line_from(drive: str) -> Terminal:
+    """Load-sensing line at the supply, for one of the drives; connects to `load_sensing_line`."""
+    text = f"Load-sensing line from {drive}"
+    return Terminal(f"load_sensing_line_{drive}", "line", text, _load_sensing_members(drive))
+
+
 def supply_line_to(drive: str) -> Terminal:
     """Supply line at the pumps, for one of the drives; connects to `supply_line`."""
     members = (

@@ -92,7 +92,15 @@ SUPPLY_WIRES: Connections = (
     *(
         (f"supply.{v}", f"{d}.{v}")
         for d in DRIVES
-        for v in ("supply_pressure", "supply_pressure_rate", "tank_pressure")
+        for v in (
+            *("supply_pressure", "supply_pressure_rate", "tank_pressure"),
+            *("load_sensing_pressure", "load_sensing_pressure_rate"),
+        )
+    ),
+    *(
+        (f"{d}.{d}_load_pressure{suffix}", f"supply.{d}_load_pressure{suffix}")
+        for d in DRIVES
+        for suffix in ("", "_rate")
     ),
     *((f"{d}.{v}", f"supply.{v}_{d}") for d in DRIVES for v in ("supply_flow", "return_flow")),
 )
@@ -103,6 +111,11 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),
     "supply_pressure_rate": ("swing.supply_pressure_rate", "boom_stick.supply_pressure_rate"),
     "tank_pressure": ("swing.tank_pressure", "boom_stick.tank_pressure"),
+    "load_sensing_pressure": ("swing.load_sensing_pressure", "boom_stick.load_sensing_pressure"),
+    "load_sensing_pressure_rate": (
+        "swing.load_sensing_pressure_rate",
+        "boom_stick.load_sensing_pressure_rate",
+    ),
 }
 
 

@@ -33,6 +33,7 @@ from fmus.supply.variables import (
     ReservoirParameters,
     SupplyInputs,
     SupplyOutputs,
+    highest_load,
     return_flow,
     supply_flow,
 )
@@ -215,11 +216,13 @@ def _outlet_rate(w: _OperatingPoint, pressure: Scalar, p: EnginePumpParameters) 
 def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
     """Outputs."""
     a, b = _pumps(x, p)
-    supplied, returned = supply_flow(u), return_flow(u)
+    supplied, returned, load = supply_flow(u), return_flow(u), highest_load(u)
     return EnginePumpOutputs(
         **vars(x),
         supply_pressure_rate=dynamics(x, u, p).supply_pressure,
         tank_pressure=p.reservoir_pressure,
+        load_sensing_pressure=load.value,
+        load_sensing_pressure_rate=load.rate,
         supply_flow=supplied,
         return_flow=returned,
         hydraulic_power=x.supply_pressure * supplied - p.reservoir_pressure * returned,

@@ -18,6 +18,7 @@ from fmus.supply.variables import (
     ReservoirParameters,
     SupplyInputs,
     SupplyOutputs,
+    highest_load,
     return_flow,
     supply_flow,
 )
@@ -44,10 +45,13 @@ def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs
     """Outputs."""
     supplied, returned = supply_flow(u), return_flow(u)
     power = p.pressure_setting * supplied - p.reservoir_pressure * returned
+    load = highest_load(u)
     return SupplyOutputs(
         supply_pressure=p.pressure_setting,
         supply_pressure_rate=0,
         tank_pressure=p.reservoir_pressure,
+        load_sensing_pressure=load.value,
+        load_sensing_pressure_rate=load.rate,
         supply_flow=supplied,
         return_flow=returned,
         hydraulic_power=power,

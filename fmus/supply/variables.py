@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fmus.components import ports
 from fmus.components.chamber import ATMOSPHERE
+from fmus.components.load_sensing import LoadPressure, highest
 from fmus.contract import Group, Quantity, Scalar
 
 CONSUMERS = ("swing", "boom_stick")
@@ -17,8 +18,17 @@ class ReservoirParameters(Group):
     )
 
 
-class SupplyInputs(Group):
-    """Flows of the drives from the supply line and into the return line."""
+class LoadInputs(Group):
+    """Load pressure of a drive; the rate input carries its exact time derivative."""
+
+    load_pressure: Scalar = Quantity("Pa", "Highest load pressure of {}", 1e7, rate="load_pressure_rate")
+    load_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: time derivative of {}_load_pressure, may stay unconnected", 1e8
+    )
+
+
+class SupplyInputs(Group, swing=LoadInputs, boom_stick=LoadInputs):
+    """Flows of the drives from the supply line and into the return line, and their load pressures."""
 
     supply_flow_swing: Scalar = Quantity("m3/s", "Flow from the supply line into the swing drive", 1e-3)
     return_flow_swing: Scalar = Quantity("m3/s", "Flow from the swing drive into the return line", 1e-3)
@@ -38,6 +48,10 @@ class SupplyOutputs(Group):
         "Pa/s", "Rate port: exact time derivative of supply_pressure", 1e8
     )
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return lines", 1e5)
+    load_sensing_pressure: Scalar = Quantity("Pa", "Pressure of the load-sensing line", 1e7)
+    load_sensing_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: exact time derivative of load_sensing_pressure", 1e8
+    )
     supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line into all drives", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return lines from all drives", 1e-3)
     hydraulic_power: Scalar = Quantity(
@@ -58,4 +72,16 @@ def return_flow(u: SupplyInputs) -> Scalar:
     return u.return_flow_swing + u.return_flow_boom_stick
 
 
-TERMINALS = tuple(line(name) for name in CONSUMERS for line in (ports.supply_line_to, ports.return_line_from))
+def highest_load(u: SupplyInputs) -> LoadPressure:
+    """Highest load pressure of all drives."""
+    return highest(
+        LoadPressure(u.swing_load_pressure, u.swing_load_pressure_rate),
+        LoadPressure(u.boom_stick_load_pressure, u.boom_stick_load_pressure_rate),
+    )
+
+
+TERMINALS = tuple(
+    line(name)
+    for name in CONSUMERS
+    for line in (ports.supply_line_to, ports.return_line_from, ports.load_sensing_line_from)
+)

@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.components import chamber, hose, motor, orifice, spool_valve
+from fmus.components import chamber, hose, load_sensing, motor, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.hose import Line, LineState
 from fmus.components.motor import MotorNodes
@@ -106,7 +106,13 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
     """Outputs; the torque depends only on states."""
     n, swing_line, tank = _evaluate(names, x, u, p), line(p), u.tank_pressure
     (p_a, p_b), flows = n.pressures, (n.lines[0].flows[0], n.lines[1].flows[0])
-    outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, _pressure_rates(n, p))
+    rates = _pressure_rates(n, p)
+    load = load_sensing.load_pressure(
+        *(n.spool.position, n.spool.speed),
+        *((p.spool_overlap_pa, p.spool_overlap_pb), 1),
+        *(n.pressures, rates, tank),
+    )
+    outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, rates, load)
     for side, state, port, pressure in zip(SIDES, n.lines, n.ports, n.pressures, strict=True):
         outputs |= {
             f"swing_valve_pressure_{side}": port.pressure,

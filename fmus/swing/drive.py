@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fmus.components import chamber, hose, motor, ports, spool_valve
+from fmus.components import chamber, hose, load_sensing, motor, ports, spool_valve
+from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Terminal
@@ -49,12 +50,14 @@ def observe(
     valve: tuple[EdgeFlows, EdgeFlows],
     nodes: MotorNodes,
     node_rates: Pair,
+    load: LoadPressure,
 ) -> dict[str, Scalar]:
     """Outputs except `stored_energy`.
 
     pressures, flows    of the lines
     valve, nodes        ports of valve and motor
     node_rates          rates of the motor's port pressures
+    load                load pressure
 
     The dissipated power is that of edges and leakage; lines are added by the variants.
     """
@@ -68,12 +71,21 @@ def observe(
         "swing_torque_rate": displacement(p) * (node_rates[0] - node_rates[1]),
         "supply_flow": valve[0].supply + valve[1].supply,
         "return_flow": valve[0].tank + valve[1].tank + nodes.drain,
+        "swing_load_pressure": load.value,
+        "swing_load_pressure_rate": load.rate,
         "swing_motor_pressure_a": nodes.pressure_1,
         "swing_motor_pressure_b": nodes.pressure_2,
         "swing_drain_flow": nodes.drain,
         "swing_void_volume": sum(map(chamber.cavity_volume, pressures)),
         "dissipated_power": edges + motor.leakage_loss(nodes, u.tank_pressure, *leakage(p)),
     }
+
+
+def load_pressure(p: Any, u: SwingInputs, pressures: Pair, rates: Pair) -> LoadPressure:
+    """Load pressure of a valve without dynamics; pressures of the lines [Pa] and their rates."""
+    command = (u.swing_command, u.swing_command_rate)
+    curve = ((p.valve_dead_band, p.valve_dead_band), p.valve_full_command)
+    return load_sensing.load_pressure(*command, *curve, pressures, rates, u.tank_pressure)
 
 
 def require(x: object, u: object, p: Any) -> dict[str, Scalar]:
@@ -86,4 +98,5 @@ TERMINALS: tuple[Terminal, ...] = (
     ports.lever("swing"),
     ports.supply_line(),
     ports.return_line(),
+    ports.load_sensing_line("swing"),
 )

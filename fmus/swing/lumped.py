@@ -56,8 +56,9 @@ def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
     )
     nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
     rates = _motor((dx.swing_pressure_a, dx.swing_pressure_b, 0), u.swing_acceleration, p)
+    load = drive.load_pressure(p, u, pressures, (dx.swing_pressure_a, dx.swing_pressure_b))
     outputs = drive.observe(
-        p, u, pressures, flows, _ports(x, u, p), nodes, (rates.pressure_1, rates.pressure_2)
+        p, u, pressures, flows, _ports(x, u, p), nodes, (rates.pressure_1, rates.pressure_2), load
     )
     compression = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
     outputs["stored_energy"] = compression + p.line_inertance * (x.swing_flow_a**2 + x.swing_flow_b**2) / 2

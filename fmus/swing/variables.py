@@ -100,6 +100,15 @@ class SwingInputs(Group):
         "Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8
     )
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5)
+    load_sensing_pressure: Scalar = Quantity(
+        "Pa",
+        "Pressure of the load-sensing line, only used by compensated drives",
+        1e7,
+        rate="load_sensing_pressure_rate",
+    )
+    load_sensing_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: time derivative of load_sensing_pressure, may stay unconnected", 1e8
+    )
     swing_speed: Scalar = Quantity(
         "rad/s", "Swing speed, counter-clockwise from above", 1.0, rate="swing_acceleration"
     )
@@ -115,6 +124,10 @@ class SwingOutputs(SwingState):
     swing_torque_rate: Scalar = Quantity("N.m/s", "Rate port: exact time derivative of swing_torque", 1e5)
     supply_flow: Scalar = Quantity("m3/s", "Flow from the supply line", 1e-3)
     return_flow: Scalar = Quantity("m3/s", "Flow into the return line, with the case drain", 1e-3)
+    swing_load_pressure: Scalar = Quantity("Pa", "Load pressure of the swing, to the load-sensing line", 1e7)
+    swing_load_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: exact time derivative of swing_load_pressure", 1e8
+    )
     swing_motor_pressure_a: Scalar = Quantity("Pa", "Pressure P_1 at motor port A", 1e7)
     swing_motor_pressure_b: Scalar = Quantity("Pa", "Pressure P_2 at motor port B", 1e7)
     swing_drain_flow: Scalar = Quantity("m3/s", "Case drain flow of the motor: external leakage", 1e-5)
