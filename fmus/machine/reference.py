@@ -52,6 +52,7 @@ from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, progr
 from fmus.monolith import join, simulate
 from fmus.operator_input.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
+from fmus.supply import SUPPLY
 from orchestrator.base.files import write_columns
 
 Array = NDArray[np.float64]
@@ -80,6 +81,7 @@ def machine_signals() -> dict[str, Array]:
     _, outputs = simulate(model, time, np.column_stack(list(driven.values())), tolerance=EXPERIMENT_TOLERANCE)
     recorded |= dict(zip(model.output_names, outputs.T, strict=True))
     recorded |= {end: driven[n] for n, ends in INPUTS.items() for end in ends}
+    recorded |= _load_sensing_line(recorded)
     wires = (*CONNECTIONS, *SUPPLY_WIRES, *CONTROL_WIRES)
     recorded |= {target: recorded[source] for source, target in wires if source in recorded}
     recorded |= {f"controller.{n}": samples for n, samples in experiment_inputs(time).items()}
@@ -87,14 +89,29 @@ def machine_signals() -> dict[str, Array]:
     return {name: samples[::2] for name, samples in (recorded | driven).items()}
 
 
+def _load_sensing_line(recorded: Mapping[str, Array]) -> dict[str, Array]:
+    """Outputs of the ideal supply for the load pressures of the drives."""
+    u = quantities(SUPPLY.inputs)
+    loads = {n.split(".")[1]: samples for n, samples in recorded.items() if "load_pressure" in n}
+    size = next(iter(loads.values())).size
+    rows = np.array([loads.get(n, np.zeros(size)) for n in u])
+    p = np.tile(list(values(SUPPLY).p.values()), (size, 1)).T
+    y = symbolic(SUPPLY).function().map(size)(ca.DM(0, size), rows, p)[1].full()
+    shown = dict(zip(quantities(SUPPLY.outputs), y, strict=True))
+    return {f"supply.{n}": shown[n] for n in ("load_sensing_pressure", "load_sensing_pressure_rate")}
+
+
 def stimuli(sub: Subsystem, recorded: Mapping[str, Array]) -> dict[str, Array]:
-    """Inputs that vary and affect the subsystem -> samples (n,), rounded to the digits of the file."""
-    model, declared = symbolic(sub), quantities(sub.inputs)
-    equations, rates = column(model.dx, model.y), {q.rate for q in declared.values()}
+    """Inputs that vary and affect a variant of the part -> samples (n,), with the digits of the file."""
+    declared = quantities(sub.inputs)
+    models = [symbolic(s) for s in FAMILIES.get(sub.component, {sub.name: sub}).values()]
+    rates = {q.rate for q in declared.values()}
     inputs = {}
     for i, name in enumerate(declared):
         samples = recorded.get(f"{sub.component}.{name}", recorded.get(name))
-        used = name in rates or ca.depends_on(equations, model.u[i])  # otherwise only for initialisation
+        used = name in rates or any(  # otherwise only for initialisation
+            ca.depends_on(column(m.dx, m.y), m.u[i]) for m in models
+        )
         if used and samples is not None and np.ptp(samples) > 0:
             inputs[name] = np.array([float(f"{x:.{INPUT_DIGITS}g}") for x in samples])
     return inputs
