@@ -29,8 +29,10 @@ def run(
     inertial: bool = False,
     names: Sequence[str] = FREE,
     starts: int = 0,
-) -> None:
+) -> bool:
     """Read the recordings, identify, write parameters and report; prints the progress.
+
+    Returns whether the estimates can be trusted: no warning was printed.
 
     out    parameters.toml to write
     page   folder of identification.html and .json
@@ -72,6 +74,7 @@ def run(
         print(f"warning: {line}")
     html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
+    return not contents.warnings
 
 
 def _show(result: ProcedureResult) -> None:

@@ -87,7 +87,10 @@ def page_content(
         figures=tuple(figures),
         commands=_next_commands(folder, out, identified),
         remarks=tuple(f"{name}: {reason}." for name, reason in identified.skipped.items()),
-        warnings=tuple(warnings(refined, names, signals)) if refined else (),
+        warnings=(
+            *(warning for result in identified.results for warning in result.warnings),
+            *(warnings(refined, names, signals) if refined else ()),
+        ),
     )
 
 

@@ -63,6 +63,7 @@ class ProcedureResult:
     estimates   parameters of the machine
     panels      measurement with fit, then residual
     remarks     sentences on masked and corrected samples, misfit, and what the data leave open
+    warnings    sentences on a result that should not be used unseen; they go to the terminal, too
     others      other estimates, such as C_R at each voltage, which are not written to parameters.toml
     """
 
@@ -73,3 +74,4 @@ class ProcedureResult:
     panels: tuple[Panel, ...]
     remarks: tuple[str, ...] = ()
     others: tuple[Estimate, ...] = ()
+    warnings: tuple[str, ...] = ()

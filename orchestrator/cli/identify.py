@@ -54,7 +54,9 @@ def identify(
 ) -> None:
     """Estimate the machine's parameters from recordings.
 
-    First by the procedures of the paper, one by one, then all together.
+    First by the procedures of the paper, one by one, then all together. Exit status 0: estimates without a
+    warning; 1: estimates and a report are written, but a warning says why they are doubtful, such as
+    residuals far above the noise of the sensors; 2: a mistake, nothing is written.
     """
     from fmus.identification.command import run as run_identify
     from fmus.identification.machine import FREE
@@ -62,4 +64,8 @@ def identify(
 
     make_folder(out.parent)
     make_folder(report)
-    run_identify(folder, out, report, joint=joint, inertial=inertia, names=tuple(free or FREE), starts=starts)
+    trusted = run_identify(
+        folder, out, report, joint=joint, inertial=inertia, names=tuple(free or FREE), starts=starts
+    )
+    if not trusted:
+        raise typer.Exit(1)

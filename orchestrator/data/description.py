@@ -114,7 +114,8 @@ class SignalDescription:
 
     factor, offset                               calibration: factor * value + offset is in `unit`
     label, group, tolerance, range               presentation and limit in a comparison
-    sensor, noise, resolution, span, dead_zone   properties of the instrument, in `unit`
+    sensor, noise, resolution, span, dead_zone,
+    zero_error                                   properties of the instrument, in `unit`
     """
 
     unit: str
@@ -130,6 +131,7 @@ class SignalDescription:
     resolution: Annotated[float, NOT_NEGATIVE] = 0.0
     span: Annotated[tuple[float, float], Rule("[lowest, highest]", lambda v: v[0] < v[1])] | None = None
     dead_zone: Annotated[float, NOT_NEGATIVE] = 0.0
+    zero_error: Annotated[float, NOT_NEGATIVE] | None = None
 
     def tolerance_of(self, groups: Mapping[str, Tolerance | Literal["none"]]) -> Tolerance | None:
         """The limit of the signal, or else that of its group; None for a signal without a limit."""

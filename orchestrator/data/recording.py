@@ -43,6 +43,7 @@ class Sensor:
     resolution   step of the converter, 0 if unknown
     low, high    range; a value at a limit is clipped
     dead_zone    magnitude below which readings are not valid, such as the smallest flow of a turbine meter
+    zero_error   largest error of the zero, of a data sheet; None if unknown
     """
 
     text: str = ""
@@ -51,6 +52,7 @@ class Sensor:
     low: float = -math.inf
     high: float = math.inf
     dead_zone: float = 0.0
+    zero_error: float | None = None
 
     @property
     def sd(self) -> float:
@@ -281,6 +283,7 @@ def _sensor(spec: SignalDescription) -> Sensor | None:
         low=scale.factor * low + scale.offset,
         high=scale.factor * high + scale.offset,
         dead_zone=scale.factor * spec.dead_zone,
+        zero_error=None if spec.zero_error is None else scale.factor * spec.zero_error,
     )
     return None if sensor == Sensor() else sensor
 

@@ -95,9 +95,10 @@ def test_swapped_levers_are_warned_of(capsys):
     for own, other in ((boom, stick), (stick, boom)):
         text = text.replace(f'[signals."{own}"]', f'[signals."{own}"]\ncolumn = "{other}"')
     toml.write_text(text, encoding="utf-8")
-    assert main(["identify", "mine", "--starts", "0", "--free", "valve_area"]) == 0
+    assert main(["identify", "mine", "--starts", "0", "--free", "valve_area"]) == 1
     printed = capsys.readouterr().out
     assert "warning: " in printed
+    assert "times as large as the noise of the sensors (" in printed
     assert "which lever moves which joint" in printed
 
 

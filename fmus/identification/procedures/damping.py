@@ -56,7 +56,7 @@ from fmus.identification.procedures.momentum_fit import (
     known_parameter_effect,
     solve,
 )
-from fmus.identification.procedures.regression import NEGLIGIBLE
+from fmus.identification.procedures.regression import NEGLIGIBLE, misfit_warning
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
 from fmus.identification.recordings.masks import good_all
@@ -182,6 +182,13 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=tuple(panel for joint in joints for panel in panels(joint)),
         remarks=tuple(f"{joint.contact.parameter}: {text}" for joint in joints for text in _remarks(joint)),
         others=tuple(estimate for joint in joints for estimate in _others(joint)),
+        warnings=tuple(
+            warning
+            for joint in joints
+            for warning in misfit_warning(
+                joint.solution.times_noise, f"{joint.contact.parameter}: the balance of the momenta"
+            )
+        ),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -24,6 +24,9 @@ from orchestrator.data.table import Array
 Table = TypeVar("Table")
 Steps = TypeVar("Steps", bound="StepMeans")
 
+# largest error of a zero over the range, if no data sheet is given: the usual class of pressure transducers
+ZERO_ERROR = 0.0025
+ZERO_NOISE = 10.0  # and at least so many standard deviations of the noise, if the range is unknown
 SAME_HOSE = 1e-3  # largest relative difference between two measurements of one hose
 RATE_WINDOW = 0.25  # s, filter that estimates the rate of change of a signal
 STEADY = 4.0  # standard deviations of the rate below which a signal is steady
@@ -99,6 +102,31 @@ def noise_sd(recording: Recording, name: str) -> float:
     sensor = recording.sensor(name)
     sd = sensor.sd or noise(recording[name], sensor)
     return sd if math.isfinite(sd) else 0.0
+
+
+def zero_limit(recording: Recording, name: str) -> float:
+    """Largest error of a sensor's zero: that of its data sheet, else `ZERO_ERROR` of its range.
+
+    Without a range it is that fraction of the largest reading, and at least ten times the noise.
+    """
+    sensor, samples = recording.sensor(name), recording[name]
+    if sensor.zero_error is not None:
+        return sensor.zero_error
+    if math.isfinite(sensor.high - sensor.low):
+        return ZERO_ERROR * (sensor.high - sensor.low)
+    largest = float(np.nanmax(np.abs(samples), initial=0.0))
+    return max(ZERO_ERROR * largest, ZERO_NOISE * sensor.noise)
+
+
+def difference_limit(recordings: Sequence[Recording], names: Sequence[str]) -> float:
+    """Largest difference that errors of zeros can make between two sensors, in any of the recordings.
+
+    It is above zero: a perfect sensor has an error of `FINEST` of its largest reading.
+    """
+    return max(
+        sum(max(zero_limit(r, n), FINEST * float(np.nanmax(np.abs(r[n]), initial=0.0))) for n in names)
+        for r in recordings
+    )
 
 
 def interpolated(samples: Array) -> Array:
@@ -209,6 +237,19 @@ def step_means(recording: Recording, steps: Sequence[slice]) -> StepMeans:
         clipped=wrong_steps & ~dead_steps,
         good=~dead_steps & ~wrong_steps & np.isfinite(drop + means.mean["flow"]),
     )
+
+
+def zero_warning(name: str, offset: float, sd: float, limit: float, unit: tuple[str, float]) -> Iterator[str]:
+    """A sentence if data want a larger difference between two zeros than the sensors can have.
+
+    limit   largest difference by the data sheets
+    """
+    if abs(offset) - SIGNIFICANT * sd > limit:
+        yield (
+            f"{name}: the data would need zeros that differ by {offset / unit[1]:.3g} {unit[0]}, more than "
+            f"the {limit / unit[1]:.3g} {unit[0]} that the sensors are declared to have: the model is wrong, "
+            "or a sensor."
+        )
 
 
 def pressure_offset_remark(offset: float, sd: float) -> tuple[str, ...]:

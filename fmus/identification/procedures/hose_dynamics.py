@@ -38,10 +38,12 @@ from fmus.identification.estimate import Estimate, coverage_factor
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
     density_ratio,
+    difference_limit,
     hose_size,
     noise_sd,
     parameter_value,
     training_recordings,
+    zero_warning,
 )
 from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.procedures.regression import (
@@ -52,6 +54,7 @@ from fmus.identification.procedures.regression import (
     fit,
     homogeneity,
     misfit_remark,
+    misfit_warning,
 )
 from fmus.identification.procedures.weak_form import FilteredEquation, Windows, windows
 from fmus.identification.recordings.clock import period, uniform_rate
@@ -114,7 +117,20 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         ),
         remarks=tuple(_remarks(inertances, capacitances)),
         others=tuple(_others(inertances, capacitances, defined)),
+        warnings=tuple(_warnings(inertances, capacitances, groups)),
     )
+
+
+def _warnings(inertances: GroupFits, capacitances: GroupFits, groups: Sequence[Recording]) -> Iterator[str]:
+    """Residuals far above the noise, and zeros that the sensors cannot have."""
+    for fits, name, offset, sensors, unit in (
+        (inertances, "inertance", "p_0", ("pressure_in", "pressure_out"), BAR),
+        (capacitances, "capacitance", "q_0", ("flow_in", "flow_out"), LITRES_PER_MINUTE),
+    ):
+        pooled, label = fits.pooled, f"hose_dynamics: the equation of the {name}"
+        yield from misfit_warning(pooled.times_noise, label)
+        limit = difference_limit(groups, sensors)
+        yield from zero_warning(label, pooled[offset], pooled.sd(offset), limit, unit)
 
 
 def _check_flows(group: Recording) -> None:

@@ -30,6 +30,7 @@ from fmus.identification.procedures.experiment_data import (
     StepMeans,
     concatenate,
     density_ratio,
+    difference_limit,
     hose_size,
     parameter_value,
     pressure_offset_remark,
@@ -37,8 +38,9 @@ from fmus.identification.procedures.experiment_data import (
     steady_stretches,
     step_means,
     training_recordings,
+    zero_warning,
 )
-from fmus.identification.procedures.regression import Guess, Regression, fit, misfit_remark
+from fmus.identification.procedures.regression import Guess, Regression, fit, misfit_remark, misfit_warning
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -59,6 +61,7 @@ class HoseFit:
     """Fits of eq. (1), of eq. (10), and of a laminar and turbulent drop together.
 
     mixed            None unless both other laws are misfits and the laminar part is significant
+    zero_warnings    sentences if the data want a larger difference than the sensors can have
     zero, zero_sd    subtracted pressure difference without flow [Pa] and its standard deviation
     reference_flow   rms of the flows [m3/s] with their weights in C_R of eq. (1)
     """
@@ -70,6 +73,7 @@ class HoseFit:
     zero_sd: float
     transition_flow: float
     reference_flow: float
+    zero_warnings: tuple[str, ...] = ()
 
     def drops(self, flow: Array) -> tuple[Array, Array, Array | None]:
         """Drops by eq. (1), by eq. (10), and with the laminar part."""
@@ -107,7 +111,8 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     """C_R of the stick's and the boom's hoses from that of the tested hose."""
     tests = training_recordings(recordings, "hose_resistance", SIGNALS)
     steps = steady_steps(tests)
-    laws = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"))
+    limit = difference_limit(tests, ("pressure_in", "pressure_out"))
+    laws = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limit)
     length, bore = hose_size(tests)
     flow = f"at {laws.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min"
     estimates = []
@@ -127,6 +132,10 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(replace(steps, drop=steps.drop - laws.zero), laws),
         remarks=tuple(_remarks(steps, laws)),
         others=tuple(_others(laws, flow)),
+        warnings=(
+            *misfit_warning(laws.square.times_noise, "hose_resistance: eq. (1)"),
+            *laws.zero_warnings,
+        ),
     )
 
 
@@ -144,8 +153,11 @@ def steady_steps(recordings: Sequence[Recording]) -> StepMeans:
     return concatenate(means)
 
 
-def fit_laws(steps: StepMeans, transition_flow: float) -> HoseFit:
-    """All laws, fitted to the measured steps."""
+def fit_laws(steps: StepMeans, transition_flow: float, zero_limit: float) -> HoseFit:
+    """All laws, fitted to the measured steps.
+
+    zero_limit   largest difference of the two pressures [Pa] without flow, by the data sheets
+    """
     good = steps.measured()
     if good.flow.size < MIN_STEPS:
         raise Problem(
@@ -166,11 +178,16 @@ def fit_laws(steps: StepMeans, transition_flow: float) -> HoseFit:
 
     resistance = {"resistance": Guess(start)}
     mixed = resistance | {"laminar_square": Guess((start * largest / 10) ** 2)}
-    laws = ((square, resistance), (power_drop, {"factor": Guess(start * largest**0.25)}), (mixed_drop, mixed))
-    zero, sd = _zero(*(_fit(good, law, guess, start * largest**2) for law, guess in laws))
-    by_square, by_power, by_both = (_fit_at_zero(good, law, guess, zero, sd) for law, guess in laws)
+    simple = ((square, resistance), (power_drop, {"factor": Guess(start * largest**0.25)}))
+    offset = (start * largest**2, zero_limit)
+    both = _if_possible(lambda: _fit(good, mixed_drop, mixed, *offset))
+    with_offset, by_blasius = (_fit(good, law, guess, *offset) for law, guess in simple)
+    found, sd = _zero(with_offset, by_blasius, both)
+    zero = float(np.clip(found, -zero_limit, zero_limit))
+    by_square, by_power = (_fit_at_zero(good, law, guess, zero, sd) for law, guess in simple)
+    by_both = _if_possible(lambda: _fit_at_zero(good, mixed_drop, mixed, zero, sd)) if both else None
     weights = good.flow**4 / _variance(good, square, by_square.as_dict())
-    laminar = by_both["laminar_square"] > 0 and by_both.significant("laminar_square")
+    laminar = by_both and by_both["laminar_square"] > 0 and by_both.significant("laminar_square")
     return HoseFit(
         square=by_square,
         power=by_power,
@@ -179,16 +196,25 @@ def fit_laws(steps: StepMeans, transition_flow: float) -> HoseFit:
         zero_sd=sd,
         transition_flow=transition_flow,
         reference_flow=float(np.sqrt(weights @ good.flow**2 / weights.sum())),
+        zero_warnings=tuple(zero_warning("hose_resistance", found, sd, zero_limit, BAR)),
     )
 
 
-def _zero(square: Regression, power: Regression, mixed: Regression) -> tuple[float, float]:
+def _if_possible(fitted: Callable[[], Regression]) -> Regression | None:
+    """The fit of a law that data may contradict so much that it has no optimum; then None."""
+    try:
+        return fitted()
+    except Problem:
+        return None
+
+
+def _zero(square: Regression, power: Regression, mixed: Regression | None) -> tuple[float, float]:
     """The pressure offset of the law that fits best, with its standard deviation.
 
     The mixed law must be clearly better than the others: a small offset and a small laminar part look alike.
     """
     best = min(square, power, key=lambda regression: regression.aic)
-    if mixed.aic < best.aic - CLEARLY_BETTER and mixed["laminar_square"] > 0:
+    if mixed and mixed.aic < best.aic - CLEARLY_BETTER and mixed["laminar_square"] > 0:
         best = mixed
     return best["zero"], best.sd("zero")
 
@@ -213,15 +239,25 @@ def _variance(steps: StepMeans, law: DropLaw, v: Mapping[str, float]) -> Array:
 
 
 def _fit(
-    steps: StepMeans, law: DropLaw, start: Mapping[str, Guess], zero_magnitude: float | None = None
+    steps: StepMeans,
+    law: DropLaw,
+    start: Mapping[str, Guess],
+    zero_magnitude: float | None = None,
+    zero_limit: float = math.inf,
 ) -> Regression:
-    """Fit of a law, together with a pressure offset of this magnitude [Pa] if one is given."""
+    """Fit of a law, together with a pressure offset of this magnitude [Pa] if one is given.
+
+    zero_limit   largest offset [Pa]: two standard deviations of its prior
+    """
 
     def residual(v: Mapping[str, float]) -> Array:
         unweighted: Array = steps.drop - v.get("zero", 0.0) - law(steps.flow, v)
-        return unweighted / np.sqrt(_variance(steps, law, v))
+        weighted: Array = unweighted / np.sqrt(_variance(steps, law, v))
+        return np.append(weighted, [2 * v["zero"] / zero_limit] if "zero" in v else [])
 
-    zero = {} if zero_magnitude is None else {"zero": Guess(0.0, magnitude=zero_magnitude)}
+    zero = (
+        {} if zero_magnitude is None else {"zero": Guess(0.0, magnitude=min(zero_magnitude, zero_limit / 2))}
+    )
     return fit(residual, {**start, **zero}, "hose_resistance")
 
 

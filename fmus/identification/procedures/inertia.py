@@ -49,7 +49,7 @@ from fmus.identification.procedures.momentum_fit import (
     normal_step,
     solve,
 )
-from fmus.identification.procedures.regression import DETERMINED
+from fmus.identification.procedures.regression import DETERMINED, misfit_warning
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import Number
@@ -116,6 +116,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *(f"{n}: {text}" for n, e in effects.items() for text in e.remarks(values[n], units[n])),
         ),
         others=(*dampings, *base_estimates(records, solution, p)),
+        warnings=misfit_warning(solution.times_noise, "inertia: the balance of the momenta"),
     )
 
 

@@ -73,6 +73,13 @@ class MomentumSolution:
         return bool(np.any(np.diag(self.residual_covariance) > MISFIT**2 * np.diag(self.noise_covariance)))
 
     @property
+    def times_noise(self) -> float:
+        """Largest ratio of the standard deviation by the residuals to that by the noise; 0 without noise."""
+        by_residuals, by_noise = (np.diag(c) for c in (self.residual_covariance, self.noise_covariance))
+        ratio = np.divide(by_residuals, by_noise, out=np.zeros_like(by_residuals), where=by_noise > 0)
+        return math.sqrt(float(ratio.max()))
+
+    @property
     def sd(self) -> Array:
         """Standard deviations by the noise of the sensors, or by the residuals if there is a misfit."""
         sd: Array = np.sqrt(np.diag(self.residual_covariance if self.misfit else self.noise_covariance))

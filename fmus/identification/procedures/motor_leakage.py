@@ -24,10 +24,12 @@ from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, 
 from fmus.identification.procedures.experiment_data import (
     SHORTEST_STRETCH,
     condition,
+    difference_limit,
     parameter_value,
     steady_stretches,
     tank_pressure,
     training_recordings,
+    zero_warning,
 )
 from fmus.identification.procedures.regression import (
     NEGLIGIBLE,
@@ -35,6 +37,7 @@ from fmus.identification.procedures.regression import (
     Regression,
     linear,
     misfit_remark,
+    misfit_warning,
 )
 from fmus.identification.recordings.masks import averages
 from fmus.parameters import Number
@@ -121,7 +124,19 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         others=tuple(
             fit.estimate(f"conductance, {name} leakage", "m3/(s.Pa)", "1/R", name) for name in EQUATIONS
         ),
+        warnings=tuple(_warnings(fit, tests)),
     )
+
+
+def _warnings(fit: Regression, tests: Sequence[Recording]) -> Iterator[str]:
+    """Residuals far above the noise, and zeros that the meters and transducers cannot have."""
+    yield from misfit_warning(fit.times_noise, "motor_leakage: the linear law")
+    largest = max(fit[name] for name in EQUATIONS)  # flow by the zeros of the pressures, through the leakage
+    pressures = 2 * max(0.0, largest) * difference_limit(tests, PRESSURES)
+    for name, meter in zip(OFFSETS, ("flow_a", "drain_flow"), strict=True):
+        limit = difference_limit(tests, (meter,)) + pressures
+        label = f"motor_leakage: {OFFSETS[name]}"
+        yield from zero_warning(label, fit[name], fit.sd(name), limit, LITRES_PER_MINUTE)
 
 
 def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:

@@ -27,6 +27,7 @@ UNLIKELY = 1e-3  # probability of chi-square below which a fit is a misfit
 SINGULAR = 1e8  # largest condition number of the scaled regressors; beyond, rounding errors decide
 SIGNIFICANT = 3.7  # standard deviations above which a term is significant: 1 in 5000 by chance
 DETERMINED = 0.25  # largest relative standard deviation of a parameter that the data determine
+FAR = 3.0  # residuals over noise from which on eight ninths of chi-square are errors of the model
 NEGLIGIBLE = 0.1  # effects below this fraction of a standard deviation are not mentioned
 
 
@@ -65,6 +66,11 @@ class Regression:
     def misfit(self) -> bool:
         """Whether chi-square is too large to be explained by measurement noise."""
         return float(stats.chi2.sf(self.chi_square, self.freedom)) < UNLIKELY
+
+    @property
+    def times_noise(self) -> float:
+        """Root mean square of the residuals in standard deviations: 1 if noise explains them."""
+        return math.sqrt(self.chi_square / self.freedom) if self.freedom > 0 else 0.0
 
     @property
     def aic(self) -> float:
@@ -174,8 +180,17 @@ def misfit_remark(fit: Regression, equation: str) -> tuple[str, ...]:
     """A sentence if the equation cannot explain the data, else nothing."""
     if not fit.misfit:
         return ()
-    ratio = math.sqrt(fit.chi_square / fit.freedom)
     return (
-        f"{equation} leaves residuals {ratio:.3g} times as large as the noise: the model is incomplete. "
-        "The intervals are widened by that factor.",
+        f"{equation} leaves residuals {fit.times_noise:.3g} times as large as the noise: the model is "
+        "incomplete. The intervals are widened by that factor.",
+    )
+
+
+def misfit_warning(times_noise: float, equation: str) -> tuple[str, ...]:
+    """A sentence for the terminal if residuals are far above the noise, else nothing."""
+    if not times_noise > FAR:
+        return ()
+    return (
+        f"{equation} leaves residuals {times_noise:.3g} times as large as the noise of the sensors explains: "
+        "the data contain something that the model lacks, and the estimates make up for it.",
     )

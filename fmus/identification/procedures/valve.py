@@ -24,12 +24,14 @@ import numpy as np
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
+    difference_limit,
     parameter,
     pressure_offset_remark,
     select,
     training_recordings,
+    zero_warning,
 )
-from fmus.identification.procedures.regression import misfit_remark
+from fmus.identification.procedures.regression import misfit_remark, misfit_warning
 from fmus.identification.procedures.valve_law import (
     OpeningLaw,
     ValveConstants,
@@ -54,12 +56,15 @@ COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Area and dead band of the valve's edges, and C_R over the command."""
-    steps = valve_steps(training_recordings(recordings, "valve", SIGNALS))
+    tests = training_recordings(recordings, "valve", SIGNALS)
+    steps, limit = valve_steps(tests), difference_limit(tests, ("pressure_in", "pressure_out"))
     constants = ValveConstants.of(parameters)
-    common = fit_valve(steps.checked(), constants, parameter(parameters, ROUNDING))
+    common = fit_valve(steps.checked(), constants, parameter(parameters, ROUNDING), limit)
     corrected = replace(steps, drop=steps.drop - common.regression["zero"])
     rounding = Number(common.law().rounding, "V", "identified", "of all edges")
-    separate = {edge: fit_valve(steps.of(edge).measured(), constants, rounding) for edge in steps.edges}
+    separate = {
+        edge: fit_valve(steps.of(edge).measured(), constants, rounding, limit) for edge in steps.edges
+    }
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
@@ -68,6 +73,10 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(corrected, common.law(), constants),
         remarks=tuple(_remarks(corrected, common, rounding)),
         others=(*_curve(common), *(e for edge, fitted in separate.items() for e in _estimates(fitted, edge))),
+        warnings=(
+            *misfit_warning(common.regression.times_noise, "valve: the opening law"),
+            *zero_warning("valve", *common.zero_wanted, limit, BAR),
+        ),
     )
 
 

@@ -186,14 +186,14 @@ def resistance(command: Array, law: OpeningLaw, constants: ValveConstants) -> Ar
 
 
 ROUNDING_BOUNDS = (1e-3, 2.0)  # V, of the fitted rounding
-# prior standard deviation of the pressures' difference without flow, over the mean drop: 0.25 % of each range
-OFFSET_SD = 0.007
 
 
 @dataclass(frozen=True)
 class ValveFit:
     """The opening law fitted to `steps`.
 
+    zero_limit          largest difference of the pressures without flow [Pa], by their data sheets
+    zero_wanted         the difference [Pa] that the data alone would ask for
     rounding            the known rounding [V]
     rounding_estimated  whether the data determine the rounding, so that it is among the fitted parameters
     """
@@ -202,6 +202,8 @@ class ValveFit:
     regression: Regression
     constants: ValveConstants
     rounding: float
+    zero_limit: float
+    zero_wanted: tuple[float, float] = (0.0, 0.0)
     rounding_estimated: bool = False
 
     def law(self, values: Mapping[str, float] | None = None) -> OpeningLaw:
@@ -210,27 +212,57 @@ class ValveFit:
         return OpeningLaw(v["area"], v["dead_band"], v.get("rounding", self.rounding))
 
 
-def fit_valve(steps: ValveSteps, constants: ValveConstants, rounding: Number) -> ValveFit:
+def fit_valve(steps: ValveSteps, constants: ValveConstants, rounding: Number, zero_limit: float) -> ValveFit:
     """Weighted least squares of the flow; the rounding is fitted only if the data determine it.
 
     If no step is on the rounded foot of the opening, the data determine only the sum V_db + w/2 of dead band
-    and half the rounding w. The difference of the pressures without flow, "zero" [Pa], is always estimated.
+    and half the rounding w. The difference of the pressures without flow, "zero" [Pa], is always estimated,
+    with a prior of zero_limit/2 as its standard deviation. It never exceeds `zero_limit` [Pa], which is what
+    the data sheets of the transducers allow.
     """
-    known_rounding = ValveFit(steps, _fit(steps, constants, rounding, zero=True), constants, rounding.value)
+    regression, wanted = _fit_within(steps, constants, rounding, zero_limit)
+    known_rounding = ValveFit(steps, regression, constants, rounding.value, zero_limit, wanted)
     law = known_rounding.law()
     if np.count_nonzero(steps.command < law.dead_band + law.rounding) < 2:
         return known_rounding
-    free = _fit(steps, constants, rounding, zero=True, free=True)
+    free, wanted = _fit_within(steps, constants, rounding, zero_limit, free=True)
     low, high = ROUNDING_BOUNDS
     if not free.determined("rounding") or not 1.01 * low < free["rounding"] < 0.99 * high:
         return known_rounding
-    return replace(known_rounding, regression=free, rounding_estimated=True)
+    return replace(known_rounding, regression=free, zero_wanted=wanted, rounding_estimated=True)
+
+
+def _fit_within(
+    steps: ValveSteps, constants: ValveConstants, rounding: Number, limit: float, *, free: bool = False
+) -> tuple[Regression, tuple[float, float]]:
+    """The fit with a zero of at most `limit` [Pa]; the zero [Pa] that the data want, and its sd."""
+    if limit > 0:
+        fitted = _fit(steps, constants, rounding, zero_sd=limit / 2, free=free)
+        wanted = (fitted["zero"], fitted.sd("zero"))
+        if abs(wanted[0]) <= limit:
+            return fitted, wanted
+    else:
+        wanted = (0.0, 0.0)
+    zero = float(np.clip(wanted[0], -limit, limit))
+    fixed = _fit(replace(steps, drop=steps.drop - zero), constants, rounding, free=free)
+    covariance = np.pad(fixed.covariance, (0, 1))
+    return replace(
+        fixed, names=(*fixed.names, "zero"), values=np.append(fixed.values, zero), covariance=covariance
+    ), wanted
 
 
 def _fit(
-    steps: ValveSteps, constants: ValveConstants, rounding: Number, *, zero: bool, free: bool = False
+    steps: ValveSteps,
+    constants: ValveConstants,
+    rounding: Number,
+    *,
+    zero_sd: float = 0.0,
+    free: bool = False,
 ) -> Regression:
-    """The fit with a rounding that is free, or has the prior of its standard deviation [V], or is fixed."""
+    """The fit with a rounding that is free, or has the prior of its standard deviation [V], or is fixed.
+
+    zero_sd   standard deviation [Pa] of the prior of the pressures' difference without flow; 0: it is zero
+    """
     # the guess is the straight line of K = Q/sqrt(dp) over the command
     slope, intercept = np.polyfit(steps.command, steps.flow / np.sqrt(steps.drop), 1)
     foot = float(np.clip(-intercept / slope, 0.0, steps.command.min()))
@@ -245,9 +277,8 @@ def _fit(
         start["rounding"] = Guess(rounding.value, low=ROUNDING_BOUNDS[0], high=ROUNDING_BOUNDS[1])
     if rounding.sd and not free:
         priors["rounding"] = (rounding.value, rounding.sd)
-    if zero:
-        sd = OFFSET_SD * float(steps.drop.mean())
-        start["zero"], priors["zero"] = Guess(0.0, magnitude=sd), (0.0, sd)
+    if zero_sd:
+        start["zero"], priors["zero"] = Guess(0.0, magnitude=zero_sd), (0.0, zero_sd)
 
     def residual(v: Mapping[str, float]) -> Array:
         law = OpeningLaw(v["area"], v["dead_band"], v.get("rounding", rounding.value))
@@ -268,8 +299,8 @@ def asymmetry(
     without flow is not estimated: all edges have the same one, and each fit would take up a part of the
     difference between the edges with it.
     """
-    common = _fit(steps, constants, rounding, zero=False)
-    fits = {edge: _fit(steps.of(edge), constants, rounding, zero=False) for edge in steps.edges}
+    common = _fit(steps, constants, rounding)
+    fits = {edge: _fit(steps.of(edge), constants, rounding) for edge in steps.edges}
     separate = sum(fitted.chi_square for fitted in fits.values())
     freedom = sum(fitted.freedom for fitted in fits.values())
     scale = separate / freedom if stats.chi2.sf(separate, freedom) < UNLIKELY else 1.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import ProcedureResult
+from fmus.identification.procedures.regression import FAR
 from fmus.identification.refinement.refine import RefinementResult
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset
@@ -92,6 +93,7 @@ def probability(p: float | None) -> str:
     return "< 0.001" if p is not None and p < 1e-3 else number(p, 2)
 
 
+NAMED = 3  # signals named in a warning
 POOR = 0.2  # training NRMSE above which signs, units or the assignment of levers must be wrong
 CHECK = (
     "Check before you use the numbers: which lever moves which joint, the sign of each command, angle and "
@@ -115,6 +117,9 @@ def warnings(
     if refined.at_bound:
         at_bound = ", ".join(names.get(name, name) for name in refined.at_bound)
         sentences.append(f"At a bound, so not identified: {at_bound}.")
+    residual = refined.history[-1].residual if refined.history else 0.0
+    if residual > FAR:
+        sentences.append(_far_above_noise(refined, residual, signals))
     poor = {name: error for name, error in _training_nrmse(refined).items() if error > POOR}
     if poor:
         worst = sorted(poor, key=lambda name: -poor[name])
@@ -123,6 +128,18 @@ def warnings(
             f"range (NRMSE): {', '.join(f'{signals.get(n, n)} {_percent(poor[n])}' for n in worst)}."
         )
     return [*sentences, CHECK] if sentences else []
+
+
+def _far_above_noise(refined: RefinementResult, residual: float, signals: Mapping[str, str]) -> str:
+    """A sentence on residuals that are errors of the model, with the signals that show them most."""
+    ratios = {name: test.rms for name, test in refined.whiteness.items() if test.rms > FAR}
+    worst = sorted(ratios, key=lambda name: -ratios[name])[:NAMED]
+    named = ", ".join(f"{signals.get(name, name)} {ratios[name]:.3g} times" for name in worst)
+    return (
+        f"The joint refinement leaves residuals {residual:.3g} times as large as the noise of the sensors"
+        f"{f' ({named})' if named else ''}: the data contain something that the model lacks, and the "
+        "estimates make up for it. The report says which effects the residual shows."
+    )
 
 
 def _training_nrmse(refined: RefinementResult) -> dict[str, float]:

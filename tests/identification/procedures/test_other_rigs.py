@@ -110,6 +110,36 @@ def test_an_offset_of_a_pressure_is_subtracted(name):
     )
 
 
+@pytest.mark.parametrize("name", ["valve", "hose_resistance"])
+@pytest.mark.parametrize("declared", [0.05, 0.0])
+def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
+    """5 bar between two transducers of the class 0.05 bar: the zero ends there, and a warning says so."""
+
+    def far_off(r):
+        moved = with_signals(r, lambda n, x: x + 5e5 if n == "pressure_out" else x)
+        sensors = {n: replace(s, zero_error=declared * bench.BAR) for n, s in moved.sensors.items()}
+        return replace(moved, sensors=sensors)
+
+    result = result_of(name, far_off)
+    zero = next(e for e in result.others if e.name == "pressures without flow")
+    # two sensors; a perfect one counts as 1e-6 of its reading
+    assert abs(zero.value) <= 2 * (declared * bench.BAR + 1e-6 * bench.SUPPLY)
+    assert result.warnings
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_good_data_cause_no_warning(name):
+    """Data of the model's own equations: no warning, so the exit status of the command is 0."""
+    assert result_of(name, lambda r: r).warnings == ()
+
+
+def test_residuals_far_above_the_noise_are_a_warning():
+    """A hose whose drop is laminar at first, which eq. (1) cannot be."""
+    recordings = bench.steady_hose(5, lambda q: bench.turbulent(q) + 3e8 * q)
+    (warning,) = hose_resistance.identify(recordings, bench.KNOWN).warnings
+    assert "times as large as the noise of the sensors explains" in warning
+
+
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
