@@ -1,0 +1,228 @@
+"""The hydraulic circuits on the work cycle: `python -m benchmarks.circuits [--combinations FILE]`.
+
+Prints two tables for docs/machine.md: circuits over the work cycle, and slewing at full command. With
+--combinations it also runs every combination of all variants and writes a table with one row each.
+
+Energy is that which flows out of the supply line, the integral of pressure times flow. The pressure is the
+highest one in any chamber or line of the drives. Ringing is the rms speed of the boom joint in the pauses of
+the work cycle, when all levers have been in neutral for at least 0.6 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmus.contract import quantities
+from fmus.machine.build import VARIANTS, build_machine
+from fmus.machine.parts import FAMILIES
+from fmus.machine.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP
+from orchestrator import Problem, Trace, linearize, load, run
+
+STEP = 1e-3  # s
+SETTLED = 0.6  # s after the last stroke
+CIRCUITS: tuple[Mapping[str, str], ...] = (
+    {},
+    {"supply": "engine_pump"},
+    {"supply": "load_sensing"},
+    {"swing": "detailed", "boom_stick": "detailed", "supply": "engine_pump"},
+    {"swing": "compensated", "boom_stick": "compensated"},
+    {"swing": "compensated", "boom_stick": "compensated", "supply": "engine_pump"},
+    {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"},
+)
+PRESSURES = {
+    part: sorted(
+        {
+            name
+            for sub in FAMILIES[part].values()
+            for name, q in quantities(sub.outputs).items()
+            if q.unit == "Pa" and "load" not in name and "rate" not in name and "modulus" not in name
+        }
+    )
+    for part in ("swing", "boom_stick")
+}
+
+
+def usual(chosen: Mapping[str, str]) -> dict[str, str]:
+    """All parts with their variants."""
+    return {part: chosen.get(part, next(iter(variants))) for part, variants in FAMILIES.items()}
+
+
+def swaps(folder: Path, chosen: Mapping[str, str]) -> dict[str, Path]:
+    """Files of the variants that are not the usual ones."""
+    return {
+        part: folder / VARIANTS / f"{part}_{variant}.fmu"
+        for part, variant in chosen.items()
+        if variant != next(iter(FAMILIES[part]))
+    }
+
+
+def pauses(sampled: np.ndarray) -> np.ndarray:
+    """Samples at which all levers have been in neutral for SETTLED."""
+    rest = np.ones(sampled.size, bool)
+    for move in WORK_CYCLE:
+        end = move.start + move.rise + move.hold + move.fall
+        rest &= (sampled < move.start) | (sampled > end + SETTLED)
+    return rest & (sampled > WORK_CYCLE[0].start)
+
+
+def measure(folder: Path, chosen: Mapping[str, str]) -> dict[str, Any]:
+    """One work cycle with these variants."""
+    began = time.perf_counter()
+    try:
+        trace = run(load(folder / "harvester.ssp"), swap=swaps(folder, chosen), step=STEP).trace
+    except Problem as problem:
+        return {"failure": str(problem).splitlines()[0]}
+    spent = time.perf_counter() - began
+    t = trace.time
+    pressure = {
+        part: max(float(trace[f"{part}.{n}"].max()) for n in names if f"{part}.{n}" in trace.signals)
+        for part, names in PRESSURES.items()
+    }
+    power = trace["supply.supply_pressure"] * trace["supply.supply_flow"]
+    travel = sum(
+        float(np.abs(np.diff(trace[f"manipulator.{axis}_position"])).sum()) for axis in ("boom", "stick")
+    )
+    ringing = trace["manipulator.boom_speed"][pauses(t)]
+    return {
+        "energy": float(np.trapezoid(power, t)),
+        "engine": float(np.trapezoid(trace["supply.engine_power"], t)),
+        "travel": travel,
+        "turn": float(np.abs(np.diff(trace["manipulator.swing_angle"])).sum()),
+        "boom_stick": pressure["boom_stick"],
+        "swing": pressure["swing"],
+        "ringing": float(np.sqrt(np.mean(ringing**2))),
+        "cost": spent / WORK_CYCLE_STOP * STEP,
+    }
+
+
+def boom_mode(folder: Path, chosen: Mapping[str, str], **more: Any) -> tuple[float, float]:
+    """Frequency [Hz] and damping ratio of the least damped mode in which the boom takes part."""
+    model = linearize(folder / "harvester.ssp", parameters=["reach"], swap=swaps(folder, chosen), **more)
+    modes = [
+        m
+        for m in model.modes
+        if m.frequency and 0.5 < m.frequency < 10 and "boom_speed" in " ".join(m.main_states)
+    ]
+    least = min(modes, key=lambda m: m.damping)
+    return float(least.frequency), float(least.damping)
+
+
+def circuits(folder: Path) -> Iterator[list[str]]:
+    """Rows of the first table."""
+    for chosen in CIRCUITS:
+        m, (frequency, damping) = measure(folder, usual(chosen)), boom_mode(folder, usual(chosen))
+        names = usual(chosen)
+        yield [
+            names["boom_stick"],
+            names["supply"],
+            f"{m['energy'] / 1e3:.0f}",
+            f"{m['engine'] / 1e3:.0f}",
+            f"{m['travel']:.2f}",
+            f"{m['turn']:.2f}",
+            f"{m['boom_stick'] / 1e5:.0f}",
+            f"{m['swing'] / 1e5:.0f}",
+            f"{frequency:.1f}",
+            f"{damping * 100:.1f}",
+            f"{m['ringing'] * 1e3:.2f}",
+        ]
+
+
+CIRCUITS_HEAD = (
+    *("drives", "supply", "from the supply line [kJ]", "from the engine [kJ]"),
+    *("travel of both pistons [m]", "turn [rad]", "highest pressure, boom and stick [bar]"),
+    *("swing [bar]", "boom mode [Hz]", "damping [%]", "ringing [mrad/s]"),
+)
+
+
+def slewing(folder: Path) -> Iterator[list[str]]:
+    """Speed at full command, arm reaching out, by variant of the swing."""
+    for variant in FAMILIES["swing"]:
+        chosen = usual({"swing": variant, "supply": "load_sensing" if variant == "compensated" else "ideal"})
+        t = np.arange(0, 6.001, 0.01)
+        system = load(folder / "harvester.ssp")
+        command = np.interp(t, [0, 0.5], [0, 10.0])
+        result = run(
+            system,
+            Trace(t, {"swing_command": command}),
+            parameters=["reach"],
+            swap=swaps(folder, chosen),
+            step=STEP,
+            stop=6.0,
+        )
+        speed = result.trace["manipulator.swing_speed"].max()
+        yield [variant, chosen["supply"], f"{speed * 30 / np.pi:.1f}"]
+
+
+def _combination(arguments: tuple[Path, dict[str, str]]) -> dict[str, Any]:
+    folder, chosen = arguments
+    return {**chosen, **measure(folder, chosen)}
+
+
+def combinations(folder: Path, out: Path) -> None:
+    """Every combination of all variants, one row each."""
+    chosen = [
+        dict(zip(FAMILIES, variants, strict=True)) for variants in itertools.product(*FAMILIES.values())
+    ]
+    with ProcessPoolExecutor(2) as pool:
+        rows = list(pool.map(_combination, [(folder, c) for c in chosen]))
+    modes = {
+        key: boom_mode(folder, dict(zip(("boom_stick", "manipulator"), key, strict=True)))
+        for key in itertools.product(FAMILIES["boom_stick"], FAMILIES["manipulator"])
+    }
+    for row in rows:
+        row["frequency"], row["damping"] = modes[row["boom_stick"], row["manipulator"]]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    with out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows(rows)
+    failed = [row for row in rows if "failure" in row]
+    good = [row for row in rows if "failure" not in row]
+    print(f"{len(good)} of {len(rows)} combinations run the work cycle: {out}")
+    for row in failed:
+        print(", ".join(row[part] for part in FAMILIES), row["failure"], sep=": ")
+    for name, scale, unit in (
+        ("energy", 1e-3, "kJ"),
+        ("boom_stick", 1e-5, "bar"),
+        ("swing", 1e-5, "bar"),
+        ("cost", 1e6, "us per step of 1 ms"),
+        ("damping", 100, "% of the boom mode"),
+    ):
+        found = [row[name] * scale for row in good]
+        print(f"{name}: {min(found):.3g} to {max(found):.3g} {unit}")
+
+
+def table(head: Iterable[str], rows: Iterable[list[str]]) -> str:
+    """A table of the documentation."""
+    lines = [list(head), ["---"] * len(list(head)), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--combinations", type=Path, metavar="FILE", help="CSV of all combinations")
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        build_machine(folder)
+        print(table(CIRCUITS_HEAD, circuits(folder)), end="\n\n")
+        print(table(("swing", "supply", "speed at full command [rpm]"), slewing(folder)), end="\n\n")
+        sys.stdout.flush()
+        if asked.combinations:
+            combinations(folder, asked.combinations)
+
+
+if __name__ == "__main__":
+    main()
