@@ -13,12 +13,16 @@ from difflib import get_close_matches
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
+from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, free_parameters
+from fmus.identification.refinement.refine import RefinementResult
+from fmus.identification.refinement.sensor_zeros import declared_errors, free_zeros, parameter, with_zeros
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from fmus.parameters import Number, Values, derived, numbers, read, values
 from orchestrator.base.errors import Problem
+from orchestrator.base.units import display_conversion
 from orchestrator.data.recording import Recording
 
 Parameters = Mapping[str, Number]
@@ -126,6 +130,8 @@ def problem(
 ) -> EstimationProblem:
     """The joint refinement as an output-error problem; recordings with use "test" are held out.
 
+    The zeros of sensors that declare a `zero_error` are free as well.
+
     parameters   their values are the priors, with their standard deviations or `PRIOR_SD`
     names        free parameters, as in parameters.toml
     """
@@ -135,25 +141,32 @@ def problem(
             _ = recording[command]  # a drive without its command would be simulated at rest
     defaults = values(HARVESTER)
     p = {flat: lookup(name, parameters).value for name, flat in flat_of.items()}
-    fixed = Values(p, defaults.u, defaults.x)
+    outputs = _measured_outputs(recordings)
+    errors = declared_errors([r for r in recordings if r.use == "train"], {n: signals[n] for n in outputs})
+    sub = with_zeros(HARVESTER, errors)
+    fixed = Values(p | {parameter(n): 0.0 for n in errors}, defaults.u, defaults.x)
     priors: dict[str, tuple[float, float | None]] = {}
     for name in names:
         known = lookup(name, parameters)
         priors[flat_of[name]] = (known.value, known.sd or PRIOR_SD * abs(known.value) or None)
     zero_at_rest = ("_speed", "_flow", "_flow_a", "_flow_b")
     mapping = RecordingMap(
-        HARVESTER,
-        outputs=_measured_outputs(recordings),
+        sub,
+        outputs=outputs,
         signals=signals,
         smooth=SMOOTHING,
         rest=[n for n in quantities(HARVESTER.states) if n.endswith(zero_at_rest)],
         values=fixed,
+        zeros={n: parameter(n) for n in errors},
     )
     runs = {use: [mapping.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
     return EstimationProblem(
-        sub=HARVESTER,
+        sub=sub,
         outputs=tuple(mapping.outputs),
-        free=_within_ten(free_parameters(HARVESTER, [flat_of[n] for n in names], priors, fixed)),
+        free=(
+            *_within_ten(free_parameters(sub, [flat_of[n] for n in names], priors, fixed)),
+            *free_zeros(sub, errors, fixed),
+        ),
         training=tuple(runs["train"]),
         held_out=tuple(runs["test"]),
         fixed=fixed,
@@ -188,4 +201,37 @@ def assumptions(recordings: Sequence[Recording]) -> list[str]:
         f"{r.source.name}: the supply pressure is not measured, assumed constant at {constant / 1e5:g} bar"
         for r in recordings
         if supply not in r.signals
+    ]
+
+
+def estimates(refined: RefinementResult) -> tuple[Estimate, ...]:
+    """The estimated parameters of the machine, as parameters.toml calls them; see `zeros` for the others."""
+    zeros_ = {parameter(output) for output in refined.problem.outputs}
+    return tuple(e for e in refined.estimates(names=parameter_names()) if e.name not in zeros_)
+
+
+def zeros(refined: RefinementResult) -> dict[str, Estimate]:
+    """Signal -> estimated zero of its sensor."""
+    names = {parameter(output): signal_names()[output] for output in refined.problem.outputs}
+    return {names[e.name]: e for e in refined.estimates() if e.name in names}
+
+
+def zero_sentences(refined: RefinementResult) -> list[str]:
+    """One sentence on each estimated zero of a sensor, in display units."""
+    sentences = []
+    for signal, e in zeros(refined).items():
+        unit, factor = display_conversion(e.unit) or (e.unit, 1.0)
+        value, low, high = (f"{factor * x:.3g}" for x in (e.value, e.low, e.high))
+        sentences.append(f"zero of the sensor of {signal}: {value} {unit} ({low} to {high} {unit})")
+    return sentences
+
+
+def without_zeros(recordings: Sequence[Recording], refined: RefinementResult) -> list[Recording]:
+    """The recordings with the estimated zeros of the machine's sensors subtracted."""
+    found = zeros(refined)
+    return [
+        replace(r, signals={n: v - found[n].value if n in found else v for n, v in r.signals.items()})
+        if r.procedure == MACHINE
+        else r
+        for r in recordings
     ]

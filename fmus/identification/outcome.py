@@ -10,7 +10,14 @@ import numpy as np
 
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
-from fmus.identification.machine import Parameters, lookup, nominal, parameter_names, signal_names
+from fmus.identification.machine import (
+    Parameters,
+    lookup,
+    nominal,
+    parameter_names,
+    signal_names,
+    zero_sentences,
+)
 from fmus.identification.pipeline import Identified
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.report.attribution import Explanation
@@ -86,7 +93,10 @@ def page_content(
         explanation=explanation(comparison, identified) if comparison else None,
         figures=tuple(figures),
         commands=_next_commands(folder, out, identified),
-        remarks=tuple(f"{name}: {reason}." for name, reason in identified.skipped.items()),
+        remarks=(
+            *(f"{name}: {reason}." for name, reason in identified.skipped.items()),
+            *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
+        ),
         warnings=(
             *(warning for result in identified.results for warning in result.warnings),
             *(warnings(refined, names, signals) if refined else ()),

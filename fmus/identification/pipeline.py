@@ -11,7 +11,7 @@ from types import ModuleType
 
 from fmus.identification import machine
 from fmus.identification.estimate import Estimate
-from fmus.identification.machine import Parameters, nominal, parameter_names, short_name, updated
+from fmus.identification.machine import Parameters, nominal, short_name, updated
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures import (
     damping,
@@ -46,6 +46,7 @@ Report = Callable[[str], None]  # prints a line about the progress
 class Identified:
     """Results of an identification, complete or until an interrupt.
 
+    recordings    those of the machine without the zeros of sensors that the joint refinement estimated
     parameters    all parameters of the machine, with the estimates in place of the values in files
     results       of the procedures that had recordings
     skipped       procedure -> reason why it has no result
@@ -67,7 +68,7 @@ class Identified:
         """Name -> estimate and its procedure; the joint refinement replaces estimates of procedures."""
         estimates = [(e, result.procedure) for result in self.results for e in result.estimates]
         if self.refined is not None:
-            estimates += [(e, MACHINE) for e in self.refined.estimates(names=parameter_names())]
+            estimates += [(e, MACHINE) for e in machine.estimates(self.refined)]
         return {
             name: (replace(e, name=name), procedure)
             for e, procedure in estimates
@@ -165,7 +166,8 @@ def _run_joint(identified: Identified, names: Sequence[str], starts: int, report
         identified.skip(MACHINE, error, report)
         return
     refined = identified.refined
-    identified.parameters = updated(identified.parameters, refined.estimates(names=parameter_names()))
+    identified.parameters = updated(identified.parameters, machine.estimates(refined))
+    identified.recordings = machine.without_zeros(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
     if starts and not identified.interrupted:
         identified.starts = refine_from_other_starts(refined, starts, report)
@@ -189,7 +191,7 @@ def refine_together(
     )
     residual = refined.history[-1].residual if refined.history else float("nan")
     report(f"  {refined.reason}; residuals are {residual:.3g} times the noise of the sensors")
-    for line in advice(refined):
+    for line in (*machine.zero_sentences(refined), *advice(refined)):
         report(f"  {line}")
     return refined
 

@@ -50,6 +50,7 @@ class MeasuredRun:
     measured_states   state -> its trajectory (n,), NaN where it is not measured; initial states come from it
     at_rest           states whose initial value is known to be zero, because the run begins at rest
     input_noise       measured input -> standard deviation of a sample, smoothing window [samples]
+    zeros             measured state -> free parameter that is the zero of its sensor
     """
 
     name: str
@@ -62,6 +63,7 @@ class MeasuredRun:
     measured_states: Mapping[str, Array] = field(default_factory=dict)
     at_rest: tuple[str, ...] = ()
     input_noise: Mapping[str, tuple[float, int]] = field(default_factory=dict)
+    zeros: Mapping[str, str] = field(default_factory=dict)
 
     def input_matrix(self, names: Sequence[str]) -> Array:
         """Inputs in the order of `names`, shape (n, nu)."""
@@ -81,6 +83,14 @@ class MeasuredRun:
                 first = self.measured_states[name][:count]
                 if np.isfinite(first).any():
                     state[j] = np.nanmean(first)
+        return state
+
+    def corrected_initial_state(self, simulator: Simulator, p: Array, inputs: Array) -> Array:
+        """The state at the first sample without the estimated zeros of the sensors, shape (nx,)."""
+        state = self.initial_state(simulator, p, inputs)
+        for name, zero in self.zeros.items():
+            if name in simulator.states and name not in self.at_rest:
+                state[simulator.states.index(name)] -= p[simulator.free.index(zero)]
         return state
 
     def segment_states(self, simulator: Simulator, p: Array, inputs: Array, edges: tuple[int, ...]) -> Array:
@@ -167,6 +177,7 @@ class RecordingMap:
     rest       states that are zero at the start of a recording whose outputs do not move there
     sd         output -> standard deviation that replaces that of the sensor
     values     values of inputs that are not measured, by default those of the subsystem's file
+    zeros      output -> free parameter that is the zero of its sensor
     """
 
     sub: Subsystem
@@ -176,6 +187,7 @@ class RecordingMap:
     rest: Sequence[str] = ()
     sd: Mapping[str, float] = field(default_factory=dict)
     values: Values | None = None
+    zeros: Mapping[str, str] = field(default_factory=dict)
 
     def run(self, recording: Recording) -> MeasuredRun:
         """The measured run of one recording."""
@@ -204,6 +216,7 @@ class RecordingMap:
             scale=scale,
             measured_states=self._measured_states(recording),
             at_rest=() if any(moves_at_start(recording, s) for s in signals) else tuple(self.rest),
+            zeros={n: zero for n, zero in self.zeros.items() if n in quantities(self.sub.states)},
             input_noise={
                 name: (recording.sensor(self._signal(name)).sd, window)
                 for name, (_, window) in inputs.items()

@@ -30,7 +30,7 @@ SENSORS = {
 }
 
 
-def _recording() -> Recording:
+def machine_recording() -> Recording:
     """A part of the work cycle with noise, quantisation and the dead zones of the flow meters."""
     rng = np.random.default_rng(0)
     time = np.arange(round(200 * SECONDS) + 1) / 200
@@ -66,7 +66,7 @@ def _recording() -> Recording:
 @pytest.fixture(scope="module")
 def refined() -> RefinementResult:
     """From 30 % above or below the truth, in turn, without priors."""
-    task = machine.problem([_recording()], nominal())
+    task = machine.problem([machine_recording()], nominal())
     factors = [1.3, 0.7] * len(task.free)
     free = [replace(f, value=f.value * k, sd=None) for f, k in zip(task.free, factors, strict=False)]
     task = replace(task, free=tuple(free))
