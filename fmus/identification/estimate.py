@@ -47,6 +47,7 @@ class Estimate:
     sd          standard deviation
     low, high   ends of the interval, not always symmetrical; infinite if the data do not bound the value
     note        how the parameter was estimated, one line
+    listed      list in parameters.toml of which the parameter is an entry, empty if it has its own table
     """
 
     name: str
@@ -56,6 +57,7 @@ class Estimate:
     low: float
     high: float
     note: str
+    listed: str = ""
 
     @classmethod
     def normal(

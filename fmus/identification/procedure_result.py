@@ -63,6 +63,7 @@ class ProcedureResult:
     estimates   parameters of the machine
     panels      measurement with fit, then residual
     remarks     sentences on masked and corrected samples, misfit, and what the data leave open
+    listed      points of the opening curves, which are written to parameters.toml as lists
     warnings    sentences on a result that should not be used unseen; they go to the terminal, too
     others      other estimates, such as C_R at each voltage, which are not written to parameters.toml
     """
@@ -75,3 +76,4 @@ class ProcedureResult:
     remarks: tuple[str, ...] = ()
     others: tuple[Estimate, ...] = ()
     warnings: tuple[str, ...] = ()
+    listed: tuple[Estimate, ...] = ()

@@ -1,20 +1,24 @@
-"""Valve procedure (section 4(a), Fig. 5): C_R over the command, from steps of the command.
+"""Valve procedure (section 4(a), Fig. 5): opening of the metering edges over the command.
 
     C_R = (P_in - P_out)/(Q|Q|), eq. (1)        C_R = rho/(2 C_d^2 A(V)^2), eq. (2)
 
-The data are means over each step with their standard errors. The flow is fitted, not C_R: small flows have
-the largest relative error, and 1/Q^2 would bias the fit. The error of a point consists of that of the mean
-flow and that of the mean drop times dQ/d(dp). The opening law (`valve_law`) keeps C_R positive and monotone.
-All edges are fitted together, because the spools are symmetrical, and each edge separately for comparison.
-The difference of the two pressures without flow, an offset of the transducers, is estimated as well.
+The data are means over each step with their standard errors. Two descriptions of A(V) are compared:
 
-Validity: steady flow above the dead zone of the meter. Only the product C_d A sqrt(2/rho) is measured: the
-area is valid for the known C_d and density.
+- a straight line with a dead band and a rounded foot (`valve_law`), fitted to the flow;
+- a curve of any rising shape (`opening_posterior`), with its 95 % band; a table of up to ten points
+  (`opening_fit`) describes it for the machine.
+
+If the data of no edge prefer the curve significantly (likelihood ratio), a straight line suffices: area and
+dead band are the result, fitted to all edges together unless these differ. Otherwise each edge gets a table,
+the same one if the edges do not differ. The difference of the two pressures without flow, an offset of the
+transducers, is estimated as well, within the zero errors of their data sheets.
+
+Validity: steady flow above the dead zone of the meter; the opening rises with the command. Only the product
+C_d A sqrt(2/rho) is measured: the area is valid for the known C_d and density.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -22,65 +26,80 @@ from functools import partial
 import numpy as np
 
 from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
+from fmus.identification.procedure_result import BAR, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
     difference_limit,
     parameter,
-    pressure_offset_remark,
-    select,
     training_recordings,
     zero_warning,
 )
-from fmus.identification.procedures.regression import misfit_remark, misfit_warning
+from fmus.identification.procedures.opening_fit import OpeningCurve
+from fmus.identification.procedures.regression import misfit_warning
 from fmus.identification.procedures.valve_law import (
-    OpeningLaw,
     ValveConstants,
     ValveFit,
-    ValveSteps,
-    asymmetry,
-    fit_valve,
-    flow,
-    impossible,
-    polynomial,
     resistance,
+    resistance_of,
     valve_steps,
 )
+from fmus.identification.procedures.valve_openings import Openings, fit_openings
+from fmus.identification.procedures.valve_panels import panels
+from fmus.identification.procedures.valve_remarks import remarks
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording
 
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
 ROUNDING = "boom_stick.valve_command_rounding"
-COMMAND, RESISTANCE = "command [V]", "C_R [Pa.s2/m6]"  # labels of axes
+METER_NOISE = 4.0  # standard deviations above its dead zone in which a meter may still read nothing
+SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
-    """Area and dead band of the valve's edges, and C_R over the command."""
-    tests = training_recordings(recordings, "valve", SIGNALS)
-    steps, limit = valve_steps(tests), difference_limit(tests, ("pressure_in", "pressure_out"))
-    constants = ValveConstants.of(parameters)
-    common = fit_valve(steps.checked(), constants, parameter(parameters, ROUNDING), limit)
-    corrected = replace(steps, drop=steps.drop - common.regression["zero"])
-    rounding = Number(common.law().rounding, "V", "identified", "of all edges")
-    separate = {
-        edge: fit_valve(steps.of(edge).measured(), constants, rounding, limit) for edge in steps.edges
-    }
+    """Area and dead band or opening curve of the valve's edges, and C_R over the command."""
+    openings = identify_openings(recordings, parameters)
+    constants, zero = openings.constants, openings.zero
+    corrected = replace(openings.steps, drop=openings.steps.drop - zero.value)
+    estimates = _of_line(openings.line) if openings.line else _of_curves(openings)
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
         figure=5,
-        estimates=tuple(_estimates(common)),
-        panels=panels(corrected, common.law(), constants),
-        remarks=tuple(_remarks(corrected, common, rounding)),
-        others=(*_curve(common), *(e for edge, fitted in separate.items() for e in _estimates(fitted, edge))),
-        warnings=(
-            *misfit_warning(common.regression.times_noise, "valve: the opening law"),
-            *zero_warning("valve", *common.zero_wanted, limit, BAR),
-        ),
+        estimates=tuple(estimates),
+        panels=panels(corrected, openings.areas(), openings.curves, constants),
+        remarks=tuple(remarks(corrected, openings)),
+        others=(*_curve(openings), zero, *_of_edges(openings)),
+        warnings=tuple(_warnings(openings)),
+        listed=() if openings.line else tuple(_tables(openings)),
     )
 
 
-def _estimates(fitted: ValveFit, edge: str = "") -> Iterator[Estimate]:
+def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> Openings:
+    """The openings of the edges with their bands."""
+    tests = training_recordings(recordings, "valve", SIGNALS)
+    limit = difference_limit(tests, ("pressure_in", "pressure_out"))
+    meters = [recording.sensor("flow") for recording in tests]
+    # up to this flow a meter may read nothing; without a dead zone there is no such flow
+    idle = max((m.dead_zone + METER_NOISE * m.noise if m.dead_zone else 0.0) for m in meters)
+    rounding = parameter(parameters, ROUNDING)
+    return fit_openings(valve_steps(tests), ValveConstants.of(parameters), rounding, limit, idle)
+
+
+def _warnings(openings: Openings) -> Iterator[str]:
+    """Residuals far above the noise, zeros that the transducers cannot have."""
+    if openings.line:
+        yield from misfit_warning(openings.line.regression.times_noise, "valve: the straight opening")
+        yield from zero_warning("valve", *openings.line.zero_wanted, openings.zero_limit, BAR)
+    else:
+        yield from misfit_warning(openings.scatter, "valve: the mean of steps with one command")
+        if openings.impossible_zero:
+            yield (
+                "valve: the data need zeros of the pressures that differ by more than the "
+                f"{openings.zero_limit / BAR[1]:.3g} bar that the sensors are declared to have."
+            )
+
+
+def _of_line(fitted: ValveFit, edge: str = "") -> Iterator[Estimate]:
     fit, suffix = fitted.regression, f"[{edge}]" if edge else ""
     note = f"fit of {len(fitted.steps.flow)} steps, section 4(a)"
     yield fit.estimate(f"valve_area{suffix}", "m2", f"{note}, with C_d and density as known", "area")
@@ -90,112 +109,90 @@ def _estimates(fitted: ValveFit, edge: str = "") -> Iterator[Estimate]:
         yield fit.estimate(f"valve_command_rounding{suffix}", "V", note, "rounding")
 
 
-def _curve(fitted: ValveFit) -> Iterator[Estimate]:
-    """C_R at the voltages of `VOLTAGES`, the pressure offset, and the foot of the straight opening."""
-    law, fit = fitted.law(), fitted.regression
+def _of_curves(openings: Openings) -> Iterator[Estimate]:
+    """Area of the edge that opens furthest, and the first start of an opening."""
+    largest = max(openings.curves.values(), key=lambda curve: float(curve.areas[-1]))
+    yield _full_area(
+        largest, "valve_area", "at full command by the opening curve, with C_d and density as known"
+    )
+    earliest = min(openings.curves.values(), key=lambda curve: float(curve.commands[0]))
+    note = "start of the opening curve; the tables of the edges replace it"
+    yield earliest.estimate("valve_dead_band", "V", note, earliest.draws.start, float(earliest.commands[0]))
+
+
+def _full_area(curve: OpeningCurve, name: str, note: str) -> Estimate:
+    return curve.estimate(
+        name, "m2", f"{note}, section 4(a)", curve.draws.area[:, -1], float(curve.areas[-1])
+    )
+
+
+def _of_edges(openings: Openings) -> Iterator[Estimate]:
+    """Area and start of each edge; openings at the points of the tables with their band."""
+    if openings.line or openings.straight:
+        for edge, fitted in openings.separate.items():
+            yield from _of_line(fitted, edge)
+        return
+    for edge, curve in openings.distinct().items():
+        yield _full_area(curve, f"valve_area[{edge}]", "at full command")
+        start = float(curve.commands[0])
+        yield curve.estimate(
+            f"valve_dead_band[{edge}]", "V", "start of the opening", curve.draws.start, start
+        )
+        yield curve.estimate(f"exponent[{edge}]", "1", "of the power law, 1: a line", curve.draws.exponent)
+        for command, area, low, high in zip(
+            curve.commands[1:], curve.areas[1:], *curve.band_at(curve.commands[1:]), strict=True
+        ):
+            full, note = float(curve.areas[-1]), "point of the table; the interval is that of the 95 % band"
+            sd = float(curve.draws_at(command).std()) / full
+            name = f"opening[{edge}]({command:.3g} V)"
+            yield Estimate(name, area / full, "1", sd, low / full, high / full, note)
+
+
+def _tables(openings: Openings) -> Iterator[Estimate]:
+    """Points of the tables of all edges as parameters; an untested edge gets the table of another."""
+    tested = openings.curves
+    largest = max(float(curve.areas[-1]) for curve in tested.values())
+    note = "opening curve of edge {}, section 4(a); relative to valve_area"
+    for edge, other in SAME_WAY.items():
+        source = edge if edge in tested else other if other in tested else next(iter(tested))
+        curve, name = tested[source], edge.replace("-", "").lower()
+        for i, command in enumerate(curve.commands, 1):
+            listed = f"valve_{name}_commands"
+            yield _entry(f"valve_{name}_command_{i}", float(command), "V", 0.0, note.format(source), listed)
+        for i, (command, area) in enumerate(zip(curve.commands, curve.areas, strict=True), 1):
+            sd = float(curve.draws_at(command).std()) / largest if i > 1 else 0.0
+            opening, listed = float(area) / largest, f"valve_{name}_openings"
+            yield _entry(f"valve_{name}_opening_{i}", opening, "1", sd, note.format(source), listed)
+
+
+def _entry(name: str, value: float, unit: str, sd: float, note: str, listed: str) -> Estimate:
+    return replace(Estimate.normal(name, value, unit, sd, note, minimum=0.0), listed=listed)
+
+
+def _curve(openings: Openings) -> Iterator[Estimate]:
+    """C_R at the voltages of `VOLTAGES`, and the foot of a straight opening."""
+    constants, line = openings.constants, openings.line
+    if line is None:
+        for edge, curve in openings.distinct().items():
+            suffix = "" if len(openings.distinct()) == 1 else f"[{edge}]"
+            for voltage in VOLTAGES:
+                if curve.first_measured <= voltage <= constants.full_command:
+                    draws = resistance_of(curve.draws_at(voltage), constants)
+                    name, note = f"C_R({voltage:g} V){suffix}", "eq. (2) with the opening curve"
+                    yield curve.estimate(name, "Pa.s2/m6", note, draws)
+        return
+    law, fit = line.law(), line.regression
     for voltage in VOLTAGES:
-        if law.dead_band + law.rounding / 4 < voltage <= fitted.constants.full_command:
+        if law.dead_band + law.rounding / 4 < voltage <= constants.full_command:
             yield fit.derived(
                 f"C_R({voltage:g} V)",
                 "Pa.s2/m6",
                 "eq. (2) with the fitted opening",
-                partial(
-                    lambda v, p: float(resistance(np.array([v]), fitted.law(p), fitted.constants)[0]), voltage
-                ),
+                partial(lambda v, p: float(resistance(np.array([v]), line.law(p), constants)[0]), voltage),
             )
-    yield fit.estimate("pressures without flow", "Pa", "pressure_in - pressure_out", "zero")
     yield fit.derived(
         "dead_band + rounding/2",
         "V",
         "zero of the straight part of the opening, extrapolated",
-        lambda p: p["dead_band"] + p.get("rounding", fitted.rounding) / 2,
-    )
-
-
-def panels(steps: ValveSteps, law: OpeningLaw, constants: ValveConstants) -> tuple[Panel, ...]:
-    """C_R with the fit, K = Q/sqrt(dp) with masked steps, C_R with the paper's polynomial, residual."""
-    good, dead = steps.measured(), select(steps, steps.dead & (steps.drop > 0))
-    edges = {edge: steps.of(edge).measured() for edge in steps.edges}
-    opened = np.linspace(good.command.min(), constants.full_command, 400)
-    fit = Curve("fit, eq. (2)", opened, resistance(opened, law, constants), "fit", line=True)
-    by_edge = [Curve(edge, s.command, s.resistance, error=s.resistance_error) for edge, s in edges.items()]
-    # K = Q/sqrt(dp) is a straight line above the rounded foot, so it also shows the dead band
-    commands = np.linspace(0.0, constants.full_command, 400)
-    root = np.sqrt(good.drop)
-    gain = (
-        Curve("measured", good.command, good.flow / root, error=good.flow_error / root),
-        Curve("masked: dead zone of the meter", dead.command, dead.flow / np.sqrt(dead.drop), "masked"),
-        Curve("fit", commands, 1 / np.sqrt(resistance(commands, law, constants)), "fit", line=True),
-    )
-    paper = polynomial(good.command, good.resistance)
-    bad = np.where(impossible(paper, opened), paper(opened), math.nan)
-    compared = (
-        Curve("measured", good.command, good.resistance),
-        fit,
-        Curve(f"polynomial of degree {paper.degree()}", opened, paper(opened), "compared", line=True),
-        Curve("polynomial negative or rising", opened, bad, "masked", line=True),
-    )
-    residual = []
-    for edge, s in edges.items():
-        fitted, derivative = flow(s.command, s.drop, s.supply_drop, law, constants)
-        error = np.hypot(s.flow_error, derivative * s.drop_error)
-        residual.append(Curve(edge, s.command, s.flow - fitted, error=error))
-    return (
-        Panel(COMMAND, RESISTANCE, (*by_edge, fit), "Resistance of each edge", log=True),
-        Panel(COMMAND, "K = Q / sqrt(dp) [m3/(s.Pa^0.5)]", gain, "Opening, as it was fitted"),
-        Panel(COMMAND, RESISTANCE, compared, "The paper's polynomial for comparison"),
-        Panel(COMMAND, "flow, measured - fitted", tuple(residual), "Residual", y_unit=LITRES_PER_MINUTE),
-    )
-
-
-def _remarks(steps: ValveSteps, common: ValveFit, rounding: Number) -> Iterator[str]:
-    """Masked steps, undetermined parameters, differences between the edges, the polynomial, calibration."""
-    good, dead = steps.measured(), select(steps, steps.dead)
-    if dead.command.size:
-        yield (
-            f"{dead.command.size} of {steps.command.size} steps, up to {dead.command.max():.3g} V, are "
-            "masked: the flow is in the dead zone of the meter, the flat region of Fig. 5. The curve in this "
-            "region is the extrapolated opening law."
-        )
-    if omissions := select(steps, ~steps.dead).omissions():
-        yield f"Other steps are left out: {omissions}."
-    if not common.rounding_estimated:
-        yield (
-            "No flow was measured on the rounded foot of the opening, so the data determine only the zero of "
-            "the extrapolated straight part. The dead band is half a rounding less, with the known rounding "
-            f"of {common.rounding:.3g} V: a rounding that is 0.1 V larger makes the dead band 0.05 V smaller."
-        )
-    yield _edges_remark(common, rounding)
-    yield _polynomial_remark(good, common.constants)
-    yield from misfit_remark(common.regression, "The opening law")
-    yield from pressure_offset_remark(common.regression["zero"], common.regression.sd("zero"))
-    percent = 100 * BAR[1] / (2 * float(good.drop.mean()))  # A ~ Q / sqrt(dp)
-    yield (
-        "The intervals cover the noise of the instruments, not errors of their calibration: 1 % of the flow "
-        f"meter's gain is 1 % of the area, and 1 bar between the two pressures is {percent:.2g} %."
-    )
-
-
-def _edges_remark(common: ValveFit, rounding: Number) -> str:
-    edges = common.steps.edges
-    if len(edges) < 2:
-        return f"Only the edge {edges[0]} was tested."
-    probability, areas = asymmetry(common.steps, common.constants, rounding)
-    if probability > 0.01:
-        return f"The {len(areas)} edges do not differ significantly (chi-square test, p = {probability:.2g})."
-    by_edge = ", ".join(f"{edge} {area * 1e6:.4g} mm2" for edge, area in areas.items())
-    return f"The edges differ significantly (chi-square test, p = {probability:.1g}): {by_edge}."
-
-
-def _polynomial_remark(good: ValveSteps, constants: ValveConstants) -> str:
-    paper = polynomial(good.command, good.resistance)
-    commands = np.linspace(good.command.min(), constants.full_command, 2000)
-    bad = impossible(paper, commands)
-    subject = f"The paper's form, a polynomial (degree {paper.degree()} by AIC),"
-    if not bad.any():
-        return f"{subject} stays positive and falls."
-    voltages, negative = commands[bad], "is negative or " if (paper(commands) < 0).any() else ""
-    return (
-        f"{subject} is shown but not used: between {voltages.min():.2g} and {voltages.max():.2g} V it "
-        f"{negative}rises with the command in places, which is impossible for C_R."
+        lambda p: p["dead_band"] + p.get("rounding", line.rounding) / 2,
     )

@@ -179,6 +179,22 @@ def flow(
     return result[0].full()[0], result[1].full()[0]
 
 
+def flow_through(
+    area: Array, drop: Array, supply_drop: Array, constants: ValveConstants
+) -> tuple[Array, Array]:
+    """Flow [m3/s] through effective areas [m2] and its derivative with respect to the drop, as `flow`."""
+    opened = OpeningLaw(area[None, :], 0.0, ROUNDING_BOUNDS[0])  # type: ignore[arg-type]
+    rows = (array[None, :] for array in (np.full_like(area, constants.full_command), drop, supply_drop))
+    result = _functions()[0](*rows, *vars(opened).values(), *astuple(constants))
+    return result[0].full()[0], result[1].full()[0]
+
+
+def resistance_of(area: Array, constants: ValveConstants) -> Array:
+    """C_R [Pa.s2/m6] of effective areas [m2] by eq. (2); infinite if the edge is closed."""
+    square = 2 * (constants.discharge_coefficient * area) ** 2 / constants.density
+    return np.divide(1.0, square, out=np.full_like(square, np.inf), where=square > 0)
+
+
 def resistance(command: Array, law: OpeningLaw, constants: ValveConstants) -> Array:
     """C_R [Pa.s2/m6] at commands [V] by eq. (2); infinite if the edge is closed."""
     square: Array = _functions()[1](command[None, :], 0.0, 0.0, *astuple(law), *astuple(constants)).full()[0]

@@ -113,7 +113,7 @@ def test_an_offset_of_a_pressure_is_subtracted(name):
 @pytest.mark.parametrize("name", ["valve", "hose_resistance"])
 @pytest.mark.parametrize("declared", [0.05, 0.0])
 def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
-    """5 bar between two transducers of the class 0.05 bar: the zero ends there, and a warning says so."""
+    """5 bar between two transducers of the class 0.05 bar: the zero ends there; a hose warns."""
 
     def far_off(r):
         moved = with_signals(r, lambda n, x: x + 5e5 if n == "pressure_out" else x)
@@ -124,7 +124,8 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
     zero = next(e for e in result.others if e.name == "pressures without flow")
     # two sensors; a perfect one counts as 1e-6 of its reading
     assert abs(zero.value) <= 2 * (declared * bench.BAR + 1e-6 * bench.SUPPLY)
-    assert result.warnings
+    if name == "hose_resistance":  # at the valve a curve a little off the line explains the data as well
+        assert result.warnings
 
 
 @pytest.mark.parametrize("name", BENCHES)
