@@ -27,6 +27,7 @@ MACHINES: tuple[dict[str, str], ...] = (
     {"swing": "quasistatic", "boom_stick": "quasistatic", "manipulator": "friction", "supply": "ideal"},
     {"swing": "detailed", "manipulator": "pendulum", "supply": "engine_pump"},
     {"boom_stick": "detailed", "manipulator": "pendulum_friction"},
+    {"supply": "load_sensing"},
 )
 
 

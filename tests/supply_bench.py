@@ -1,8 +1,10 @@
-"""A test bench for the supply: a load that takes oil, integration, and rest, by names."""
+"""A test bench for a supply: a load that takes oil and tells its pressure, integration, rest, by names."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -11,66 +13,118 @@ from fmus.contract import quantities, symbolic
 from fmus.parameters import values
 from fmus.supply import VARIANTS
 
-SUB = VARIANTS["engine_pump"]
-MODEL = symbolic(SUB)
-NUMBERS = values(SUB).p
-STATES, OUTPUTS, INPUTS = (list(quantities(g)) for g in (SUB.states, SUB.outputs, SUB.inputs))
-NOMINAL = np.array([q.nominal for q in quantities(SUB.states).values()])
-FUNCTION = MODEL.function()
 L_MIN = 1e-3 / 60  # m3/s
 
 
-def constants(**changes: float) -> list[float]:
-    """The parameters in order, some of them changed."""
-    return list((NUMBERS | changes).values())
+class Load(NamedTuple):
+    """An orifice of the area that takes `gain` sqrt(dp), from the supply line to a pressure of the load."""
+
+    gain: float
+    pressure: float = 0.0
 
 
-def rest(p: list[float]) -> np.ndarray:
-    """The state at the start."""
-    return MODEL.initial()([0.0] * len(STATES), [0.0] * len(INPUTS), p).full()[:, 0]
+class Bench:
+    """One variant of the supply with its equations, numbers and names."""
+
+    def __init__(self, variant: str) -> None:
+        self.sub = VARIANTS[variant]
+        self.model = symbolic(self.sub)
+        self.numbers = values(self.sub).p
+        self.function = self.model.function()
+        self.states, self.outputs, self.inputs = (
+            list(quantities(g)) for g in (self.sub.states, self.sub.outputs, self.sub.inputs)
+        )
+        self.nominal = np.array([q.nominal for q in quantities(self.sub.states).values()])
+
+    def constants(self, **changes: float) -> list[float]:
+        """The parameters in order, some of them changed."""
+        assert set(changes) <= set(self.numbers)
+        return list((self.numbers | changes).values())
+
+    def row(self, **inputs: float) -> list[float]:
+        """The inputs in order; those that are not given are zero."""
+        return [inputs.get(name, 0.0) for name in self.inputs]
+
+    def drawing(self, flow: float, load: float = 0.0) -> list[float]:
+        """Inputs: swing takes a flow and gives it back, at a load pressure."""
+        return self.row(supply_flow_swing=flow, return_flow_swing=flow, swing_load_pressure=load)
+
+    def rest(self, p: list[float]) -> np.ndarray:
+        """The state at the start."""
+        return self.model.initial()([0.0] * len(self.states), self.row(), p).full()[:, 0]
+
+    def state(self, x: np.ndarray, name: str) -> float:
+        """One of the states."""
+        return float(x[self.states.index(name)])
+
+    def rates(self, x: Sequence[float], u: list[float], p: list[float]) -> dict[str, float]:
+        """Time derivatives of the states by name."""
+        return dict(zip(self.states, self.function(x, u, p)[0].full()[:, 0], strict=True))
+
+    def show(self, x: Sequence[float], u: list[float], p: list[float]) -> dict[str, float]:
+        """All outputs at a state and inputs."""
+        return dict(zip(self.outputs, map(float, self.function(x, u, p)[1].full()[:, 0]), strict=True))
+
+    def violated(self, p: list[float]) -> list[str]:
+        """Requirements that are not fulfilled at the start."""
+        m = self.model
+        found = ca.Function("r", [m.x, m.u, m.p], [m.require])(self.rest(p), self.row(), p)
+        return [s for s, v in zip(m.statements, found.full()[:, 0], strict=True) if not v > 0]
+
+    @cached_property
+    def balance(self) -> ca.Function:
+        """(x, u, p) -> power in, power used or stored, heat [W]."""
+        m = self.model
+        y = dict(zip(self.outputs, ca.vertsplit(m.y), strict=True))
+        rate = ca.jtimes(y["stored_energy"], m.x, m.dx)
+        given = y["engine_power"] + y["tank_pressure"] * y["return_flow"]
+        used = y["supply_pressure"] * y["supply_flow"] + rate + y["dissipated_power"]
+        return ca.Function("b", [m.x, m.u, m.p], [given, used, y["dissipated_power"]])
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """(x, u, p) -> dx, y, d(dx)/dx."""
+        m = self.model
+        return ca.Function("j", [m.x, m.u, m.p], [m.dx, m.y, ca.jacobian(m.dx, m.x)])
+
+    def taken(self, load: Load, pressure: float) -> list[float]:
+        """Inputs while the load takes oil at a supply pressure."""
+        flow = float(orifice(load.gain, pressure - load.pressure))
+        return self.drawing(flow, load.pressure)
+
+    def through(
+        self, loads: Sequence[Load], p: list[float], hold: float, samples: int = 40, start=None
+    ) -> tuple[np.ndarray, dict]:
+        """Time (n,) and outputs (n,) from rest through a row of loads, each of them for `hold` seconds."""
+        n, at = len(self.states), self.states.index("supply_pressure")
+        z, load = ca.SX.sym("z", n), ca.SX.sym("load", 2)
+        flow = orifice(load[0], z[at] * self.nominal[at] - load[1])
+        u = ca.vertcat(
+            *(
+                {"swing_load_pressure": load[1]}.get(name, flow if name.endswith("flow_swing") else 0)
+                for name in self.inputs
+            )
+        )
+        rate = self.function(z * self.nominal, u, ca.DM(p))[0] / self.nominal
+        grid = np.linspace(0, hold, samples + 1)
+        options = {"reltol": 1e-10, "abstol": 1e-10, "max_num_steps": 100_000}
+        solver = ca.integrator("s", "cvodes", {"x": z, "p": load, "ode": rate}, 0.0, grid[1:], options)
+        x = (self.rest(p) if start is None else start) / self.nominal
+        rows, times = [], []
+        for k, one in enumerate(loads):
+            path = solver(x0=x, p=list(one))["xf"].full()
+            for column in path.T * self.nominal:
+                rows.append(self.show(column, self.taken(one, column[at]), p))
+            times += list(grid[1:] + k * hold)
+            x = path[:, -1]
+        return np.array(times), {name: np.array([row[name] for row in rows]) for name in self.outputs}
+
+    def settled(self, load: Load, **changes: float) -> Mapping[str, float]:
+        """Outputs after four seconds with one load; the slowest time constant is a few tenths."""
+        _, y = self.through([load], self.constants(**changes), 4.0, 2)
+        return {name: float(v[-1]) for name, v in y.items()}
 
 
-def show(x: np.ndarray, flow: float, p: list[float]) -> dict[str, float]:
-    """All outputs at a state and a flow that swing takes and gives back."""
-    y = FUNCTION(x, drawing(flow), p)[1].full()[:, 0]
-    return dict(zip(OUTPUTS, map(float, y), strict=True))
-
-
-def drawing(flow: float) -> list[float]:
-    """Inputs: swing takes a flow and gives it back."""
-    taken = {"supply_flow_swing": flow, "return_flow_swing": flow}
-    return [taken.get(name, 0.0) for name in INPUTS]
-
-
-def orifice(gain: ca.SX, pressure: ca.SX) -> ca.SX:
-    """Flow through an orifice of C_R = 1 / gain^2 to the tank."""
+def orifice(gain, pressure):
+    """Flow through an orifice of C_R = 1 / gain^2."""
     return gain * pressure / (pressure**2 + 1e5**2) ** 0.25
-
-
-def at(x: np.ndarray, gain: float, p: list[float]) -> dict[str, float]:
-    """All outputs while an orifice takes oil."""
-    return show(x, float(orifice(gain, x[STATES.index("supply_pressure")])), p)
-
-
-def through_orifices(gains, p: list[float], hold: float, samples: int = 40) -> tuple[np.ndarray, dict]:
-    """Time (n,) and outputs (n,) from rest through a row of orifices, each open for `hold` seconds."""
-    z, gain = ca.SX.sym("z", len(STATES)), ca.SX.sym("gain")
-    flow = orifice(gain, z[STATES.index("supply_pressure")] * NOMINAL[STATES.index("supply_pressure")])
-    u = ca.vertcat(*(flow if name.endswith("swing") else 0 for name in INPUTS))
-    rate = FUNCTION(z * NOMINAL, u, ca.DM(p))[0] / NOMINAL
-    grid = np.linspace(0, hold, samples + 1)
-    options = {"reltol": 1e-10, "abstol": 1e-10, "max_num_steps": 100_000}
-    solver = ca.integrator("s", "cvodes", {"x": z, "p": gain, "ode": rate}, 0.0, grid[1:], options)
-    x, rows, times = rest(p) / NOMINAL, [], []
-    for k, g in enumerate(gains):
-        path = solver(x0=x, p=g)["xf"].full()
-        rows += [at(column * NOMINAL, g, p) for column in path.T]
-        times += list(grid[1:] + k * hold)
-        x = path[:, -1]
-    return np.array(times), {name: np.array([row[name] for row in rows]) for name in OUTPUTS}
-
-
-def settled(gain: float, **changes: float) -> Mapping[str, float]:
-    """Outputs after four seconds with one orifice open; the slowest time constant is a few tenths."""
-    _, y = through_orifices([gain], constants(**changes), 4.0, 2)
-    return {name: float(v[-1]) for name, v in y.items()}

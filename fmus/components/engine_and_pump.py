@@ -35,21 +35,35 @@ is within 0 ... 1, so is s for any p. Smoothing: s_target is above the straight 
 which raises the dead head by band rounding^2 / (4 s_0) with the stroke s_0 that covers the leakage (a
 thousandth of the band for s_0 = 2.5 %), and is rounded at full stroke.
 
+**Several regulators** move the swash plate of a load-sensing pump. P_set is then the pressure of the
+load-sensing line plus a margin, and the lowest of three strokes counts:
+
+    s_target = lim(min((P_set - p) / band, (P_off - p) / band_off, T_max / (D dp)))
+
+The second is the pressure cut-off. The third is the power limit: a torque of the swash plate, so that the
+power s D dp w is constant at a given speed (a hyperbola of flow over pressure). min is `smooth.lowest`,
+rounded over `rounding` like lim: where two strokes are equal, the result is 0.094 rounding lower. Each
+regulator has a proportional characteristic; its hysteresis and the motion of its spool are neglected.
+Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9.
+
 Valid for mean flows: no piston ripple, no flow to the control piston, no cavitation at the inlet.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 
-from fmus.components.smooth import direction, positive, ramp, unit_limited, unit_limited_inverse
+from fmus.components.smooth import direction, lowest, positive, ramp, unit_limited, unit_limited_inverse
 from fmus.contract import Group, Quantity, Scalar
 
 _ROUNDING = 0.02  # fraction of full fuel over which both limits of the fuel are rounded
 _SPEED_ROUNDING = 1.0  # rad/s, far below idle speed; below, the dry friction falls to zero
 _LEAST_TORQUE = 0.1  # fraction of the rated torque: lower bound of the parabola outside its range
+_ITERATIONS = 12  # iterations of the search for the idle speed; each gains two digits
+_BEYOND = 2.0  # stroke at which the hyperbola of the power limit ends; above 1 it limits nothing
 _PRESSURE_ROUNDING = 1e4  # Pa; below, the pressure-dependent friction falls to zero
 
 
@@ -95,6 +109,28 @@ def governed_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
     return d.no_load_speed - (d.no_load_speed - d.rated_speed) * (z * (net + friction) - friction) / net
 
 
+def speed_rate(d: DieselEngine, speed: Scalar, torque: Scalar, load: Scalar) -> Scalar:
+    """dw/dt [rad/s2] with a torque of the combustion and a load [N.m]."""
+    return (torque - engine_friction(d, speed) - load) / d.inertia
+
+
+def torque_rate(d: DieselEngine, speed: Scalar, torque: Scalar) -> Scalar:
+    """dT/dt [N.m/s] of the combustion torque."""
+    return (governor_torque(d, speed) - torque) / d.lag
+
+
+def idle_speed(d: DieselEngine, load: Callable[[Scalar], Scalar]) -> Scalar:
+    """Steady speed [rad/s] under a load [N.m] that depends on the speed.
+
+    Within the range of the governor, also for an engine that is too weak.
+    """
+    speed = d.no_load_speed
+    for _ in range(_ITERATIONS):
+        speed = governed_speed(d, load(speed), speed)
+        speed = ca.fmax(d.peak_speed, ca.fmin(speed, d.no_load_speed))
+    return speed
+
+
 @dataclass(frozen=True)
 class Pump:
     """Parameters of a pump: D [m3/rad], k [m3/(s.Pa)], c_f [1], c_v [N.m.s/rad], compensator [Pa, 1, s]."""
@@ -132,9 +168,37 @@ def loss(d: Pump, speed: Scalar, rise: Scalar) -> Scalar:
     return d.leakage * rise**2 + pump_friction(d, speed, rise) * speed
 
 
+@dataclass(frozen=True)
+class StrokeLimits:
+    """Pressure cut-off: setting and band [Pa]; power limit: torque [N.m] of the swash plate."""
+
+    cut_off: Scalar
+    band: Scalar
+    torque: Scalar
+
+
+def compensated_stroke(d: Pump, pressure: Scalar) -> Scalar:
+    """Stroke s_target that the compensator demands."""
+    return unit_limited((d.setting - pressure) / d.band, d.rounding)
+
+
+def limited_stroke(d: Pump, limits: StrokeLimits, pressure: Scalar, rise: Scalar) -> Scalar:
+    """Stroke s_target of the lowest of three: compensator, pressure cut-off, power limit."""
+    compensated = (d.setting - pressure) / d.band
+    cut_off = (limits.cut_off - pressure) / limits.band
+    beginning = limits.torque / (_BEYOND * d.displacement)  # pressure rise at which the hyperbola begins
+    power = limits.torque / (d.displacement * ca.fmax(rise, beginning))
+    return unit_limited(lowest(lowest(compensated, cut_off, d.rounding), power, d.rounding), d.rounding)
+
+
 def stroke_rate(d: Pump, stroke: Scalar, pressure: Scalar) -> Scalar:
+    """ds/dt [1/s] of a pump with a compensator alone."""
+    return servo_rate(d, stroke, compensated_stroke(d, pressure))
+
+
+def servo_rate(d: Pump, stroke: Scalar, target: Scalar) -> Scalar:
     """ds/dt [1/s]: the rate r of the lag, limited by the speed of the control piston."""
-    rate = (unit_limited((d.setting - pressure) / d.band, d.rounding) - stroke) / d.lag
+    rate = (target - stroke) / d.lag
     on, off = ca.fmax(rate, 0) * d.stroke_time, ca.fmin(rate, 0) * d.destroke_time
     return rate / ca.sqrt(1 + on**2 + off**2)
 

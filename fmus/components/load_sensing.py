@@ -13,6 +13,12 @@ metering edge. Shuttle valves pass on the highest pressure, rounded:
 
 r is the `ramp` of width W of `smooth`.
 
+The line has an orifice and a small relief valve, which limits its pressure to P_max:
+
+    P_max - r(P_max - P + V/2)      as `smooth.lowest`, rounded over V
+
+and follows with a lag, a state of the supply.
+
 P_A, P_B are the pressures of the actuator's chambers, so the drop in the hose, 0.7 bar at 90 L/min in 4 m of
 3/4 in, is not sensed. Valid for a line whose own volume is negligible; its lag belongs to the supply.
 Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9.
@@ -24,7 +30,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from fmus.components.smooth import ramp, s_curve
+from fmus.components.smooth import lowest, ramp, s_curve
 from fmus.contract import Scalar
 
 SHUTTLE_ROUNDING = 5e4  # W [Pa]: at most 0.05 bar above the higher pressure
@@ -79,3 +85,8 @@ def highest(a: LoadPressure, b: LoadPressure) -> LoadPressure:
     s = ca.fmax(0, ca.fmin(1, z / SHUTTLE_ROUNDING))
     share = s**2 * (3 - 2 * s)  # slope of the ramp
     return LoadPressure(b.value + ramp(z, SHUTTLE_ROUNDING), b.rate + share * (a.rate - b.rate))
+
+
+def relieved(load: Scalar, limit: Scalar, rounding: Scalar) -> Scalar:
+    """Steady pressure [Pa] of the line at a highest load pressure, limited by its relief valve."""
+    return lowest(load, limit, rounding)

@@ -6,6 +6,8 @@ import casadi as ca
 
 from fmus.contract import Scalar
 
+_INVERSE_ITERATIONS = 32  # the error falls by a factor of 3 at least
+
 
 def ramp(z: Scalar, width: Scalar) -> Scalar:
     """max(z, 0) rounded over 0 < z < width, twice continuously differentiable, exactly 0 for z <= 0.
@@ -35,6 +37,23 @@ def positive(z: Scalar, width: Scalar) -> Scalar:
 def capped(z: Scalar, width: Scalar) -> Scalar:
     """min(z, 1), rounded within width/2 of 1, twice continuously differentiable, exact elsewhere."""
     return z - ramp(z - 1 + width / 2, width)
+
+
+def lowest(a: Scalar, b: Scalar, width: Scalar) -> Scalar:
+    """min(a, b), twice continuously differentiable: exact for |a - b| > width/2.
+
+    It is below the minimum by at most 3/32 of the width, at a = b.
+    """
+    return a - ramp(a - b + width / 2, width)
+
+
+def ramp_inverse(y: Scalar, width: Scalar) -> Scalar:
+    """The z with ramp(z, width) = y, for y >= 0; fixed-point iteration, to rounding."""
+    part = ca.fmin(y / width, 0.5)
+    s: Scalar = 0
+    for _ in range(_INVERSE_ITERATIONS):
+        s = (part / (1 - s / 2)) ** (1 / 3)
+    return width * s + ca.fmax(y - width / 2, 0)
 
 
 def unit_limited(z: Scalar, width: Scalar) -> Scalar:

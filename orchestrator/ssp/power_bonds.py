@@ -20,6 +20,8 @@ PRESSURE, VOLUME_FLOW = (1, -1, -2, 0, 0, 0, 0), (0, 3, -1, 0, 0, 0, 0)
 VOLTAGE, CURRENT = (1, 2, -3, -1, 0, 0, 0), (0, 0, 0, 1, 0, 0, 0)
 PAIRS = ((FORCE, VELOCITY), (TORQUE, ANGULAR_VELOCITY), (PRESSURE, VOLUME_FLOW), (VOLTAGE, CURRENT))
 
+SIGNALS = {"sensing", "sensed", "measured", "setpoint"}  # words of names of ports that carry no power
+
 
 @dataclass(frozen=True)
 class Bond:
@@ -50,7 +52,8 @@ def find_bonds(system: System) -> list[Bond]:
     """The bonds that follow from the units.
 
     If a connection could belong to several bonds, the longest common prefix of the input names decides. If
-    several prefixes are equally long there is no bond.
+    several prefixes are equally long there is no bond. Ports with one of the words `SIGNALS` in their names,
+    such as `load_sensing_pressure`, carry no power.
     """
     candidates = [
         _Candidate(_common_prefix(effort, flow), effort, flow)
@@ -102,11 +105,16 @@ def _opposite(effort: Connection, flow: Connection) -> bool:
 
 
 def _is_power(system: System, effort: Connection, flow: Connection) -> bool:
+    if any(SIGNALS & set(_words(port)) for c in (effort, flow) for port in (c.source, c.target)):
+        return False
     e, f = (system.variable(c.target).unit for c in (effort, flow))
     return e is not None and f is not None and (e.dimension, f.dimension) in PAIRS
 
 
 def _common_prefix(effort: Connection, flow: Connection) -> tuple[str, ...]:
-    words = (c.target.variable.replace(".", "_").split("_") for c in (effort, flow))
-    pairs = takewhile(lambda pair: pair[0] == pair[1], zip(*words, strict=False))
-    return tuple(word for word, _ in pairs)
+    words = zip(_words(effort.target), _words(flow.target), strict=False)
+    return tuple(word for word, _ in takewhile(lambda pair: pair[0] == pair[1], words))
+
+
+def _words(port: Port) -> list[str]:
+    return port.variable.replace(".", "_").split("_")

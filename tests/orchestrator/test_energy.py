@@ -122,6 +122,15 @@ def test_no_bond_is_guessed_between_equal_candidates():
     assert pairs(wired("pull N x->y", "push N x->y", "speed m/s y->x")) == set()
 
 
+def test_a_sensed_pressure_makes_no_bond():
+    """Supply, return and load-sensing line: the third one carries no power and hides no bond."""
+    system = wired(
+        *("supply_pressure bar x->y", "tank_pressure bar x->y", "load_sensing_pressure bar x->y"),
+        *("supply_flow L/min y->x", "return_flow L/min y->x", "load_pressure bar y->x"),
+    )
+    assert pairs(system) == {("supply_pressure", "supply_flow"), ("tank_pressure", "return_flow")}
+
+
 def test_bond_in_other_units_counts_in_watts():
     """Pressure in bar times flow in L/min is scaled to watts."""
     (bond,) = find_bonds(wired("pressure bar x->y", "flow L/min y->x"))

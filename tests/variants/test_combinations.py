@@ -30,7 +30,7 @@ def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsy
     rows = {line.split()[0]: line.split() for line in indented}
     for _, variant in variant_names():
         assert variant in rows
-    assert rows["detailed"][1:3] == ["32", "15"]  # of boom_stick, the last one
+    assert rows["detailed"][1:3] == ["32", "17"]  # of boom_stick, the last one
     assert printed.count("holds: ") == len(variant_names())
     costs = {r[0]: float(r[-1]) for r in rows.values() if r[0] in ("pendulum", "friction", "rigid")}
     assert costs["rigid"] == 1.0
@@ -79,12 +79,12 @@ def test_every_seventh_has_every_variant():
     """The sample above leaves no variant out."""
     met = {(part, variant) for chosen in ALL_COMBINATIONS[::7] for part, variant in chosen.items()}
     assert met == set(variant_names())
-    assert len(ALL_COMBINATIONS) == 3 * 3 * 4 * 2
+    assert len(ALL_COMBINATIONS) == 3 * 3 * 4 * 3
 
 
 @pytest.mark.long
 def test_every_combination_runs_the_work_cycle(fmu_dir):
-    """All 72 over 42 s at 1 ms with the default master, and the coupling makes up no energy to speak of."""
+    """42 s at 1 ms with the default master, and the coupling makes up no energy to speak of."""
     system = load(fmu_dir / "harvester.ssp")
     found = list(combinations(system, VARIANTS, WATCH, step=1e-3, record_step=0.02))
     assert [dict(row.variants) for row in found] == ALL_COMBINATIONS
@@ -93,7 +93,8 @@ def test_every_combination_runs_the_work_cycle(fmu_dir):
         assert row.reached == pytest.approx(42.0), row.variants
         # ten times what is measured at 1 ms; without its rate port a bond makes up percents
         assert row.residual < 1e-4, row.variants
-        assert row.change < 0.1, row.variants  # another fidelity, not another machine
+        if row.variants["supply"] != "load_sensing":  # a fifth of the pressure drop at the valves: slower
+            assert row.change < 0.1, row.variants  # another fidelity, not another machine
 
 
 def test_the_table_is_written(fmu_dir, tmp_path, capsys, monkeypatch):

@@ -9,31 +9,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 from scipy.optimize import brentq
-from supply_bench import (
-    FUNCTION,
-    INPUTS,
-    L_MIN,
-    MODEL,
-    NUMBERS,
-    OUTPUTS,
-    STATES,
-    constants,
-    drawing,
-    rest,
-    settled,
-    show,
-    through_orifices,
-)
+from supply_bench import L_MIN, Bench, Load
 
 from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import Pump
-from fmus.contract import quantities, symbolic
-from fmus.parameters import values
-from fmus.supply import VARIANTS
 
-P = NUMBERS
+ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
+pumps = pytest.mark.parametrize("bench", BENCHES, ids=lambda b: b.sub.variant)
+P = ENGINE_PUMP.numbers
 SETTING = P["pump_1_pressure_setting"]
 FULL = P["pump_displacement"] * P["engine_rated_speed"]  # m3/s of one pump
+
+
+def constants(**changes: float) -> list[float]:
+    return ENGINE_PUMP.constants(**changes)
+
+
+def settled(opened: float, **changes: float):
+    return ENGINE_PUMP.settled(Load(opened), **changes)
+
+
+def through_orifices(gains, p, hold, samples=40):
+    return ENGINE_PUMP.through([Load(g) for g in gains], p, hold, samples)
+
+
+def start_of(name: str) -> float:
+    return ENGINE_PUMP.state(ENGINE_PUMP.rest(constants()), name)
 
 
 def gain(flow: float, pressure: float) -> float:
@@ -53,15 +54,24 @@ def load(speed: float, stroke: float, pressure: float) -> float:
     return 2 * (hydraulic + P["pump_viscous_friction"] * speed)
 
 
-@given(st.lists(st.floats(-1e-2, 1e-2), min_size=4, max_size=4))
+FLOWS = st.lists(st.floats(-1e-2, 1e-2), min_size=4, max_size=4)
+LOADS = st.lists(st.floats(-1e5, 3e7), min_size=2, max_size=2)
+
+
+def inputs_of(bench: Bench, flows, loads=(0.0, 0.0)) -> list[float]:
+    """Four flows and two load pressures, in the order of the inputs."""
+    names = [f"{line}_flow_{d}" for d in ("swing", "boom_stick") for line in ("supply", "return")]
+    pressures = dict(zip(("swing_load_pressure", "boom_stick_load_pressure"), loads, strict=True))
+    return bench.row(**dict(zip(names, flows, strict=True)), **pressures)
+
+
+@given(FLOWS)
 def test_ideal_source_holds_its_pressure_for_any_flow(flows):
     """Setting and tank pressure, rate zero, and the power that these flows carry."""
-    sub = VARIANTS["ideal"]
-    p = [1e5 if n == "reservoir_pressure" else v for n, v in values(sub).p.items()]
-    y = dict(
-        zip(quantities(sub.outputs), symbolic(sub).function()([], flows, p)[1].full()[:, 0], strict=True)
-    )
-    u = dict(zip(quantities(sub.inputs), flows, strict=True))
+    bench = Bench("ideal")
+    row = inputs_of(bench, flows)
+    y = bench.show([], row, bench.constants(reservoir_pressure=1e5))
+    u = dict(zip(bench.inputs, row, strict=True))
     taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
     given_back = u["return_flow_swing"] + u["return_flow_boom_stick"]
     assert (y["supply_pressure"], y["supply_pressure_rate"], y["tank_pressure"]) == (SETTING, 0.0, 1e5)
@@ -186,13 +196,13 @@ def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
     steps = [gain(q * L_MIN, 2e7) for q in (80, 200, 500, 0)]
     time, y = through_orifices(steps, constants(), 3.0)
     one, two, three, none = (y["supply_pressure"][time <= 3.0 * (k + 1) + 1e-9][-1] for k in range(4))
-    start = rest(constants())[STATES.index("supply_pressure")]
+    start = start_of("supply_pressure")
     assert start > one > two > three
     assert start - two < P["compensator_band"]
     assert three < start - 2 * P["compensator_band"]
     # behind the check valves the rail keeps what the pumps gave before they were off stroke
     assert start <= none < P["relief_pressure"] + P["relief_rounding"]
-    assert y["engine_speed"][-1] == pytest.approx(rest(constants())[STATES.index("engine_speed")], rel=1e-3)
+    assert y["engine_speed"][-1] == pytest.approx(start_of("engine_speed"), rel=1e-3)
     assert y["relief_flow"].max() < 2 * FULL
 
 
@@ -215,80 +225,76 @@ def test_limits_hold_for_any_row_of_loads(flows, hold):
 # ---- at any state
 
 
-def any_state() -> st.SearchStrategy[list[float]]:
-    ranges = {
-        **dict.fromkeys(("supply_pressure", "pump_1_pressure", "pump_2_pressure"), (-1e5, 3e7)),
-        **dict.fromkeys(("pump_1_stroke", "pump_2_stroke"), (0.0, 1.0)),
-        "engine_speed": (0.0, 300.0),
-        "engine_torque": (0.0, 600.0),
-        "reservoir_volume": (0.1, 0.3),
-    }
-    return st.tuples(*(st.floats(*ranges[name]) for name in STATES)).map(list)
+def any_state(bench: Bench, pressures: list[float], strokes: list[float], shaft: list[float]) -> list[float]:
+    """The states of a variant from pools of numbers."""
+    pools = {"pressure": iter(pressures), "stroke": iter(strokes)}
+    named = dict(zip(("engine_speed", "engine_torque", "reservoir_volume"), shaft, strict=True))
+    return [named[n] if n in named else next(pools[n.rpartition("_")[2]]) for n in bench.states]
 
 
-JACOBIAN = ca.Function("j", [MODEL.x, MODEL.u, MODEL.p], [MODEL.dx, MODEL.y, ca.jacobian(MODEL.dx, MODEL.x)])
-FLOWS = st.lists(st.floats(-1e-2, 1e-2), min_size=4, max_size=4)
+STATE = (
+    st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3),
+    st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2),
+    st.tuples(st.floats(0.0, 300.0), st.floats(0.0, 600.0), st.floats(0.1, 0.3)),
+)
+PUMPS = {"engine_pump": ("pump_1", "pump_2"), "load_sensing": ("pump",)}
 
 
-@given(any_state())
-def test_pumps_never_take_oil_back(x):
+@pumps
+@given(*STATE)
+def test_pumps_never_take_oil_back(bench, pressures, strokes, shaft):
     """Whatever the pressures, the check valves let oil out only, and none at all against the pressure."""
-    y = show(x, 0.0, constants())
-    for i in (1, 2):
-        assert y[f"pump_{i}_flow"] >= 0
-        if y[f"pump_{i}_pressure"] <= y["supply_pressure"]:
-            assert y[f"pump_{i}_flow"] == 0
+    y = bench.show(any_state(bench, pressures, strokes, shaft), bench.row(), bench.constants())
+    for pump in PUMPS[bench.sub.variant]:
+        assert y[f"{pump}_flow"] >= 0
+        if y[f"{pump}_pressure"] <= y["supply_pressure"]:
+            assert y[f"{pump}_flow"] == 0
 
 
-@given(any_state(), st.sampled_from([0.0, 1.0]))
-def test_strokes_turn_back_at_their_ends(x, end):
+@pumps
+@given(STATE[0], STATE[2], st.sampled_from([0.0, 1.0]))
+def test_strokes_turn_back_at_their_ends(bench, pressures, shaft, end):
     """At no stroke the rate is not negative, on full stroke not positive: 0 ... 1 is never left."""
-    for i in (1, 2):
-        x[STATES.index(f"pump_{i}_stroke")] = end
-    dx = FUNCTION(x, drawing(0.0), constants())[0].full()[:, 0]
-    for i in (1, 2):
-        assert dx[STATES.index(f"pump_{i}_stroke")] * (1 - 2 * end) >= -1e-12  # rounding of 1
+    x = any_state(bench, pressures, [end, end], shaft)
+    dx = bench.rates(x, bench.row(), bench.constants())
+    for pump in PUMPS[bench.sub.variant]:
+        assert dx[f"{pump}_stroke"] * (1 - 2 * end) >= -1e-12  # rounding of 1
 
 
-@given(st.lists(st.floats(-1e12, 1e12), min_size=len(STATES), max_size=len(STATES)), FLOWS)
-def test_any_trial_state_gives_finite_rates(x, flows):
+@pumps
+@given(st.lists(st.floats(-1e12, 1e12), min_size=8, max_size=8), FLOWS)
+def test_any_trial_state_gives_finite_rates(bench, x, flows):
     """A solver may try anything: neither infinity nor not-a-number comes back, nor from the derivatives."""
-    assert all(np.isfinite(JACOBIAN(x, flows, constants())[i].full()).all() for i in range(3))
+    found = bench.jacobian(x[: len(bench.states)], inputs_of(bench, flows), bench.constants())
+    assert all(np.isfinite(part.full()).all() for part in found)
 
 
-def _balance() -> ca.Function:
-    y = dict(zip(OUTPUTS, ca.vertsplit(MODEL.y), strict=True))
-    rate = ca.jtimes(y["stored_energy"], MODEL.x, MODEL.dx)
-    given_ = y["engine_power"] + y["tank_pressure"] * y["return_flow"]
-    used = y["supply_pressure"] * y["supply_flow"] + rate + y["dissipated_power"]
-    return ca.Function("b", [MODEL.x, MODEL.u, MODEL.p], [given_, used, y["dissipated_power"]])
-
-
-BALANCE = _balance()
-
-
-@given(any_state(), FLOWS, st.sampled_from([0.0, 2e5]))
-def test_energy_balance_closes_at_any_state(x, flows, tank):
+@pumps
+@given(*STATE, FLOWS, LOADS, st.sampled_from([0.0, 2e5]))
+def test_energy_balance_closes_at_any_state(bench, pressures, strokes, shaft, flows, loads, tank):
     """Combustion and return lines give what drives, stored energy and heat take; heat is never negative."""
-    into, used, heat = map(float, BALANCE(x, flows, constants(reservoir_pressure=tank)))
+    x, u = any_state(bench, pressures, strokes, shaft), inputs_of(bench, flows, loads)
+    into, used, heat = map(float, bench.balance(x, u, bench.constants(reservoir_pressure=tank)))
     # exact identity; rounding of terms up to 1e7 W (a void at 3e-10 s)
     assert into == pytest.approx(used, rel=1e-9, abs=1e-3)
     assert heat >= -1e-9
 
 
-@given(any_state(), FLOWS)
-def test_oil_is_conserved(x, flows):
+@pumps
+@given(*STATE, FLOWS)
+def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
     """What comes back less what is taken fills tank and lines."""
-    rate = dict(zip(STATES, FUNCTION(x, flows, constants())[0].full()[:, 0], strict=True))
-    u = dict(zip(INPUTS, flows, strict=True))
+    x, p = any_state(bench, pressures, strokes, shaft), bench.numbers
+    rate = bench.rates(x, inputs_of(bench, flows), bench.constants())
+    own = p.get("pump_line_capacitance", p.get("main_pump_line_capacitance"))
     gained = rate["reservoir_volume"]
-    for name in ("supply_pressure", "pump_1_pressure", "pump_2_pressure"):
-        c = P["rail_capacitance" if name == "supply_pressure" else "pump_line_capacitance"]
-        void = 1e-12 * np.exp(np.clip((-20e3 - x[STATES.index(name)]) / 5e3, -60, 40))
-        gained += (c + void) * rate[name]
-    came = u["return_flow_swing"] + u["return_flow_boom_stick"]
-    came -= u["supply_flow_swing"] + u["supply_flow_boom_stick"]
-    assert gained == pytest.approx(came, abs=1e-14)  # rounding of 0.1 m3/s
+    for name in ("supply", *PUMPS[bench.sub.variant]):
+        c = p["rail_capacitance"] if name == "supply" else own
+        void = 1e-12 * np.exp(np.clip((-20e3 - bench.state(x, f"{name}_pressure")) / 5e3, -60, 40))
+        gained += (c + void) * rate[f"{name}_pressure"]
+    taken_1, back_1, taken_2, back_2 = flows
+    # rounding of 0.1 m3/s
+    assert gained == pytest.approx(back_1 + back_2 - taken_1 - taken_2, abs=1e-14)
 
 
 @given(
@@ -307,15 +313,17 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
         pump_leakage=leakage,
         reservoir_pressure=tank,
     )
-    x = rest(p)
-    dx = dict(zip(STATES, FUNCTION(x, [0.0] * 4, p)[0].full()[:, 0], strict=True))
+    x = ENGINE_PUMP.rest(p)
+    dx = ENGINE_PUMP.rates(x, ENGINE_PUMP.row(), p)
     # rounding: 1e-16 of a pressure, over the band, over the lag; through the lines for the pressures
     assert max(abs(dx["pump_1_stroke"]), abs(dx["pump_2_stroke"])) < 1e-9
     assert max(abs(dx[f"{n}_pressure"]) for n in ("supply", "pump_1", "pump_2")) < 1.0  # Pa/s
     assert abs(dx["engine_speed"]) < 1e-9
     assert abs(dx["engine_torque"]) < 1e-6
     # the stroke that covers the leakage is 0.1 to 20 %, and its foot is rounded
-    assert x[STATES.index("supply_pressure")] == pytest.approx(max(setting, setting + apart), abs=0.25 * band)
+    assert ENGINE_PUMP.state(x, "supply_pressure") == pytest.approx(
+        max(setting, setting + apart), abs=0.25 * band
+    )
 
 
 @pytest.mark.parametrize(
@@ -329,11 +337,8 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
 def test_an_engine_too_weak_for_its_pumps_is_told_in_words(name, value, fails):
     """The start is finite for any engine; one that does not turn the pumps says so."""
     p = constants(**{name: value})
-    x = rest(p)
-    assert np.isfinite(x).all()
-    found = ca.Function("r", [MODEL.x, MODEL.u, MODEL.p], [MODEL.require])(x, [0.0] * len(INPUTS), p)
-    bad = [s for s, v in zip(MODEL.statements, found.full()[:, 0], strict=True) if not v > 0]
-    assert bad == fails
+    assert np.isfinite(ENGINE_PUMP.rest(p)).all()
+    assert ENGINE_PUMP.violated(p) == fails
 
 
 def test_a_narrow_band_and_a_stiff_line_tend_to_the_ideal_source():

@@ -1,0 +1,303 @@
+"""Supply by a load-sensing pump: on a diesel engine, it holds a margin over the highest load.
+
+    tau_L P_L' = min(P_load, P_max) - P_L     load-sensing line: the highest load of the drives, limited
+    C_p p'     = x - k (p - P_t) - q          outlet line of the pump
+    q          = r(p - P) / R_c               its check valve
+    C_s P'     = q - Q - Q_r - k_l (P - P_t)  supply line: drives, main relief valve, pilot oil and spools
+    J w'       = T - T_f(w) - T_1             engine and pump on one shaft
+    V'         = return flow + leakage + relief - x          oil in the tank, at constant pressure
+
+    s' : lag and speed limits of the swash plate towards
+         lim(min((P_L + margin - p) / band,  (P_off - p) / band_off,  T_max / (D dp)))
+
+P_load is the highest load pressure (`fmus.components.load_sensing`). The orifice of the line and its relief
+valve, P_max = P_off - difference, take no flow from the drives; in practice it is at most a few L/min. A
+stalled stroke raises P_L to P_max; with a difference below the margin the pump then runs at its cut-off.
+
+The lowest of margin, cut-off and power limit determines the stroke (`fmus.components.engine_and_pump`), so at
+rest of all states the supply pressure is
+
+    P = P_L + margin - band s - drop of the check valve          s = (q + k (p - P_t)) / (D w)
+
+while the pump has stroke and the engine power to spare. Without flow the check valve stays closed until pilot
+oil and leaking spools, k_l, have lowered P after a stroke.
+
+    engine_power + P_t return_flow = P supply_flow + dE/dt + heat
+
+as in `fmus.supply.engine_pump`; the heat includes k_l (P - P_t)^2.
+
+References: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9; Merritt, Hydraulic Control
+Systems, 1967; data sheets of open-circuit pumps with pressure, flow and power control.
+
+Signs: supply flows are positive out of the supply line, return flows into the tank.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from fmus.components import engine_and_pump, load_sensing
+from fmus.components.engine_and_pump import DieselEngine, Pump, StrokeLimits
+from fmus.components.load_sensing import LoadPressure
+from fmus.components.smooth import ramp_inverse
+from fmus.contract import Group, Quantity, Scalar, Subsystem
+from fmus.supply import rail
+from fmus.supply.rail import Outlet, RailParameters, ShaftState, TankParameters
+from fmus.supply.variables import (
+    TERMINALS,
+    SupplyInputs,
+    SupplyOutputs,
+    highest_load,
+    return_flow,
+    supply_flow,
+)
+
+_ITERATIONS = 8  # of the check valve at standby; each gains two digits
+
+
+class MainPump(Group):
+    """Parameters of the pump, its servo and its outlet line."""
+
+    displacement: Scalar = Quantity(
+        "m3/rad", "Displacement of the pump on full stroke", 1e-5, minimum=1e-9, group="Pump"
+    )
+    leakage: Scalar = Quantity("m3/(s.Pa)", "Leakage of the pump to its case", 1e-12, minimum=1e-17)
+    pressure_friction: Scalar = Quantity(
+        "1", "Friction of the pump under pressure, share of the full torque", minimum=0.0
+    )
+    viscous_friction: Scalar = Quantity("N.m.s/rad", "Viscous friction of the pump", minimum=0.0)
+    rounding: Scalar = Quantity(
+        "1",
+        "Share of the stroke over which its ends and the change of regulators are rounded",
+        minimum=1e-6,
+        maximum=0.5,
+    )
+    lag: Scalar = Quantity("s", "Time constant of the swash plate for small changes", minimum=1e-6)
+    stroke_time: Scalar = Quantity("s", "Shortest time from no stroke to full", minimum=1e-6)
+    destroke_time: Scalar = Quantity("s", "Shortest time from full stroke to none", minimum=1e-6)
+    line_capacitance: Scalar = Quantity(
+        "m3/Pa", "Capacitance of the line from the pump to its check valve", 1e-12, minimum=1e-16
+    )
+    check_resistance: Scalar = Quantity(
+        "Pa.s/m3", "Resistance of the check valve with its line", 1e8, minimum=1e3
+    )
+
+
+class Regulators(Group, main_pump=MainPump):
+    """Parameters of the regulators and of the load-sensing line."""
+
+    margin: Scalar = Quantity(
+        "Pa",
+        "Pressure above the load-sensing line at which the stroke is zero",
+        1e6,
+        minimum=1e4,
+        group="Regulators",
+    )
+    margin_band: Scalar = Quantity(
+        "Pa", "Pressure by which the margin falls from no stroke to full stroke", 1e6, minimum=1.0
+    )
+    pressure_cut_off: Scalar = Quantity(
+        "Pa", "Pressure at which the cut-off makes the stroke zero", 1e7, minimum=1e5
+    )
+    cut_off_band: Scalar = Quantity(
+        "Pa",
+        "Pressure by which the pump falls from no stroke to full stroke at the cut-off",
+        1e6,
+        minimum=1.0,
+    )
+    torque_limit: Scalar = Quantity(
+        "N.m", "Torque of the swash plate, without friction, that the power limit allows", 100.0, minimum=1.0
+    )
+    load_sensing_lag: Scalar = Quantity("s", "Time constant of the load-sensing line", minimum=1e-6)
+    load_sensing_relief_difference: Scalar = Quantity(
+        "Pa", "Pressure below the cut-off to which the load-sensing line is limited", 1e6, minimum=0.0
+    )
+    load_sensing_relief_rounding: Scalar = Quantity(
+        "Pa", "Pressure range over which the relief valve of that line opens", 1e5, minimum=1.0
+    )
+    rail_leakage: Scalar = Quantity(
+        "m3/(s.Pa)", "Pilot oil and leakage of spools from the supply line to the tank", 1e-12, minimum=1e-17
+    )
+
+
+class LoadSensingParameters(RailParameters, Regulators, TankParameters, engine=DieselEngine):
+    """Parameters; values and sources are in parameters.toml."""
+
+    @property
+    def limits(self) -> StrokeLimits:
+        """Pressure cut-off and power limit."""
+        return StrokeLimits(self.pressure_cut_off, self.cut_off_band, self.torque_limit)
+
+    @property
+    def load_sensing_limit(self) -> Scalar:
+        """Pressure [Pa] of the relief valve of the load-sensing line."""
+        return self.pressure_cut_off - self.load_sensing_relief_difference
+
+    def pump(self, load_sensing_pressure: Scalar) -> Pump:
+        """Parameters of the pump; its setting is the load-sensing pressure plus the margin."""
+        d = MainPump.of(self, "main_pump")
+        return Pump(
+            *(d.displacement, d.leakage, d.pressure_friction, d.viscous_friction),
+            *(load_sensing_pressure + self.margin, self.margin_band),
+            *(d.rounding, d.lag, d.stroke_time, d.destroke_time),
+        )
+
+
+class _PumpState(Group):
+    """Pressures and stroke."""
+
+    supply_pressure: Scalar = Quantity("Pa", "Pressure of the supply line", 1e7)
+    load_sensing_pressure: Scalar = Quantity("Pa", "Pressure of the load-sensing line", 1e7)
+    pump_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of the pump", 1e7)
+    pump_stroke: Scalar = Quantity("1", "Stroke of the pump relative to its full stroke")
+
+
+class LoadSensingState(ShaftState, _PumpState):
+    """Pressures, stroke, engine, and oil in the tank."""
+
+
+class LoadSensingOutputs(SupplyOutputs):
+    """Outputs of every variant, states, and flows and torques of pump and valves."""
+
+    pump_pressure: Scalar = Quantity("Pa", "Pressure at the outlet of the pump", 1e7)
+    pump_stroke: Scalar = Quantity("1", "Stroke of the pump relative to its full stroke")
+    pump_flow: Scalar = Quantity("m3/s", "Flow from the pump through its check valve", 1e-3)
+    pressure_margin: Scalar = Quantity("Pa", "Supply pressure above the load-sensing pressure", 1e6)
+    relief_flow: Scalar = Quantity("m3/s", "Flow through the main relief valve", 1e-3)
+    rail_leakage_flow: Scalar = Quantity("m3/s", "Pilot oil and leakage of spools", 1e-5)
+    engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pump", 100.0)
+    engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
+    engine_load: Scalar = Quantity("N.m", "Torque of the pump on the engine", 100.0)
+    reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
+
+
+def _outlet(x: LoadSensingState, p: LoadSensingParameters) -> Outlet:
+    line = (p.main_pump_check_resistance, p.main_pump_line_capacitance)
+    return rail.outlet(p.pump(x.load_sensing_pressure), line, x.pump_pressure, x.pump_stroke, x, p)
+
+
+def _leakage(x: LoadSensingState, p: LoadSensingParameters) -> Scalar:
+    return p.rail_leakage * (x.supply_pressure - p.reservoir_pressure)
+
+
+def _line_pressure(load: LoadPressure, p: LoadSensingParameters) -> Scalar:
+    """Steady pressure [Pa] of the load-sensing line."""
+    return load_sensing.relieved(load.value, p.load_sensing_limit, p.load_sensing_relief_rounding)
+
+
+def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingState:
+    """Time derivative of the state, field by field."""
+    pump, leakage = _outlet(x, p), _leakage(x, p)
+    target = engine_and_pump.limited_stroke(pump.pump, p.limits, x.pump_pressure, pump.rise)
+    return LoadSensingState(
+        supply_pressure=rail.pressure_rate((pump,), supply_flow(u) + leakage, x, p),
+        load_sensing_pressure=(_line_pressure(highest_load(u), p) - x.load_sensing_pressure)
+        / p.load_sensing_lag,
+        pump_pressure=pump.pressure_rate,
+        pump_stroke=engine_and_pump.servo_rate(pump.pump, x.pump_stroke, target),
+        **rail.shaft_rate((pump,), return_flow(u) + leakage, x, p),
+    )
+
+
+def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingOutputs:
+    """Outputs."""
+    pump, rates = _outlet(x, p), dynamics(x, u, p)
+    supplied, returned = supply_flow(u), return_flow(u)
+    return LoadSensingOutputs(
+        **vars(x),
+        supply_pressure_rate=rates.supply_pressure,
+        tank_pressure=p.reservoir_pressure,
+        load_sensing_pressure_rate=rates.load_sensing_pressure,
+        supply_flow=supplied,
+        return_flow=returned,
+        hydraulic_power=x.supply_pressure * supplied - p.reservoir_pressure * returned,
+        engine_power=x.engine_torque * x.engine_speed,
+        stored_energy=rail.stored_energy((pump,), x, p),
+        dissipated_power=rail.dissipated_power((pump,), _leakage(x, p), x, p),
+        pump_flow=pump.delivered,
+        pressure_margin=x.supply_pressure - x.load_sensing_pressure,
+        relief_flow=rail.relief_flow(x, p),
+        rail_leakage_flow=_leakage(x, p),
+        engine_load=pump.torque,
+    )
+
+
+def _standby_line(p: LoadSensingParameters) -> Scalar:
+    """Pressure [Pa] of the load-sensing line with all valves closed: that of the tank."""
+    closed = LoadPressure(p.reservoir_pressure, 0)
+    return _line_pressure(load_sensing.highest(closed, closed), p)
+
+
+def _standby(p: LoadSensingParameters, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Stroke, outlet pressure and supply pressure [Pa] at standby: the flow only covers leakage.
+
+    The check valve passes the leakage of the supply line with a drop z, so both leakages together are
+    k + k_l (1 - z/dp) per pressure rise dp of the pump.
+    """
+    tank, pump = p.reservoir_pressure, p.pump(_standby_line(p))
+    drop: Scalar = 0
+    for _ in range(_ITERATIONS):
+        rise = engine_and_pump.dead_head(pump, speed, tank)[1] - tank
+        passed = p.rail_leakage * (rise - drop)
+        drop = ramp_inverse(passed * p.main_pump_check_resistance, p.check_opening)
+        pump = replace(pump, leakage=p.main_pump_leakage + passed / rise)
+    stroke, pressure = engine_and_pump.dead_head(pump, speed, tank)
+    return stroke, pressure, pressure - drop
+
+
+def _standby_load(p: LoadSensingParameters, speed: Scalar) -> Scalar:
+    """Torque [N.m] of the pump at standby."""
+    stroke, pressure, _ = _standby(p, speed)
+    return engine_and_pump.torque(p.pump(_standby_line(p)), stroke, speed, pressure - p.reservoir_pressure)
+
+
+def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
+    """Standby: all valves closed, engine at idle speed under the small load of the pump."""
+    engine = DieselEngine.of(p, "engine")
+    speed = engine_and_pump.idle_speed(engine, lambda w: _standby_load(p, w))
+    stroke, pump_pressure, supply_pressure = _standby(p, speed)
+    return {
+        "supply_pressure": supply_pressure,
+        "load_sensing_pressure": _standby_line(p),
+        "pump_pressure": pump_pressure,
+        "pump_stroke": stroke,
+        "engine_speed": speed,
+        "engine_torque": engine_and_pump.governor_torque(engine, speed),
+        "reservoir_volume": p.reservoir_volume_start,
+    }
+
+
+def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
+    """Requirements: order of the pressures, of the speeds, an engine that can carry the power limit."""
+    idle, tank = p.engine_rated_speed, p.reservoir_pressure
+    friction = engine_and_pump.pump_friction(p.pump(tank), idle, p.pressure_cut_off - tank)
+    return {
+        "margin exceeds margin_band": p.margin - p.margin_band,
+        "load_sensing_relief_difference is not above margin": p.margin - p.load_sensing_relief_difference + 1,
+        "pressure_cut_off exceeds reservoir_pressure plus margin and load_sensing_relief_difference": (
+            p.load_sensing_limit - tank - p.margin
+        ),
+        "relief_pressure exceeds pressure_cut_off": p.relief_pressure - p.pressure_cut_off,
+        "engine_rated_torque exceeds torque_limit with the friction of the pump": p.engine_rated_torque
+        - p.torque_limit
+        - friction,
+        **rail.engine_requirements(p, _standby_load(p, idle), "the pump"),
+    }
+
+
+LOAD_SENSING = Subsystem(
+    name="supply",
+    text="Hydraulic supply: a load-sensing pump on a diesel engine",
+    parameters=LoadSensingParameters,
+    states=LoadSensingState,
+    inputs=SupplyInputs,
+    outputs=LoadSensingOutputs,
+    dynamics=dynamics,
+    observe=observe,
+    initial=initial,
+    require=require,
+    values=Path(__file__).with_name("parameters.toml"),
+    terminals=TERMINALS,
+    validity="engine above 800 rpm; mean flows: no ripple of the pistons, no waves in the lines",
+)

@@ -1,0 +1,251 @@
+"""The load-sensing supply: margin, cut-off, power limit and times against closed forms."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+from scipy.optimize import brentq
+from supply_bench import L_MIN, Bench, Load
+
+from fmus.components import engine_and_pump, smooth
+from fmus.components.engine_and_pump import StrokeLimits
+
+BENCH = Bench("load_sensing")
+P = BENCH.numbers
+FULL = P["main_pump_displacement"] * P["engine_rated_speed"]  # m3/s at rated speed
+LIMIT = P["pressure_cut_off"] - P["load_sensing_relief_difference"]
+SHUTTLE = 0.09375 * 5e4  # Pa: two equal pressures at a shuttle valve, 3/32 of its rounding
+# integrator, and what is left of the transient
+SETTLED = 1e-5
+
+
+def drop(flow: float) -> float:
+    """Over the check valve with its line: r(z) = R q, r as it is written in the equations."""
+
+    def short(z):
+        s = min(z / P["check_opening"], 1.0)
+        ramp = P["check_opening"] * (s**3 - s**4 / 2) + max(z - P["check_opening"], 0.0)
+        return ramp - P["main_pump_check_resistance"] * flow
+
+    return brentq(short, 0.0, 5e6, xtol=1e-6)
+
+
+def stroke(y) -> float:
+    """Stroke that covers the flow and the leakage of the pump."""
+    lost = P["main_pump_leakage"] * y["pump_pressure"]
+    return (y["pump_flow"] + lost) / (P["main_pump_displacement"] * y["engine_speed"])
+
+
+def line(setting: float, band: float, s: float) -> float:
+    """Outlet pressure of a regulator at a stroke, with the rounded foot of its line."""
+    return setting - band * (s - P["main_pump_rounding"] ** 2 / (4 * s))
+
+
+def wide(flow: float, load: float) -> Load:
+    """A valve that takes a flow at the margin less half its band."""
+    return Load(flow / np.sqrt(P["margin"] - P["margin_band"] / 2), load)
+
+
+# ---- the margin
+
+
+def test_margin_at_standstill_is_what_the_regulator_leaves_for_the_leakage():
+    """All valves closed: P - P_LS = margin - band s(leakage) - drop, the leakage of pump and valve block."""
+    y = BENCH.show(BENCH.rest(BENCH.constants()), BENCH.row(), BENCH.constants())
+    assert y["load_sensing_pressure"] == pytest.approx(SHUTTLE, rel=1e-9)
+    assert y["pump_flow"] == pytest.approx(P["rail_leakage"] * y["supply_pressure"], rel=1e-9)
+    regulated = line(P["margin"], P["margin_band"], stroke(y)) - drop(y["pump_flow"])
+    # closed forms on both sides; the fixed-point iterations end at rounding
+    assert y["pressure_margin"] == pytest.approx(regulated, rel=1e-8)
+    # what a user expects of the standby pressure: the margin
+    assert y["pressure_margin"] == pytest.approx(P["margin"], rel=0.005)
+
+
+@given(
+    st.floats(1e6, 3e6),
+    st.floats(0.2, 0.9),
+    st.floats(1e-12, 2e-11),
+    st.floats(1e-14, 1e-11),
+    st.floats(0, 3e5),
+)
+def test_standby_stays_at_rest(margin, band, leakage, bleed, tank):
+    """Whatever the settings, the state at the start does not move while all valves are closed."""
+    p = BENCH.constants(
+        margin=margin,
+        margin_band=band * margin,
+        load_sensing_relief_difference=0.8 * margin,
+        main_pump_leakage=leakage,
+        rail_leakage=bleed,
+        reservoir_pressure=tank,
+    )
+    dx = BENCH.rates(BENCH.rest(p), BENCH.row(swing_load_pressure=tank, boom_stick_load_pressure=tank), p)
+    assert abs(dx["pump_stroke"]) < 1e-8  # rounding of a pressure, over the band, over the lag
+    assert max(abs(dx[f"{n}_pressure"]) for n in ("supply", "pump", "load_sensing")) < 1.0  # Pa/s
+    assert abs(dx["engine_speed"]) < 1e-8
+    assert abs(dx["engine_torque"]) < 1e-6
+
+
+@pytest.mark.parametrize("load", [2e6, 8e6, 1.6e7])
+@pytest.mark.parametrize("flow", [10, 60, 200])
+def test_margin_in_motion_droops_along_the_band(load, flow):
+    """P - P_LS = margin - band s - drop over the check valve, with the stroke s of flow and leakage."""
+    y = BENCH.settled(wide(flow * L_MIN, load))
+    assert y["load_sensing_pressure"] == pytest.approx(load, rel=1e-6)  # integrator
+    regulated = line(P["margin"], P["margin_band"], stroke(y)) - drop(y["pump_flow"])
+    assert y["pressure_margin"] == pytest.approx(regulated, rel=SETTLED)
+    assert P["margin"] - P["margin_band"] - drop(FULL) < y["pressure_margin"] < P["margin"]
+
+
+def test_flow_of_a_valve_does_not_depend_on_its_load():
+    """The same opening from 2 to 16 MPa: the flow changes by less than 2 %, through droop and leakage."""
+    flows = [BENCH.settled(wide(60 * L_MIN, load))["supply_flow"] for load in (2e6, 9e6, 1.6e7)]
+    assert np.ptp(flows) < 0.02 * np.mean(flows)
+
+
+def test_the_highest_load_counts():
+    """Two drives: the line has the higher pressure of both, whichever it is."""
+    for low, high in ((3e6, 9e6), (9e6, 3e6)):
+        row = BENCH.row(swing_load_pressure=low, boom_stick_load_pressure=high)
+        x = BENCH.rest(BENCH.constants())
+        dx = BENCH.rates(x, row, BENCH.constants())
+        to_go = max(low, high) - BENCH.state(x, "load_sensing_pressure")
+        # exact: the shuttle valve is rounded within 0.05 MPa of equal pressures only
+        assert dx["load_sensing_pressure"] == pytest.approx(to_go / P["load_sensing_lag"], rel=1e-9)
+
+
+# ---- cut-off, power, full stroke
+
+
+@pytest.mark.parametrize("load", [LIMIT, 2.5e7])
+def test_a_stalled_stroke_ends_at_the_cut_off(load):
+    """No flow, load pressure at the limit or beyond: line at its relief valve, pump at the cut-off."""
+    y = BENCH.settled(Load(0.0, load))
+    relieved = LIMIT - (3 / 32 * P["load_sensing_relief_rounding"] if load == LIMIT else 0.0)
+    assert y["load_sensing_pressure"] == pytest.approx(relieved, rel=SETTLED)
+    # before the line is at rest the check valve may have trapped a little more pressure
+    cut_off = line(P["pressure_cut_off"], P["cut_off_band"], stroke(y))
+    assert y["pump_pressure"] == pytest.approx(cut_off, rel=1e-4)
+    assert y["pump_pressure"] == pytest.approx(P["pressure_cut_off"], rel=0.005)
+    assert y["supply_pressure"] == pytest.approx(y["pump_pressure"] - drop(y["pump_flow"]), rel=1e-3)
+    assert y["relief_flow"] == 0
+
+
+@pytest.mark.parametrize("load", [1.7e7, 1.8e7])
+def test_power_limit_holds_the_torque(load):
+    """Valve too wide: pressure times flow of the swash plate = torque limit times speed, at any load."""
+    y = BENCH.settled(wide(2 * FULL, load))
+    flow = y["pump_flow"] + P["main_pump_leakage"] * y["pump_pressure"]
+    assert 0.8 < y["pump_stroke"] < 0.96
+    # rounding of the lowest stroke, (0.01)^2 / (4 * 0.9), and the integrator
+    power = P["torque_limit"] * y["engine_speed"]
+    assert y["pump_pressure"] * flow == pytest.approx(power, rel=1e-3)
+    assert y["engine_load"] < P["engine_rated_torque"]
+    assert y["engine_speed"] > P["engine_rated_speed"]  # the engine is not lugged down
+    assert y["pressure_margin"] < P["margin"] - P["margin_band"]  # saturated: the margin is lost
+
+
+def test_full_stroke_limits_the_flow():
+    """Valve too wide at a low load: flow = D w - leakage."""
+    y = BENCH.settled(wide(2 * FULL, 5e6))
+    assert y["pump_stroke"] > 1 - 1e-6
+    lost = P["main_pump_leakage"] * y["pump_pressure"] + y["rail_leakage_flow"]
+    given_ = P["main_pump_displacement"] * y["engine_speed"] - lost
+    assert y["supply_flow"] == pytest.approx(given_, rel=SETTLED)
+    assert y["supply_flow"] > 362 * L_MIN * 0.98
+
+
+@given(st.floats(-1.0, 2.0), st.floats(-1.0, 2.0), st.floats(0.2, 2.0))
+def test_the_lowest_regulator_wins(margin, cut_off, power):
+    """The stroke is the lowest of three, limited to 0 ... 1, within the rounding."""
+    d = BENCH.sub.parameters(**P).pump(0.0)
+    limits = StrokeLimits(P["pressure_cut_off"], P["cut_off_band"], P["torque_limit"])
+    pressure = P["pressure_cut_off"] - cut_off * P["cut_off_band"]
+    rise = P["torque_limit"] / (P["main_pump_displacement"] * power)
+    d = engine_and_pump.Pump(**{**vars(d), "setting": pressure + margin * P["margin_band"]})
+    found = float(engine_and_pump.limited_stroke(d, limits, pressure, rise))
+    expected = min(max(min(margin, cut_off, power), 0.0), 1.0)
+    # each of two minima is lower by 3/32 of the rounding at most, the foot higher by half of it
+    assert expected - 0.2 * P["main_pump_rounding"] < found < expected + 0.51 * P["main_pump_rounding"]
+
+
+@given(st.floats(0.0, 3.0), st.floats(0.01, 1.0))
+def test_inverse_of_the_ramp(y, width):
+    """ramp(ramp_inverse(y)) = y."""
+    back = float(smooth.ramp(smooth.ramp_inverse(ca.DM(y), width), width))
+    assert back == pytest.approx(y, rel=1e-9, abs=1e-300)  # fixed-point iteration, rounding of a cube root
+
+
+# ---- times
+
+
+def test_line_follows_the_load_with_its_lag():
+    """63 % of a step of the load after one lag."""
+    time, y = BENCH.through([Load(0.0, 1e7)], BENCH.constants(), P["load_sensing_lag"], 4)
+    # exact solution of the first-order lag
+    assert y["load_sensing_pressure"] == pytest.approx(
+        1e7 - (1e7 - SHUTTLE) * np.exp(-time / P["load_sensing_lag"]), rel=1e-6
+    )
+
+
+def rise_time(y, time, name) -> float:
+    """Time to nine tenths of the last value [s]."""
+    return float(time[np.argmax(y[name] > 0.9 * y[name][-1])])
+
+
+def test_from_standby_to_full_flow_takes_the_stroke_time():
+    """Valve opened at once for full flow at 5 MPa: limited by the swash plate, 0.13 to 0.18 s."""
+    time, y = BENCH.through([wide(2 * FULL, 5e6)], BENCH.constants(), 0.6, 600)
+    found = rise_time(y, time, "pump_stroke")
+    # nine tenths of the shortest time, plus the lag of line and servo at most
+    assert 0.9 * P["main_pump_stroke_time"] < found
+    assert found < P["main_pump_stroke_time"] + P["load_sensing_lag"] + 4 * P["main_pump_lag"]
+
+
+def test_after_a_stroke_the_pressure_falls_to_standby():
+    """Behind the check valve pilot oil and spools lower the pressure: C_s / k_l = 1 s, from 12 MPa."""
+    p = BENCH.constants()
+    time, y = BENCH.through([wide(60 * L_MIN, 1e7), Load(0.0, 0.0)], p, 3.0, 300)
+    shut = time > 3.3
+    begin = y["supply_pressure"][shut][0]
+    expected = begin * np.exp(-(time[shut] - time[shut][0]) * P["rail_leakage"] / P["rail_capacitance"])
+    falling = expected > 1.1 * P["margin"]
+    assert begin > 9e6
+    # no flow but the leakage: an exponential; integrator
+    assert y["supply_pressure"][shut][falling] == pytest.approx(expected[falling], rel=1e-6)
+    assert y["pump_stroke"][-1] < 0.01
+
+
+@examples(25)
+@given(
+    st.lists(st.tuples(st.integers(0, 600), st.floats(0.0, 2.5e7)), min_size=3, max_size=6),
+    st.floats(0.1, 0.6),
+)
+def test_limits_hold_for_any_row_of_loads(rows, hold):
+    """Stroke within 0 ... 1, nothing back into the pump, pressures below the relief valve's, no stall."""
+    _, y = BENCH.through([wide(q * L_MIN, load) for q, load in rows], BENCH.constants(), hold, 20)
+    assert y["pump_stroke"].min() >= 0
+    assert y["pump_stroke"].max() <= 1 + 1e-9  # tolerance of the integrator
+    assert y["pump_flow"].min() >= 0
+    assert y["load_sensing_pressure"].max() <= LIMIT * (1 + 1e-9)
+    assert y["engine_speed"].min() > 0.9 * P["engine_rated_speed"]
+    assert y["engine_speed"].max() < 1.05 * P["engine_no_load_speed"]
+    assert y["dissipated_power"].min() > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "fails"),
+    [
+        ({}, []),
+        ({"margin": 5e5}, "margin exceeds margin_band, load_sensing_relief_difference is not above margin"),
+        ({"pressure_cut_off": 2.4e7}, "relief_pressure exceeds pressure_cut_off"),
+        ({"torque_limit": 410.0}, "engine_rated_torque exceeds torque_limit with the friction of the pump"),
+    ],
+)
+def test_settings_out_of_order_are_told_in_words(changes, fails):
+    """Each requirement has its sentence."""
+    found = BENCH.violated(BENCH.constants(**changes))
+    assert found == (fails.split(", ") if fails else [])
