@@ -53,7 +53,7 @@ bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
 
 coverage: $(INSTALLED)
-	$(BIN)/python -m benchmarks.coverage
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
 
 # the site, as build/site/index.html; NO_MKDOCS_2_WARNING: an announcement of its theme's makers
 docs: $(DOCUMENTING)

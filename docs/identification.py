@@ -12,10 +12,12 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from benchmarks import openings
 from fmus.identification.estimate import Estimate
 from fmus.identification.machine import lookup, nominal
 from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import Identified, identify
+from fmus.identification.procedures import valve
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report import report_texts
@@ -56,6 +58,7 @@ def everything(folder: Path) -> None:
     found = {machine: recorded(folder / machine, machine) for machine in ("lumped", "detailed")}
     fill("returned", returned(found["lumped"]))
     draw(found["detailed"])
+    opening_curve()
     seen = prediction(found["detailed"])
     assert seen is not None
     for joint, number in JOINTS.items():
@@ -85,6 +88,16 @@ def draw(found: Identified) -> None:
         said = [f"- {typeset(remark)}" for remark in result.remarks]
         told = [caption(result, kinds), "", estimates(result.estimates), "", *said]
         fill(f"figure {number}", "\n".join(told).rstrip())
+
+
+def opening_curve() -> None:
+    """The figure of two edges with openings that are no straight lines, by equations of their own."""
+    result = valve.identify(openings.recordings("asymmetric 1", seed=0), openings.KNOWN)
+    figure = draw_procedure(result, ["simulation"])
+    (FIGURES / "fig05_opening_curve.png").write_bytes(png(figure))
+    points = [e for e in result.others if e.name.startswith(("opening[", "valve_dead_band["))]
+    said = [f"- {typeset(remark)}" for remark in result.remarks]
+    fill("opening curve", "\n".join([estimates((*result.estimates, *points)), "", *said]))
 
 
 def estimates(found: Iterable[Estimate]) -> str:

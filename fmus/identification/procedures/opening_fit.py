@@ -11,6 +11,7 @@ Validity: as in `opening_posterior`. Effective areas contain C_d and the density
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from fmus.identification.procedures.opening_posterior import (
     OpeningPosterior,
     explore,
 )
-from fmus.identification.procedures.regression import UNLIKELY, Regression
+from fmus.identification.procedures.regression import NEGLIGIBLE, UNLIKELY, Regression
 from fmus.identification.procedures.valve_law import ValveConstants, ValveFit, ValveSteps
 from orchestrator.data.table import Array
 
@@ -246,19 +247,37 @@ def simultaneous_band(draws: Array) -> tuple[Array, Array]:
 
 
 def table(command: Array, area: Array, half_band: Array, start: float) -> tuple[Array, Array]:
-    """Up to ten points of a curve; each further point is where the table is farthest off, in half bands."""
+    """Up to ten points of a curve, between which its largest error in half bands is as small as possible.
+
+    Each further point is where the table is farthest off; then points move as long as this is better.
+    """
     tolerance = np.maximum(half_band, 1e-4 * area.max())
-    inner = [k for k in np.flatnonzero(command > start + 0.01) if area[k] > 0]
-    chosen = [inner[-1]]
-    while len(chosen) < POINTS - 1:
-        points = np.array([start, *command[sorted(chosen)]]), np.array([0.0, *area[sorted(chosen)]])
-        error = np.abs(tabulated(*points, command) - area) / tolerance
-        free = [k for k in inner if k not in chosen]
-        if not free or max(error[k] for k in free) < 0.1:
-            break
-        chosen.append(max(free, key=lambda k: float(error[k])))
-    chosen.sort()
-    return np.array([start, *command[chosen]]), np.maximum.accumulate([0.0, *area[chosen]])
+    inner = [int(k) for k in np.flatnonzero(command > start + 0.01) if area[k] > 0]
+
+    def points(chosen: Collection[int]) -> tuple[Array, Array]:
+        order = sorted(chosen)
+        return np.array([start, *command[order]]), np.array([0.0, *area[order]])
+
+    def error(chosen: Collection[int]) -> Array:
+        return np.asarray(np.abs(tabulated(*points(chosen), command) - area)[inner] / tolerance[inner])
+
+    chosen = {inner[-1]}
+    while len(chosen) < min(POINTS - 1, len(inner)) and (off := error(chosen)).max() > NEGLIGIBLE:
+        chosen.add(max((k for k in inner if k not in chosen), key=lambda k: float(off[inner.index(k)])))
+    best, improved = float(error(chosen).max()), True
+    while improved and best > NEGLIGIBLE:
+        improved = False
+        for k in sorted(chosen - {inner[-1]}):
+            for other in (inner[i] for i in _neighbours(inner.index(k), len(inner))):
+                moved = chosen - {k} | {other}
+                if len(moved) == len(chosen) and (worst := float(error(moved).max())) < best:
+                    chosen, best, improved, k = moved, worst, True, other
+    return points(chosen)
+
+
+def _neighbours(index: int, count: int) -> Iterator[int]:
+    """Indices up to four before and after one, without the last."""
+    return (i for d in (1, 2, 4) for i in (index - d, index + d) if 0 <= i < count - 1)
 
 
 def excess(found: OpeningPosterior, factor: float) -> float:

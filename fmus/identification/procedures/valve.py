@@ -132,6 +132,7 @@ def _of_edges(openings: Openings) -> Iterator[Estimate]:
         for edge, fitted in openings.separate.items():
             yield from _of_line(fitted, edge)
         return
+    full = max(float(curve.areas[-1]) for curve in openings.curves.values())
     for edge, curve in openings.distinct().items():
         yield _full_area(curve, f"valve_area[{edge}]", "at full command")
         start = float(curve.commands[0])
@@ -142,7 +143,7 @@ def _of_edges(openings: Openings) -> Iterator[Estimate]:
         for command, area, low, high in zip(
             curve.commands[1:], curve.areas[1:], *curve.band_at(curve.commands[1:]), strict=True
         ):
-            full, note = float(curve.areas[-1]), "point of the table; the interval is that of the 95 % band"
+            note = "point of the table, relative to valve_area; the interval is that of the 95 % band"
             sd = float(curve.draws_at(command).std()) / full
             name = f"opening[{edge}]({command:.3g} V)"
             yield Estimate(name, area / full, "1", sd, low / full, high / full, note)

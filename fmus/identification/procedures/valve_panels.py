@@ -40,12 +40,13 @@ def panels(
     """
     good, dead = steps.measured(), select(steps, steps.dead & (steps.drop > 0))
     edges = {edge: steps.of(edge).measured() for edge in steps.edges}
-    opened = np.linspace(good.command.min(), constants.full_command, 400)
     fits = _distinct(areas)
-    lines = [
-        Curve(label, opened, resistance_of(area(opened), constants), "fit", line=True)
-        for label, area in _labelled(fits, "fit, eq. (2)").items()
-    ]
+    lines = []
+    for (label, area), group in zip(
+        _labelled(fits, "fit, eq. (2)").items(), by_curve(good, areas).values(), strict=True
+    ):
+        opened = np.linspace(group.command.min(), constants.full_command, 400)
+        lines.append(Curve(label, opened, resistance_of(area(opened), constants), "fit", line=True))
     by_edge = [Curve(edge, s.command, s.resistance, error=s.resistance_error) for edge, s in edges.items()]
     measured = Curve("measured", good.command, good.resistance)
     return (
@@ -54,7 +55,7 @@ def panels(
         Panel(
             COMMAND,
             RESISTANCE,
-            (measured, *lines, *_polynomials(good, opened)),
+            (measured, *lines, *(c for g in by_curve(good, areas).values() for c in _polynomials(g))),
             "The paper's polynomial for comparison",
         ),
         Panel(
@@ -101,13 +102,22 @@ def _gain_panel(
     return Panel(COMMAND, "K = Q / sqrt(dp) [m3/(s.Pa^0.5)]", tuple(curves), "Opening, as it was fitted")
 
 
+def by_curve(good: ValveSteps, fits: Mapping[str, object]) -> dict[str, ValveSteps]:
+    """Steps of the edges that have one curve together; the name is "" if all have."""
+    first = _distinct(fits)
+    if len(first) == 1:
+        return {"": good}
+    return {edge: good.of(edge) for edge in first}
+
+
 def log_polynomial(good: ValveSteps) -> Polynomial:
     """ln C_R over the command: the paper's form for a quantity that stays positive."""
     return polynomial(good.command, np.log(good.resistance))
 
 
-def _polynomials(good: ValveSteps, opened: Array) -> tuple[Curve, ...]:
+def _polynomials(good: ValveSteps) -> tuple[Curve, ...]:
     """The paper's polynomial, where it is impossible, and the polynomial of ln C_R."""
+    opened = np.linspace(good.command.min(), good.command.max(), 400)
     paper, log = polynomial(good.command, good.resistance), log_polynomial(good)
     bad = np.where(impossible(paper, opened), paper(opened), math.nan)
     return (

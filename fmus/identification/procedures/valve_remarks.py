@@ -12,7 +12,9 @@ from fmus.identification.procedures.experiment_data import pressure_offset_remar
 from fmus.identification.procedures.regression import misfit_remark
 from fmus.identification.procedures.valve_law import ValveConstants, ValveSteps, impossible, polynomial
 from fmus.identification.procedures.valve_openings import EQUAL, Openings
-from fmus.identification.procedures.valve_panels import log_polynomial
+from fmus.identification.procedures.valve_panels import by_curve, log_polynomial
+
+TINY = 1e-9  # smaller probabilities are not told apart
 
 
 def remarks(steps: ValveSteps, openings: Openings) -> Iterator[str]:
@@ -28,8 +30,10 @@ def remarks(steps: ValveSteps, openings: Openings) -> Iterator[str]:
         yield f"Other steps are left out: {omissions}."
     yield from _line_or_curve(openings)
     yield _edges_remark(openings)
-    yield _polynomial_remark(good, openings.constants)
-    yield _logarithm_remark(good)
+    for edge, steps_of in by_curve(good, openings.curves).items():
+        label = f"{edge}: " if edge else ""
+        yield label + _polynomial_remark(steps_of, openings.constants)
+        yield label + _logarithm_remark(steps_of)
     if openings.line:
         yield from misfit_remark(openings.line.regression, "The opening law")
     yield from pressure_offset_remark(openings.zero.value, openings.zero.sd)
@@ -42,7 +46,7 @@ def remarks(steps: ValveSteps, openings: Openings) -> Iterator[str]:
 
 def _line_or_curve(openings: Openings) -> Iterator[str]:
     edge, probability = min(openings.probability.items(), key=lambda item: item[1])
-    test = f"likelihood ratio test against a curve, {edge}: p = {probability:.2g}"
+    test = f"likelihood ratio test against a curve, {edge}: {_chance(probability)}"
     if openings.straight:
         yield f"A straight line with a dead band suffices ({test})."
         if openings.line and not openings.line.rounding_estimated:
@@ -81,7 +85,11 @@ def _edges_remark(openings: Openings) -> str:
         for edge, curve in openings.curves.items()
     }
     by_edge = ", ".join(f"{edge} {area * 1e6:.4g} mm2" for edge, area in areas.items())
-    return f"The edges differ significantly ({kind}, p = {openings.equal:.1g}): {by_edge}."
+    return f"The edges differ significantly ({kind}, {_chance(openings.equal)}): {by_edge}."
+
+
+def _chance(probability: float) -> str:
+    return f"p = {probability:.2g}" if probability > TINY else f"p < {TINY:g}"
 
 
 def _polynomial_remark(good: ValveSteps, constants: ValveConstants) -> str:
