@@ -4,11 +4,15 @@
 lumped.
 """
 
-from fmus.boom_stick import detailed, lumped, quasistatic
+from fmus.boom_stick import compensated, detailed, lumped, quasistatic
 from fmus.contract import family
 
 VARIANTS = family(
-    "boom_stick", lumped=lumped.BOOM_STICK, quasistatic=quasistatic.BOOM_STICK, detailed=detailed.BOOM_STICK
+    "boom_stick",
+    lumped=lumped.BOOM_STICK,
+    quasistatic=quasistatic.BOOM_STICK,
+    detailed=detailed.BOOM_STICK,
+    compensated=compensated.BOOM_STICK,
 )
 BOOM_STICK = VARIANTS["lumped"]
 

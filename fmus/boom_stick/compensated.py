@@ -1,0 +1,335 @@
+"""Boom and stick drives of a load-sensing machine: compensated sections, counterbalance valves, port reliefs.
+
+For each side of each cylinder, head (port A) or rod (port B), with the pressures P_V of the hose at the valve and
+P_C of the chamber:
+
+    C_hose dP_V/dt = Q_port - Q_C - Q_relief + Q_anti         Q_port = Q_in - Q_out of `pressure_compensator`
+    C_C dP_C/dt    = Q_C -+ A x'                              C_C = V_C(x)/beta
+    dy/dt          = (y_0 - y)/T                              Q_C, y_0 of `counterbalance_valve`
+
+The counterbalance valves are mounted at the cylinder, each piloted by the hose of the other side. Relief and
+anti-cavitation valves of `orifice` are mounted at the valve. Hoses are volumes, and resistances in series with
+the counterbalance valves, as in `quasistatic`; flows follow from pressures. The sections sense the pressures of
+their ports. Forces depend only on the states. Signs as in `fmus.boom_stick.variables`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fmus.boom_stick import drive, lumped
+from fmus.boom_stick.drive import DriveInterface, Pair
+from fmus.boom_stick.variables import (
+    AXES,
+    SIDES,
+    BoomStickInputs,
+    BoomStickOutputs,
+    Preload,
+    Pressures,
+    QuasistaticDriveParameters,
+)
+from fmus.components import chamber, counterbalance_valve, cylinder, load_sensing, orifice
+from fmus.components import pressure_compensator as compensator
+from fmus.components import spool_valve
+from fmus.components.chamber import Oil
+from fmus.components.counterbalance_valve import Counterbalance, Restriction
+from fmus.components.cylinder import Cylinder
+from fmus.components.hose import ReferenceHose, VolumeHose
+from fmus.components.load_sensing import LoadPressure
+from fmus.components.orifice import PressureValve, ReliefParameters
+from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
+from fmus.contract import Group, Quantity, Scalar, Subsystem, family
+
+
+class AxisParameters(QuasistaticDriveParameters):
+    """Cylinder, hoses and section of one drive."""
+
+    section_flow: Scalar = Quantity(
+        "m3/s", "Flow of the {} section at full command", 1e-3, minimum=1e-6, group="{} section"
+    )
+    head_return_area: Scalar = Quantity(
+        "m2", "Area of the meter-out edge from the head side of the {} at full command", 1e-4, minimum=1e-9
+    )
+    rod_return_area: Scalar = Quantity(
+        "m2", "Area of the meter-out edge from the rod side of the {} at full command", 1e-4, minimum=1e-9
+    )
+
+
+class CompensatedBoomStickParameters(
+    Oil,
+    Preload,
+    ReferenceHose,
+    ReliefParameters,
+    valve=SectionValve,
+    compensator=Compensator,
+    counterbalance=Counterbalance,
+    boom=AxisParameters,
+    stick=AxisParameters,
+):
+    """Parameters of the compensated drives; values and sources are in parameters.toml."""
+
+    neutral_area: Scalar = Quantity(
+        "m2", "Area that connects each port to the return line in neutral", 1e-6, minimum=0.0, group="Neutral"
+    )
+
+
+class Lines(Group):
+    """Pressures at the valve and openings of the counterbalance valves of one drive."""
+
+    head_valve_pressure: Scalar = chamber.pressure("Pressure at port A of the {} valve")
+    rod_valve_pressure: Scalar = chamber.pressure("Pressure at port B of the {} valve")
+    head_counterbalance_opening: Scalar = Quantity(
+        "1", "Opening of the counterbalance valve at the head side of the {} cylinder"
+    )
+    rod_counterbalance_opening: Scalar = Quantity(
+        "1", "Opening of the counterbalance valve at the rod side of the {} cylinder"
+    )
+
+
+class AxisState(Pressures, Lines):
+    """State of one drive; also used for its rates."""
+
+    def pair(self, name: str) -> Pair:
+        """The values of a name at head and rod side."""
+        return getattr(self, f"head_{name}"), getattr(self, f"rod_{name}")
+
+
+class CompensatedBoomStickState(Group, boom=AxisState, stick=AxisState):
+    """State of both drives."""
+
+
+class AxisOutputs(Lines):
+    """Signals of section, counterbalance valves and relief valves of one drive."""
+
+    meter_in_flow: Scalar = Quantity("m3/s", "Flow of the {} section from the supply line", 1e-3)
+    metering_drop: Scalar = Quantity("Pa", "Drop over the open meter-in edge of the {} section", 1e6)
+    compensator_drop: Scalar = Quantity("Pa", "Drop over the compensator of the {} section", 1e7)
+    head_valve_flow: Scalar = Quantity("m3/s", "Flow from the valve into the head hose of the {}", 1e-3)
+    rod_valve_flow: Scalar = Quantity("m3/s", "Flow from the valve into the rod hose of the {}", 1e-3)
+    relief_flow: Scalar = Quantity("m3/s", "Flow of both relief valves of the {}", 1e-3)
+    anti_cavitation_flow: Scalar = Quantity("m3/s", "Flow of both anti-cavitation valves of the {}", 1e-3)
+
+
+class CompensatedBoomStickOutputs(BoomStickOutputs, boom=AxisOutputs, stick=AxisOutputs):
+    """Outputs of every variant, and signals of sections and valves."""
+
+
+@dataclass(frozen=True)
+class CompensatedDrive:
+    """One drive at one instant.
+
+    x                 state
+    u                 inputs
+    ports             ports of the section: A at the head side, B at the rod side
+    flows             through the counterbalance valves into the chambers [m3/s]
+    relief            flows of the relief valves of both ports [m3/s]
+    anti_cavitation   flows of the anti-cavitation valves of both ports [m3/s]
+    """
+
+    cylinder: Cylinder
+    hose: VolumeHose
+    section: Section
+    counterbalance: Counterbalance
+    bulk_modulus: Scalar
+    x: AxisState
+    u: DriveInterface
+    ports: tuple[SectionPort, SectionPort]
+    flows: Pair
+    relief: Pair
+    anti_cavitation: Pair
+
+    @property
+    def capacitances(self) -> Pair:
+        """C_C [m3/Pa] of both chambers."""
+        head, rod = self.cylinder.volumes(self.u.position)
+        return head / self.bulk_modulus, rod / self.bulk_modulus
+
+    def rates(self) -> AxisState:
+        """Time derivative of the state."""
+        head, rod = self.cylinder.areas
+        swept = (-head * self.u.velocity, rod * self.u.velocity)
+        chambers = (
+            chamber.pressure_rate(p, q + s, c)
+            for p, q, s, c in zip(self.x.pair("pressure"), self.flows, swept, self.capacitances, strict=True)
+        )
+        lines = (
+            chamber.pressure_rate(p, port.edges.line - q - out + back, self.hose.capacitance)
+            for p, port, q, out, back in zip(
+                *(self.x.pair("valve_pressure"), self.ports, self.flows),
+                *(self.relief, self.anti_cavitation),
+                strict=True,
+            )
+        )
+        names = ("pressure", "valve_pressure", "counterbalance_opening")
+        pairs = zip(names, (chambers, lines, self._opening_rates()), strict=True)
+        return AxisState(**{f"{s}_{n}": v for n, pair in pairs for s, v in zip(SIDES, pair, strict=True)})
+
+    def _opening_rates(self) -> Iterator[Scalar]:
+        c, lines, tank = self.counterbalance, self.x.pair("valve_pressure"), self.u.tank_pressure
+        pilots, openings = lines[::-1], self.x.pair("counterbalance_opening")
+        for p, pilot, line, y in zip(self.x.pair("pressure"), pilots, lines, openings, strict=True):
+            yield (counterbalance_valve.balance(c, p, pilot, line, tank) - y) / c.lag
+
+    def load_pressure(self, rates: AxisState) -> LoadPressure:
+        """Load pressure of the section."""
+        v = self.section.valve
+        return load_sensing.load_pressure(
+            *(self.u.command, self.u.command_rate),
+            *((v.dead_band, v.dead_band), v.full_command),
+            *(self.x.pair("valve_pressure"), rates.pair("valve_pressure"), self.u.tank_pressure),
+        )
+
+    def observe(self) -> dict[str, Any]:
+        """Outputs by name without prefix, for `drive.joint_outputs`."""
+        (head, rod), rates = self.cylinder.areas, self.rates()
+        chambers, lines = self.x.pair("pressure"), self.x.pair("valve_pressure")
+        supply, tank = self.u.supply_pressure, self.u.tank_pressure
+        relieved = tuple(out - back for out, back in zip(self.relief, self.anti_cavitation, strict=True))
+        meter_in, metering_drop, compensator_drop = compensator.open_port(self.ports, self.u.command)
+        edges = sum(spool_valve.throttling_loss(port.edges, supply, tank) for port in self.ports)
+        heat = edges + sum(
+            q * (line - p) + out * (line - tank)
+            for q, line, p, out in zip(self.flows, lines, chambers, relieved, strict=True)
+        )
+        compression = sum(
+            chamber.stored_energy(p, c)
+            for p, c in zip(
+                (*chambers, *lines), (*self.capacitances, *(self.hose.capacitance,) * 2), strict=True
+            )
+        )
+        outputs = {
+            **vars(self.x),
+            "force": cylinder.force(head, rod, *chambers),
+            "force_rate": cylinder.force(head, rod, *rates.pair("pressure")),
+            "void_volume": sum(map(chamber.cavity_volume, (*chambers, *lines))),
+            "meter_in_flow": meter_in,
+            "metering_drop": metering_drop,
+            "compensator_drop": compensator_drop,
+            "relief_flow": sum(self.relief),
+            "anti_cavitation_flow": sum(self.anti_cavitation),
+            "supply_flow": meter_in,
+            "return_flow": sum(port.edges.tank for port in self.ports) + sum(relieved),
+            "stored_energy": compression,
+            "dissipated_power": heat,
+            "convected_power": (head * chambers[0] ** 2 - rod * chambers[1] ** 2)
+            * self.u.velocity
+            / (2 * self.bulk_modulus),
+            drive.LOAD: self.load_pressure(rates),
+        }
+        for side, port, q in zip(SIDES, self.ports, self.flows, strict=True):
+            outputs |= {f"{side}_flow": q, f"{side}_valve_flow": port.edges.line}
+        return outputs
+
+
+def section(p: CompensatedBoomStickParameters, axis: str) -> Section:
+    """Parameters of the section of a drive."""
+    return Section(
+        SectionValve.of(p, "valve"),
+        Compensator.of(p, "compensator"),
+        getattr(p, f"{axis}_section_flow"),
+        (getattr(p, f"{axis}_head_return_area"), getattr(p, f"{axis}_rod_return_area")),
+        p.neutral_area,
+        p.density,
+    )
+
+
+def _drives(
+    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
+) -> Iterator[CompensatedDrive]:
+    """Boom and stick drive from the variables of the subsystem."""
+    counterbalance = Counterbalance.of(p, "counterbalance")
+    relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
+    for axis, inputs in zip(AXES, drive.interfaces(u), strict=True):
+        state, hose, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
+        lines, tank = state.pair("valve_pressure"), inputs.tank_pressure
+        around = Restriction(
+            own.valve.discharge_coefficient, p.density, hose.resistance, own.valve.transition_flow
+        )
+        head, rod = (
+            counterbalance_valve.flow(counterbalance, y, line, pressure, around)
+            for y, line, pressure in zip(
+                *(state.pair("counterbalance_opening"), lines, state.pair("pressure")), strict=True
+            )
+        )
+        yield CompensatedDrive(
+            *(Cylinder.of(p, axis), hose, own, counterbalance, p.bulk_modulus, state, inputs),
+            ports=compensator.section_ports(
+                *(own, inputs.command, lines),
+                *(inputs.supply_pressure, u.load_sensing_pressure, tank),
+            ),
+            flows=(head, rod),
+            relief=(
+                orifice.relief_flow(relief, lines[0] - tank),
+                orifice.relief_flow(relief, lines[1] - tank),
+            ),
+            anti_cavitation=(
+                orifice.relief_flow(anti, tank - lines[0]),
+                orifice.relief_flow(anti, tank - lines[1]),
+            ),
+        )
+
+
+def dynamics(
+    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
+) -> CompensatedBoomStickState:
+    """Time derivative of the state."""
+    boom, stick = (vars(d.rates()) for d in _drives(x, u, p))
+    return CompensatedBoomStickState(**drive.prefixed(boom, stick))
+
+
+def observe(
+    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
+) -> CompensatedBoomStickOutputs:
+    """Outputs; forces depend only on the state, their rates and the flows also on the inputs."""
+    boom, stick = (d.observe() for d in _drives(x, u, p))
+    return CompensatedBoomStickOutputs(**drive.joint_outputs(boom, stick))
+
+
+def initial(
+    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
+) -> dict[str, Scalar]:
+    """Initial state: chambers in balance with the holding forces, hoses at the preload, valves closed."""
+    preload = u.tank_pressure + p.initial_preload
+    state = drive.holding_pressures(u, p)
+    for prefix in (f"{axis}_{side}" for axis in AXES for side in SIDES):
+        state |= {f"{prefix}_valve_pressure": preload, f"{prefix}_counterbalance_opening": 0.0}
+    return state
+
+
+def require(
+    x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
+) -> dict[str, Scalar]:
+    """Requirements of cylinders, valves, compensators and counterbalance valves."""
+    return {
+        **spool_valve.opens(SectionValve.of(p, "valve")),
+        **drive.require_cylinders(x, u, p),
+        "counterbalance_setting exceeds initial_preload": p.counterbalance_setting - p.initial_preload,
+    }
+
+
+def _subsystem() -> Subsystem:
+    sub = Subsystem(
+        name="boom_stick",
+        text="Hydraulic drives of boom and stick with compensated sections and counterbalance valves",
+        parameters=CompensatedBoomStickParameters,
+        states=CompensatedBoomStickState,
+        inputs=BoomStickInputs,
+        outputs=CompensatedBoomStickOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=require,
+        derive=partial(drive.derive, VolumeHose),
+        values=Path(__file__).with_name("parameters.toml"),
+        validity="motions slow compared with compensators and the oil in the hoses, below about 10 Hz;"
+        " no spool dynamics",
+        terminals=drive.TERMINALS,
+    )
+    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=sub)["compensated"]
+
+
+BOOM_STICK = _subsystem()

@@ -1,0 +1,112 @@
+"""Counterbalance (overcentre, load-holding) valve between a line and a chamber of a cylinder.
+
+              check valve, free flow in
+    V  o----+--------|>|--------+----o  C        X: pilot, the opposite line
+            +---- poppet, y ----+
+
+The poppet opens against its spring by the load pressure P_C and, R times as much, by the pilot pressure P_X:
+
+    y_0 = lim((P_C + R P_X - (1 + R) P_ref - P_set)/B)        P_ref = P_t + v (P_V - P_t)
+    dy/dt = (y_0 - y)/T                                       lim(z) = r(z, w) - r(z - 1, w)
+
+r is the `ramp` of `smooth` with w = 0.1, so y_0 is exactly 0 up to the setting and the valve opens at
+
+    P_X - P_ref = (P_set - (P_C - P_ref))/R
+
+v = 0 is a vented (balanced) valve of four ports: its spring chamber is drained, and back pressure does not
+close it. v = 1 is the usual one of three ports, whose setting rises by 1 + R times the back pressure. The
+valve is the relief valve of a locked chamber as well. Free flow and poppet are in parallel, in series with
+the hose that leads to the valve:
+
+    Q |Q| = K^2 (P_V - P_C)        1/K^2 = 1/(K_y y + K_c h)^2 + C_R        h = step((P_V - P_C - p_c)/p_r)
+
+positive into the cylinder, rounded below the transition flow as in `spool_valve.turbulent_factor`; h opens
+the check valve from its cracking pressure p_c over the range p_r. A laminar leakage is in parallel.
+
+T is the lag of the poppet behind its balance, set by the orifice in the pilot line; the poppet's inertia
+(above 100 Hz) and friction (hysteresis, 5 to 15 %) are neglected.
+References: Sun Hydraulics, data sheets CBCA, CBCG, CWCA (setting at least 1.3 times the highest load pressure,
+reseat above 85 %, back pressure counts 1 + R times); M. B. Kjelland and M. R. Hansen, Numerical and
+experimental study of motion control using pressure feedback, SICFP 2013 (stability with pressure-compensated flow).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fmus.components import spool_valve
+from fmus.components.smooth import ramp, s_curve
+from fmus.contract import Group, Quantity, Scalar
+
+ROUNDING = 0.1  # w
+
+
+class Counterbalance(Group):
+    """Parameters of the counterbalance valves."""
+
+    setting: Scalar = Quantity(
+        "Pa",
+        "Load pressure at which a counterbalance valve opens without pilot pressure",
+        1e7,
+        minimum=1e5,
+        group="Counterbalance valves",
+    )
+    pilot_ratio: Scalar = Quantity("1", "Pilot ratio R of the counterbalance valves", minimum=0.0)
+    band: Scalar = Quantity(
+        "Pa",
+        "Load pressure above the setting at which a counterbalance valve is fully open",
+        1e7,
+        minimum=1e5,
+    )
+    back_pressure_share: Scalar = Quantity(
+        "1",
+        "Share of the back pressure that acts on the spring side: 0 vented (four ports), 1 three ports",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    lag: Scalar = Quantity("s", "Lag of the poppet of a counterbalance valve", 1e-2, minimum=1e-5)
+    area: Scalar = Quantity("m2", "Area of a fully open counterbalance valve", 1e-4, minimum=1e-9)
+    check_area: Scalar = Quantity("m2", "Area of its fully open check valve", 1e-4, minimum=1e-9)
+    check_pressure: Scalar = Quantity("Pa", "Cracking pressure of its check valve", 1e5, minimum=0.0)
+    check_range: Scalar = Quantity(
+        "Pa",
+        "Pressure above the cracking pressure at which its check valve is fully open",
+        1e5,
+        minimum=100.0,
+    )
+    leakage: Scalar = Quantity("m3/(s.Pa)", "Leakage of a closed counterbalance valve", 1e-15, minimum=0.0)
+
+
+@dataclass(frozen=True)
+class Restriction:
+    """What a flow through the valve meets besides the valve itself.
+
+    discharge_coefficient   of poppet and check valve
+    density                 of the oil [kg/m3]
+    resistance              C_R of the hose [Pa.s2/m6]
+    transition_flow         below which the flow is laminar [m3/s]
+    """
+
+    discharge_coefficient: Scalar
+    density: Scalar
+    resistance: Scalar
+    transition_flow: Scalar
+
+
+def balance(c: Counterbalance, chamber: Scalar, pilot: Scalar, line: Scalar, tank: Scalar) -> Scalar:
+    """y_0 [1], the opening at rest, from the pressures [Pa] of chamber, pilot, own line and tank."""
+    reference = tank + c.back_pressure_share * (line - tank)
+    excess = chamber + c.pilot_ratio * pilot - (1 + c.pilot_ratio) * reference - c.setting
+    z = excess / c.band
+    return ramp(z, ROUNDING) - ramp(z - 1, ROUNDING)
+
+
+def flow(c: Counterbalance, opening: Scalar, line: Scalar, chamber: Scalar, around: Restriction) -> Scalar:
+    """Flow [m3/s] from the line into the chamber."""
+    drop = line - chamber
+    check = s_curve((drop - c.check_pressure) / c.check_range)
+    gain = spool_valve.flow_gain(
+        c.area * opening + c.check_area * check, around.discharge_coefficient, around.density
+    )
+    y = gain**2 * drop / (1 + around.resistance * gain**2)
+    return y * spool_valve.turbulent_factor(y, around.transition_flow) + c.leakage * drop
