@@ -230,7 +230,7 @@ def _compensated_drive(s: Sheet, p: Numbers, axis: str, x: float) -> None:
         s.line([(to, 170), (to, 226)])
         s.hose(to, 248, _hose_label(p, axis) if side > 0 else "")
         s.line([(to, 270), (to, 384)])
-        _relief_pair(s, to, 292, side, bar(p.relief_pressure) if side > 0 else "")
+        _relief_pair(s, to, 292, side, bar(p.port_relief_pressure) if side > 0 else "")
     s.line([(left, 384), (left, 394), (x - 9, 394), (x - 9, 404)])
     s.line([(right, 384), (right, 394), (x + 9, 394), (x + 9, 404)])
     _section(s, x, 422, getattr(p, f"{axis}_section_flow"), p.compensator_setting)

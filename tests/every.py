@@ -28,6 +28,7 @@ MACHINES: tuple[dict[str, str], ...] = (
     {"swing": "detailed", "manipulator": "pendulum", "supply": "engine_pump"},
     {"boom_stick": "detailed", "manipulator": "pendulum_friction"},
     {"supply": "load_sensing"},
+    {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"},
 )
 
 

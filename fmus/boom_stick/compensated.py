@@ -1,16 +1,19 @@
 """Boom and stick drives of a load-sensing machine: compensated sections, counterbalance valves, port reliefs.
 
-For each side of each cylinder, head (port A) or rod (port B), with the pressures P_V of the hose at the valve and
-P_C of the chamber:
+For each side of each cylinder, head (port A) or rod (port B), with the pressures P_V of the hose at the valve
+and P_C of the chamber:
 
     C_hose dP_V/dt = Q_port - Q_C - Q_relief + Q_anti         Q_port = Q_in - Q_out of `pressure_compensator`
     C_C dP_C/dt    = Q_C -+ A x'                              C_C = V_C(x)/beta
     dy/dt          = (y_0 - y)/T                              Q_C, y_0 of `counterbalance_valve`
 
 The counterbalance valves are mounted at the cylinder, each piloted by the hose of the other side. Relief and
-anti-cavitation valves of `orifice` are mounted at the valve. Hoses are volumes, and resistances in series with
-the counterbalance valves, as in `quasistatic`; flows follow from pressures. The sections sense the pressures of
-their ports. Forces depend only on the states. Signs as in `fmus.boom_stick.variables`.
+anti-cavitation valves of `orifice` are mounted at the valve. Hoses are volumes, and resistances in series
+with the counterbalance valves, as in `quasistatic`; flows follow from pressures. The sections sense the
+pressures of their ports. Forces depend only on the states. Signs as in `fmus.boom_stick.variables`.
+
+The meter-out edges are so small that the counterbalance valves are fully open while the cylinder moves: a
+counterbalance valve that meters the load behind a compensated section is unstable (docs/equations.md).
 """
 
 from __future__ import annotations
@@ -32,15 +35,14 @@ from fmus.boom_stick.variables import (
     Pressures,
     QuasistaticDriveParameters,
 )
-from fmus.components import chamber, counterbalance_valve, cylinder, load_sensing, orifice
+from fmus.components import chamber, counterbalance_valve, cylinder, load_sensing, orifice, spool_valve
 from fmus.components import pressure_compensator as compensator
-from fmus.components import spool_valve
 from fmus.components.chamber import Oil
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import ReferenceHose, VolumeHose
 from fmus.components.load_sensing import LoadPressure
-from fmus.components.orifice import PressureValve, ReliefParameters
+from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar, Subsystem, family
 
@@ -63,10 +65,11 @@ class CompensatedBoomStickParameters(
     Oil,
     Preload,
     ReferenceHose,
-    ReliefParameters,
+    AntiCavitationParameters,
     valve=SectionValve,
     compensator=Compensator,
     counterbalance=Counterbalance,
+    port_relief=(PortRelief, "port relief"),
     boom=AxisParameters,
     stick=AxisParameters,
 ):
@@ -242,7 +245,7 @@ def _drives(
 ) -> Iterator[CompensatedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
     counterbalance = Counterbalance.of(p, "counterbalance")
-    relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
+    relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
     for axis, inputs in zip(AXES, drive.interfaces(u), strict=True):
         state, hose, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
         lines, tank = state.pair("valve_pressure"), inputs.tank_pressure
@@ -305,9 +308,9 @@ def require(
 ) -> dict[str, Scalar]:
     """Requirements of cylinders, valves, compensators and counterbalance valves."""
     return {
-        **spool_valve.opens(SectionValve.of(p, "valve")),
+        **compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator")),
         **drive.require_cylinders(x, u, p),
-        "counterbalance_setting exceeds initial_preload": p.counterbalance_setting - p.initial_preload,
+        "counterbalance_pressure exceeds initial_preload": p.counterbalance_pressure - p.initial_preload,
     }
 
 

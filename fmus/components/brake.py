@@ -1,6 +1,7 @@
 """Holding brake: wet discs, spring-applied, released by pressure.
 
-The discs slip where the torque exceeds what the springs hold, and drag in the oil; shaft and discs twist by z:
+The discs slip where the torque exceeds what the springs hold, and drag in the oil; shaft and discs twist by
+z:
 
     T = k z        dz/dt = w - s(T)/c        s(T) = r(T - T_h, b) - r(-T - T_h, b)        T_h = T_b q
 
@@ -16,9 +17,8 @@ The brake is released by the command, once the pressure is there:
 
     dq/dt = (1 - f)(1 - q)/t_on - f q/t_off       f = command's part * step(2 P/P_r - 1)
 
-so q stays within 0 ... 1. Dimensions of the class: holding torque 1.2 to 1.5 times that of the drive. Sources: data
-sheets of multi-disc brakes in slewing gears (static torque, release pressure 15 to 30 bar).
-Validity: static and sliding torque alike, no wear, no heat fade.
+so q stays within 0 ... 1. Validity: static and sliding torque alike, no wear, no fading by heat. The Bingham
+body is that of viscoplasticity, P. Perzyna, Advances in Applied Mechanics 9 (1966) 243.
 """
 
 from __future__ import annotations

@@ -25,9 +25,9 @@ the check valve from its cracking pressure p_c over the range p_r. A laminar lea
 
 T is the lag of the poppet behind its balance, set by the orifice in the pilot line; the poppet's inertia
 (above 100 Hz) and friction (hysteresis, 5 to 15 %) are neglected.
-References: Sun Hydraulics, data sheets CBCA, CBCG, CWCA (setting at least 1.3 times the highest load pressure,
-reseat above 85 %, back pressure counts 1 + R times); M. B. Kjelland and M. R. Hansen, Numerical and
-experimental study of motion control using pressure feedback, SICFP 2013 (stability with pressure-compensated flow).
+References: Sun Hydraulics, data sheets CBCA, CBCG, CWCA (setting at least 1.3 times the highest load
+pressure, reseat above 85 %, back pressure counts 1 + R times); M. B. Kjelland and M. R. Hansen, Numerical and
+Experimental Study of Motion Control Using Pressure Feedback, SICFP 2013 (stability behind compensated flow).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ ROUNDING = 0.1  # w
 class Counterbalance(Group):
     """Parameters of the counterbalance valves."""
 
-    setting: Scalar = Quantity(
+    pressure: Scalar = Quantity(
         "Pa",
         "Load pressure at which a counterbalance valve opens without pilot pressure",
         1e7,
@@ -96,7 +96,7 @@ class Restriction:
 def balance(c: Counterbalance, chamber: Scalar, pilot: Scalar, line: Scalar, tank: Scalar) -> Scalar:
     """y_0 [1], the opening at rest, from the pressures [Pa] of chamber, pilot, own line and tank."""
     reference = tank + c.back_pressure_share * (line - tank)
-    excess = chamber + c.pilot_ratio * pilot - (1 + c.pilot_ratio) * reference - c.setting
+    excess = chamber + c.pilot_ratio * pilot - (1 + c.pilot_ratio) * reference - c.pressure
     z = excess / c.band
     return ramp(z, ROUNDING) - ramp(z - 1, ROUNDING)
 

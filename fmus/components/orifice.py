@@ -64,23 +64,27 @@ def cross_flow(valve: PressureValve, drop: Scalar) -> Scalar:
     return relief_flow(valve, drop) - relief_flow(valve, -drop)
 
 
-class ReliefParameters(Group):
-    """Relief and anti-cavitation valves of an actuator: two `PressureValve`s."""
+class PortRelief(PressureValve):
+    """Parameters of the relief valves at the ports of a section: a `PressureValve` with bounds."""
 
-    relief_pressure: Scalar = Quantity(
-        "Pa", "Pressure at which a relief valve opens", 1e7, minimum=0.0, group="Relief valves"
+    pressure: Scalar = Quantity(
+        "Pa", "Pressure at which a {} valve opens", 1e7, minimum=0.0, group="Port relief valves"
     )
-    relief_gain: Scalar = Quantity(
-        "m3/(s.Pa)", "Flow of a relief valve per pressure above the opening pressure", 1e-9, minimum=0.0
+    gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of a {} valve per pressure above the opening pressure", 1e-9, minimum=0.0
     )
-    relief_rounding: Scalar = Quantity(
-        "Pa", "Pressure range over which a relief valve begins to open", 1e5, minimum=1.0
-    )
+    rounding: Scalar = Quantity("Pa", "Pressure range over which a {} valve begins to open", 1e5, minimum=1.0)
+
+
+class AntiCavitationParameters(Group):
+    """Anti-cavitation valves of an actuator: a `PressureValve`."""
+
     anti_cavitation_pressure: Scalar = Quantity(
         "Pa",
         "Pressure difference below the return line at which an anti-cavitation valve opens",
         1e4,
         minimum=0.0,
+        group="Relief valves",
     )
     anti_cavitation_gain: Scalar = Quantity(
         "m3/(s.Pa)",
@@ -91,3 +95,21 @@ class ReliefParameters(Group):
     anti_cavitation_rounding: Scalar = Quantity(
         "Pa", "Pressure range over which an anti-cavitation valve begins to open", 1e3, minimum=1.0
     )
+
+
+class _ActuatorRelief(Group):
+    """Relief valves of an actuator: a `PressureValve`."""
+
+    relief_pressure: Scalar = Quantity(
+        "Pa", "Pressure at which a relief valve opens", 1e7, minimum=0.0, group="Relief valves"
+    )
+    relief_gain: Scalar = Quantity(
+        "m3/(s.Pa)", "Flow of a relief valve per pressure above the opening pressure", 1e-9, minimum=0.0
+    )
+    relief_rounding: Scalar = Quantity(
+        "Pa", "Pressure range over which a relief valve begins to open", 1e5, minimum=1.0
+    )
+
+
+class ReliefParameters(AntiCavitationParameters, _ActuatorRelief):
+    """Relief and anti-cavitation valves of an actuator: two `PressureValve`s."""

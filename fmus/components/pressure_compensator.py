@@ -15,8 +15,8 @@ if the compensator is fully open, c d_0 its own drop at q_0. Flow sharing: if th
 asked for, P_s falls towards the highest load P_LS. The drop is then s (P_s - P_LS) in all sections, those of
 other drives included, and their flows keep the ratio of q_0 y. With s (1 + c) < 0.9 the section of the
 highest load shares alike. k is the droop by the spring, which is compressed as the
-compensator closes: the flow falls when the load rises, by k/2 per Pa, and damps the load a little. D_0 = 100 bar is
-where q_0 is stated; k D_0 < 1.
+compensator closes: the flow falls when the load rises, by the fraction k/2 per Pa, and damps the load a
+little. D_0 = 100 bar is where q_0 is stated; k D_0 < 1.
 
 No flow comes back: Q >= 0, the check valve opens over `CHECK_ROUNDING`. min is `smooth.lower`, max is the
 `ramp`, sqrt is rounded below the transition flow as in `spool_valve.turbulent_factor`; P_s - P_LS below zero
@@ -77,6 +77,16 @@ class Compensator(Group):
     )
 
 
+def requirements(valve: Any, c: Compensator) -> dict[str, Scalar]:
+    """Requirements of a section: it opens, and its droop leaves a drop to regulate."""
+    return {
+        **spool_valve.opens(valve),
+        "compensator_droop is below 1e-7 1/Pa": 1 - c.droop * NOMINAL_DROP,
+        "the section of the highest load shares the flow: compensator_sharing (1 + compensator_open_drop"
+        " / compensator_setting) is below 0.95": 0.95 - c.sharing * (1 + c.open_drop / c.setting),
+    }
+
+
 @dataclass(frozen=True)
 class Section:
     """Parameters of one section.
@@ -85,6 +95,7 @@ class Section:
     return_areas   of the meter-out edges of ports A and B at full command [m2]
     neutral_area   that connects each port to the tank in neutral [m2]
     density        of the oil [kg/m3]
+    resistance     C_R of a line in series with the meter-out edges [Pa.s2/m6]
     """
 
     valve: Any
@@ -93,6 +104,7 @@ class Section:
     return_areas: tuple[Scalar, Scalar]
     neutral_area: Scalar
     density: Scalar
+    resistance: Scalar = 0.0
 
     def openings(self, command: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         """Openings [1] (meter-in, meter-out) of the edges of port A and of port B."""
@@ -148,7 +160,8 @@ def section_ports(
         drop, both = metering_drop(c, inward, supply, load_sensing, p)
         to_port = _turbulent((section.flow * inward) ** 2 * drop / c.setting, v.transition_flow)
         area = full_area * outward + section.neutral_area * section.neutral(sign * command)
-        to_tank = _turbulent((full_gain * area) ** 2 * (p - tank), v.transition_flow)
+        square = (full_gain * area) ** 2
+        to_tank = _turbulent(square * (p - tank) / (1 + section.resistance * square), v.transition_flow)
         entering = to_port + v.leakage * both
         leaving = to_tank + v.leakage * (p - tank)
         edges = EdgeFlows(p, entering, leaving, entering - leaving)

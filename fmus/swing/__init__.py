@@ -4,9 +4,15 @@
 """
 
 from fmus.contract import family
-from fmus.swing import detailed, lumped, quasistatic
+from fmus.swing import compensated, detailed, lumped, quasistatic
 
-VARIANTS = family("swing", lumped=lumped.SWING, quasistatic=quasistatic.SWING, detailed=detailed.SWING)
+VARIANTS = family(
+    "swing",
+    lumped=lumped.SWING,
+    quasistatic=quasistatic.SWING,
+    detailed=detailed.SWING,
+    compensated=compensated.SWING,
+)
 SWING = VARIANTS["lumped"]
 
 __all__ = ["SWING", "VARIANTS"]

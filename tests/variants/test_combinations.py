@@ -79,7 +79,7 @@ def test_every_seventh_has_every_variant():
     """The sample above leaves no variant out."""
     met = {(part, variant) for chosen in ALL_COMBINATIONS[::7] for part, variant in chosen.items()}
     assert met == set(variant_names())
-    assert len(ALL_COMBINATIONS) == 3 * 3 * 4 * 3
+    assert len(ALL_COMBINATIONS) == 4 * 4 * 4 * 3
 
 
 @pytest.mark.long
@@ -93,7 +93,9 @@ def test_every_combination_runs_the_work_cycle(fmu_dir):
         assert row.reached == pytest.approx(42.0), row.variants
         # ten times what is measured at 1 ms; without its rate port a bond makes up percents
         assert row.residual < 1e-4, row.variants
-        if row.variants["supply"] != "load_sensing":  # a fifth of the pressure drop at the valves: slower
+        drives = (row.variants["swing"], row.variants["boom_stick"])
+        # load_sensing: a fifth of the pressure drop at the valves, slower; compensated: another circuit
+        if row.variants["supply"] != "load_sensing" and "compensated" not in drives:
             assert row.change < 0.1, row.variants  # another fidelity, not another machine
 
 

@@ -1,0 +1,218 @@
+"""Swing drive of a load-sensing machine: compensated section, crossover reliefs with make-up, holding brake.
+
+    C dP_a/dt = Q_a - D w - (P_a - P_b)/R_in - (P_a - P_t)/R_ex - Q_cross + Q_anti,a
+    C dP_b/dt = Q_b + D w + (P_a - P_b)/R_in - (P_b - P_t)/R_ex + Q_cross + Q_anti,b
+    torque    = D (P_a - P_b) - k z           D = D_m N                   eqs. (8), (11), (12)
+
+with the flows Q_a, Q_b of the ports of `pressure_compensator`, the crossover reliefs and anti-cavitation
+valves (make-up from the return line) of `orifice`, which are mounted at the motor, and the twist z of the
+`brake`. A closed valve blocks the ports, which have no counterbalance valves. The brake is released as soon
+as the command leaves the dead band and the supply has pressure. Lines as in `quasistatic`: volumes, no oil
+columns. The torque depends only on states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmus.components import brake as holding
+from fmus.components import chamber, motor, orifice
+from fmus.components import pressure_compensator as compensator
+from fmus.components.brake import Brake, BrakeTorque
+from fmus.components.chamber import Oil
+from fmus.components.motor import MotorNodes
+from fmus.components.orifice import PressureValve, ReliefParameters
+from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
+from fmus.contract import Group, Quantity, Scalar, Subsystem, family, quantities
+from fmus.swing import drive, lumped
+from fmus.swing.drive import Pair
+from fmus.swing.variables import DriveParameters, QuasistaticSwingParameters, SwingInputs, SwingOutputs
+
+
+class CompensatedSwingParameters(
+    DriveParameters,
+    ReliefParameters,
+    Oil,
+    valve=SectionValve,
+    compensator=Compensator,
+    brake=(Brake, "swing"),
+):
+    """Parameters of the compensated drive; values and sources are in parameters.toml."""
+
+    line_capacitance: Scalar = quantities(QuasistaticSwingParameters)["line_capacitance"]
+    swing_section_flow: Scalar = Quantity(
+        "m3/s", "Flow of the swing section at full command", 1e-3, minimum=1e-6, group="Swing section"
+    )
+    swing_return_area: Scalar = Quantity(
+        "m2", "Area of each meter-out edge of the swing at full command", 1e-4, minimum=1e-9
+    )
+
+
+class BrakeState(Group):
+    """State of the brake."""
+
+    swing_brake_twist: Scalar = Quantity("rad", "Twist of the swing brake with its shaft", 1e-3)
+    swing_brake_applied: Scalar = Quantity("1", "Part of its torque that the swing brake can hold")
+
+
+class CompensatedSwingState(BrakeState):
+    """State of the compensated drive: pressures at the motor, brake."""
+
+    swing_pressure_a: Scalar = chamber.pressure("Pressure of swing line A")
+    swing_pressure_b: Scalar = chamber.pressure("Pressure of swing line B")
+
+
+class CompensatedSwingOutputs(BrakeState, SwingOutputs):
+    """Outputs of every variant, and signals of section, relief valves and brake."""
+
+    swing_meter_in_flow: Scalar = Quantity("m3/s", "Flow of the swing section from the supply line", 1e-3)
+    swing_metering_drop: Scalar = Quantity("Pa", "Drop over the open meter-in edge of the swing section", 1e6)
+    swing_compensator_drop: Scalar = Quantity("Pa", "Drop over the compensator of the swing section", 1e7)
+    swing_relief_flow: Scalar = Quantity(
+        "m3/s", "Flow of the crossover relief valves from line A to line B", 1e-3
+    )
+    swing_anti_cavitation_flow: Scalar = Quantity(
+        "m3/s", "Flow of both anti-cavitation valves of the swing motor", 1e-3
+    )
+    swing_brake_torque: Scalar = Quantity("N.m", "Torque of the swing brake, against the motion", 1e4)
+
+
+@dataclass(frozen=True)
+class _Evaluated:
+    """The drive at one instant: ports, motor, brake, flows [m3/s] of the valves at the motor."""
+
+    ports: tuple[SectionPort, SectionPort]
+    nodes: MotorNodes
+    brake: BrakeTorque
+    release: Scalar
+    cross: Scalar
+    anti: Pair
+
+
+def section(p: CompensatedSwingParameters) -> Section:
+    """Parameters of the section."""
+    return Section(
+        SectionValve.of(p, "valve"),
+        Compensator.of(p, "compensator"),
+        p.swing_section_flow,
+        (p.swing_return_area, p.swing_return_area),
+        neutral_area=0.0,
+        density=p.density,
+        resistance=p.line_turbulent_resistance,
+    )
+
+
+def _release(u: SwingInputs, p: CompensatedSwingParameters) -> Scalar:
+    """f of the brake."""
+    own, command = section(p), u.swing_command
+    in_use = 2 - own.neutral(command) - own.neutral(-command)
+    return holding.released(Brake.of(p, "brake"), in_use, u.supply_pressure - u.tank_pressure)
+
+
+def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> _Evaluated:
+    a, b, tank = x.swing_pressure_a, x.swing_pressure_b, u.tank_pressure
+    anti = PressureValve.of(p, "anti_cavitation")
+    displaced = drive.displacement(p) * u.swing_speed
+    return _Evaluated(
+        compensator.section_ports(
+            *(section(p), u.swing_command, (a, b)),
+            *(u.supply_pressure, u.load_sensing_pressure, tank),
+        ),
+        motor.nodes_at_port_pressures(a, b, tank, displaced, *drive.leakage(p)),
+        holding.hold(Brake.of(p, "brake"), x.swing_brake_twist, x.swing_brake_applied, u.swing_speed),
+        _release(u, p),
+        orifice.cross_flow(PressureValve.of(p, "relief"), a - b),
+        (orifice.relief_flow(anti, tank - a), orifice.relief_flow(anti, tank - b)),
+    )
+
+
+def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameters) -> CompensatedSwingState:
+    (a, b), c = n.ports, p.line_capacitance
+    net_a = a.edges.line - n.nodes.flow_1 - n.cross + n.anti[0]
+    net_b = b.edges.line - n.nodes.flow_2 + n.cross + n.anti[1]
+    return CompensatedSwingState(
+        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c),
+        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c),
+        swing_brake_twist=n.brake.twist_rate,
+        swing_brake_applied=holding.applied_rate(Brake.of(p, "brake"), x.swing_brake_applied, n.release),
+    )
+
+
+def dynamics(
+    x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters
+) -> CompensatedSwingState:
+    """Time derivative of the state, field by field."""
+    return _rates(_evaluate(x, u, p), x, p)
+
+
+def observe(
+    x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters
+) -> CompensatedSwingOutputs:
+    """Outputs; the torque depends only on states."""
+    n = _evaluate(x, u, p)
+    dx, pressures = _rates(n, x, p), (x.swing_pressure_a, x.swing_pressure_b)
+    rates, tank = (dx.swing_pressure_a, dx.swing_pressure_b), u.tank_pressure
+    edges = (n.ports[0].edges, n.ports[1].edges)
+    meter_in, metering_drop, compensator_drop = compensator.open_port(n.ports, u.swing_command)
+    load = drive.load_pressure(p, u, pressures, rates)
+    flows = (edges[0].line, edges[1].line)
+    outputs = drive.observe(p, u, pressures, flows, edges, n.nodes, rates, load)
+    outputs["swing_torque"] -= n.brake.torque
+    outputs["swing_torque_rate"] -= p.brake_stiffness * n.brake.twist_rate
+    outputs["return_flow"] -= sum(n.anti)
+    make_up = sum(q * (tank - pressure) for q, pressure in zip(n.anti, pressures, strict=True))
+    outputs["dissipated_power"] += n.cross * (pressures[0] - pressures[1]) + make_up + n.brake.heat
+    compression = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
+    return CompensatedSwingOutputs(
+        **outputs,
+        stored_energy=compression + n.brake.stored,
+        swing_brake_twist=x.swing_brake_twist,
+        swing_brake_applied=x.swing_brake_applied,
+        swing_meter_in_flow=meter_in,
+        swing_metering_drop=metering_drop,
+        swing_compensator_drop=compensator_drop,
+        swing_relief_flow=n.cross,
+        swing_anti_cavitation_flow=sum(n.anti),
+        swing_brake_torque=n.brake.torque,
+    )
+
+
+def initial(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> dict[str, Scalar]:
+    """Initial state: both lines at the preload, the brake as the command has it, without torque."""
+    preload = u.tank_pressure + p.initial_preload
+    return {
+        "swing_pressure_a": preload,
+        "swing_pressure_b": preload,
+        "swing_brake_twist": 0.0,
+        "swing_brake_applied": 1 - _release(u, p),
+    }
+
+
+def require(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParameters) -> dict[str, Scalar]:
+    """Requirements of valve and compensator."""
+    return compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator"))
+
+
+def _subsystem() -> Subsystem:
+    sub = Subsystem(
+        name="swing",
+        text="Hydraulic swing drive with a compensated section, crossover reliefs and holding brake",
+        parameters=CompensatedSwingParameters,
+        states=CompensatedSwingState,
+        inputs=SwingInputs,
+        outputs=CompensatedSwingOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=require,
+        derive=drive.derive_capacitance,
+        values=Path(__file__).with_name("parameters.toml"),
+        validity="motions slow compared with compensator and oil in the lines, below about 10 Hz;"
+        " no spool dynamics",
+        terminals=drive.TERMINALS,
+    )
+    return family("swing", lumped=lumped.SWING, compensated=sub)["compensated"]
+
+
+SWING = _subsystem()
