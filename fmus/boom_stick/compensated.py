@@ -192,7 +192,9 @@ class CompensatedDrive:
         chambers, lines = self.x.pair("pressure"), self.x.pair("valve_pressure")
         supply, tank = self.u.supply_pressure, self.u.tank_pressure
         relieved = tuple(out - back for out, back in zip(self.relief, self.anti_cavitation, strict=True))
-        meter_in, metering_drop, compensator_drop = compensator.open_port(self.ports, self.u.command)
+        meter_in, metering_drop, compensator_drop = compensator.shown(
+            self.section, self.ports, self.u.command
+        )
         edges = sum(spool_valve.throttling_loss(port.edges, supply, tank) for port in self.ports)
         heat = edges + sum(
             q * (line - p) + out * (line - tank)

@@ -169,12 +169,14 @@ def section_ports(
     return ports[0], ports[1]
 
 
-def open_port(ports: tuple[SectionPort, SectionPort], command: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Meter-in flow [m3/s] of a section, drops [Pa] over metering edge and compensator of the port in use."""
+def shown(
+    section: Section, ports: tuple[SectionPort, SectionPort], command: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Outputs of a section: meter-in flow [m3/s], drops [Pa] over metering edge and compensator, 0 in neutral."""
     a, b = ports
-    forward = command > 0
+    to_a, to_b = 1 - section.neutral(command), 1 - section.neutral(-command)
     return (
         a.edges.supply + b.edges.supply,
-        ca.if_else(forward, a.metering_drop, b.metering_drop),
-        ca.if_else(forward, a.compensator_drop, b.compensator_drop),
+        to_a * a.metering_drop + to_b * b.metering_drop,
+        to_a * a.compensator_drop + to_b * b.compensator_drop,
     )

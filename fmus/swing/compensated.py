@@ -154,7 +154,7 @@ def observe(
     dx, pressures = _rates(n, x, p), (x.swing_pressure_a, x.swing_pressure_b)
     rates, tank = (dx.swing_pressure_a, dx.swing_pressure_b), u.tank_pressure
     edges = (n.ports[0].edges, n.ports[1].edges)
-    meter_in, metering_drop, compensator_drop = compensator.open_port(n.ports, u.swing_command)
+    meter_in, metering_drop, compensator_drop = compensator.shown(section(p), n.ports, u.swing_command)
     load = drive.load_pressure(p, u, pressures, rates)
     flows = (edges[0].line, edges[1].line)
     outputs = drive.observe(p, u, pressures, flows, edges, n.nodes, rates, load)
