@@ -172,7 +172,7 @@ def section_ports(
 def shown(
     section: Section, ports: tuple[SectionPort, SectionPort], command: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Outputs of a section: meter-in flow [m3/s], drops [Pa] over metering edge and compensator, 0 in neutral."""
+    """Outputs of a section: meter-in flow [m3/s], drops [Pa] over edge and compensator (0 in neutral)."""
     a, b = ports
     to_a, to_b = 1 - section.neutral(command), 1 - section.neutral(-command)
     return (
