@@ -163,7 +163,8 @@ def _power(name, u, y, s, sub):
     x = dict(zip(quantities(sub.states), ca.vertsplit(s.x), strict=True))
     if name == "manipulator":
         return (
-            u["swing_torque"] * x["swing_speed"]
+            y["payload_power"]
+            + u["swing_torque"] * x["swing_speed"]
             + (u["boom_force"] + y["boom_stop_force"]) * y["boom_velocity"]
             + (u["stick_force"] + y["stick_stop_force"]) * y["stick_velocity"]
         )

@@ -27,11 +27,13 @@ from fmus.machine.work_cycle import (
     WORK_CYCLE,
     WORK_CYCLE_STOP,
     Move,
+    Stem,
+    payload,
     program,
     program_numbers,
 )
 from fmus.machine.work_cycle import sample as sampled
-from fmus.operator_input.model import AHEAD, AXES, OPERATOR, STROKES, Stroke, sample
+from fmus.operator_input.model import AHEAD, AXES, OPERATOR, PAYLOADS, STROKES, Stroke, sample
 from fmus.parameters import numbers, values
 from orchestrator.base.errors import Problem
 
@@ -89,7 +91,7 @@ def test_a_clock_of_an_hour_still_meets_the_corners():
 def test_the_rates_are_the_derivatives_of_the_commands():
     """Of the model's own expressions, at random instants of the work cycle."""
     s, v = symbolic(OPERATOR), values(OPERATOR)
-    rate = ca.Function("r", [s.x, s.p], [s.y[:3], ca.jtimes(s.y[:3], s.x, s.dx), s.y[3:]])
+    rate = ca.Function("r", [s.x, s.p], [s.y[:3], ca.jtimes(s.y[:3], s.x, s.dx), s.y[3:6]])
     clock = np.random.default_rng(1).uniform(0, WORK_CYCLE_STOP, 500)
     for t in clock:
         _, derivative, told = rate(t, list(v.p.values()))
@@ -189,7 +191,7 @@ def test_the_shipped_program_is_the_work_cycle():
 
 def test_programs_are_the_shipped_scenarios():
     """data/scenarios contains the same moves as a scenario."""
-    for name in ("work_cycle", "boom_up"):
+    for name in ("work_cycle", "boom_up", "work_cycle_stems"):
         path = data(f"scenarios/{name}.csv")
         header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
         table = np.loadtxt(path, delimiter=",", skiprows=1)
@@ -200,6 +202,8 @@ def test_programs_are_the_shipped_scenarios():
             )
             # ten digits of the file
             np.testing.assert_allclose(np.interp(time, table[:, 0], known), column, rtol=0, atol=1e-9)
+        held = table[:, header.index("payload_mass")] if "payload_mass" in header else 0 * table[:, 0]
+        np.testing.assert_array_equal(np.interp(time, table[:, 0], held), payload(PROGRAMS[name], time))
 
 
 def test_a_program_that_is_too_long_is_refused():
@@ -208,7 +212,9 @@ def test_a_program_that_is_too_long_is_refused():
     with pytest.raises(Problem, match="stick lever: 11 strokes, expected at most 10"):
         program(many)
     assert program(many[:10])["stick_10_start"] == 9.0
-    assert len(program(())) == len(AXES) * len(STROKES) * 5
+    assert len(program(())) == len(AXES) * len(STROKES) * 5 + len(PAYLOADS) * 3
+    with pytest.raises(Problem, match="5 stems, expected at most 4"):
+        program([Stem(float(n), 100.0, 0.5) for n in range(5)])
 
 
 def test_the_default_sets_are_the_start_values():

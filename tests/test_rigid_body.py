@@ -43,11 +43,15 @@ def indices(variant):
     return angles, speeds, [i for i in range(len(names)) if i not in (*angles, *speeds)]
 
 
-def state(variant, q, w, z=0.0):
-    """States of a variant from angles, speeds and deflections [m or rad]."""
+def state(variant, q, w, z=0.0, held=0.0):
+    """States of a variant from angles, speeds, deflections [m or rad] and the payload held [kg]."""
     angles, speeds, others = indices(variant)
     x = np.zeros(len(angles) + len(speeds) + len(others))
     x[angles], x[speeds], x[others] = q, w, z
+    x[[list(quantities(VARIANTS[variant].states)).index(n) for n in ("held_mass", "payload_flow")]] = (
+        held,
+        0.0,
+    )
     return x
 
 
@@ -56,6 +60,7 @@ def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=P, variant="rigid"):
     sub = VARIANTS[variant]
     u = dict.fromkeys(quantities(sub.inputs), 0.0)
     u |= dict(zip(("swing_torque", "boom_force", "stick_force"), forces, strict=True))
+    u["payload_mass"] = x[list(quantities(sub.states)).index("held_mass")]  # nothing is picked up or dropped
     dx, y = MODEL[variant](x, list(u.values()), list(numbers.values()))
     return np.array(dx).ravel(), dict(zip(quantities(sub.outputs), np.array(y).ravel(), strict=True))
 
@@ -79,8 +84,11 @@ def pin():
     return pytest.importorskip("pinocchio", reason="Pinocchio is installed on Linux only")
 
 
-def arm(pin, p):
-    """The arm as a tree of bodies: x forward, y to the left, z up; positive boom and stick angles are up."""
+def arm(pin, p, held=0.0):
+    """The arm as a tree of bodies: x forward, y to the left, z up; positive boom and stick angles are up.
+
+    held   mass of a payload, a further point mass at the centre of the head
+    """
     model, up, nowhere = pin.Model(), np.array([0.0, -1.0, 0.0]), np.zeros(3)
     model.gravity.linear = np.array([0.0, 0.0, -p["gravity"]])
 
@@ -95,17 +103,20 @@ def arm(pin, p):
     along = [(0.0, p[f"{name}_inertia"], p[f"{name}_inertia"]) for name in CYLINDERS]  # slender links
     centres = [(p[f"{name}_centre_x"], 0.0, p[f"{name}_centre_z"]) for name in CYLINDERS]
     pivots = [np.array([p[f"{name}_pivot_x"], 0.0, p[f"{name}_pivot_z"]]) for name in CYLINDERS]
-    point = (p["head_mass"], (p["stick_length"], 0.0, 0.0), (0.0, 0.0, 0.0))
     boom = link(
         column, pin.JointModelRevoluteUnaligned(up), pivots[0], (p["boom_mass"], centres[0], along[0])
     )
     hangs = "head_length" in p
-    parts = [(p["stick_mass"], centres[1], along[1])] + ([] if hangs else [point])
+    point = (p["head_mass"], (p["stick_length"], 0.0, 0.0), (0.0, 0.0, 0.0))
+    load = (held, *point[1:])
+    parts = [(p["stick_mass"], centres[1], along[1])] + ([] if hangs else [point, load])
     stick = link(boom, pin.JointModelRevoluteUnaligned(up), pivots[1], *parts)
     if hangs:
         end, inertia = np.array([p["stick_length"], 0.0, 0.0]), (p["head_inertia"], p["head_inertia"], 0.0)
         yoke = link(stick, pin.JointModelRevoluteUnaligned(up), end)
-        link(yoke, pin.JointModelRX(), nowhere, (p["head_mass"], (0.0, 0.0, -p["head_length"]), inertia))
+        centre = (0.0, 0.0, -p["head_length"])
+        load = (held, centre, (0.0, 0.0, 0.0))
+        link(yoke, pin.JointModelRX(), nowhere, (p["head_mass"], centre, inertia), load)
     return model, model.createData()
 
 
@@ -122,14 +133,15 @@ def test_mass_matrix_coriolis_gravity_and_energies_are_pinocchio_s(pin, variant)
     rng, turn = np.random.default_rng(4), joint_angles(variant)
     for _ in range(100):
         numbers, (q, w) = random_numbers(rng, variant), random_state(rng, variant)
-        model, data = arm(pin, numbers)
+        held = rng.choice([0.0, rng.uniform(0.0, 500.0)])
+        model, data = arm(pin, numbers, held)
         upper = np.triu(pin.crba(model, data, turn @ q))
         gravity = pin.computeGeneralizedGravity(model, data, turn @ q).copy()
         coriolis = pin.rnea(model, data, turn @ q, turn @ w, np.zeros(len(q))) - gravity
         theirs = [turn.T @ (upper + np.triu(upper, 1).T) @ turn, turn.T @ coriolis, turn.T @ gravity]
         theirs += [pin.computeKineticEnergy(model, data, turn @ q, turn @ w)]
         theirs += [pin.computePotentialEnergy(model, data, turn @ q)]
-        ours = MECHANICS[variant](state(variant, q, w), [*numbers.values()])
+        ours = MECHANICS[variant](state(variant, q, w, held=held), [*numbers.values()])
         for own, expected in zip(ours, theirs, strict=True):
             # exact identity; 1e-9 is 1e2 rounding errors of terms up to 7e4 that cancel
             np.testing.assert_allclose(np.array(own).squeeze(), expected, rtol=1e-11, atol=1e-9)
@@ -156,9 +168,10 @@ def test_acceleration_is_pinocchio_s(pin, variant):
         numbers = random_numbers(rng, variant)
         numbers |= {n: 0.0 for n in numbers if n.endswith("stop_stiffness")}
         (q, w), z = random_state(rng, variant), rng.uniform(-1e-4, 1e-4)
-        model, data = arm(pin, numbers)
+        held = rng.choice([0.0, rng.uniform(0.0, 500.0)])
+        model, data = arm(pin, numbers, held)
         forces = rng.uniform(-1.0, 1.0, 3) * (3e4, 1e5, 1e5)
-        x = state(variant, q, w, z)
+        x = state(variant, q, w, z, held)
         dx, y = evaluate(x, forces, numbers, variant)
         joints, pistons, head = friction(variant, numbers, x, y)
         torque = [forces[0] - joints[0], y["boom_torque"] - joints[1], y["stick_torque"] - joints[2]]
@@ -223,7 +236,7 @@ def test_free_link_swings_with_the_period_of_a_compound_pendulum(joint, amplitud
     def rates(_, y):
         q, w = np.array([0.0, 0.0, -1.4]), np.zeros(3)
         q[i], w[i] = y[0] + rest, y[1]
-        mass, coriolis, gravity, _, _ = MECHANICS["rigid"]([*q, *w], [*P.values()])
+        mass, coriolis, gravity, _, _ = MECHANICS["rigid"](state("rigid", q, w), [*P.values()])
         return [y[1], -(float(coriolis[i]) + float(gravity[i])) / float(mass[i, i])]
 
     def crossing(_, y):
@@ -263,10 +276,10 @@ def test_free_arm_keeps_its_energy_and_its_angular_momentum(variant):
 
 
 def poses(name, count=25):
-    """Angles [rad] of a joint over the cylinder's stroke, as states (6,) with speed 0.3 rad/s there."""
+    """Angles [rad] of a joint over the cylinder's stroke, as states with speed 0.3 rad/s there."""
     i = 1 + CYLINDERS.index(name)
     for angle in np.linspace(-0.5, 1.0, count) if name == "boom" else np.linspace(-2.2, -0.6, count):
-        x = np.array([0.1, 0.2, -1.4, 0.0, 0.0, 0.0])
+        x = state("rigid", [0.1, 0.2, -1.4], [0.0, 0.0, 0.0])
         x[i], x[i + 3] = angle, 0.3
         yield i, x
 
@@ -296,7 +309,7 @@ def test_moment_arm_is_slope_of_the_length_and_distance_to_the_cylinder_line(nam
     step = 1e-4
     for i, x in poses(name):
         lever = evaluate(x)[1][f"{name}_velocity"] / x[i + 3]
-        ends = [evaluate(x + d * np.eye(6)[i])[1][f"{name}_position"] for d in (-step, step)]
+        ends = [evaluate(x + d * np.eye(x.size)[i])[1][f"{name}_position"] for d in (-step, step)]
         # truncation step^2/6 of the third derivative (below 1 m), rounding 1e-16/step
         assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(lever, abs=1e-8)
         base, rod = pins(name, x[i])
@@ -327,7 +340,7 @@ def test_cylinder_does_the_work_that_the_joint_receives(name):
         assert y[f"{name}_torque"] * x[i + 3] == pytest.approx(
             forces[name] * y[f"{name}_velocity"], rel=1e-12
         )
-        resting = [*x[:3], 0.0, 0.0, 0.0]
+        resting = state("rigid", x[:3], np.zeros(3))
         dx, _ = evaluate(resting, (0.0, y["boom_holding_force"], y["stick_holding_force"]))
         # exact identity; rounding of moments up to 4e4 N.m over inertias above 1e3 kg.m2
         assert np.abs(dx).max() < 1e-12

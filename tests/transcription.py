@@ -28,8 +28,9 @@ STATES = (
     *(f"boom_stick.stick_{name}" for name in ("head_pressure", "rod_pressure", "head_flow", "rod_flow")),
     *(f"manipulator.{joint}_angle" for joint in ("swing", "boom", "stick")),
     *(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")),
+    *("manipulator.held_mass", "manipulator.payload_flow"),
 )
-NOMINAL = np.array(3 * [1e7, 1e7, 1e-3, 1e-3] + 6 * [1.0])
+NOMINAL = np.array(3 * [1e7, 1e7, 1e-3, 1e-3] + 6 * [1.0] + [100.0, 1000.0])
 
 
 def numbers(section: str = "parameters") -> dict[str, float]:
@@ -190,11 +191,16 @@ def stop(p: Group, arm: Group, s: float, v: float) -> float:
     return arm.stop_stiffness * (push - pull)
 
 
-def arm(m: Machine, q2: float, q3: float, w: float, w2: float, w3: float) -> list[float]:
+def payload(a: Group, mass: float) -> tuple[float, ...]:
+    """A particle at the tip, section 5."""
+    return mass, mass * a.gravity, a.boom_pivot_x, a.stick_pivot_x, a.stick_pivot_z, a.stick_length, 0.0
+
+
+def arm(m: Machine, q2: float, q3: float, w: float, w2: float, w3: float, held: float) -> list[float]:
     """M_11, M_22, M_23, M_33, V_1, V_2, V_3, G_2, G_3: sums over the particles, projected on the joints."""
     c2, s2, cf, sf = cos(q2), sin(q2), cos(q2 + q3), sin(q2 + q3)
     m11 = m22 = m23 = m33 = v1 = v2 = v3 = g2 = g3 = 0.0
-    for mass, weight, offset, cx, cz, dx, dz in m.particles:
+    for mass, weight, offset, cx, cz, dx, dz in (*m.particles, payload(m.arm, held)):
         bx, bz = c2 * cx - s2 * cz, s2 * cx + c2 * cz
         ex, ez = cf * dx - sf * dz, sf * dx + cf * dz
         radius, jr, jz = offset + bx + ex, -bz - ez, bx + ex  # (jr, jz), (-ez, ex): partial velocities
@@ -213,19 +219,35 @@ def arm(m: Machine, q2: float, q3: float, w: float, w2: float, w3: float) -> lis
     return [m.arm.column_inertia + m11, m22, m23, m33, v1, v2, v3, g2, g3]
 
 
+def pick_up(a: Group, q2: float, q3: float, w: float, w2: float, w3: float, flow: float) -> list[float]:
+    """Moments [N.m] on the joints: the tip gives its velocity to a mass at rest, section 5."""
+    out_2 = a.stick_pivot_x * cos(q2) - a.stick_pivot_z * sin(q2)  # boom pivot to elbow, elbow to tip
+    up_2 = a.stick_pivot_x * sin(q2) + a.stick_pivot_z * cos(q2)
+    out_3, up_3 = a.stick_length * cos(q2 + q3), a.stick_length * sin(q2 + q3)
+    radius, pitch_speed = a.boom_pivot_x + out_2 + out_3, w2 + w3
+    around, out, up = radius * w, -up_2 * w2 - up_3 * pitch_speed, out_2 * w2 + out_3 * pitch_speed
+    force = [-max(flow, 0.0) * v for v in (around, out, up)]
+    about_elbow = out_3 * force[2] - up_3 * force[1]
+    return [radius * force[0], about_elbow + out_2 * force[2] - up_2 * force[1], about_elbow]
+
+
 def evaluate(m: Machine, x: Floats, u: Floats) -> tuple[list[float], Group]:
-    """Rates of the 18 states and what they are made of; u: three commands [V], supply, tank pressure [Pa]."""
-    q2, q3, w, w2, w3 = x[13:18]
+    """Rates of the 20 states and what they are made of.
+
+    u   three commands [V], supply, tank pressure [Pa], payload [kg]
+    """
+    q2, q3, w, w2, w3, held, flow = x[13:20]
     p_1, p_2 = motor(m.swing, x[0], x[1], u[4], w)
     torque = m.swing.motor_displacement * m.swing.gear_ratio * (p_1 - p_2)
-    m11, m22, m23, m33, v1, v2, v3, g2, g3 = arm(m, q2, q3, w, w2, w3)
+    m11, m22, m23, m33, v1, v2, v3, g2, g3 = arm(m, q2, q3, w, w2, w3, held)
+    drag = pick_up(m.arm, q2, q3, w, w2, w3, flow)
     ports = [valve(m.swing, u[0], x[2], x[3], u[3], u[4])]
     rates = slewing(m.swing, x[0:4], p_1, p_2, *ports[0])
     z = Group(
         motor=(p_1, p_2), torque=torque, ports=ports, triangles=[], forces=[], stops=[], gravity=(g2, g3)
     )
     loads = []
-    for i, (angle, speed, bias) in enumerate(((q2, w2, v2 + g2), (q3, w3, v3 + g3))):
+    for i, (angle, speed, bias) in enumerate(((q2, w2, v2 + g2 - drag[1]), (q3, w3, v3 + g3 - drag[2]))):
         p, link, oil = m.hydraulic[i], m.linkage[i], x[4 + 4 * i : 8 + 4 * i]
         s, lever, bend = triangle(link, angle)
         v = lever * speed
@@ -237,10 +259,12 @@ def evaluate(m: Machine, x: Floats, u: Floats) -> tuple[list[float], Group]:
         z.forces.append(force)
         z.stops.append(end)
     determinant = m22 * m33 - m23**2
-    turn = (torque - m.arm.swing_damping * w - v1) / m11
+    turn = (torque + drag[0] - m.arm.swing_damping * w - v1) / m11
     lift = (m33 * loads[0] - m23 * loads[1]) / determinant
     fold = (m22 * loads[1] - m23 * loads[0]) / determinant
-    return [*rates, w, w2, w3, turn, lift, fold], z
+    slow, fast = 2 / 3 * m.arm.payload_grip_time, 1 / 3 * m.arm.payload_grip_time  # lags in series
+    grip = (u[5] - held) / (slow * fast) - flow * (slow + fast) / (slow * fast)
+    return [*rates, w, w2, w3, turn, lift, fold, flow, grip], z
 
 
 def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
@@ -281,38 +305,44 @@ def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
     return y
 
 
-def start(m: Machine, angles: Floats, tank: float) -> list[float]:
-    """States at rest that hold the pose, sections 3 and 4; angles [rad] of the joints, tank pressure [Pa]."""
+def start(m: Machine, angles: Floats, tank: float, held: float = 0.0) -> list[float]:
+    """States at rest that hold the pose, sections 3 and 4.
+
+    Angles [rad] of the joints, tank pressure [Pa], payload [kg].
+    """
     x = [tank + m.swing.initial_preload, tank + m.swing.initial_preload, 0.0, 0.0]
-    gravity = arm(m, angles[1], angles[2], 0.0, 0.0, 0.0)[7:]
+    gravity = arm(m, angles[1], angles[2], 0.0, 0.0, 0.0, held)[7:]
     for p, link, g, angle in zip(m.hydraulic, m.linkage, gravity, angles[1:], strict=True):
         a_h, a_r = areas(p)
         force, preload = g / triangle(link, angle)[1], tank + p.initial_preload
         p_r = preload + (-force + sqrt(force**2 + (0.1 * preload * a_r) ** 2)) / 2 / a_r
         x += [(force + a_r * p_r) / a_h, p_r, 0.0, 0.0]
-    return [*x, *angles, 0.0, 0.0, 0.0]
+    return [*x, *angles, 0.0, 0.0, 0.0, held, 0.0]
 
 
-def simulate(time: Array, commands: Array, tolerance: float = 1e-12) -> Array:
-    """States (n, 18) at `time` (n,) for commands (n, 3) [V], linear between the samples.
+def simulate(time: Array, commands: Array, loads: Array | None = None, tolerance: float = 1e-12) -> Array:
+    """States (n, 20) at `time` (n,) for commands (n, 3) [V], linear between the samples.
 
-    VODE's BDF with a difference Jacobian, started anew at each kink of the commands; `tolerance` is relative,
-    and absolute times each state's nominal value.
+    VODE's BDF with a difference Jacobian, started anew at each kink of the commands. `loads`: payload [kg] at
+    the samples (n,), linear between them, zero by default. `tolerance` is relative, and absolute times each
+    state's nominal value.
     """
     table, given = numbers(), numbers("start")
     m = Machine(table)
     angles = [table[f"manipulator.initial_{joint}_angle"] for joint in ("swing", "boom", "stick")]
     pressures = given["swing.supply_pressure"], given["swing.tank_pressure"]
+    driven = np.column_stack([commands, np.zeros(len(time)) if loads is None else loads])
     states = np.empty((len(time), len(STATES)))
     states[0] = start(m, angles, pressures[1])
-    slope = np.diff(commands, axis=0) / np.diff(time)[:, None]
+    slope = np.diff(driven, axis=0) / np.diff(time)[:, None]
     kinks = np.flatnonzero(np.abs(np.diff(slope, axis=0)).max(axis=1) > 1e-6) + 1
     for first, last in zip([0, *kinks], [*kinks, len(time) - 1], strict=True):
-        chord = (commands[last] - commands[first]) / (time[last] - time[first])
-        lines = list(zip(commands[first].tolist(), chord.tolist(), strict=True))
+        chord = (driven[last] - driven[first]) / (time[last] - time[first])
+        lines = list(zip(driven[first].tolist(), chord.tolist(), strict=True))
 
         def rates(t: float, x: Array, t0: float = time[first], lines: list = lines) -> list[float]:
-            return evaluate(m, x.tolist(), [*(u + du * (t - t0) for u, du in lines), *pressures])[0]
+            *volts, load = (u + du * (t - t0) for u, du in lines)
+            return evaluate(m, x.tolist(), [*volts, *pressures, load])[0]
 
         settings = {"method": "bdf", "with_jacobian": True, "nsteps": 1_000_000}
         solver = ode(rates).set_integrator("vode", rtol=tolerance, atol=tolerance * NOMINAL, **settings)

@@ -148,5 +148,6 @@ function table = wires()
         'operator_input.boom_command_rate',     'boom_stick.boom_command_rate'
         'operator_input.stick_command',         'boom_stick.stick_command'
         'operator_input.stick_command_rate',    'boom_stick.stick_command_rate'
+        'operator_input.payload_mass',          'manipulator.payload_mass'
     };
 end

@@ -53,6 +53,11 @@ def lever(axis: str) -> Terminal:
     return Terminal(f"{axis}_lever", "lever", f"Command to the {axis} valve", members)
 
 
+def grip() -> Terminal:
+    """Payload of the head."""
+    return Terminal("grip", "grip", "Payload that the head is to hold", (Member("mass", "payload_mass"),))
+
+
 def supply_line() -> Terminal:
     """Supply line at the valves of a drive."""
     members = (

@@ -1,6 +1,6 @@
 """The machine (swing drive, boom and stick drives, manipulator) as one subsystem and one FMU, `harvester`.
 
-Inputs are the commands and the supply. Only differences from the declarations of the parts are listed here.
+Inputs are commands, supply and payload. Only differences from the declarations of the parts are listed here.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from fmus.components.ports import lever, return_line, supply_line
+from fmus.components.ports import grip, lever, return_line, supply_line
 from fmus.composition import compose
 from fmus.contract import Subsystem
 from fmus.machine.parts import CONNECTIONS, HOLDING, INPUTS, RATES, SUBSYSTEMS
@@ -20,7 +20,7 @@ TEXTS = {
     "supply_flow": "Flow from the supply line into all three drives",
     "return_flow": "Flow into the return line from all three drives, with the case drain",
     "stored_energy": "Energy of oil compression and of the moving oil columns of all three drives",
-    "dissipated_power": "Power dissipated by edges, hoses, lines, leakage, friction of joints and pistons",
+    "dissipated_power": "Power dissipated by edges, hoses, lines, leakage, friction and pick-up of payload",
     "swing_acceleration": "Acceleration of the swing column",
     "boom_acceleration": "Acceleration of the boom piston",
     "stick_acceleration": "Acceleration of the stick piston",
@@ -40,7 +40,12 @@ def composed_machine(parts: Mapping[str, Subsystem]) -> Subsystem:
         hidden=HIDDEN,
         totals=TOTALS,
         texts=TEXTS,
-        terminals=(*(lever(axis) for axis in ("swing", "boom", "stick")), supply_line(), return_line()),
+        terminals=(
+            *(lever(axis) for axis in ("swing", "boom", "stick")),
+            grip(),
+            supply_line(),
+            return_line(),
+        ),
     )
 
 

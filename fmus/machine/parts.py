@@ -63,15 +63,16 @@ SHARED: Mapping[str, tuple[str, ...]] = dict.fromkeys(
 )
 
 # commands of the operator and their rates
-COMMAND_WIRES: Connections = tuple(
+LEVER_WIRES: Connections = tuple(
     (f"operator_input.{lever}_command{suffix}", f"{part}.{lever}_command{suffix}")
     for lever, part in (("swing", "swing"), ("boom", "boom_stick"), ("stick", "boom_stick"))
     for suffix in ("", "_rate")
 )
+COMMAND_WIRES: Connections = (*LEVER_WIRES, ("operator_input.payload_mass", "manipulator.payload_mass"))
 
 # commands of the controller, which replaces the operator, and its measured signals
 CONTROL_WIRES: Connections = (
-    *((source.replace(OPERATOR.name, CONTROLLER.name), target) for source, target in COMMAND_WIRES),
+    *((source.replace(OPERATOR.name, CONTROLLER.name), target) for source, target in LEVER_WIRES),
     *(
         (f"manipulator.{axis}_{kind}", f"controller.{axis}_{kind}")
         for kind in ("angle", "speed")
@@ -107,7 +108,7 @@ SUPPLY_WIRES: Connections = (
 
 # external inputs of the machine without operator -> component inputs
 INPUTS: Mapping[str, tuple[str, ...]] = {
-    **{end.split(".")[1]: (end,) for _, end in COMMAND_WIRES},
+    **{end.split(".")[1]: (end,) for _, end in LEVER_WIRES},
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),
     "supply_pressure_rate": ("swing.supply_pressure_rate", "boom_stick.supply_pressure_rate"),
     "tank_pressure": ("swing.tank_pressure", "boom_stick.tank_pressure"),
@@ -116,6 +117,7 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
         "swing.load_sensing_pressure_rate",
         "boom_stick.load_sensing_pressure_rate",
     ),
+    "payload_mass": ("manipulator.payload_mass",),
 }
 
 

@@ -2,7 +2,7 @@
 
     python -m fmus.machine.reference DATA_FOLDER
 
-writes scenario and trace of the work cycle, the program of the operator, and the experiments. Run it after
+writes scenarios and trace of the work cycle, the program of the operator, and the experiments. Run it after
 every change of equations or parameter values.
 
 The trace is calculated with the monolithic model (`fmus.monolith`), which has neither coupling nor solver in
@@ -23,7 +23,7 @@ accuracy.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import factorial
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,17 @@ from fmus.machine.parts import (
     SUBSYSTEMS,
     SUPPLY_WIRES,
 )
-from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE, WORK_CYCLE_STOP, program_numbers, sample
+from fmus.machine.work_cycle import (
+    COMMANDS,
+    PROGRAMS,
+    WITH_STEMS,
+    WORK_CYCLE,
+    WORK_CYCLE_STOP,
+    Stem,
+    payload,
+    program_numbers,
+    sample,
+)
 from fmus.monolith import join, simulate
 from fmus.operator_input.model import AXES, OPERATOR
 from fmus.parameters import Values, values, write
@@ -57,13 +67,14 @@ from orchestrator.base.files import write_columns
 
 Array = NDArray[np.float64]
 STOP = 8.0  # s, with strokes of each lever
+STEM = Stem(3.0, 200.0, 3.0)  # of the parts that carry it: taken up and dropped in motion
 EXPERIMENT_EVERY = 4  # communication steps between two rows of the result
 EXPERIMENT_TOLERANCE = 1e-11  # relative, and absolute times the nominal value
 INPUT_DIGITS, RESULT_DIGITS = 10, 9
 CONSTANT = 1e-6  # range over nominal value below which a signal counts as constant
 
 
-def machine_signals() -> dict[str, Array]:
+def machine_signals(stems: Sequence[Stem] = ()) -> dict[str, Array]:
     """Signals of the machine in operation, `component.variable` -> samples (n,), every STEP up to STOP."""
     count = round(STOP / STEP)
     time = np.arange(2 * count + 1) * STEP / 2  # half steps, so that all corners of the strokes are samples
@@ -75,6 +86,7 @@ def machine_signals() -> dict[str, Array]:
     }
     recorded["operator_input.clock"] = time
     model = join(SUBSYSTEMS, CONNECTIONS, INPUTS)
+    recorded["operator_input.payload_mass"] = payload(stems, time)
     sources = {end: recorded[source] for source, end in COMMAND_WIRES}
     constant = dict(zip(model.inputs, model.u, strict=True))
     driven = {n: sources.get(ends[0], np.full(time.size, constant[n])) for n, ends in INPUTS.items()}
@@ -190,14 +202,14 @@ def compared_outputs(sub: Subsystem, inputs: Mapping[str, Array], result: Mappin
 
 def write_experiments() -> None:
     """Write the experiments of all variants, operator, controller and composed machine."""
-    recorded = machine_signals()
+    empty, loaded = machine_signals(), machine_signals([STEM])
     for sub in (
         *(v for variants in FAMILIES.values() for v in variants.values()),
         OPERATOR,
         CONTROLLER,
         HARVESTER,
     ):
-        write_reference(sub, recorded)
+        write_reference(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)
 
 
 def write_reference(sub: Subsystem, recorded: Mapping[str, Array]) -> None:
@@ -255,6 +267,17 @@ def work_cycle() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return time, np.round(commands, 9)
 
 
+def write_with_stems(path: Path) -> None:
+    """Write the scenario of the work cycle with stems; each step of the payload is two rows, 1 ms apart."""
+    time, commands = work_cycle()
+    moves = PROGRAMS[WITH_STEMS]
+    steps = [t for s in moves if isinstance(s, Stem) for t in (s.start, s.start + s.hold)]
+    rows = np.unique(np.round([*time, *(t - 1e-3 for t in steps)], 9))
+    columns = [np.interp(rows, time, column) for column in commands.T]
+    table = np.column_stack([rows, *columns, payload(moves, rows + 1e-9)])
+    write_columns(path, ("time", *COMMANDS, "payload_mass"), table, 10)
+
+
 def trace() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Time (n,) and SIGNALS (n, m) of the monolithic model over the work cycle, at 200 Hz."""
     time, commands = work_cycle()
@@ -276,6 +299,7 @@ def main(folder: Path) -> None:
     write_columns(
         folder / "scenarios" / "work_cycle.csv", ("time", *COMMANDS), np.column_stack([time, commands]), 10
     )
+    write_with_stems(folder / "scenarios" / f"{WITH_STEMS}.csv")
     time, signals = trace()
     rows = np.column_stack([time, signals])[::EVERY]
     write_columns(folder / "reference" / "work_cycle.csv", ("time", *SIGNALS), rows, 9)

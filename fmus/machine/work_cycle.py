@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.contract import quantities
-from fmus.operator_input.model import AXES, OPERATOR, STROKE_FIELDS, STROKES, stroke_name
+from fmus.operator_input.model import (
+    AXES,
+    OPERATOR,
+    PAYLOAD_FIELDS,
+    PAYLOADS,
+    STROKE_FIELDS,
+    STROKES,
+    payload_name,
+    stroke_name,
+)
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 
@@ -43,8 +52,21 @@ class Move:
         return np.interp(time, corners, [0.0, self.command, self.command, 0.0])
 
 
+@dataclass(frozen=True)
+class Stem:
+    """One payload: the head takes it up at `start` [s] and lets it go after `hold` [s]; mass [kg]."""
+
+    start: float
+    mass: float
+    hold: float
+
+    def sample(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Mass [kg] at `time` [s], shape (n,)."""
+        return np.where((self.start <= time) & (time < self.start + self.hold), self.mass, 0.0)
+
+
 # Two trees: slew out and reach, place the head, grip and cut, lift and fold, slew back, set down.
-# Only the motion of the arm: the mass of the head is constant, without a stem.
+# Without a payload: only the motion of the arm. With stems: WORK_CYCLE_STEMS.
 WORK_CYCLE: tuple[Move, ...] = (
     Move("boom", 1.0, 3.2, 0.30, 0.70, 0.50),  # lift the head off the ground
     Move("swing", 1.5, 3.6, 0.50, 1.50, 1.50),  # slew out to the left ...
@@ -72,47 +94,65 @@ WORK_CYCLE: tuple[Move, ...] = (
     Move("stick", 37.4, -1.8, 0.30, 0.50, 0.30),
 )
 WORK_CYCLE_STOP = 42.0  # s
+# The same strokes with a stem of each tree: grabbed after the cut, let go when it has been fed and bucked.
+# A spruce of 0.35 m3 weighs 300 kg (fresh, 850 kg/m3); the head holds it in the middle of its mass.
+STEMS = (Stem(9.4, 300.0, 9.6), Stem(29.4, 250.0, 9.6))
 
-# programs of the operator by name; boom_up is also the scenario data/scenarios/boom_up.csv
+# programs of the operator by name; all but still are also scenarios in data/scenarios
 DEFAULT = "work_cycle"
-PROGRAMS: Mapping[str, tuple[Move, ...]] = {
+WITH_STEMS = "work_cycle_stems"
+PROGRAMS: Mapping[str, tuple[Move | Stem, ...]] = {
     DEFAULT: WORK_CYCLE,
+    WITH_STEMS: (*WORK_CYCLE, *STEMS),
     "boom_up": (Move("boom", 1.0, 5.0, 0.3, 1.0, 0.5),),
     "still": (),
 }
 
 
-def sample(moves: Sequence[Move], stop: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sample(moves: Sequence[Move | Stem], stop: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Time (n,) [s] at 200 Hz and commands (n, 3) [V] in the order of COMMANDS; moves of one axis add up."""
     time = np.arange(round(stop * RATE) + 1) / RATE
+    strokes = [m for m in moves if isinstance(m, Move)]
     columns = [
-        sum((m.sample(time) for m in moves if f"{m.axis}_command" == name), np.zeros(time.size))
+        sum((m.sample(time) for m in strokes if f"{m.axis}_command" == name), np.zeros(time.size))
         for name in COMMANDS
     ]
     return time, np.column_stack(columns)
 
 
-def program(moves: Sequence[Move]) -> dict[str, float]:
-    """The moves as parameters of the operator; all parameters of unused strokes are zero."""
+def payload(moves: Sequence[Move | Stem], time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Payload [kg] at `time` [s], shape (n,)."""
+    return sum((m.sample(time) for m in moves if isinstance(m, Stem)), np.zeros(time.size))
+
+
+def program(moves: Sequence[Move | Stem]) -> dict[str, float]:
+    """The moves as parameters of the operator; all parameters of unused strokes and payloads are zero."""
     values = {stroke_name(lever, n, field): 0.0 for lever in AXES for n in STROKES for field in STROKE_FIELDS}
     for lever in AXES:
-        strokes = [move for move in moves if move.axis == lever]
+        strokes = [move for move in moves if isinstance(move, Move) and move.axis == lever]
         if len(strokes) > len(STROKES):
             raise Problem(f"{lever} lever: {len(strokes)} strokes, expected at most {len(STROKES)}")
         for n, move in zip(STROKES, strokes, strict=False):
             values |= {stroke_name(lever, n, field): getattr(move, field) for field in STROKE_FIELDS}
+    stems = [move for move in moves if isinstance(move, Stem)]
+    if len(stems) > len(PAYLOADS):
+        raise Problem(f"{len(stems)} stems, expected at most {len(PAYLOADS)}")
+    for number in PAYLOADS:
+        stem = stems[number - 1] if number <= len(stems) else Stem(0.0, 0.0, 0.0)
+        values |= {payload_name(number, field): getattr(stem, field) for field in PAYLOAD_FIELDS}
     return values
 
 
-def program_numbers(moves: Sequence[Move] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
+def program_numbers(moves: Sequence[Move | Stem] = WORK_CYCLE) -> dict[str, dict[str, Number]]:
     """Content of the operator's parameters.toml."""
     units = {name: q.unit for name, q in quantities(OPERATOR.parameters).items()}
     values = program(moves)
-    used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith("_command") and value}
-    notes = {True: "work cycle, fmus/machine/work_cycle.py", False: "stroke not used"}
-    return {
-        "parameters": {
-            name: Number(value, units[name], "assumed", notes[name.rsplit("_", 1)[0] in used])
-            for name, value in values.items()
-        }
-    }
+    tops = ("_command", "_mass")
+    used = {name.rsplit("_", 1)[0] for name, value in values.items() if name.endswith(tops) and value}
+
+    def note(name: str) -> str:
+        if name.rsplit("_", 1)[0] in used:
+            return "work cycle, fmus/machine/work_cycle.py"
+        return f"{'payload' if name.startswith('payload') else 'stroke'} not used"
+
+    return {"parameters": {n: Number(v, units[n], "assumed", note(n)) for n, v in values.items()}}

@@ -7,7 +7,7 @@ above. Extending the boom cylinder raises the boom; extending the stick cylinder
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import casadi as ca
@@ -85,7 +85,13 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
     and point mass enter with their first moment and their moment of inertia about the elbow; their whole mass
     moves with the elbow. The links are slender: they have no inertia about their own axis, so the inertia of
     a link at pitch f about the vertical is m r^2 + I cos(f)^2.
+
+    The payload is a point mass that comes and goes at the place of the head's mass: at the tip for a point
+    mass, at the centre of mass of a head that swings, because rollers and knives hold the stem there. So the
+    head has the mass m_head + m_held, and the moment of inertia of the empty head.
     """
+    carried, empty = ca.SX.sym("head_mass"), p
+    p = replace(p, head_mass=carried)
     pivot, elbow = (p.boom_pivot_x, p.boom_pivot_z), (p.stick_pivot_x, p.stick_pivot_z)
     boom, stick, tip = ArmLink.of(p, "boom").centre, ArmLink.of(p, "stick").centre, (p.stick_length, 0)
     outboard = p.stick_mass + p.head_mass
@@ -117,7 +123,8 @@ def mechanics(x: ManipulatorState, p: ManipulatorParameters, head: Head) -> Equa
 
     angles = (x.swing_angle, x.boom_angle, x.stick_angle, *(getattr(x, n) for n in head.angles))
     speeds = (x.swing_speed, x.boom_speed, x.stick_speed, *(getattr(x, n) for n in head.speeds))
-    return equations_of_motion(kinetic, potential, column(*angles), column(*speeds))
+    total = empty.head_mass + x.held_mass
+    return equations_of_motion(kinetic, potential, column(*angles), column(*speeds), (carried, total))
 
 
 def triangles(x: Posture, p: Any) -> tuple[Triangle, Triangle]:

@@ -1,11 +1,21 @@
 """Manipulator: equations of motion and subsystem, from the arm, a processing head and a friction law.
 
-    M(q) q'' + V(q, q') + G(q) = tau                           eq. (4), q = (swing, boom, stick, head)
+    M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up             eq. (4), q = (swing, boom, stick, head)
     tau_swing = swing_torque - R_swing                         eq. (8)
     tau_i     = J_i (F_i - R_piston,i + F_stop,i) - R_joint,i  eqs. (5) to (7), i = boom, stick
 
 with the friction forces R; the joint of the head also acts on stick and boom. M, V and G follow from the
 energies (`fmus.manipulator.arm`, `fmus.components.mechanics`).
+
+The head holds a payload, a point mass m_h (`held_mass`) at the place of the head's own mass. It follows the
+input m_in = `payload_mass` by lags of 2 T/3 and T/3 in series, T = `payload_grip_time`, so that its rate
+(`payload_flow`) is a state and no force jumps. After a step it is m_in (1 - exp(-1.5 t/T))^2:
+
+    m_h'' = 4.5 ((m_in - m_h)/T - m_h')/T                      from m_h = m_in, m_h' = 0 at the start
+    tau_pick-up = -max(m_h', 0) d(M q')/dm_h                   mass comes from rest, leaves with its velocity
+
+The pick-up is inelastic: max(m_h', 0) v^2/2 is heat, v the speed of the payload. With the mass the power
+m_h' g z + min(m_h', 0) v^2/2 enters, z its height (`payload_power`). Derivation: `fmus.components.mechanics`.
 """
 
 from __future__ import annotations
@@ -34,6 +44,7 @@ from fmus.manipulator.variables import (
 PORTS = (
     ports.shaft("swing", drives=False),
     *(ports.rod(axis, drives=False) for axis in ("boom", "stick")),
+    ports.grip(),
 )
 
 
@@ -115,15 +126,23 @@ def dynamics(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     boom, stick = arm.pistons(x, p)
     r = _resistances(design, x, p, boom, stick)
     tau = _forces(design, x, u, p, (boom, stick), r)
-    acceleration = arm.mechanics(x, p, design.head).acceleration(tau)
+    motion = arm.mechanics(x, p, design.head)
+    acceleration = motion.acceleration(tau + motion.per_kilogram.drag(x.payload_flow))
     speeds = ("swing_speed", "boom_speed", "stick_speed", *design.head.speeds)
     angles = ("swing_angle", "boom_angle", "stick_angle", *design.head.angles)
     rates: dict[str, Scalar] = {n: acceleration[i] for i, n in enumerate(speeds)}
     rates |= {n: getattr(x, speed) for n, speed in zip(angles, speeds, strict=True)}
+    rates |= {"held_mass": x.payload_flow, "payload_flow": _grip(x, u, p)}
     if design.friction.deflections:
         deflection_rates = [r[c].deflection_rate for c in CONTACTS]
         rates |= dict(zip(design.friction.deflections, deflection_rates, strict=True))
     return design.states(**rates)
+
+
+def _grip(x: Any, u: ManipulatorInputs, p: Any) -> Scalar:
+    """m_h'' [kg/s2]: lags of 2 T/3 and T/3 in series, so the mass held stays between the masses asked for."""
+    time = p.payload_grip_time
+    return 4.5 * ((u.payload_mass - x.held_mass) / time - x.payload_flow) / time
 
 
 def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
@@ -131,7 +150,7 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     boom, stick = arm.pistons(x, p)
     r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
     dx, motion = dynamics(design, x, u, p), arm.mechanics(x, p, design.head)
-    declared = {f.name for f in fields(design.outputs)}
+    load, declared = motion.per_kilogram, {f.name for f in fields(design.outputs)}
     values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in declared}
     if "stored_energy" in declared:
         values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
@@ -148,16 +167,21 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
         stick_torque=stick.triangle.arm * u.stick_force,
         kinetic_energy=motion.kinetic,
         potential_energy=motion.potential,
-        dissipated_power=sum((c.heat for c in r.values()), joint.heat),
+        dissipated_power=sum((c.heat for c in r.values()), joint.heat) + load.heat(x.payload_flow),
+        payload_power=load.inflow(x.payload_flow),
     )
 
 
 def initial(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> dict[str, Scalar]:
-    """Initial pose from parameters, because not every tool can set the start value of an output."""
+    """Initial pose from parameters, because not every tool can set the start value of an output.
+
+    A payload that the input has at the start is held from the start.
+    """
     return {
         "swing_angle": p.initial_swing_angle,
         "boom_angle": p.initial_boom_angle,
         "stick_angle": p.initial_stick_angle,
+        "held_mass": u.payload_mass,
         **design.head.initial(p),
     }
 
@@ -192,6 +216,7 @@ def _positions(x: Any, p: Any) -> dict[str, Scalar]:
         "tip_y": tip[0] * ca.sin(x.swing_angle),
         "tip_radial_velocity": radial,
         "tip_vertical_velocity": vertical,
+        "tip_depth": ca.fmax(p.ground_height - tip[1], 0),
     }
 
 

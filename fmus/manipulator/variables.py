@@ -85,11 +85,14 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
     )
     head_mass: Scalar = Quantity(
         "kg",
-        "Mass of the processing head with its load",
+        "Mass of the processing head without payload",
         1e2,
         minimum=1e-3,
         tunable=True,
         group="Processing head",
+    )
+    payload_grip_time: Scalar = Quantity(
+        "s", "Delay of the mass held behind payload_mass, as two lags in series", 0.1, minimum=1e-3
     )
     swing_damping: Scalar = Quantity(
         "N.m.s/rad",
@@ -106,6 +109,9 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
         "s/m", "Contact damping of the end stops (Hunt and Crossley)", minimum=0.0
     )
     stop_rounding: Scalar = Quantity("m", "Smoothing length of the end stop force", 1e-3, minimum=1e-6)
+    ground_height: Scalar = Quantity(
+        "m", "Ground, height above the foot of the column: negative", group="Ground"
+    )
     initial_swing_angle: Scalar = Quantity(
         "rad", "Swing angle at the start, counter-clockwise from above", group="Start pose"
     )
@@ -116,14 +122,18 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
 
 
 class ManipulatorState(Group):
-    """Joint angles and speeds."""
+    """Joint angles and speeds, and the payload."""
 
-    swing_angle: Scalar = Quantity("rad", "Swing angle, counter-clockwise from above")
+    swing_angle: Scalar = Quantity(
+        "rad", "Swing angle, counter-clockwise from above; the column has no stops"
+    )
     boom_angle: Scalar = Quantity("rad", "Boom angle above the horizontal")
     stick_angle: Scalar = Quantity("rad", "Stick angle relative to the boom, negative when folded")
     swing_speed: Scalar = Quantity("rad/s", "Swing speed, counter-clockwise from above")
     boom_speed: Scalar = Quantity("rad/s", "Speed of the boom joint")
     stick_speed: Scalar = Quantity("rad/s", "Speed of the stick joint")
+    held_mass: Scalar = Quantity("kg", "Mass of the payload that the head holds", 100.0)
+    payload_flow: Scalar = Quantity("kg/s", "Mass flow into the head: rate of held_mass", 1000.0)
 
 
 class CylinderInputs(Group):
@@ -134,13 +144,16 @@ class CylinderInputs(Group):
 
 
 class ManipulatorInputs(Group, boom=CylinderInputs, stick=CylinderInputs):
-    """Torque and forces of the hydraulics; the rate inputs carry their exact time derivatives."""
+    """Torque and forces of the hydraulics, with their exact time derivatives; the payload."""
 
     swing_torque: Scalar = Quantity(
         "N.m", "Hydraulic torque on the swing column", 1e4, rate="swing_torque_rate"
     )
     swing_torque_rate: Scalar = Quantity(
         "N.m/s", "Rate port: time derivative of swing_torque, may stay unconnected", 1e5
+    )
+    payload_mass: Scalar = Quantity(
+        "kg", "Payload that the head is to hold; a smaller value drops mass", 100.0, minimum=0.0
     )
 
 
@@ -172,10 +185,19 @@ class ManipulatorOutputs(ManipulatorState, boom=CylinderOutputs, stick=CylinderO
     tip_y: Scalar = Quantity("m", "Tip, to the left at swing angle zero")
     tip_radial_velocity: Scalar = Quantity("m/s", "Velocity of the tip away from the swing axis")
     tip_vertical_velocity: Scalar = Quantity("m/s", "Velocity of the tip upwards")
+    tip_depth: Scalar = Quantity(
+        "m", "Depth of the tip below the ground, else zero: nothing stops it there", 0.1, warn_above=0.01
+    )
     kinetic_energy: Scalar = Quantity("J", "Kinetic energy", 1e3)
     potential_energy: Scalar = Quantity(
         "J", "Potential energy of gravity, zero at the foot of the column", 1e4
     )
     dissipated_power: Scalar = Quantity(
-        "W", "Power dissipated by friction of joints and pistons, without the cylinders' end stops", 1e3
+        "W",
+        "Power dissipated by friction of joints and pistons and by the inelastic pick-up of payload,"
+        " without the cylinders' end stops",
+        1e3,
+    )
+    payload_power: Scalar = Quantity(
+        "W", "Power that enters with payload: picked up at rest, let go with the speed that it has", 1e3
     )

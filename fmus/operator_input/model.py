@@ -1,10 +1,11 @@
-r"""Operator input: a program of up to ten strokes on each of three levers.
+r"""Operator input: a program of up to ten strokes on each of three levers, and of up to four payloads.
 
     command |    ______
             |   /      \
           0 |__/        \____     start, rise, hold, fall: ramps as in the current of a joystick amplifier
 
     d clock / dt = 1        command = sum of the strokes at `clock`, each a trapezoid
+                            payload_mass = sum of the payloads held at `clock`, each from `start` for `hold`
 
 The rates are the right-hand derivatives of the commands. So an FMU that extrapolates value + rate * time
 follows the ramps exactly if their corners are communication points.
@@ -84,6 +85,8 @@ def _nonzero(duration: Scalar) -> Scalar:
 AXES = ("swing", "boom", "stick")
 STROKES = range(1, 11)
 STROKE_FIELDS = ("start", "command", "rise", "hold", "fall")  # fields of `Stroke` in names of parameters
+PAYLOADS = range(1, 5)
+PAYLOAD_FIELDS = ("start", "mass", "hold")
 
 
 def _stroke(lever: str, number: int) -> tuple[Quantity, ...]:
@@ -103,7 +106,22 @@ def stroke_name(lever: str, number: int, field: str) -> str:
     return f"{lever}_{number}_{field}"
 
 
-# 150 parameters from one pattern; values and sources are in parameters.toml
+def _payload(number: int) -> tuple[Quantity, ...]:
+    """Declaration of the parameters of one payload, in the order of PAYLOAD_FIELDS."""
+    payload = f"payload {number}"
+    return (
+        Quantity("s", f"Time at which the head takes up {payload}", group="Payloads"),
+        Quantity("kg", f"Mass of {payload}", 100.0, minimum=0.0),
+        Quantity("s", f"Time for which the head holds {payload}", minimum=0.0),
+    )
+
+
+def payload_name(number: int, field: str) -> str:
+    """Name of a parameter, for example payload_1_mass."""
+    return f"payload_{number}_{field}"
+
+
+# 162 parameters from two patterns; values and sources are in parameters.toml
 OperatorParameters = make_group(
     "OperatorParameters",
     {
@@ -111,6 +129,11 @@ OperatorParameters = make_group(
         for lever in AXES
         for number in STROKES
         for field, quantity in zip(STROKE_FIELDS, _stroke(lever, number), strict=True)
+    }
+    | {
+        payload_name(number, field): quantity
+        for number in PAYLOADS
+        for field, quantity in zip(PAYLOAD_FIELDS, _payload(number), strict=True)
     },
 )
 
@@ -126,7 +149,7 @@ class OperatorInputs(Group):
 
 
 class OperatorOutputs(Group):
-    """Commands to the valves and their rates."""
+    """Commands to the valves and their rates; payload."""
 
     swing_command: Scalar = Quantity("V", "Command to the swing valve, positive turns left", 10.0)
     boom_command: Scalar = Quantity("V", "Command to the boom valve, positive raises the boom", 10.0)
@@ -134,10 +157,17 @@ class OperatorOutputs(Group):
     swing_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of swing_command", 10.0)
     boom_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of boom_command", 10.0)
     stick_command_rate: Scalar = Quantity("V/s", "Rate port: exact time derivative of stick_command", 10.0)
+    payload_mass: Scalar = Quantity("kg", "Payload that the head is to hold, in steps", 100.0)
 
 
 def _strokes(lever: str, p: Any) -> list[Stroke]:
     return [Stroke(*(getattr(p, stroke_name(lever, n, f)) for f in STROKE_FIELDS)) for n in STROKES]
+
+
+def _payloads(p: Any) -> list[Stroke]:
+    """Payloads as strokes without ramps."""
+    numbers = ((getattr(p, payload_name(n, f)) for f in PAYLOAD_FIELDS) for n in PAYLOADS)
+    return [Stroke(start, mass, 0, hold, 0) for start, mass, hold in numbers]
 
 
 def _lever(lever: str, clock: Scalar, p: Any) -> tuple[Scalar, Scalar]:
@@ -156,21 +186,21 @@ def observe(x: OperatorState, u: OperatorInputs, p: Any) -> OperatorOutputs:
     outputs: dict[str, Scalar] = {}
     for lever in AXES:
         outputs[f"{lever}_command"], outputs[f"{lever}_command_rate"] = _lever(lever, x.clock, p)
+    outputs["payload_mass"] = sum(sample(payload, x.clock)[0] for payload in _payloads(p))
     return OperatorOutputs(**outputs)
 
 
 def next_event(x: OperatorState, u: OperatorInputs, p: Any) -> Scalar:
     """Time [s] to the next corner of a stroke; otherwise a solver at rest would step over a stroke."""
     remaining: Scalar = math.inf
-    for lever in AXES:
-        for stroke in _strokes(lever, p):
-            remaining = ca.fmin(remaining, time_to_corner(stroke, x.clock))
+    for stroke in (*(s for lever in AXES for s in _strokes(lever, p)), *_payloads(p)):
+        remaining = ca.fmin(remaining, time_to_corner(stroke, x.clock))
     return remaining
 
 
 OPERATOR = Subsystem(
     name="operator_input",
-    text="Operator: a program of up to ten strokes on each of three levers",
+    text="Operator: a program of up to ten strokes on each of three levers, and of up to four payloads",
     parameters=OperatorParameters,
     states=OperatorState,
     inputs=OperatorInputs,
@@ -179,6 +209,6 @@ OPERATOR = Subsystem(
     observe=observe,
     next_event=next_event,
     values=Path(__file__).with_name("parameters.toml"),
-    terminals=tuple(ports.lever(axis) for axis in AXES),
+    terminals=(*(ports.lever(axis) for axis in AXES), ports.grip()),
     stiff=False,
 )

@@ -29,7 +29,7 @@ def modelica(
         typer.Option(
             metavar="INPUT",
             help="Input that becomes a parameter, or a connector if use_INPUT_in is true; repeatable;"
-            " default: supply_pressure and tank_pressure.",
+            " default: supply_pressure, tank_pressure and payload_mass.",
         ),
     ] = None,
 ) -> None:
@@ -39,6 +39,6 @@ def modelica(
     """
     from orchestrator.modelica import write_package
 
-    constants = ("supply_pressure", "tank_pressure") if constant is None else constant
+    constants = ("supply_pressure", "tank_pressure", "payload_mass") if constant is None else constant
     default = [SYSTEM, BUILD / "harvester.fmu", *sorted((BUILD / "variants").glob("*.fmu"))]
     print(write_package(files or default, out, name, constants))

@@ -69,13 +69,17 @@ def _open_loops(plant: Plant) -> Iterator[Port]:
 
     Such an output is connected to an input on which a state may depend by declaration, but no state depends
     on its connected inputs here. Components without external inputs, such as a machine behind a controller,
-    are left out. A pressure that does not depend on a position without flow, for example, opens no loop.
+    are left out, and so are signals to components with external inputs, such as the speeds that a controller
+    measures: the loop is open where its command leaves. A pressure that does not depend on a position without
+    flow, for example, opens no loop.
     """
     blocks = plant.blocks()
     effective = np.asarray((blocks.b @ plant.loop_inverse(blocks.d)).any(axis=0))
     with_inputs = {port.component for inlet in plant.cut.inputs for port, _ in inlet.targets}
     for j, output in enumerate(plant.outputs):
         targets = [i for i, row in enumerate(plant.connections) if row[j]]
+        if {plant.inputs[i].component for i in targets} & with_inputs:
+            continue
         declared = any(_may_affect_state(plant, plant.inputs[i]) for i in targets)
         if output.component in with_inputs and declared and not effective[targets].any():
             yield output

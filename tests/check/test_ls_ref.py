@@ -27,6 +27,7 @@ from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.machine.reference import (
     RESULT_DIGITS,
+    STEM,
     compared_outputs,
     machine_signals,
     solve,
@@ -107,9 +108,9 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
 
 def test_the_committed_experiments_are_those_of_the_equations():
     """`python -m fmus.machine.reference` writes the same inputs, parameters and beginning of each result."""
-    known = machine_signals()
+    empty, loaded = machine_signals(), machine_signals([STEM])
     for sub in SUBSYSTEMS.values():
-        moving = stimuli(sub, known)
+        moving = stimuli(sub, loaded if "payload_mass" in quantities(sub.inputs) else empty)
         v = start_values(sub, moving)
         told = table(data_file(sub, "result.csv"))
         if moving:

@@ -1,5 +1,6 @@
 """Eigenvalues of matrices with rates from 1e-6 to 1e7 1/s: against a diagonal, and against 80 digits."""
 
+import math
 from decimal import Decimal, localcontext
 
 import numpy as np
@@ -22,6 +23,8 @@ def resolvent_trace(a, value):
     m = np.block([[real, -imaginary, decimal(np.eye(n))], [imaginary, real, decimal(np.zeros((n, n)))]])
     for k in range(2 * n):
         pivot = k + int(np.argmax(np.abs(m[k:, k])))
+        if not m[pivot, k]:
+            return math.inf  # an exact eigenvalue, such as that of a lag by itself
         m[[k, pivot]] = m[[pivot, k]]
         m[k] = m[k] / m[k, k]
         others = np.flatnonzero((np.arange(2 * n) != k) & (m[:, k] != 0))

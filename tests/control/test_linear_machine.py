@@ -29,7 +29,7 @@ MACHINES = {
     "all": {**DETAILED, **PUMPED},
 }
 SPEEDS = (("swing", 0.3), ("boom", -0.1), ("stick", 0.2))
-COMMANDS = ("swing_command", "boom_command", "stick_command")
+COMMANDS = ("swing_command", "boom_command", "stick_command", "payload_mass")  # all that the operator gives
 SAME = 1e-6  # relative, what is promised of eigenvalues
 
 
@@ -137,7 +137,7 @@ def test_fmi_3_gives_the_same_matrices(tmp_path):
 
 def test_the_machine_as_one_block_has_the_jacobian_of_its_equations(fmu_dir):
     """harvester.fmu, one FMU without wires, valves open: CasADi's Jacobian, and the parts' eigenvalues."""
-    given = dict(zip(COMMANDS, (2.0, 3.0, -2.0), strict=True))
+    given = dict(zip(COMMANDS, (2.0, 3.0, -2.0, 100.0), strict=True))
     one = linearize(fmu_dir / "harvester.fmu", inputs=COMMANDS, set=given)
     whole, numbers = symbolic(HARVESTER), values(HARVESTER)
     x, u, y = (list(quantities(g)) for g in (HARVESTER.states, HARVESTER.inputs, HARVESTER.outputs))

@@ -79,7 +79,7 @@ ERRORS = {
     "--input boom_command_rate: expected boom_command, got its time derivative": {
         "inputs": ["boom_command_rate"]
     },
-    "--output foo\\*: no output matches; there are 72 outputs, such as manipulator.swing_angle, ": {
+    "--output foo\\*: no output matches; there are 82 outputs, such as manipulator.swing_angle, ": {
         "outputs": ["foo*"]
     },
     "--output \\*angel: no output matches": {"outputs": ["*angel"]},

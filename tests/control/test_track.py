@@ -62,7 +62,7 @@ def test_places_are_those_of_the_manipulator():
     model, v = symbolic(MANIPULATOR), values(MANIPULATOR)
     angles = np.random.default_rng(1).uniform([-3, -0.4, -2.1], [3, 1.0, -0.7], (20, 3))
     for swing, boom, stick in angles:
-        x = [swing, boom, stick, 0, 0, 0]
+        x = [swing, boom, stick, 0, 0, 0, 0, 0]
         y = model.function()(x, list(v.u.values()), list(v.p.values()))[1].full()[:, 0]
         told = dict(zip(quantities(MANIPULATOR.outputs), y, strict=True))
         trace = Trace(

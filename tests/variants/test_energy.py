@@ -1,4 +1,4 @@
-"""Every variant of every part, in a machine at work: power in is power out, stored, or heat."""
+"""Every variant of every part, in a machine at work with a stem: power in is out, stored, or heat."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from every import MACHINES
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES, parts, wiring
-from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
+from fmus.machine.work_cycle import COMMANDS, PROGRAMS, Stem, payload, sample
 from fmus.monolith import breakpoints, join
 
 STOP = 5.0  # s: boom, swing and stick move and are braked
+STEM = Stem(2.2, 300.0, 1.5)  # taken up and dropped in full motion
 TOLERANCE = 1e-9  # of CVODES, quadratures included
 BAR = 1e-6  # of the energy that went through
 
@@ -36,6 +37,7 @@ def powers(part, signal):
         return into + [signal("supply.tank_pressure") * q for q in given]
     if part == "manipulator":
         into = [signal("manipulator.swing_torque") * signal("manipulator.swing_speed")]
+        into.append(signal("manipulator.payload_power"))
         for a in ("boom", "stick"):
             force = signal(f"manipulator.{a}_force") + signal(f"manipulator.{a}_stop_force")
             into.append(force * signal(f"manipulator.{a}_velocity"))
@@ -88,6 +90,7 @@ def _integrate(model, x, u, p, rates):
     time, commands = sample(PROGRAMS["work_cycle"], STOP)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(n) for n in COMMANDS]] = commands
+    inputs[:, model.inputs.index("payload_mass")] = payload([STEM], time)
     scale = ca.DM(model.nominal)
     t, z = ca.SX.sym("t"), ca.SX.sym("z", len(model.x))
     at, slope = ca.SX.sym("at", len(model.u)), ca.SX.sym("slope", len(model.u))

@@ -66,12 +66,16 @@ def variant(name):
 
 
 def random_state(v, rng):
-    """Any pose inside the strokes, speeds [rad/s] up to 1, head anywhere allowed, bristles deflected."""
-    ranges = {"swing_angle": 3.0, "head_angle": 3.0, "head_side_angle": 1.3}
+    """Any pose inside the strokes, speeds [rad/s] up to 1, head anywhere allowed, bristles deflected.
+
+    The payload [kg] comes or goes.
+    """
+    ranges = {"swing_angle": 3.0, "head_angle": 3.0, "head_side_angle": 1.3, "payload_flow": 1e3}
     x = np.array(
         [rng.uniform(-1, 1) * (1e-4 if n.endswith("bristle") else ranges.get(n, 1.0)) for n in v.states]
     )
     x[1:3] = rng.uniform(-0.4, 0.95), rng.uniform(-2.1, -0.65)
+    x[v.states.index("held_mass")] = rng.uniform(0.0, 500.0)
     return x
 
 
@@ -88,7 +92,7 @@ def random_forces(rng):
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_power_in_is_power_stored_and_heat(name):
-    """Power of hydraulics and stops = d/dt of kinetic, potential and elastic energy + heat, heat >= 0."""
+    """Power of hydraulics, stops and payload = d/dt of kinetic, potential and elastic energy + heat >= 0."""
     v, rng = variant(name), np.random.default_rng(1)
     y = dict(zip(v.shown, ca.vertsplit(v.model.y), strict=True))
     energy = sum(y[n] for n in ("kinetic_energy", "potential_energy", "stored_energy") if n in y)
@@ -99,7 +103,7 @@ def test_power_in_is_power_stored_and_heat(name):
         x[1] += rng.choice([0.0, 1.5])  # a third of the poses lie in a stop
         u = v.u | forces
         _, y = v(x, **forces)
-        powers = [u["swing_torque"] * y["swing_speed"]]
+        powers = [u["swing_torque"] * y["swing_speed"], y["payload_power"]]
         for a in ("boom", "stick"):
             powers.append((u[f"{a}_force"] + y[f"{a}_stop_force"]) * y[f"{a}_velocity"])
         stored = float(rate(x, list(u.values()), list(v.p.values())))

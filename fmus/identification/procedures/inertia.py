@@ -146,8 +146,8 @@ def regressor() -> ca.Function:
     a = ca.SX.sym("a", 3)
     rate = ca.horzcat(*(ca.jtimes(h, q, w) + ca.jtimes(h, w, a) for h in ca.horzsplit(by_momentum)))
     machine = ca.SX.sym("p", len(PARAMETERS))
-    old = ca.vertcat(*vars(p).values())
-    new = ca.vertcat(*(machine[PARAMETERS.index(f"manipulator.{n}")] for n in vars(p)))
+    old = ca.vertcat(x.held_mass, *vars(p).values())
+    new = ca.vertcat(0, *(machine[PARAMETERS.index(f"manipulator.{n}")] for n in vars(p)))
     terms = ca.substitute([by_momentum, by_force, rate - by_force], [old], [new])
     return ca.Function("regressor", [q, w, a, machine], [ca.densify(t) for t in terms])
 

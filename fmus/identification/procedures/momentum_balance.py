@@ -197,8 +197,9 @@ def _symbolic_equations() -> _Symbols:
     terms += [ca.vertcat(*(r.position for r in rods)), ca.vertcat(*(r.triangle.arm for r in rods))]
     coordinates = [getattr(x, f"{j}_{order}") for order in ("angle", "speed") for j in JOINTS]
     applied = [u.swing_torque, u.boom_force, u.stick_force]
-    old = ca.vertcat(*coordinates, *applied, *vars(own_p).values())
-    new = ca.vertcat(q, w, *hydraulics, *_parameters_of(MANIPULATOR, p))
+    empty = [x.held_mass, x.payload_flow]  # the head's own mass includes what it holds
+    old = ca.vertcat(*coordinates, *empty, *applied, *vars(own_p).values())
+    new = ca.vertcat(q, w, 0, 0, *hydraulics, *_parameters_of(MANIPULATOR, p))
     mass, coriolis, gravity, tau, position, moment_arm = ca.substitute(terms, [old], [new])
     momentum = mass @ w
     force = tau + ca.jtimes(momentum, q, w) - coriolis - gravity
