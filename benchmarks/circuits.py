@@ -1,30 +1,26 @@
-"""The hydraulic circuits on the work cycle: `python -m benchmarks.circuits [--combinations FILE]`.
-
-Prints two tables for docs/machine.md: circuits over the work cycle, and slewing at full command. With
---combinations it also runs every combination of all variants and writes a table with one row each.
+"""The hydraulic circuits on the work cycle, for the tables of docs/machine.md (`python docs/machine.py`).
 
 Energy is that which flows out of the supply line, the integral of pressure times flow. The pressure is the
 highest one in any chamber or line of the drives. Ringing is the rms speed of the boom joint in the pauses of
-the work cycle, when all levers have been in neutral for at least 0.6 s.
+the work cycle, when all levers have been in neutral for at least 0.6 s. The boom mode is that of the closed
+valves in the pose "reach".
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import itertools
-import sys
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fmus.contract import quantities
-from fmus.machine.build import VARIANTS, build_machine
+from fmus.machine.build import VARIANTS
 from fmus.machine.parts import FAMILIES
 from fmus.machine.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP
 from orchestrator import Problem, Trace, linearize, load, run
@@ -145,6 +141,9 @@ CIRCUITS_HEAD = (
 )
 
 
+SLEWING_HEAD = ("swing", "supply", "speed at full command [rpm]")
+
+
 def slewing(folder: Path) -> Iterator[list[str]]:
     """Speed at full command, arm reaching out, by variant of the swing."""
     for variant in FAMILIES["swing"]:
@@ -169,60 +168,51 @@ def _combination(arguments: tuple[Path, dict[str, str]]) -> dict[str, Any]:
     return {**chosen, **measure(folder, chosen)}
 
 
-def combinations(folder: Path, out: Path) -> None:
-    """Every combination of all variants, one row each."""
+def combinations(folder: Path, out: Path) -> str:
+    """Run every combination of all variants, write one row each, and return a summary as a table."""
     chosen = [
         dict(zip(FAMILIES, variants, strict=True)) for variants in itertools.product(*FAMILIES.values())
     ]
     with ProcessPoolExecutor(2) as pool:
         rows = list(pool.map(_combination, [(folder, c) for c in chosen]))
-    modes = {
-        key: boom_mode(folder, dict(zip(("boom_stick", "manipulator"), key, strict=True)))
-        for key in itertools.product(FAMILIES["boom_stick"], FAMILIES["manipulator"])
-    }
     for row in rows:
-        row["frequency"], row["damping"] = modes[row["boom_stick"], row["manipulator"]]
+        key = {part: row[part] for part in ("boom_stick", "manipulator")}
+        row["frequency"], row["damping"] = _cached_mode(folder, tuple(key.items()))
     names = list(dict.fromkeys(name for row in rows for name in row))
     with out.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(rows)
-    failed = [row for row in rows if "failure" in row]
     good = [row for row in rows if "failure" not in row]
-    print(f"{len(good)} of {len(rows)} combinations run the work cycle: {out}")
-    for row in failed:
-        print(", ".join(row[part] for part in FAMILIES), row["failure"], sep=": ")
-    for name, scale, unit in (
-        ("energy", 1e-3, "kJ"),
-        ("boom_stick", 1e-5, "bar"),
-        ("swing", 1e-5, "bar"),
-        ("cost", 1e6, "us per step of 1 ms"),
-        ("damping", 100, "% of the boom mode"),
-    ):
-        found = [row[name] * scale for row in good]
-        print(f"{name}: {min(found):.3g} to {max(found):.3g} {unit}")
+    for row in rows:
+        if "failure" in row:
+            print(", ".join(row[part] for part in FAMILIES), row["failure"], sep=": ")
+    return table(
+        (f"{len(good)} of {len(rows)} combinations run", "least", "median", "largest"),
+        (
+            [text, *(f"{np.quantile([row[name] * scale for row in good], q):.3g}" for q in (0, 0.5, 1))]
+            for name, scale, text in SUMMARY
+        ),
+    )
+
+
+@cache
+def _cached_mode(folder: Path, chosen: tuple[tuple[str, str], ...]) -> tuple[float, float]:
+    return boom_mode(folder, usual(dict(chosen)))
+
+
+SUMMARY = (
+    ("energy", 1e-3, "energy from the supply line [kJ]"),
+    ("boom_stick", 1e-5, "highest pressure, boom and stick [bar]"),
+    ("swing", 1e-5, "highest pressure, swing [bar]"),
+    ("cost", 1e6, "cost [us per step of 1 ms, whole run]"),
+    ("frequency", 1, "frequency of the boom mode [Hz]"),
+    ("damping", 100, "its damping ratio [%]"),
+    ("ringing", 1e3, "ringing [mrad/s]"),
+)
 
 
 def table(head: Iterable[str], rows: Iterable[list[str]]) -> str:
     """A table of the documentation."""
     lines = [list(head), ["---"] * len(list(head)), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--combinations", type=Path, metavar="FILE", help="CSV of all combinations")
-    asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        build_machine(folder)
-        print(table(CIRCUITS_HEAD, circuits(folder)), end="\n\n")
-        print(table(("swing", "supply", "speed at full command [rpm]"), slewing(folder)), end="\n\n")
-        sys.stdout.flush()
-        if asked.combinations:
-            combinations(folder, asked.combinations)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,89 @@
+"""Fills the tables of docs/machine.md: `python docs/machine.py [--combinations FILE]`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from convergence import fill
+
+from benchmarks.circuits import CIRCUITS_HEAD, SLEWING_HEAD, circuits, combinations, slewing, table
+from fmus.machine.build import build_machine
+from fmus.machine.parts import FAMILIES
+from fmus.parameters import complete
+
+PAGE = Path(__file__).with_suffix(".md")
+# part, variant, parameter, unit for the page
+NUMBERS = (
+    ("supply", "ideal", "pressure_setting", "bar"),
+    ("supply", "engine_pump", "engine_rated_torque", "N.m"),
+    ("supply", "engine_pump", "engine_rated_speed", "rpm"),
+    ("supply", "engine_pump", "pump_displacement", "cm3/rad"),
+    ("supply", "load_sensing", "pump_displacement", "cm3/rad"),
+    ("supply", "load_sensing", "margin", "bar"),
+    ("boom_stick", "lumped", "density", "kg/m3"),
+    ("boom_stick", "lumped", "bulk_modulus", "bar"),
+    ("boom_stick", "lumped", "valve_area", "mm2"),
+    ("boom_stick", "lumped", "valve_dead_band", "V"),
+    ("boom_stick", "lumped", "boom_bore", "mm"),
+    ("boom_stick", "lumped", "boom_rod", "mm"),
+    ("boom_stick", "lumped", "boom_stroke", "mm"),
+    ("boom_stick", "lumped", "stick_bore", "mm"),
+    ("boom_stick", "lumped", "stick_rod", "mm"),
+    ("boom_stick", "lumped", "stick_stroke", "mm"),
+    ("boom_stick", "lumped", "boom_hose_length", "m"),
+    ("boom_stick", "lumped", "boom_hose_bore", "mm"),
+    ("boom_stick", "detailed", "spool_frequency", "Hz"),
+    ("boom_stick", "detailed", "hose_wall_modulus", "bar"),
+    ("boom_stick", "detailed", "relief_pressure", "bar"),
+    ("boom_stick", "compensated", "compensator_setting", "bar"),
+    ("boom_stick", "compensated", "boom_section_flow", "L/min"),
+    ("boom_stick", "compensated", "stick_section_flow", "L/min"),
+    ("boom_stick", "compensated", "counterbalance_pressure", "bar"),
+    ("boom_stick", "compensated", "counterbalance_pilot_ratio", "1"),
+    ("swing", "lumped", "motor_displacement", "cm3/rad"),
+    ("swing", "lumped", "gear_ratio", "1"),
+    ("swing", "lumped", "internal_leakage_resistance", "Pa.s/m3"),
+    ("swing", "compensated", "swing_section_flow", "L/min"),
+    ("swing", "compensated", "brake_torque", "N.m"),
+    ("manipulator", "rigid", "boom_mass", "kg"),
+    ("manipulator", "rigid", "stick_mass", "kg"),
+    ("manipulator", "rigid", "stick_length", "m"),
+    ("manipulator", "rigid", "head_mass", "kg"),
+)
+FACTORS = {"bar": 1e-5, "mm": 1e3, "mm2": 1e6, "L/min": 6e4, "rpm": 9.549296585513721, "cm3/rad": 1e6}
+
+
+def numbers() -> Iterator[list[str]]:
+    """Parameter, value, source and note."""
+    for part, variant, name, unit in NUMBERS:
+        number = complete(FAMILIES[part][variant])["parameters"][name]
+        value = f"{number.value * FACTORS.get(unit, 1.0):.4g}" + (f" {unit}" if unit != "1" else "")
+        yield [f"`{part}.{name}`", value, number.source, number.note.replace("|", "\\|")]
+
+
+def main() -> None:
+    """Run the circuits and fill the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--combinations", type=Path, metavar="FILE", help="CSV of all combinations, too")
+    parser.add_argument("--numbers", action="store_true", help="only the table of numbers")
+    asked = parser.parse_args()
+    fill(PAGE, "numbers", table(("parameter", "value", "source", "note"), numbers()))
+    if asked.numbers:
+        return
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        build_machine(folder)
+        fill(PAGE, "circuits", table(CIRCUITS_HEAD, circuits(folder)))
+        fill(PAGE, "slewing", table(SLEWING_HEAD, slewing(folder)))
+        if asked.combinations:
+            fill(PAGE, "combinations", combinations(folder, asked.combinations))
+
+
+if __name__ == "__main__":
+    main()
