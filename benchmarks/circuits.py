@@ -2,8 +2,8 @@
 
 Energy is that which flows out of the supply line, the integral of pressure times flow. The pressure is the
 highest one in any chamber or line of the drives. Ringing is the rms speed of the boom joint in the pauses of
-the work cycle, when all levers have been in neutral for at least 0.6 s. The boom mode is that of the closed
-valves in the pose "reach".
+the work cycle, when all levers have been in neutral for at least 0.6 s. The boom mode is that of the machine
+linearised in such a pause.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from orchestrator import Problem, Trace, linearize, load, run
 
 STEP = 1e-3  # s
 SETTLED = 0.6  # s after the last stroke
+PAUSE = 9.9  # s, 1.7 s after the last stroke
+BOOM = ("boom_speed", "boom_angle")  # leading states of the mode of the boom on its oil
 CIRCUITS: tuple[Mapping[str, str], ...] = (
     {},
     {"supply": "engine_pump"},
@@ -102,14 +104,10 @@ def measure(folder: Path, chosen: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def boom_mode(folder: Path, chosen: Mapping[str, str], **more: Any) -> tuple[float, float]:
-    """Frequency [Hz] and damping ratio of the least damped mode in which the boom takes part."""
-    model = linearize(folder / "harvester.ssp", parameters=["reach"], swap=swaps(folder, chosen), **more)
-    modes = [
-        m
-        for m in model.modes
-        if m.frequency and 0.5 < m.frequency < 10 and "boom_speed" in " ".join(m.main_states)
-    ]
+def boom_mode(folder: Path, chosen: Mapping[str, str]) -> tuple[float, float]:
+    """Frequency [Hz] and damping ratio of the least damped mode in which the boom takes part, at PAUSE."""
+    model = linearize(folder / "harvester.ssp", swap=swaps(folder, chosen), time=PAUSE, step=STEP)
+    modes = [m for m in model.modes if 1 < m.frequency < 10 and m.main_states[0] in BOOM]
     least = min(modes, key=lambda m: m.damping)
     return float(least.frequency), float(least.damping)
 

@@ -109,7 +109,7 @@ def supply_load_sensing() -> Sheet:
         620, 310, "Supply, variant load_sensing: a variable pump that holds a margin over the highest load"
     )
     _engine(s, 60, 220, 160, p.engine_rated_speed, p.engine_rated_speed * p.engine_rated_torque)
-    _pump_line(s, 180, per_revolution(p.pump_displacement))
+    _pump_line(s, 180, per_revolution(p.main_pump_displacement))
     s.frame(250, 130, 118, 62)
     s.text(309, 146, f"margin {bar(p.margin)}\ncut-off {bar(p.pressure_cut_off)}\npower limit", "middle")
     s.node(180, 150)
@@ -216,12 +216,13 @@ def boom_stick_detailed() -> Sheet:
 
 def _compensated_drive(s: Sheet, p: Numbers, axis: str, x: float) -> None:
     s.cylinder(x, 60, _cylinder_label(p, axis))
-    s.group(x - 142, 92, 300, 104, "load-holding valves at the cylinder")
+    s.group(x - 142, 92, 300, 104)
     left, right = x - 64.0, x + 54.0
     for port, to in ((x - 44, left), (x + 34, right)):
         s.line([(port, 76), (port, 100), (to, 100), (to, 110)])
         s.counterbalance(to, 140)
-    s.text(x + 166, 130, f"{bar(p.counterbalance_pressure)}\npilot {p.counterbalance_pilot_ratio:.3g} : 1")
+    setting = f"{bar(p.counterbalance_pressure)}\npilot {p.counterbalance_pilot_ratio:.3g} : 1"
+    s.text(x + 166, 130, f"counterbalance\nvalves {setting}")
     for to, pilot_from in ((left, right), (right, left)):  # pilots cross below the valves
         level = 206 if to == left else 214
         s.line([(to - 40, 148), (to - 40, level), (pilot_from, level)], pilot=True)
@@ -374,12 +375,7 @@ CIRCUITS: dict[str, Callable[[], Sheet]] = {
 def main() -> None:
     """Write the pictures."""
     for name, draw in CIRCUITS.items():
-        try:
-            sheet = draw()
-        except KeyError as error:
-            print(name, error)
-            continue
-        (IMAGES / f"circuit_{name}.svg").write_text(sheet.svg(), encoding="utf-8")
+        (IMAGES / f"circuit_{name}.svg").write_text(draw().svg(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -42,13 +42,12 @@ class Sheet:
         """A rectangle with its upper left corner at (x, y)."""
         self.items.append(f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}"/>')
 
-    def group(self, x: float, y: float, width: float, height: float, label: str) -> None:
-        """A dash-dotted frame around an assembly, with a label."""
+    def group(self, x: float, y: float, width: float, height: float) -> None:
+        """A dash-dotted frame around an assembly."""
         self.items.append(
             f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" '
             'stroke="#888" stroke-width="1" stroke-dasharray="8 3 2 3"/>'
         )
-        self.text(x + 4, y + height - 5, label, colour="#666")
 
     def circle(self, x: float, y: float, r: float, filled: bool = False) -> None:
         """A circle."""

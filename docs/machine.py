@@ -24,7 +24,7 @@ NUMBERS = (
     ("supply", "engine_pump", "engine_rated_torque", "N.m"),
     ("supply", "engine_pump", "engine_rated_speed", "rpm"),
     ("supply", "engine_pump", "pump_displacement", "cm3/rad"),
-    ("supply", "load_sensing", "pump_displacement", "cm3/rad"),
+    ("supply", "load_sensing", "main_pump_displacement", "cm3/rad"),
     ("supply", "load_sensing", "margin", "bar"),
     ("boom_stick", "lumped", "density", "kg/m3"),
     ("boom_stick", "lumped", "bulk_modulus", "bar"),
