@@ -26,6 +26,7 @@ MACHINES = {
     "pendulum": {"manipulator": "pendulum"},
     "quasistatic": {"swing": "quasistatic", "boom_stick": "quasistatic"},
     "pumped": PUMPED,
+    "load_sensing": {"supply": "load_sensing"},
     "all": {**DETAILED, **PUMPED},
 }
 SPEEDS = (("swing", 0.3), ("boom", -0.1), ("stick", 0.2))
@@ -86,7 +87,7 @@ def found(fmu_dir):
 CASES = [
     *((machine, "reach", ()) for machine in MACHINES),
     *(
-        (machine, "close", SPEEDS) for machine in ("lumped", "quasistatic", "all")
+        (machine, "close", SPEEDS) for machine in ("lumped", "quasistatic", "load_sensing", "all")
     ),  # "all" has every other part
 ]
 
@@ -165,6 +166,34 @@ def test_along_a_run_the_point_is_that_of_the_run(fmu_dir):
     np.testing.assert_array_equal(linear.x0, [trace[n][-1] for n in names])
     assert linear.u0[0] == pytest.approx(3.6, rel=1e-12)  # the lever of the swing is at the top of its stroke
     matched(linear, truth(linear)[0])
+
+
+@pytest.mark.parametrize("speeds", [{}, {"boom": 0.1}, {"boom": -0.1}, {"stick": 0.2}], ids=str)
+def test_a_load_sensing_supply_does_not_hunt(fmu_dir, speeds):
+    """Valves closed, lifting, lowering, stick moving: all oscillations are damped, the pump by 0.15."""
+    system = fmu_dir / "harvester.ssp"
+    linear = linearize(system, steady=True, speeds=speeds, swap=MACHINES["load_sensing"])
+    swinging = [m for m in linear.modes if m.oscillates]
+    assert min(m.damping for m in swinging) > 0.004  # of the boom on closed valves, with any supply
+    (pump,) = (m for m in swinging if m.frequency > 30)  # measured: 92 to 97 Hz, 0.18 to 0.22
+    assert pump.damping > 0.15
+
+
+def test_a_slower_load_sensing_line_damps_the_lifted_boom(fmu_dir):
+    """The supply follows the load late, so that a valve passes less oil while the load rises."""
+    found = []
+    for lag in (0.005, 0.02, 0.05):
+        linear = linearize(
+            fmu_dir / "harvester.ssp",
+            steady=True,
+            speeds={"boom": 0.1},
+            swap=MACHINES["load_sensing"],
+            set={"supply.load_sensing_lag": lag},
+        )
+        swinging = (m for m in linear.modes if m.oscillates and "boom" in m.name)
+        found.append(min(m.damping for m in swinging))
+    assert found == sorted(found)  # measured: 0.09, 0.18, 0.35
+    assert found[-1] > 3 * found[0]
 
 
 def test_a_steady_machine_stays_where_it_is(fmu_dir):
