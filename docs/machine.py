@@ -12,7 +12,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from convergence import fill
 
-from benchmarks.circuits import CIRCUITS_HEAD, SLEWING_HEAD, circuits, combinations, slewing, table
+from benchmarks.circuits import (
+    CIRCUITS_HEAD,
+    SLEWING_HEAD,
+    boom_mode,
+    circuits,
+    combinations,
+    slewing,
+    table,
+    usual,
+)
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import complete
@@ -67,6 +76,16 @@ def numbers() -> Iterator[list[str]]:
         yield [f"`{part}.{name}`", value, number.source, number.note.replace("|", "\\|")]
 
 
+def modes(folder: Path) -> Iterator[list[str]]:
+    """Frequency and damping ratio of the boom mode, by drives and manipulator."""
+    for drives in FAMILIES["boom_stick"]:
+        found = (
+            boom_mode(folder, usual({"boom_stick": drives, "manipulator": m}))
+            for m in FAMILIES["manipulator"]
+        )
+        yield [drives, *(f"{frequency:.1f} Hz, {damping * 100:.1f} %" for frequency, damping in found)]
+
+
 def main() -> None:
     """Run the circuits and fill the page."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -81,6 +100,7 @@ def main() -> None:
         build_machine(folder)
         fill(PAGE, "circuits", table(CIRCUITS_HEAD, circuits(folder)))
         fill(PAGE, "slewing", table(SLEWING_HEAD, slewing(folder)))
+        fill(PAGE, "modes", table(("drives", *FAMILIES["manipulator"]), modes(folder)))
         if asked.combinations:
             fill(PAGE, "combinations", combinations(folder, asked.combinations))
 
