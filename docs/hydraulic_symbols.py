@@ -24,7 +24,8 @@ class Sheet:
     def svg(self) -> str:
         """The picture, in the colour of the text around it or dark on its own."""
         w, h = self.size
-        head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {w:g} {h:g}" role="img" '
+        head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {w:g} {h:g}" width="{w:g}" '
+        head += f'height="{h:g}" role="img" '
         head += 'font-family="Helvetica, Arial, sans-serif" font-size="11" fill="none" stroke="#222" '
         head += 'stroke-width="1.5" stroke-linecap="round" stroke-linejoin="round">'
         ground = f'<rect width="{w:g}" height="{h:g}" fill="#fff" stroke="none"/>'
