@@ -9,6 +9,7 @@ from numpy.polynomial import Polynomial
 
 from fmus.identification.procedure_result import BAR
 from fmus.identification.procedures.experiment_data import pressure_offset_remark, select
+from fmus.identification.procedures.opening_fit import SAME
 from fmus.identification.procedures.regression import misfit_remark
 from fmus.identification.procedures.valve_law import ValveConstants, ValveSteps, impossible, polynomial
 from fmus.identification.procedures.valve_openings import EQUAL, Openings
@@ -29,6 +30,7 @@ def remarks(steps: ValveSteps, openings: Openings) -> Iterator[str]:
     if omissions := select(steps, ~steps.dead).omissions():
         yield f"Other steps are left out: {omissions}."
     yield from _line_or_curve(openings)
+    yield from _full_command(good, openings.constants.full_command)
     yield _edges_remark(openings)
     for edge, steps_of in by_curve(good, openings.curves).items():
         label = f"{edge}: " if edge else ""
@@ -71,6 +73,17 @@ def _line_or_curve(openings: Openings) -> Iterator[str]:
             f"about as the power {exponent:.3g} of the command behind it. The 95 % band is "
             f"{percent:.2g} % wide to either side above {curve.first_measured:.3g} V."
         )
+
+
+def _full_command(good: ValveSteps, full: float) -> Iterator[str]:
+    """A sentence if an edge was not measured at full command, where its area is defined."""
+    for edge in good.edges:
+        highest = float(good.of(edge).command.max())
+        if highest < full - SAME:
+            yield (
+                f"{edge}: no flow was measured above {highest:.3g} V, so the area at {full:.3g} V is "
+                "extrapolated. A bench should hold full command twice."
+            )
 
 
 def _edges_remark(openings: Openings) -> str:
