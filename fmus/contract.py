@@ -46,6 +46,8 @@ class Quantity:
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
     group        parameters only: heading in documentation; default: heading of the previous parameter
     value        parameter or start value, for a subsystem without parameters.toml
+    listed       parameters only, with a name such as point_3: description of the list points in
+                 parameters.toml, of which this is an entry
     """
 
     unit: str
@@ -59,9 +61,10 @@ class Quantity:
     group: str = ""
     absolute: float | None = None
     value: float | None = None
+    listed: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("unit", "text", "group"):
+        for name in ("unit", "text", "group", "listed"):
             if not isinstance(getattr(self, name), str):
                 raise Problem(f"Quantity: {name}: expected text, found {getattr(self, name)!r}")
         for name in ("nominal", "minimum", "maximum", "warn_above", "absolute", "value"):
@@ -85,6 +88,7 @@ class Quantity:
         return replace(
             self,
             text=self.text.replace("{}", owner),
+            listed=self.listed.replace("{}", owner),
             group=heading[:1].upper() + heading[1:],
             rate=self.rate and f"{prefix}_{self.rate}",
         )

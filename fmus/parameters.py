@@ -10,6 +10,12 @@ start values of inputs and states, which are zero by default.
     note = "section 3(c)"     # details of the source, plausible range
     sd = 1e8                  # optional: one standard deviation
 
+A list stands for the parameters NAME_1, NAME_2, ... of its entries and has the name NAMEs; entries at its end
+may be missing and are 0 (`Quantity.listed`):
+
+    [parameters.valve_pa_commands]      # valve_pa_command_1, valve_pa_command_2, ...
+    value = [0.6, 2.0, 10.0]            # sd, too, is a list
+
 A parameter set for several parts, which identification writes and `harvester build --parameters` reads, has
 the same format, with tables `[parameters.NAME]` only. NAME applies to every part that declares this
 parameter, because for example the valves are identical; `[parameters."swing.initial_preload"]` applies to one
@@ -21,7 +27,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,17 +45,22 @@ SOURCES = {
     "identified": "fitted to measurements",
 }
 KEYS = {"value": (int, float), "unit": str, "source": str, "note": str, "sd": (int, float)}
+LISTED = ("value", "sd")  # keys whose value may be a list
 
 
 @dataclass(frozen=True)
 class Number:
-    """A value with its unit and source; `sd` is one standard deviation, if known."""
+    """A value with its unit and source; `sd` is one standard deviation, if known.
+
+    listed   name of the list in the file of which this is an entry, empty if it has a table of its own
+    """
 
     value: float
     unit: str
     source: str
     note: str
     sd: float | None = None
+    listed: str = ""
 
 
 Tables: TypeAlias = Mapping[str, Mapping[str, Number]]  # "parameters" and "start", each by name
@@ -78,10 +89,49 @@ def read(path: Path) -> dict[str, dict[str, Number]]:
             raise Problem(f"{path}: {section} = {entries!r}, expected tables [{section}.NAME]")
     return {
         section: {
-            name: _number(path, section, name, entry) for name, entry in document.get(section, {}).items()
+            own: number
+            for name, entry in document.get(section, {}).items()
+            for own, number in _entries(path, section, name, entry)
         }
         for section in ("parameters", "start")
     }
+
+
+def entry_name(listed: str, number: int) -> str:
+    """Name of an entry of a list, counted from 1: point_3 of points."""
+    return f"{listed[:-1]}_{number}"
+
+
+def _list_of(name: str, quantity: Quantity) -> str:
+    """Name of the list that a parameter is an entry of, empty if it is none."""
+    return name.rpartition("_")[0] + "s" if quantity.listed else ""
+
+
+def _entries(path: Path, section: str, name: str, entry: Any) -> Iterator[tuple[str, Number]]:
+    """The parameters of a table in the file: one, or those of a list; of an empty one the first, 0."""
+    where = f"{path}: [{section}.{name}]"
+    if not isinstance(entry, dict) or not isinstance(entry.get("value"), list):
+        yield name, _number(path, section, name, entry)
+        return
+    if section != "parameters" or not name.endswith("s"):
+        raise Problem(f"{where} value is a list, expected a number; a list is a parameter named like points")
+    values = entry["value"] or [0.0]
+    deviations = entry.get("sd", [None] * len(values))
+    if not isinstance(deviations, list) or len(deviations) != len(values):
+        raise Problem(f"{where} sd is {deviations!r}, expected a list of {len(values)} numbers")
+    for i, (value, sd) in enumerate(zip(values, deviations, strict=True), 1):
+        single = {**entry, "value": value} | ({} if sd is None else {"sd": sd})
+        yield entry_name(name, i), replace(_number(path, section, name, single), listed=name)
+
+
+def padded(entries: Mapping[str, Number], declared: Collection[str]) -> dict[str, Number]:
+    """The entries, and the declared entries of lists that are missing at the end of a list, as zeros."""
+    result = dict(entries)
+    for listed in dict.fromkeys(n.listed for n in entries.values() if n.listed):
+        first = entries[entry_name(listed, 1)]
+        names = [n for n in declared if n.rpartition("_")[0] == listed[:-1] and n not in entries]
+        result |= {n: replace(first, value=0.0, sd=None) for n in names if n.rpartition("_")[2].isdigit()}
+    return result
 
 
 def _number(path: Path, section: str, name: str, entry: Any) -> Number:
@@ -118,6 +168,7 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
         path, tables = Path(sub.name), tables or _declared(sub)
     tables = read(path) if tables is None else tables
     parameters = quantities(sub.parameters)
+    tables = {**tables, "parameters": padded(tables["parameters"], parameters)}
     inputs_and_states = quantities(sub.inputs) | quantities(sub.states)
     missing = set(parameters) - set(tables["parameters"])
     if missing:
@@ -127,7 +178,10 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
         for name, number in tables[section].items():
             if name in declared:
                 check(path, f"[{section}.{name}]", declared[name], number)
-                checked[section][name] = number
+                checked[section][name] = replace(number, listed=_list_of(name, declared[name]))
+            elif number.listed and entry_name(number.listed, 1) in declared:
+                last = sum(n.rpartition("_")[0] == number.listed[:-1] for n in declared)
+                raise Problem(f"{path}: [{section}.{number.listed}]: expected at most {last} values")
             elif name not in sub.names_of_variants:
                 raise Problem(f"{path}: [{section}.{name}] is not declared by {sub.name}")
     return checked
@@ -193,12 +247,48 @@ def document(tables: Tables) -> str:
     """Content of a file with these tables."""
     lines: list[str] = []
     for section, entries in tables.items():
-        for name, n in entries.items():
-            lines += [f"[{section}.{name}]", f"value = {n.value!r}", f"unit = {json.dumps(n.unit)}"]
-            lines += [f"source = {json.dumps(n.source)}", f"note = {json.dumps(n.note, ensure_ascii=False)}"]
-            lines += [f"sd = {n.sd!r}"] if n.sd is not None else []
+        for name, group in rows(entries).items():
+            n, values, deviations = group[0], [n.value for n in group], [n.sd for n in group]
+            is_list = name == n.listed
+            lines += [f"[{section}.{name}]", f"value = {values if is_list else n.value!r}"]
+            lines += [f"unit = {json.dumps(n.unit)}", f"source = {json.dumps(n.source)}"]
+            lines += [f"note = {json.dumps(n.note, ensure_ascii=False)}"]
+            if n.sd is not None:
+                lines.append(f"sd = {deviations if is_list else n.sd!r}")
             lines.append("")
     return "\n".join(lines)
+
+
+def rows(entries: Mapping[str, Number]) -> dict[str, list[Number]]:
+    """Parameters as a table shows them: one row for each, and one for all entries of a list.
+
+    The entries of a list have rows of their own if they differ in source, note or in having a standard
+    deviation.
+    """
+    kinds: dict[str, set[tuple[str, str, bool]]] = {}
+    for number in entries.values():
+        kinds.setdefault(number.listed, set()).add((number.source, number.note, number.sd is None))
+    result: dict[str, list[Number]] = {}
+    for name, number in entries.items():
+        together = number.listed and len(kinds[number.listed]) == 1
+        result.setdefault(number.listed if together else name, []).append(number)
+    return result
+
+
+def row_text(name: str, declared: Mapping[str, Quantity]) -> str:
+    """Description of a row of `rows`."""
+    return declared[name].text if name in declared else declared[entry_name(name, 1)].listed
+
+
+def row_value(name: str, row: Sequence[Number], text: Callable[[Number], str]) -> str:
+    """Value of a row of `rows`; of a list without the zeros at its end.
+
+    text   the value of one number
+    """
+    count = len(row)
+    if name == row[0].listed:
+        count = max((i for i, n in enumerate(row, 1) if n.value), default=0)
+    return ", ".join(map(text, row[:count])) or "none"
 
 
 ParameterSet: TypeAlias = Mapping[str, Number]  # parameters by name, or by "part.name"
@@ -216,15 +306,16 @@ def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
         for sub in subs
         for name, quantity in quantities(sub.parameters).items()
     }
-    for name, number in tables["parameters"].items():
+    names = {local for _, local in declared} | {f"{part}.{local}" for part, local in declared}
+    parameters = padded(tables["parameters"], names)
+    for name, number in parameters.items():
         declarations = [q for (part, local), q in declared.items() if name in (local, f"{part}.{local}")]
         if not declarations:
-            names = {local for _, local in declared} | {f"{part}.{local}" for part, local in declared}
             similar = difflib.get_close_matches(name, names, 1) or ["a name in `harvester parameters`"]
             raise Problem(f"{path}: [parameters.{name}] is not declared by any part, expected {similar[0]}")
         for quantity in declarations:
             check(path, f"[parameters.{name}]", quantity, number)
-    return tables["parameters"]
+    return parameters
 
 
 def with_parameters(

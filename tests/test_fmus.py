@@ -334,6 +334,11 @@ def test_rate_outputs_are_the_time_derivatives(fmu_dir, name, signal, rate):
         ),
         ("swing", {"line_capacitance": -1e-15}, "line_capacitance"),
         ("swing", {"valve_full_command": 0.5}, "valve_full_command exceeds valve_dead_band"),
+        (
+            "boom_stick",
+            {"valve_bt_command_1": 2.0, "valve_bt_command_2": 1.0},
+            "valve_bt_commands ascend by at least 0.001 V",
+        ),
     ],
 )
 def test_impossible_values_are_refused_by_name(fmu_dir, name, start, message, capsys):

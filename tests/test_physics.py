@@ -73,10 +73,25 @@ class Equations:
             return rng.uniform(-1, 1) * quantity.nominal
 
         p = {n: (a or ZERO_BY_CHOICE.get(n, 0.0)) * rng.uniform(0.9, 1.1) for n, a in v.p.items()}
+        if "valve_pa_command_1" in p:
+            p |= {name: a for edge in ("pa", "at", "pb", "bt") for name, a in table(rng, edge).items()}
         start = self.initial(*(list(group.values()) for group in (v.x, v.u, v.p))).full()[:, 0]
         x = {n: one(n, q, a) for (n, q), a in zip(self.x.items(), start, strict=True)}
         u = {n: one(n, q, v.u[n]) for n, q in self.u.items()}
         return x, u, p
+
+
+def table(rng, edge):
+    """An opening curve of three points in every second case, else none: all zero."""
+    if rng.random() < 0.5:
+        return {}
+    commands, openings = np.sort(rng.uniform(0.3, 9.0, 3)), np.sort(rng.uniform(0.0, 1.0, 3))
+    points = zip(commands + 0.1 * np.arange(3), openings - openings[0], strict=True)
+    return {
+        f"valve_{edge}_{what}_{i}": float(a)
+        for i, point in enumerate(points, 1)
+        for what, a in zip(("command", "opening"), point, strict=True)
+    }
 
 
 EQUATIONS = {name: Equations(name) for name in SUBSYSTEMS}
@@ -201,14 +216,16 @@ def test_only_pressure_differences_drive_oil(name, seed, shift):
 
 @given(seed=seeds)
 def test_swing_turns_right_as_it_turns_left(seed):
-    """Mirrored command, speed and lines give mirrored rates and the opposite torque."""
+    """Mirrored command, speed, lines and tables of the edges give mirrored rates and the opposite torque."""
     e = EQUATIONS["swing"]
     x, u, p = e.draw(np.random.default_rng(seed), pressures=(-6e4, 2.5e7))
     swapped = {f"{n[:-1]}{'ba'['ab'.index(n[-1])]}": a for n, a in x.items()}
     turned = {
         n: -a if n in ("swing_command", "swing_speed", "swing_acceleration") else a for n, a in u.items()
     }
-    (ours, out, _), (theirs, other, _) = e.at(x, u, p), e.at({n: swapped[n] for n in e.x}, turned, p)
+    ports = {"valve_pa": "valve_pb", "valve_pb": "valve_pa", "valve_at": "valve_bt", "valve_bt": "valve_at"}
+    other_p = {n: p[ports.get(n[:8], n[:8]) + n[8:]] for n in p}
+    (ours, out, _), (theirs, other, _) = e.at(x, u, p), e.at({n: swapped[n] for n in e.x}, turned, other_p)
     # the same operations, some in another order
     close({f"{n[:-1]}{'ba'['ab'.index(n[-1])]}": a for n, a in theirs.items()}, ours, e.x)
     for n, sign in (("swing_torque", -1), ("supply_flow", 1), ("return_flow", 1), ("dissipated_power", 1)):

@@ -20,6 +20,7 @@ HOSES = {
     **{f"boom_stick.{hose}_resistance": 3e10 for hose in ("boom_hose", "stick_hose")},
     **{"swing.line_inertance": 3e6, "swing.line_capacitance": 1e-12, "swing.line_resistance": 6e6},
 }
+EDGES = ("pa", "at", "pb", "bt")
 JOINTS = ("swing", "boom", "stick")
 STRIDE = 4  # the reference trace keeps every fourth sample
 
@@ -37,9 +38,25 @@ def model():
 def random_numbers(rng):
     """All parameters, each moved by up to 20 %; zeros get a size, those of hoses in every second case."""
     sizes = SIZE_OF_ZEROS | (HOSES if rng.random() < 0.5 else dict.fromkeys(HOSES, 0.0))
+    sizes |= {n: x for part in ("swing", "boom_stick") for e in EDGES for n, x in table(rng, part, e).items()}
     return {
         name: value * rng.uniform(0.8, 1.2) if value else sizes.get(name, 0.1)
         for name, value in transcription.numbers().items()
+    }
+
+
+def table(rng, part, edge):
+    """An opening curve with three to ten points in every second case, else none: all zero."""
+    count = rng.integers(3, 11) if rng.random() < 0.5 else 0
+    commands = np.zeros(10)
+    commands[:count] = np.sort(rng.uniform(0.3, 10.0, count)) + 0.01 * np.arange(count)
+    openings = np.zeros(10)
+    openings[1:count] = np.sort(rng.uniform(0.0, 1.0, max(count - 1, 0)))
+    points = zip(commands.tolist(), openings.tolist(), strict=True)
+    return {
+        f"{part}.valve_{edge}_{what}_{i}": x
+        for i, point in enumerate(points, 1)
+        for what, x in zip(("command", "opening"), point, strict=True)
     }
 
 

@@ -17,6 +17,7 @@ from types import SimpleNamespace as Group  # the parameters of one part by name
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import ode
+from scipy.interpolate import PchipInterpolator
 
 Array = NDArray[np.float64]
 Floats = Sequence[float]
@@ -42,7 +43,10 @@ def numbers(section: str = "parameters") -> dict[str, float]:
     for component in ("swing", "boom_stick", "manipulator"):
         path = root / "fmus" / component / "parameters.toml"
         table = tomllib.loads(path.read_text(encoding="utf-8"))[section]
-        found |= {f"{component}.{name}": float(entry["value"]) for name, entry in table.items()}
+        for name, entry in table.items():
+            value, full = entry["value"], f"{component}.{name}"
+            points = [*value, *[0.0] * (10 - len(value))] if isinstance(value, list) else []
+            found |= {f"{full[:-1]}_{i}": x for i, x in enumerate(points, 1)} or {full: float(value)}
     return found
 
 
@@ -100,8 +104,17 @@ def ramp(z: float, width: float) -> float:
     return width * (s**3 - s**4 / 2) + max(z - width, 0.0)
 
 
-def opening(p: Group, volts: float) -> float:
-    """Opening [1] of the edges that a positive command opens, section 2."""
+def opening(p: Group, edge: str, volts: float) -> float:
+    """Opening [1] of an edge that a positive command opens, section 2; by SciPy if there is a table."""
+    table = [
+        (getattr(p, f"valve_{edge}_command_{i}"), getattr(p, f"valve_{edge}_opening_{i}"))
+        for i in range(1, 11)
+    ]
+    v, a = zip(*(point for i, point in enumerate(table) if i == 0 or point[0] > 0), strict=True)
+    if len(v) > 1:
+        # the flat start of the curve is that of a closed interval before it
+        inside = PchipInterpolator([v[0] - 1.0, *v], [0.0, *a])
+        return float(inside(min(volts, v[-1]))) if volts > v[0] else 0.0
     band, width, full = p.valve_dead_band, p.valve_command_rounding, p.valve_full_command
     return ramp(min(volts, full) - band, width) / ramp(full - band, width)
 
@@ -121,8 +134,10 @@ def port(p: Group, supply: float, tank: float, flow: float, ps: float, pt: float
 
 def valve(p: Group, volts: float, flow_a: float, flow_b: float, ps: float, pt: float) -> tuple[Port, Port]:
     """Ports A and B: P-A and B-T open with +volts, P-B and A-T with -volts."""
-    plus, minus = opening(p, volts), opening(p, -volts)
-    return port(p, plus, minus, flow_a, ps, pt), port(p, minus, plus, flow_b, ps, pt)
+    pa, bt, at, pb = (
+        opening(p, *edge) for edge in (("pa", volts), ("bt", volts), ("at", -volts), ("pb", -volts))
+    )
+    return port(p, pa, at, flow_a, ps, pt), port(p, pb, bt, flow_b, ps, pt)
 
 
 def void(pressure: float) -> float:

@@ -123,7 +123,8 @@ def _fed(group: Any, name: str) -> str:
 def parameters() -> str:
     """Every number with unit and source; of a variant what the usual one does not have."""
     from fmus.contract import quantities
-    from fmus.parameters import numbers
+    from fmus.parameters import numbers, row_text, row_value
+    from fmus.parameters import rows as rows_of
 
     lines, known = [], dict[str, set[str]]()
     for sub in _subsystems():
@@ -131,12 +132,14 @@ def parameters() -> str:
         seen = known.setdefault(sub.component, set())
         rows = []
         for section, entries in numbers(sub).items():
-            for name, n in entries.items():
+            for name, row in rows_of(entries).items():
                 if (key := f"{section}.{name}") not in seen:
                     seen.add(key)
+                    n, text = row[0], row_text(name, declared)
                     start = " (start)" if section == "start" else ""
-                    told = f"{declared[name].text}. {n.note}" if n.note else declared[name].text
-                    rows.append((f"`{name}`{start}", f"{n.value:.6g}", n.unit, n.source, told))
+                    told = f"{text}. {n.note}" if n.note else text
+                    value = row_value(name, row, lambda n: f"{n.value:.6g}")
+                    rows.append((f"`{name}`{start}", value, n.unit, n.source, told))
         if rows:
             more = "" if sub.name == sub.component else " has more"
             lines += [f"## {sub.name}{more}", "", *table(("name", "value", "unit", "source", ""), rows)]

@@ -36,10 +36,11 @@ from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, Line, LineState
 from fmus.components.load_sensing import LoadPressure
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
-from fmus.parameters import read
+from fmus.parameters import padded, read
 
 PARAMETERS = Path(__file__).with_name("parameters.toml")
 
@@ -179,7 +180,7 @@ def _drives(
             *(Cylinder.of(p, axis), line(p, axis), spool, edges.full_command, state, inputs),
             ports=spool_valve.spool_ports(
                 *(edges, spool, state.spool.position, head.flows[0], rod.flows[0]),
-                *(inputs.supply_pressure, inputs.tank_pressure, p.density),
+                *(inputs.supply_pressure, inputs.tank_pressure, p.density, OpeningCurves.of(p, "valve")),
             ),
             relief=(orifice.relief_flow(relief, excess[0]), orifice.relief_flow(relief, excess[1])),
             anti_cavitation=(
@@ -231,7 +232,7 @@ def _initial(
 
 def default_lumps() -> dict[str, int]:
     """Lumps per hose by axis for the values of parameters.toml."""
-    table = read(PARAMETERS)["parameters"]
+    table = padded(read(PARAMETERS)["parameters"], quantities(DetailedBoomStickParameters))
     p = DetailedBoomStickParameters(
         **{name: table[name].value for name in quantities(DetailedBoomStickParameters)}
     )
@@ -271,7 +272,7 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         dynamics=dynamics,
         observe=observe,
         initial=partial(_initial, names),
-        require=drive.require_cylinders,
+        require=drive.require_tables_and_cylinders,
         derive=partial(drive.derive, Hose),
         values=PARAMETERS,
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",

@@ -21,10 +21,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from fmus.boom_stick.variables import AXES, BoomStickInputs, OilState
-from fmus.components import chamber, cylinder, hose, load_sensing, ports, spool_valve
+from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, ports, spool_valve
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, LumpedHose
 from fmus.components.load_sensing import LoadPressure
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Terminal
 
@@ -33,11 +34,12 @@ Pair = tuple[Scalar, Scalar]  # (head side, rod side)
 
 @dataclass(frozen=True)
 class CylinderDrive:
-    """Parameters of one drive; density [kg/m3] and bulk modulus [Pa] of the oil."""
+    """Parameters of one drive; tables of its valve; density [kg/m3] and bulk modulus [Pa] of the oil."""
 
     cylinder: Cylinder
     hose: LumpedHose
     valve: Valve
+    curves: OpeningCurves
     density: Scalar
     bulk_modulus: Scalar
 
@@ -61,7 +63,12 @@ def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDr
     """Parameters of boom and stick drive; hose: (parameters, prefix) -> hose."""
     boom, stick = (
         CylinderDrive(
-            Cylinder.of(p, axis), hose(p, f"{axis}_hose"), Valve.of(p, "valve"), p.density, p.bulk_modulus
+            Cylinder.of(p, axis),
+            hose(p, f"{axis}_hose"),
+            Valve.of(p, "valve"),
+            OpeningCurves.of(p, "valve"),
+            p.density,
+            p.bulk_modulus,
         )
         for axis in AXES
     )
@@ -107,14 +114,16 @@ def capacitances(d: CylinderDrive, position: Scalar) -> Pair:
 def valve_ports(d: CylinderDrive, x: OilState, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
     """Ports of the valve: A at the head side, B at the rod side."""
     return spool_valve.ports_from_flow(
-        d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density
+        *(d.valve, u.command, x.head_flow, x.rod_flow, u.supply_pressure, u.tank_pressure, d.density),
+        curves=d.curves,
     )
 
 
 def direct_valve_ports(d: CylinderDrive, pressures: Pair, u: DriveInterface) -> tuple[EdgeFlows, EdgeFlows]:
     """Ports of the valve without line dynamics, from the pressures of the chambers."""
     return spool_valve.ports_from_pressure(
-        d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance
+        *(d.valve, u.command, *pressures, u.supply_pressure, u.tank_pressure, d.density, d.hose.resistance),
+        curves=d.curves,
     )
 
 
@@ -240,9 +249,15 @@ def require_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]
     return conditions
 
 
+def require_tables_and_cylinders(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
+    """Requirements of cylinders and tables of the valve."""
+    tables = opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
+    return tables | require_cylinders(x, u, p)
+
+
 def require(x: Group, u: BoomStickInputs, p: Any) -> dict[str, Scalar]:
     """Requirements of cylinders and valve."""
-    return spool_valve.opens(Valve.of(p, "valve")) | require_cylinders(x, u, p)
+    return spool_valve.opens(Valve.of(p, "valve")) | require_tables_and_cylinders(x, u, p)
 
 
 TERMINALS: tuple[Terminal, ...] = (

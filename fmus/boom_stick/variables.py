@@ -11,7 +11,7 @@ from fmus.components.chamber import Fluid, Oil
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, HoseWall, LumpedHose, ReferenceHose, VolumeHose
 from fmus.components.orifice import ReliefParameters
-from fmus.components.spool_valve import Edges, Spool, Valve
+from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
 
 AXES = ("boom", "stick")
@@ -42,7 +42,7 @@ class QuasistaticBoomStickParameters(
     Oil,
     Preload,
     ReferenceHose,
-    valve=Valve,
+    valve=CurvedValve,
     boom=QuasistaticDriveParameters,
     stick=QuasistaticDriveParameters,
 ):
@@ -50,7 +50,7 @@ class QuasistaticBoomStickParameters(
 
 
 class BoomStickParameters(
-    Oil, Preload, ReferenceHose, valve=Valve, boom=LumpedDriveParameters, stick=LumpedDriveParameters
+    Oil, Preload, ReferenceHose, valve=CurvedValve, boom=LumpedDriveParameters, stick=LumpedDriveParameters
 ):
     """Parameters of the lumped drives; values and sources are in parameters.toml."""
 
@@ -161,7 +161,7 @@ class DetailedBoomStickParameters(
     ReferenceHose,
     HoseWall,
     ReliefParameters,
-    valve=Edges,
+    valve=CurvedEdges,
     spool=Spool,
     boom=DetailedDriveParameters,
     stick=DetailedDriveParameters,

@@ -9,6 +9,9 @@ edge B-T is `EdgeFlows.tank` of port B. Two ways to compute them:
     edge_flows_from_flow        from the line flow, a state: lines with inertance
     edge_flows_from_pressure    from the chamber pressure: lines without inertance
 
+The opening of each edge is a straight line over the command behind the dead band (`opening`), or a table of
+its own (`fmus.components.opening_curve`).
+
 Signs: line flow is positive out of a port towards the actuator.
 References: paper eqs. (1), (2); corrections E3, E7 in docs/equations.md.
 
@@ -29,12 +32,17 @@ Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 202
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
+from fmus.components import opening_curve
+from fmus.components.opening_curve import OpeningCurves, OpeningTable
 from fmus.components.smooth import ramp
 from fmus.contract import Group, Quantity, Scalar
+
+FORWARD = ("pa", "bt")  # the edges that a positive command opens
 
 
 class Edges(Group):
@@ -60,6 +68,14 @@ class Valve(Edges):
     """Parameters of a symmetrical spool valve without dynamics."""
 
     dead_band: Scalar = Quantity("V", "Dead band: command up to which the valve stays closed", minimum=0.0)
+
+
+class CurvedEdges(OpeningCurves, Edges):
+    """Parameters of the metering edges, each with an optional table of its opening curve."""
+
+
+class CurvedValve(OpeningCurves, Valve):
+    """Parameters of a valve without dynamics, each edge with an optional table of its opening curve."""
 
 
 def _overlap(edge: str) -> Quantity:
@@ -104,6 +120,27 @@ def opening(command: Scalar, dead_band: Scalar, full_command: Scalar, rounding: 
     """
     effective = ca.fmin(command, full_command)
     return ramp(effective - dead_band, rounding) / ramp(full_command - dead_band, rounding)
+
+
+def edge_openings(valve: Valve, curves: OpeningCurves | None, command: Scalar) -> dict[str, Scalar]:
+    """Openings [1] of the edges pa, at, pb and bt at a command [V]: by its table, or the straight line."""
+    curve = (valve.dead_band, valve.full_command, valve.command_rounding)
+    forward, backward = opening(command, *curve), opening(-command, *curve)
+    line = {"pa": forward, "at": backward, "pb": backward, "bt": forward}
+    return with_tables(curves, command, line)
+
+
+def with_tables(
+    curves: OpeningCurves | None, command: Scalar, line: Mapping[str, Scalar]
+) -> dict[str, Scalar]:
+    """Openings [1] by edge at a command [V]: `line` for an edge without a table."""
+    if curves is None:
+        return dict(line)
+    pieces = {edge: opening_curve.pieces(OpeningTable.of(curves, edge)) for edge in line}
+    return {
+        edge: pieces[edge].straight * share + pieces[edge].opening(command if edge in FORWARD else -command)
+        for edge, share in line.items()
+    }
 
 
 def flow_gain(area: Scalar, discharge_coefficient: Scalar, density: Scalar) -> Scalar:
@@ -170,23 +207,32 @@ def ports_from_flow(
     supply_pressure: Scalar,
     tank_pressure: Scalar,
     density: Scalar,
+    curves: OpeningCurves | None = None,
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the line flows [m3/s] out of A and B."""
     full = flow_gain(valve.area, valve.discharge_coefficient, density)
-    curve = (valve.dead_band, valve.full_command, valve.command_rounding)
-    forward, backward = full * opening(command, *curve), full * opening(-command, *curve)
+    gain = {edge: full * share for edge, share in edge_openings(valve, curves, command).items()}
     edge = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
-    port_a = edge_flows_from_flow(flow_a, forward, backward, *edge)
-    port_b = edge_flows_from_flow(flow_b, backward, forward, *edge)
+    port_a = edge_flows_from_flow(flow_a, gain["pa"], gain["at"], *edge)
+    port_b = edge_flows_from_flow(flow_b, gain["pb"], gain["bt"], *edge)
     return port_a, port_b
 
 
-def _square_gain(valve: Valve, command: Scalar, density: Scalar) -> Scalar:
-    """K^2 [m6/(s2.Pa)] of the edge that a positive command [V] opens, K = `flow_gain` times `opening`."""
+def _square_gains(
+    valve: Valve, curves: OpeningCurves | None, command: Scalar, density: Scalar
+) -> tuple[Scalar, Scalar]:
+    """K^2 [m6/(s2.Pa)] of the open edge of A and of B, K = `flow_gain` times the opening."""
     foot = ramp(valve.full_command - valve.dead_band, valve.command_rounding)
-    full = flow_gain(valve.area, valve.discharge_coefficient, density) / foot
-    effective = ca.fmin(command, valve.full_command)
-    return (full * ramp(effective - valve.dead_band, valve.command_rounding)) ** 2
+    full = flow_gain(valve.area, valve.discharge_coefficient, density)
+    effective = ca.fmin(ca.fabs(command), valve.full_command)
+    rise = ramp(effective - valve.dead_band, valve.command_rounding)
+    if curves is None:
+        square = (full / foot * rise) ** 2
+        return square, square
+    forward, backward = ca.if_else(command > 0, rise / foot, 0), ca.if_else(command > 0, 0, rise / foot)
+    line = {"pa": forward, "at": backward, "pb": backward, "bt": forward}
+    share = with_tables(curves, command, line)
+    return (full * (share["pa"] + share["at"])) ** 2, (full * (share["pb"] + share["bt"])) ** 2
 
 
 def edge_flows_from_pressure(
@@ -227,20 +273,21 @@ def ports_from_pressure(
     tank_pressure: Scalar,
     density: Scalar,
     line_resistance: Scalar,
+    curves: OpeningCurves | None = None,
 ) -> tuple[EdgeFlows, EdgeFlows]:
     """Both ports at a command [V], from the chamber pressures [Pa]; lines without inertance.
 
     The line's C_R [Pa.s2/m6] is in series with the open edge: 1 / K_both^2 = 1 / K^2 + C_R.
     """
-    edge_square = _square_gain(valve, ca.fabs(command), density)
-    square = edge_square / (1 + line_resistance * edge_square)
+    squares = _square_gains(valve, curves, command, density)
+    square_a, square_b = (square / (1 + line_resistance * square) for square in squares)
     forward = command > 0
     behind_a = ca.if_else(forward, supply_pressure, tank_pressure)
     behind_b = supply_pressure + tank_pressure - behind_a  # the other of the two
-    edge = (square, valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
+    edge = (valve.leakage, valve.transition_flow, supply_pressure, tank_pressure)
     return (
-        edge_flows_from_pressure(pressure_a, behind_a, forward, *edge),
-        edge_flows_from_pressure(pressure_b, behind_b, 1 - forward, *edge),
+        edge_flows_from_pressure(pressure_a, behind_a, forward, square_a, *edge),
+        edge_flows_from_pressure(pressure_b, behind_b, 1 - forward, square_b, *edge),
     )
 
 
@@ -289,20 +336,27 @@ def spool_ports(
     supply_pressure: Scalar,
     tank_pressure: Scalar,
     density: Scalar,
+    curves: OpeningCurves | None = None,
 ) -> tuple[EdgeFlows, EdgeFlows]:
-    """Both ports at a spool position [1], from the line flows [m3/s] out of A and B."""
+    """Both ports at a spool position [1], from the line flows [m3/s] out of A and B.
+
+    A table is one over the position times full command.
+    """
     full = flow_gain(edges.area, edges.discharge_coefficient, density)
     rounding = edges.command_rounding / edges.full_command
-
-    def gain(x: Scalar, overlap: Scalar) -> Scalar:
-        return full * opening(x, overlap, 1.0, rounding)
-
+    line = {
+        edge: opening(position if edge in FORWARD else -position, overlap, 1.0, rounding)
+        for edge, overlap in (
+            ("pa", spool.overlap_pa),
+            ("at", spool.overlap_at),
+            ("pb", spool.overlap_pb),
+            ("bt", spool.overlap_bt),
+        )
+    }
+    share = with_tables(curves, position * edges.full_command, line)
+    gain = {edge: full * value for edge, value in share.items()}
     edge = (edges.leakage, edges.transition_flow, supply_pressure, tank_pressure)
     return (
-        edge_flows_from_flow(
-            flow_a, gain(position, spool.overlap_pa), gain(-position, spool.overlap_at), *edge
-        ),
-        edge_flows_from_flow(
-            flow_b, gain(-position, spool.overlap_pb), gain(position, spool.overlap_bt), *edge
-        ),
+        edge_flows_from_flow(flow_a, gain["pa"], gain["at"], *edge),
+        edge_flows_from_flow(flow_b, gain["pb"], gain["bt"], *edge),
     )

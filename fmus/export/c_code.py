@@ -1,139 +1,24 @@
 """Generated C code of a model: sizes.h, model.c, adjoint.c (FMI 3), and one file that includes all C files.
 
-The equations become the C functions of native/model.h: values, directional and adjoint derivatives. The
-generator of CasADi would test every argument for null and omit the names of the variables. This one writes
-one operation of a CasADi function per line, with the names of the inputs as comments.
+The equations become the C functions of native/model.h: values, directional and adjoint derivatives.
+`fmus.export.c_functions` prints them.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from itertools import accumulate
 
 import casadi as ca
 
-from fmus.contract import Symbolic, column
+from fmus.called_functions import without_zero_calls
+from fmus.contract import Symbolic
+from fmus.export.c_functions import Routine, c_function, hoist, number, split
 from fmus.export.elimination import eliminate
 from fmus.export.interface import Interface, Variable
-from orchestrator.base.errors import Problem
-
-_BINARY = {
-    ca.OP_ADD: "{} + {}",
-    ca.OP_SUB: "{} - {}",
-    ca.OP_MUL: "{} * {}",
-    ca.OP_DIV: "{} / {}",
-    ca.OP_POW: "pow({}, {})",
-    ca.OP_CONSTPOW: "pow({}, {})",
-    ca.OP_LT: "{} < {}",
-    ca.OP_LE: "{} <= {}",
-    ca.OP_EQ: "{} == {}",
-    ca.OP_NE: "{} != {}",
-    ca.OP_AND: "{} != 0.0 && {} != 0.0",
-    ca.OP_OR: "{} != 0.0 || {} != 0.0",
-    ca.OP_FMIN: "fmin({}, {})",
-    ca.OP_FMAX: "fmax({}, {})",
-    ca.OP_FMOD: "fmod({}, {})",
-    ca.OP_REMAINDER: "remainder({}, {})",
-    ca.OP_COPYSIGN: "copysign({}, {})",
-    ca.OP_ATAN2: "atan2({}, {})",
-    ca.OP_HYPOT: "hypot({}, {})",
-    ca.OP_IF_ELSE_ZERO: "{} != 0.0 ? {} : 0.0",
-}
-_FUNCTIONS = (
-    *("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),
-    *("asinh", "acosh", "atanh", "floor", "ceil", "fabs", "erf", "log1p", "expm1"),
-)
-_UNARY = {
-    ca.OP_ASSIGN: "{0}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "2.0 * {0}",
-    ca.OP_INV: "1.0 / {0}",
-    ca.OP_NOT: "{0} == 0.0",
-    ca.OP_SIGN: "({0} > 0.0) - ({0} < 0.0)",
-    **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{0}})" for name in _FUNCTIONS},
-}
-
-
-@dataclass(frozen=True)
-class Routine:
-    """A C function from named input vectors to named output vectors.
-
-    vectorised   inputs and outputs of type `Columns` instead of double; then intermediate values are too
-    """
-
-    name: str
-    inputs: Mapping[str, ca.SX]
-    outputs: Mapping[str, ca.SX]
-    vectorised: frozenset[str] = frozenset()
-
-
-def c_function(r: Routine, names: Mapping[str, Sequence[str]]) -> str:
-    """The C code of a routine; names: input vector -> names of its entries, for comments."""
-    function = ca.Function("f", list(r.inputs.values()), list(r.outputs.values()), {"cse": True})
-    types = {name: "Columns" if name in r.vectorised else "double" for name in (*r.inputs, *r.outputs)}
-    arguments = [f"const {types[name]} *{name}" for name in r.inputs]
-    arguments += [f"{types[name]} *{name}" for name in r.outputs]
-    used = {
-        function.instruction_input(k)[0]
-        for k in range(function.n_instructions())
-        if function.instruction_id(k) == ca.OP_INPUT
-    }
-    unused = [f"(void){name};" for i, name in enumerate(r.inputs) if i not in used]
-    unused += [f"(void){name};" for name, value in r.outputs.items() if value.numel() == 0]
-    body = [*unused, *_statements(function, list(r.inputs), list(r.outputs), names)]
-    if r.vectorised:
-        body = [line.replace("const double v", "const Columns v", 1) for line in body]
-    text = "".join(f"    {line}\n" for line in body)
-    return f"LOCAL void {r.name}({', '.join(arguments)}) {{\n{text}}}\n"
-
-
-def _statements(
-    function: ca.Function, inputs: list[str], outputs: list[str], names: Mapping[str, Sequence[str]]
-) -> Iterator[str]:
-    work: dict[int, str] = {}  # index in the work vector of CasADi -> C expression of its current value
-    written: set[tuple[int, int]] = set()
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        o, i = function.instruction_output(k), function.instruction_input(k)
-        if operation == ca.OP_OUTPUT:
-            written.add((o[0], o[1]))
-            yield f"{outputs[o[0]]}[{o[1]}] = {work[i[0]]};"
-        elif operation == ca.OP_CONST:
-            work[o[0]] = number(function.instruction_constant(k))
-        else:
-            has_name = operation == ca.OP_INPUT and inputs[i[0]] in names
-            comment = f" /* {names[inputs[i[0]]][i[1]]} */" if has_name else ""
-            yield f"const double v{k} = {_expression(operation, i, inputs, work)};{comment}"
-            work[o[0]] = f"v{k}"
-    for n, name in enumerate(outputs):
-        for j in range(function.numel_out(n)):
-            if (n, j) not in written:
-                yield f"{name}[{j}] = 0.0;"
-
-
-def _expression(operation: int, i: Sequence[int], inputs: list[str], work: Mapping[int, str]) -> str:
-    if operation == ca.OP_INPUT:
-        return f"{inputs[i[0]]}[{i[1]}]"
-    if operation in _UNARY:
-        return str(_UNARY[operation].format(work[i[0]]))
-    if operation in _BINARY:
-        return str(_BINARY[operation].format(work[i[0]], work[i[1]]))
-    raise Problem(
-        f"operation {operation} of CasADi is not supported in C code, expected elementary functions"
-    )
-
-
-def number(value: float) -> str:
-    """A C literal of exactly this double; negative ones are in parentheses."""
-    if value != value or value in (float("inf"), float("-inf")):
-        return {"nan": "NAN", "inf": "INFINITY", "-inf": "(-INFINITY)"}[str(float(value))]
-    text = repr(float(value))
-    return f"({text})" if text.startswith("-") else text
 
 
 @dataclass(frozen=True)
@@ -164,7 +49,7 @@ _ADJOINT: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
 def model_equations(interface: Interface) -> Equations:
     """The C functions of native/model.h for a model."""
     sym = interface.equations
-    system = eliminate(ca.jacobian(sym.dx, sym.x))
+    system = eliminate(without_zero_calls(ca.jacobian(sym.dx, sym.x)))
     # directions v of states, inputs, parameters; time derivatives du of inputs; weights w of results
     like = {"vx": sym.x, "vu": sym.u, "vp": sym.p, "du": sym.u, "wx0": sym.x, "wdx": sym.x}
     arguments = {name: ca.SX.sym(name, v.numel()) for name, v in (like | {"wy": interface.y}).items()}
@@ -219,7 +104,7 @@ def _adjoint(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX
     """Adjoint derivatives; those at the start (..._start) go through the initial states."""
 
     def adjoint(value: ca.SX, weights: ca.SX, *variables: ca.SX) -> list[ca.SX]:
-        return _split(ca.jtimes(value, ca.vertcat(*variables), weights, True), variables)
+        return split(ca.jtimes(value, ca.vertcat(*variables), weights, True), variables)
 
     results, weights = ca.vertcat(sym.dx, y), ca.vertcat(d["wdx"], d["wy"])
     wx, wu = adjoint(results, weights, sym.x, sym.u)
@@ -232,24 +117,6 @@ def _adjoint(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX
         "wu_start": direct_u + start_u,
         "wp_start": direct_p + start_p,
     }
-
-
-def _split(values: ca.SX, like: Iterable[ca.SX]) -> list[ca.SX]:
-    """The column split into parts with the lengths of `like`."""
-    return list(ca.vertsplit(ca.densify(values), [0, *accumulate(part.numel() for part in like)]))
-
-
-def hoist(expressions: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
-    """Replaces subexpressions that depend on the parameters alone by symbols c.
-
-    Returns the new expressions, c, and the subexpressions.
-
-    expressions   dense columns
-    """
-    all_rows = ca.cse(ca.vertcat(*expressions.values()))
-    reduced, symbols, subexpressions = ca.extract_parametric(all_rows, p)
-    c, prepared = column(*symbols), column(*subexpressions)
-    return dict(zip(expressions, _split(reduced, expressions.values()), strict=True)), c, prepared
 
 
 # ---- files -----------------------------------------------------------------------------------------

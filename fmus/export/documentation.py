@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -165,6 +165,28 @@ def _row(v: Variable, sources: Mapping[str, Number]) -> DocumentedVariable:
     )
 
 
+def _by_list(variables: Sequence[Variable]) -> list[list[Variable]]:
+    """The variables, those of a list together."""
+    groups: dict[str, list[Variable]] = {}
+    for v in variables:
+        groups.setdefault(v.name.rpartition("_")[0] + "_*" if v.quantity.listed else v.name, []).append(v)
+    return list(groups.values())
+
+
+def _list_row(group: Sequence[Variable], rows: Mapping[str, DocumentedVariable]) -> DocumentedVariable:
+    """One row for the entries of a list, or that of the only variable; zeros at the end are left out."""
+    first = rows[group[0].name]
+    if len(group) == 1:
+        return first
+    count = max((i for i, v in enumerate(group, 1) if v.start), default=0)
+    return replace(
+        first,
+        name=f"{group[0].name} to {group[-1].name.rpartition('_')[2]}",
+        description=group[0].quantity.listed,
+        value=", ".join(rows[v.name].value for v in group[:count]) or "0",
+    )
+
+
 def _remarks(v: Variable) -> Iterable[str]:
     """Remarks that follow the description of a variable."""
     if v.kind == "TUNABLE":
@@ -215,8 +237,8 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
     sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}
     rows = {v.name: _row(v, sources) for v in interface.variables}
     parameters: dict[str, list[DocumentedVariable]] = {}
-    for v in interface.parameters:
-        parameters.setdefault(v.quantity.group, []).append(rows[v.name])
+    for group in _by_list(interface.parameters):
+        parameters.setdefault(group[0].quantity.group, []).append(_list_row(group, rows))
     start = [  # states and inputs whose start value has a source or may be set
         rows[v.name]
         for v in (*interface.states, *interface.inputs)

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
-from fmus.parameters import SOURCES, Number, complete
+from fmus.parameters import SOURCES, Number, complete, row_text, row_value, rows
 from orchestrator.base.errors import Problem
 
 Costs = Mapping[tuple[str, str], float]  # (part, variant) -> time per step [us]
@@ -65,20 +65,21 @@ def print_parameters(name: str | None = None, source: str | None = None) -> None
 
 def _parameter_lines(sub: Subsystem, source: str | None) -> Iterator[str]:
     """Table of parameter and start values of one subsystem, optionally of one source only."""
-    rows = [
-        (f"{name} (start)" if section == "start" else name, name, n)
+    shown = [
+        (f"{name} (start)" if section == "start" else name, name, row)
         for section, entries in complete(sub).items()
-        for name, n in entries.items()
-        if source in (None, n.source)
+        for name, row in rows(entries).items()
+        if source in (None, row[0].source)
     ]
-    if not rows:
+    if not shown:
         return
     declared = quantities(sub.parameters) | quantities(sub.inputs) | quantities(sub.states)
-    width = max(len(label) for label, _, _ in rows)
+    width = max(len(label) for label, _, _ in shown)
     yield f"{sub.name}: {sub.text}"
-    for label, name, n in rows:
-        yield f"\n{label:<{width}}  {_value(n):>12} {n.unit:<13} {n.source}"
-        yield from (_indented(text, 100) for text in (declared[name].text, n.note))
+    for label, name, row in shown:
+        n, value = row[0], row_value(name, row, _value)
+        yield f"\n{label:<{width}}  {value:>12} {n.unit:<13} {n.source}"
+        yield from (_indented(text, 100) for text in (row_text(name, declared), n.note))
 
 
 def _value(n: Number) -> str:
@@ -92,7 +93,8 @@ def _indented(text: str, width: int) -> str:
 
 def _count(subs: Iterable[Subsystem], source: str | None) -> str:
     """Numbers of parameter and start values by source, for example `11 of 90 numbers: paper`."""
-    counts = Counter(n.source for sub in subs for entries in complete(sub).values() for n in entries.values())
+    tables = [entries for sub in subs for entries in complete(sub).values()]
+    counts = Counter(row[0].source for entries in tables for row in rows(entries).values())
     if source is not None:
         return f"{counts[source]} of {counts.total()} numbers: {source}"
     return f"{counts.total()} numbers: " + ", ".join(f"{counts[s]} {s}" for s in SOURCES if counts[s])

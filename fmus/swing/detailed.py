@@ -24,10 +24,11 @@ from fmus.components import chamber, hose, load_sensing, motor, orifice, spool_v
 from fmus.components.chamber import Fluid
 from fmus.components.hose import Line, LineState
 from fmus.components.motor import MotorNodes
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
-from fmus.parameters import read
+from fmus.parameters import padded, read
 from fmus.swing import drive, lumped
 from fmus.swing.drive import Pair
 from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs, SwingState
@@ -66,7 +67,10 @@ def _evaluate(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) 
         state,
         (a, b),
         pressures,
-        spool_valve.spool_ports(Edges.of(p, "valve"), Spool.of(p, "spool"), state.position, *line_ends),
+        spool_valve.spool_ports(
+            *(Edges.of(p, "valve"), Spool.of(p, "spool"), state.position, *line_ends),
+            curves=OpeningCurves.of(p, "valve"),
+        ),
         motor.nodes_at_port_pressures(
             *pressures, tank, drive.displacement(p) * u.swing_speed, *drive.leakage(p)
         ),
@@ -164,7 +168,7 @@ def _states(names: Names) -> Iterator[tuple[str, Quantity]]:
 
 def default_lumps() -> int:
     """Lumps per line for the values of parameters.toml."""
-    table = read(PARAMETERS)["parameters"]
+    table = padded(read(PARAMETERS)["parameters"], quantities(DetailedSwingParameters))
     p = DetailedSwingParameters(**{name: table[name].value for name in quantities(DetailedSwingParameters)})
     return hose.default_lumps(line(p))
 
@@ -195,6 +199,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         dynamics=lambda x, u, p: state(**_rates(names, x, u, p)),
         observe=lambda x, u, p: _observe(names, x, u, p),
         initial=lambda x, u, p: _initial(names, x, u, p),
+        require=drive.require_tables,
         values=PARAMETERS,
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
         terminals=drive.TERMINALS,

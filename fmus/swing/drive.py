@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from fmus.components import chamber, hose, load_sensing, motor, ports, spool_valve
+from fmus.components import chamber, hose, load_sensing, motor, opening_curve, ports, spool_valve
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.motor import MotorNodes
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Terminal
 from fmus.swing.variables import SwingInputs
@@ -88,9 +89,14 @@ def load_pressure(p: Any, u: SwingInputs, pressures: Pair, rates: Pair) -> LoadP
     return load_sensing.load_pressure(*command, *curve, pressures, rates, u.tank_pressure)
 
 
+def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:
+    """Requirements of the tables of the valve."""
+    return opening_curve.requirements(OpeningCurves.of(p, "valve"), p.valve_full_command)
+
+
 def require(x: object, u: object, p: Any) -> dict[str, Scalar]:
-    """Requirement of the valve."""
-    return spool_valve.opens(Valve.of(p, "valve"))
+    """Requirements of the valve."""
+    return spool_valve.opens(Valve.of(p, "valve")) | require_tables(x, u, p)
 
 
 TERMINALS: tuple[Terminal, ...] = (

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Subsystem
 from fmus.swing import drive
@@ -24,7 +25,8 @@ from fmus.swing.variables import SwingInputs, SwingOutputs, SwingParameters, Swi
 
 def _ports(x: SwingState, u: SwingInputs, p: SwingParameters) -> tuple[EdgeFlows, EdgeFlows]:
     flows, pressures = (x.swing_flow_a, x.swing_flow_b), (u.supply_pressure, u.tank_pressure)
-    return spool_valve.ports_from_flow(Valve.of(p, "valve"), u.swing_command, *flows, *pressures, p.density)
+    valve, curves = Valve.of(p, "valve"), OpeningCurves.of(p, "valve")
+    return spool_valve.ports_from_flow(valve, u.swing_command, *flows, *pressures, p.density, curves)
 
 
 def _motor(pressures: tuple[Scalar, Scalar, Scalar], speed: Scalar, p: SwingParameters) -> MotorNodes:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Subsystem
 from fmus.swing import drive
@@ -35,7 +36,12 @@ def _ports(
     lines, valve = (x.swing_pressure_a, x.swing_pressure_b), Valve.of(p, "valve")
     pressures = (*lines, u.supply_pressure, u.tank_pressure)
     ports = spool_valve.ports_from_pressure(
-        valve, u.swing_command, *pressures, p.density, p.line_turbulent_resistance
+        valve,
+        u.swing_command,
+        *pressures,
+        p.density,
+        p.line_turbulent_resistance,
+        OpeningCurves.of(p, "valve"),
     )
     displaced = drive.displacement(p) * u.swing_speed
     return ports, motor.nodes_at_port_pressures(*lines, u.tank_pressure, displaced, *drive.leakage(p))

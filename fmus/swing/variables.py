@@ -10,7 +10,7 @@ from fmus.components import chamber
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.hose import HoseSize, HoseWall
 from fmus.components.orifice import ReliefParameters
-from fmus.components.spool_valve import Edges, Spool, Valve
+from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
 
 SIDES = ("a", "b")
@@ -38,7 +38,7 @@ class DriveParameters(Group, line=(HoseSize, "swing line")):
     )
 
 
-class QuasistaticSwingParameters(DriveParameters, Oil, valve=Valve):
+class QuasistaticSwingParameters(DriveParameters, Oil, valve=CurvedValve):
     """Parameters of the quasistatic drive; values and sources are in parameters.toml."""
 
     line_capacitance: Scalar = Quantity(
@@ -69,7 +69,9 @@ class SwingParameters(QuasistaticSwingParameters):
     viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7, group="Oil")
 
 
-class DetailedSwingParameters(DriveParameters, ReliefParameters, HoseWall, Fluid, valve=Edges, spool=Spool):
+class DetailedSwingParameters(
+    DriveParameters, ReliefParameters, HoseWall, Fluid, valve=CurvedEdges, spool=Spool
+):
     """Parameters of the detailed drive; values and sources are in parameters.toml."""
 
 

@@ -153,8 +153,11 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
     for component in system.components.values():
         sources = _provenance(component)
         for v in component.interface.of("parameter"):
-            provenance = sources.get(v.name, {})
             value = component.start.get(v.name, v.start if v.start is not None else "")
+            of_list = sources.get(v.name.rpartition("_")[0] + "s", {})
+            if isinstance(of_list.get("value"), list) and value == 0:
+                continue  # an entry of a list that is not used
+            provenance = sources.get(v.name, of_list)
             yield reporting.ReportedParameter(
                 component=component.name,
                 name=v.name,

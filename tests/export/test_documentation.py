@@ -9,6 +9,7 @@ import tomllib
 import pytest
 from lxml import etree, html
 
+from fmus.components.opening_curve import POINTS
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.documentation import printed, project_file, prose, slug
@@ -164,7 +165,17 @@ def test_numbers_travel_with_the_fmu(content):
     """resources/parameters.toml contains the values of the FMU, even if the subsystem has no such file."""
     for (name, _), files in content.items():
         table = tomllib.loads(files["resources/parameters.toml"].decode())["parameters"]
-        assert set(table) == set(quantities(SUBSYSTEMS[name].parameters))
+        names = quantities(SUBSYSTEMS[name].parameters)
+        listed = {n.rpartition("_")[0] + "s": n for n, q in names.items() if q.listed}
+        assert set(table) == {n for n, q in names.items() if not q.listed} | set(listed)
+        assert all(len(table[n]["value"]) == POINTS for n in listed)
+
+
+def test_a_list_is_one_row(content):
+    """The page of a drive shows the points of an opening curve as one row, not as twenty."""
+    page = content["swing", 2]["documentation/index.html"].decode()
+    assert "<code>valve_pa_command_1 to 10</code>" in page
+    assert "valve_pa_command_3" not in page
 
 
 @pytest.mark.parametrize(

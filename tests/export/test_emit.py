@@ -7,7 +7,7 @@ import pytest
 
 from fmus.contract import Quantity
 from fmus.export.build import build
-from fmus.export.c_code import Routine, c_function, number
+from fmus.export.c_functions import Routine, c_function, number
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 

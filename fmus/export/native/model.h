@@ -11,6 +11,7 @@
 #ifndef MODEL_H
 #define MODEL_H
 
+#include "opening_curve.h"
 #include "sizes.h"
 
 /* <model>_fmu.c includes all other files, so all functions except those of FMI can be static. */

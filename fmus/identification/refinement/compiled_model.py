@@ -14,7 +14,8 @@ import casadi as ca
 import numpy as np
 
 from fmus.contract import Quantity, Subsystem
-from fmus.export.c_code import c_function, generated, native_sources
+from fmus.export.c_code import generated, native_sources
+from fmus.export.c_functions import c_function
 from fmus.export.interface import Interface, Kind, Variable, make_interface
 from fmus.identification.refinement.model_reduction import ReducedModel, reduce_model
 from fmus.identification.refinement.sensitivity_equations import sensitivity_code

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from fmus.called_functions import without_zero_calls
 from fmus.contract import Symbolic, column
-from fmus.export.c_code import Routine, hoist
+from fmus.export.c_functions import Routine, hoist
 from fmus.export.elimination import Elimination, Entry, eliminate, nonzeros
 from fmus.identification.refinement.model_reduction import ReducedModel
 
@@ -42,7 +43,7 @@ def sensitivity_code(model: ReducedModel) -> SensitivityCode:
     """All functions that native/sensitivities.c calls in addition to those of an FMU."""
     eqs, q = model.equations, column(*(model.q[i] for i in model.dynamic))
     x, u, p, y = eqs.x, eqs.u, eqs.p, eqs.y
-    jacobian = ca.jacobian(eqs.dx, x)
+    jacobian = without_zero_calls(ca.jacobian(eqs.dx, x))
     system = eliminate(jacobian)
     k, h_du = ca.SX.sym("k", x.numel()), ca.SX.sym("h_du", u.numel())
     hessian, hessian_symbols, product_x, product_q = _second_derivatives(eqs, jacobian, q, column(k, h_du))
@@ -92,9 +93,12 @@ def _second_derivatives(
 
     The products are those of the second derivatives by x and by q with the directions (k, h du).
     """
-    first = ca.mtimes(ca.horzcat(jacobian, ca.jacobian(eqs.dx, eqs.u)), directions)
-    by_x, by_q = nonzeros(ca.jacobian(first, eqs.x)), nonzeros(ca.jacobian(first, q))
+    by_u = without_zero_calls(ca.jacobian(eqs.dx, eqs.u))
+    first = ca.mtimes(ca.horzcat(jacobian, by_u), directions)
+    by_x, by_q = (nonzeros(without_zero_calls(ca.jacobian(first, v))) for v in (eqs.x, q))
     hessian = ca.jacobian(column(*by_x.values(), *by_q.values()), directions)
+    # linear in the directions, which CasADi does not see in the calls of functions
+    hessian = without_zero_calls(ca.substitute(hessian, directions, ca.SX.zeros(directions.numel())))
     symbols = ca.SX.sym("hessian", hessian.nnz())
     products = ca.mtimes(ca.SX(hessian.sparsity(), symbols), directions)
     product_x = {entry: products[i] for i, entry in enumerate(by_x)}
