@@ -94,5 +94,5 @@ def _first_seed(function: ca.Function) -> int | None:
     inputs, outputs = function.n_in(), function.n_out()
     if not function.name().startswith(("fwd1_", "adj1_")):
         return None
-    # fwd1: seeds of the n inputs of f, m outputs, 2 n + m inputs; adj1: seeds of the m outputs of f, n outputs
+    # of f with n inputs, m outputs: fwd1 has 2 n + m inputs and m outputs, adj1 has n + 2 m and n
     return (inputs + outputs) // 2

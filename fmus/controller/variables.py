@@ -10,13 +10,14 @@ from collections.abc import Iterable
 
 from fmus.boom_stick.variables import BoomStickParameters
 from fmus.components.hose import VolumeHose
+from fmus.components.spool_valve import Valve
 from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 from fmus.controller.gains import Gains
 from fmus.manipulator.variables import ManipulatorParameters
 from fmus.swing.variables import SwingParameters
 
 AXES = ("swing", "boom", "stick")
-VALVE = (*(n for n in quantities(SwingParameters) if n.startswith("valve_")), "density")
+VALVE = (*(f"valve_{n}" for n in quantities(Valve)), "density")  # of its curves only the straight line
 GEOMETRY = (
     "boom_pivot_x",
     "boom_pivot_z",

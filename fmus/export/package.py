@@ -79,8 +79,6 @@ def common_files(
         content["documentation/licenses/license.txt"] = licence.read_bytes()
     if view.is_file():
         content["resources/view.toml"] = view.read_bytes()
-    if sub.numbers is not None:
-        content["resources/parameters.toml"] = parameters.document(sub.numbers).encode()
-    elif sub.values is None or sub.values.is_file():
+    if sub.numbers is not None or sub.values is None or sub.values.is_file():
         content["resources/parameters.toml"] = parameters.document(parameters.numbers(sub)).encode()
     return content | ls_ref_files(sub)
