@@ -31,7 +31,7 @@ from fmus.boom_stick.variables import (
     DetailedBoomStickOutputs,
     DetailedBoomStickParameters,
 )
-from fmus.components import chamber, cylinder, hose, load_sensing, orifice, spool_valve
+from fmus.components import chamber, cylinder, hose, load_sensing, opening_curve, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, Line, LineState
@@ -73,6 +73,7 @@ class DetailedDrive:
     cylinder: Cylinder
     line: Line
     spool: Spool
+    curves: OpeningCurves
     full_command: Scalar
     x: DriveState
     u: DriveInterface
@@ -113,9 +114,11 @@ class DetailedDrive:
 
     def load_pressure(self) -> LoadPressure:
         """Load pressure of the section."""
+        bands = opening_curve.meter_in_dead_bands(
+            self.curves, self.spool.overlap_pa, self.spool.overlap_pb, self.full_command
+        )
         return load_sensing.load_pressure(
-            *(self.x.spool.position, self.x.spool.speed),
-            *((self.spool.overlap_pa, self.spool.overlap_pb), 1),
+            *(self.x.spool.position, self.x.spool.speed, bands, 1),
             *(self.x.pressures, self.pressure_rates(), self.u.tank_pressure),
         )
 
@@ -166,7 +169,7 @@ def _drives(
     names: Mapping[str, DriveState], x: Any, u: BoomStickInputs, p: DetailedBoomStickParameters
 ) -> Iterator[DetailedDrive]:
     """Boom and stick drive from the variables of the subsystem."""
-    edges, spool = Edges.of(p, "valve"), Spool.of(p, "spool")
+    edges, spool, curves = Edges.of(p, "valve"), Spool.of(p, "spool"), OpeningCurves.of(p, "valve")
     relief, anti = PressureValve.of(p, "relief"), PressureValve.of(p, "anti_cavitation")
     for (axis, n), inputs in zip(names.items(), drive.interfaces(u), strict=True):
         head, rod = (line_names.apply(partial(getattr, x)) for line_names in n.lines)
@@ -177,10 +180,10 @@ def _drives(
         )
         excess = tuple(pressure - inputs.tank_pressure for pressure in state.pressures)
         yield DetailedDrive(
-            *(Cylinder.of(p, axis), line(p, axis), spool, edges.full_command, state, inputs),
+            *(Cylinder.of(p, axis), line(p, axis), spool, curves, edges.full_command, state, inputs),
             ports=spool_valve.spool_ports(
                 *(edges, spool, state.spool.position, head.flows[0], rod.flows[0]),
-                *(inputs.supply_pressure, inputs.tank_pressure, p.density, OpeningCurves.of(p, "valve")),
+                *(inputs.supply_pressure, inputs.tank_pressure, p.density, curves),
             ),
             relief=(orifice.relief_flow(relief, excess[0]), orifice.relief_flow(relief, excess[1])),
             anti_cavitation=(

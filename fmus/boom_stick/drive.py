@@ -195,7 +195,8 @@ def _load_pressure(
     d: CylinderDrive, pressures: Pair, pressure_rates: Pair, u: DriveInterface
 ) -> LoadPressure:
     """Load pressure of the section."""
-    curve = ((d.valve.dead_band, d.valve.dead_band), d.valve.full_command)
+    bands = opening_curve.meter_in_dead_bands(d.curves, d.valve.dead_band, d.valve.dead_band)
+    curve = (bands, d.valve.full_command)
     return load_sensing.load_pressure(
         u.command, u.command_rate, *curve, pressures, pressure_rates, u.tank_pressure
     )

@@ -111,9 +111,30 @@ class Pieces:
         return CURVE(command, self.coefficients)
 
 
+def meter_in_dead_bands(
+    curves: OpeningCurves | None, pa: Scalar, pb: Scalar, full: Scalar = 1
+) -> tuple[Scalar, Scalar]:
+    """Commands at which P-A and P-B begin to open: by their tables, in parts of `full`, else pa and pb."""
+    if curves is None:
+        return pa, pb
+    a, b = (OpeningTable.of(curves, edge) for edge in ("pa", "pb"))
+    return (
+        ca.if_else(a.command_2 > 0, a.command_1 / full, pa),
+        ca.if_else(b.command_2 > 0, b.command_1 / full, pb),
+    )
+
+
 def pieces(table: Any) -> Pieces:
     """The pieces of the curve through the points of a table; after the last point it is constant."""
-    v, a = commands(table), [0, *openings(table)[1:]]
+    coefficients, straight = PIECES(ca.vertcat(*commands(table)), ca.vertcat(*openings(table)[1:]))
+    return Pieces(coefficients, straight)
+
+
+def _pieces() -> ca.Function:
+    """(commands, openings from the second on) -> coefficients, straight; a function that stays a call."""
+    given = ca.SX.sym("commands", POINTS), ca.SX.sym("openings", POINTS - 1)
+    v: list[Scalar] = ca.vertsplit(given[0])
+    a: list[Scalar] = [0, *ca.vertsplit(given[1])]
     used = [v[1] > 0, *(value > 0 for value in v[1:])]
     for i in range(1, POINTS):
         v[i], a[i] = ca.if_else(used[i], v[i], v[i - 1]), ca.if_else(used[i], a[i], a[i - 1])
@@ -128,7 +149,8 @@ def pieces(table: Any) -> Pieces:
     first, *others = rows
     starts = [ca.if_else(used[0], command, NEVER) for command in v]
     values = [*starts, *first[2:], *(x for row in others for x in row), a[-1]]
-    return Pieces(ca.vertcat(*values), ca.if_else(used[0], 0, 1))
+    results = [ca.vertcat(*values), ca.if_else(used[0], 0, 1)]
+    return ca.Function("opening_pieces", given, results, {"never_inline": True, "cse": True})
 
 
 def _slopes(used: Sequence[Scalar], gaps: Sequence[Scalar], secants: Sequence[Scalar]) -> list[Scalar]:
@@ -170,7 +192,7 @@ def _curve() -> ca.Function:
     return ca.Function("opening_curve", [command, table], [value], {"never_inline": True})
 
 
-CURVE = _curve()
+CURVE, PIECES = _curve(), _pieces()
 
 
 def requirements(curves: Any, full_command: Scalar) -> dict[str, Scalar]:
@@ -178,12 +200,18 @@ def requirements(curves: Any, full_command: Scalar) -> dict[str, Scalar]:
     result: dict[str, Scalar] = {}
     for edge in EDGES:
         table = OpeningTable.of(curves, edge)
-        v, a = commands(table), openings(table)
-        result[
-            f"valve_{edge}_commands ascend by at least {SMALLEST_GAP:g} V up to valve_full_command, then 0"
-        ] = _ascending(v, full_command)
-        result[f"valve_{edge}_openings do not descend, and begin with 0"] = _monotone(v, a)
+        ascending, monotone = ORDER(ca.vertcat(*commands(table)), ca.vertcat(*openings(table)), full_command)
+        text = f"valve_{edge}_commands ascend by at least {SMALLEST_GAP:g} V up to valve_full_command, then 0"
+        result |= {text: ascending, f"valve_{edge}_openings do not descend, and begin with 0": monotone}
     return result
+
+
+def _order() -> ca.Function:
+    """(commands, openings, full command) -> two numbers that are positive if the points are in order."""
+    given = ca.SX.sym("commands", POINTS), ca.SX.sym("openings", POINTS), ca.SX.sym("full_command")
+    v, a = (ca.vertsplit(values) for values in given[:2])
+    results = [_ascending(v, given[2]), _monotone(v, a)]
+    return ca.Function("opening_order", given, results, {"never_inline": True})
 
 
 def _ascending(v: Sequence[Scalar], full_command: Scalar) -> Scalar:
@@ -203,3 +231,6 @@ def _monotone(v: Sequence[Scalar], a: Sequence[Scalar]) -> Scalar:
     for i in range(1, POINTS):
         wrong = ca.logic_or(wrong, ca.logic_and(v[i] > 0, a[i] < a[i - 1]))
     return ca.if_else(wrong, -1, 1)
+
+
+ORDER = _order()

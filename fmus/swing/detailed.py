@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.components import chamber, hose, load_sensing, motor, orifice, spool_valve
+from fmus.components import chamber, hose, load_sensing, motor, opening_curve, orifice, spool_valve
 from fmus.components.chamber import Fluid
 from fmus.components.hose import Line, LineState
 from fmus.components.motor import MotorNodes
@@ -79,6 +79,12 @@ def _evaluate(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) 
     )
 
 
+def _dead_bands(p: DetailedSwingParameters) -> Pair:
+    """Positions of the spool at which the edges P-A and P-B begin to open."""
+    overlaps, curves = (p.spool_overlap_pa, p.spool_overlap_pb), OpeningCurves.of(p, "valve")
+    return opening_curve.meter_in_dead_bands(curves, *overlaps, p.valve_full_command)
+
+
 def _pressure_rates(n: _Evaluated, p: DetailedSwingParameters) -> Pair:
     nets = (
         n.lines[0].flows[-1] - n.nodes.flow_1 - n.cross + n.anti[0],
@@ -113,7 +119,7 @@ def _observe(names: Names, x: Any, u: SwingInputs, p: DetailedSwingParameters) -
     rates = _pressure_rates(n, p)
     load = load_sensing.load_pressure(
         *(n.spool.position, n.spool.speed),
-        *((p.spool_overlap_pa, p.spool_overlap_pb), 1),
+        *(_dead_bands(p), 1),
         *(n.pressures, rates, tank),
     )
     outputs = drive.observe(p, u, n.pressures, flows, n.ports, n.nodes, rates, load)

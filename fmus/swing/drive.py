@@ -82,10 +82,13 @@ def observe(
     }
 
 
-def load_pressure(p: Any, u: SwingInputs, pressures: Pair, rates: Pair) -> LoadPressure:
+def load_pressure(
+    p: Any, u: SwingInputs, pressures: Pair, rates: Pair, curves: OpeningCurves | None = None
+) -> LoadPressure:
     """Load pressure of a valve without dynamics; pressures of the lines [Pa] and their rates."""
     command = (u.swing_command, u.swing_command_rate)
-    curve = ((p.valve_dead_band, p.valve_dead_band), p.valve_full_command)
+    bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
+    curve = (bands, p.valve_full_command)
     return load_sensing.load_pressure(*command, *curve, pressures, rates, u.tank_pressure)
 
 

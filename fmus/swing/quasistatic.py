@@ -65,7 +65,7 @@ def observe(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParamet
     dx, pressures = dynamics(x, u, p), (x.swing_pressure_a, x.swing_pressure_b)
     flows = (valve[0].line, valve[1].line)
     rates = (dx.swing_pressure_a, dx.swing_pressure_b)
-    load = drive.load_pressure(p, u, pressures, rates)
+    load = drive.load_pressure(p, u, pressures, rates, OpeningCurves.of(p, "valve"))
     outputs = drive.observe(p, u, pressures, flows, valve, nodes, rates, load)
     energy = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
     return SwingOutputs(**outputs, stored_energy=energy)

@@ -1,4 +1,4 @@
-"""Sensitivities with respect to the points of opening curves, in all variants of a drive."""
+"""Sensitivities with respect to the points of opening curves, in the variants of a drive that have them."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def with_tables(sub):
     return dataclasses.replace(v, p={**v.p, **points})
 
 
-@pytest.mark.parametrize("variant", swing.VARIANTS)
+@pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
 def test_derivatives_by_points_are_those_of_differences(variant):
     """A command that sweeps the first four points of P-A and B-T, at a speed that follows it."""
     sub = swing.VARIANTS[variant]
