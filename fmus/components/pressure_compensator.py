@@ -136,7 +136,7 @@ def metering_drop(
     regulated = lower(c.setting, c.sharing * positive(supply - load_sensing, MARGIN_ROUNDING))
     regulated *= 1 + c.droop * (both - NOMINAL_DROP)
     left = both / (1 + opening**2 * c.open_drop / c.setting)
-    return ca.fmax(lower(regulated, left), 0), both
+    return ca.fmax(lower(left, regulated), 0), both
 
 
 def _turbulent(square_flow: Scalar, transition_flow: Scalar) -> Scalar:

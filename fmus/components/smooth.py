@@ -86,7 +86,7 @@ def lower(a: Scalar, b: Scalar, share: float = 0.1) -> Scalar:
 
     a - r(a - b + w/2, w) with w = share (a + b)/2, r the `ramp`: twice continuously differentiable for
     a + b > 0, increasing in both, homogeneous, exact for |a - b| >= w/2, below the minimum by 1 % at most.
-    0 if either is 0.
+    Exactly a, without rounding, if a is the smaller one.
     """
     width = share / 2 * (a + b) + 1e-9  # defined at 0, 0
     return a - ramp(a - b + width / 2, width)

@@ -1,0 +1,162 @@
+"""Compensator, counterbalance valve and brake: bounds, monotony, smoothness, and passivity."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus.components import brake, counterbalance_valve
+from fmus.components import pressure_compensator as compensator
+from fmus.components.brake import Brake
+from fmus.components.counterbalance_valve import Counterbalance, Restriction
+from fmus.components.pressure_compensator import Compensator
+from fmus.components.smooth import lower
+from fmus.machine.parts import FAMILIES
+from fmus.parameters import values
+from fmus.swing import compensated as swing
+
+NUMBERS = values(FAMILIES["boom_stick"]["compensated"]).p
+SWING = swing.CompensatedSwingParameters(**values(FAMILIES["swing"]["compensated"]).p)
+SECTION = swing.section(SWING)
+COMPENSATOR = SECTION.compensator
+BRAKE = Brake.of(SWING, "brake")
+VALVE = Counterbalance(**{n: NUMBERS[f"counterbalance_{n}"] for n in Counterbalance.__dataclass_fields__})
+AROUND = Restriction(0.62, 970.0, 2.4e10, 1e-5)
+PRESSURE = st.floats(0, 4e7)
+COMMAND = st.floats(-10, 10)
+
+
+def compiled(expression, *symbols):
+    """A function and its gradient."""
+    column = ca.vertcat(*symbols)
+    return ca.Function("f", [column], [expression, ca.gradient(expression, column)])
+
+
+def _section():
+    command, port, supply, sensing = (ca.SX.sym(n) for n in ("u", "p", "s", "ls"))
+    a, _ = compensator.section_ports(SECTION, command, (port, 0.0), supply, sensing, 0.0)
+    return compiled(a.edges.supply, command, port, supply, sensing)
+
+
+SUPPLIED = _section()
+
+
+@given(COMMAND, PRESSURE, PRESSURE, PRESSURE)
+def test_a_section_never_flows_back_and_follows_its_pressures(command, port, supply, sensing):
+    """Q >= 0, 0 without a drop from the supply; it rises with command and supply, falls with P and P_LS."""
+    flow, slope = (v.full().ravel() for v in SUPPLIED([command, port, supply, sensing]))
+    assert flow[0] >= 0
+    if supply <= port:
+        assert flow[0] == 0
+    by_command, by_port, by_supply, by_sensing = slope
+    least = 1e-9 * np.abs(slope).max()  # rounding of terms that cancel
+    assert by_command >= -least
+    assert by_port <= least
+    assert by_supply >= -least
+    assert by_sensing <= least
+
+
+# where one law takes over from another: check valve, saturation of the supply, setting, full opening
+SEAMS = [
+    (5.0, 1e7, 1e7, 0.5e7),
+    (5.0, 1e7, 1e7 + compensator.CHECK_ROUNDING, 0.5e7),
+    (5.0, 1e7, 2e7, 2e7),
+    (5.0, 1e7, 2e7, 2e7 - 1.6e6),
+    (9.0, 1e7, 1e7 + 1.3e6, 0.5e7),
+    (10.0, 1e7, 2e7, 1e7),
+    (0.6, 1e7, 2e7, 1e7),
+    (1.0, 1e7, 2e7, 1e7),
+]
+
+
+@pytest.mark.parametrize("seam", SEAMS)
+def test_the_flow_of_a_section_has_no_kink(seam):
+    """Derivatives on both sides of every seam agree (but full command, where the spool is at its end)."""
+    nudge = np.array([1e-6, 1.0, 1.0, 1.0])
+    _, before = SUPPLIED(np.array(seam) - nudge * [1, -1, 1, 1])
+    _, behind = SUPPLIED(np.array(seam) + nudge * [1, -1, 1, 1])
+    _, at = SUPPLIED(seam)
+    scale = np.abs(SUPPLIED([5.0, 1e7, 1.2e7, 1.1e7])[1].full().ravel())
+    scale[1] = scale[2]  # far from saturation the load has no effect but the droop
+    first = 1 if seam[0] == 10.0 else 0
+    for side in (before, behind):
+        # a kink changes a derivative by a part of itself, 1 Pa of the 10 kPa of the check valve by 1e-3
+        assert np.all(np.abs((side - at).full().ravel())[first:] < 1e-2 * scale[first:])
+
+
+@given(st.floats(0, 1e8), st.floats(0, 1e8))
+def test_the_smooth_minimum_is_exact_apart_and_never_far_below(a, b):
+    """The minimum for numbers that differ by 10 %, but for rounding, else 1 % below at most."""
+    found, least, rounding = float(lower(a, b)), min(a, b), 1e-15 * max(a, b) + 1e-9
+    assert found <= least + rounding
+    assert found >= 0.99 * least - rounding
+    if max(a, b) > 1.11 * least:
+        assert found == pytest.approx(least, rel=0, abs=rounding)
+    if a < 0.9 * b and b > 1e-6:
+        assert found == a
+
+
+def _counterbalance():
+    y, line, chamber = (ca.SX.sym(n) for n in ("y", "v", "c"))
+    return compiled(counterbalance_valve.flow(VALVE, y, line, chamber, AROUND), y, line, chamber)
+
+
+COUNTERBALANCED = _counterbalance()
+
+
+@given(st.floats(0, 1), PRESSURE, PRESSURE)
+def test_a_counterbalance_valve_flows_along_its_pressure_difference(opening, line, chamber):
+    """Down the pressure difference, increasing with it; closed it passes its leakage alone outwards."""
+    flow, slope = (v.full().ravel() for v in COUNTERBALANCED([opening, line, chamber]))
+    assert flow[0] * (line - chamber) >= 0
+    assert slope[1] >= 0 >= slope[2]
+    if opening == 0 and line <= chamber:
+        assert flow[0] == pytest.approx(VALVE.leakage * (line - chamber), rel=1e-12)
+
+
+@given(PRESSURE, PRESSURE, PRESSURE)
+def test_a_counterbalance_valve_opens_with_load_and_pilot(chamber, pilot, line):
+    """From 0 up to the setting, exactly, to 1 from the end of the band on; whatever its own line has."""
+    opening = float(counterbalance_valve.balance(VALVE, chamber, pilot, line, 0.0))
+    excess = chamber + VALVE.pilot_ratio * pilot - VALVE.pressure
+    assert 0 <= opening <= 1 + 1e-12
+    if excess <= 0:
+        assert opening == 0
+    if excess >= (1 + counterbalance_valve.ROUNDING) * VALVE.band:
+        assert opening == pytest.approx(1, rel=1e-12)
+    more = float(counterbalance_valve.balance(VALVE, chamber, pilot + 1e4, line, 0.0))
+    assert more >= opening - 1e-12
+
+
+@given(st.floats(-0.02, 0.02), st.floats(0, 1), st.floats(-2, 2))
+def test_a_brake_only_loses_power(twist, applied, speed):
+    """T w = d(k z^2/2)/dt + heat, heat not negative; elastic without any slip up to the torque it holds."""
+    found = brake.hold(BRAKE, twist, applied, speed)
+    rate, heat, torque = (float(v) for v in (found.twist_rate, found.heat, found.torque))
+    assert heat >= 0
+    # exact identity, rounding of the terms
+    assert torque * speed == pytest.approx(BRAKE.stiffness * twist * rate + heat, rel=1e-9, abs=1e-6)
+    if abs(torque) <= BRAKE.torque * applied:
+        assert rate == speed
+        assert heat == 0
+
+
+@given(st.floats(0.05, 2.0), st.floats(0, 1))
+def test_a_sliding_brake_has_its_torque_and_drag(speed, applied):
+    """Steady slip: T_b q + c w + b/2, the law solved for the torque."""
+    torque = BRAKE.torque * applied + BRAKE.drag * speed + brake.ROUNDING * BRAKE.torque / 2
+    beyond = torque - BRAKE.torque * applied > brake.ROUNDING * BRAKE.torque  # past the rounding
+    rate = float(brake.hold(BRAKE, torque / BRAKE.stiffness, applied, speed).twist_rate)
+    # exact identity; the opposite side's ramp is zero as soon as the brake is applied at all
+    assert rate == pytest.approx(0, abs=1e-9) if beyond else abs(rate) < speed
+
+
+def test_the_parameters_that_the_law_excludes_are_refused():
+    """Requirements are positive for the numbers here, one is negative where sections would not share."""
+    good = compensator.requirements(SECTION.valve, COMPENSATOR)
+    assert min(map(float, good.values())) > 0
+    bad = Compensator(**{**vars(COMPENSATOR), "sharing": 0.95, "open_drop": 2e5})
+    assert min(map(float, compensator.requirements(SECTION.valve, bad).values())) < 0
