@@ -297,11 +297,10 @@ def observe(
 def initial(
     x: CompensatedBoomStickState, u: BoomStickInputs, p: CompensatedBoomStickParameters
 ) -> dict[str, Scalar]:
-    """Initial state: chambers in balance with the holding forces, hoses at the preload, valves closed."""
-    preload = u.tank_pressure + p.initial_preload
+    """Initial state: chambers in balance with the holding forces, hoses drained by the neutral position."""
     state = drive.holding_pressures(u, p)
     for prefix in (f"{axis}_{side}" for axis in AXES for side in SIDES):
-        state |= {f"{prefix}_valve_pressure": preload, f"{prefix}_counterbalance_opening": 0.0}
+        state |= {f"{prefix}_valve_pressure": u.tank_pressure, f"{prefix}_counterbalance_opening": 0.0}
     return state
 
 
@@ -312,7 +311,6 @@ def require(
     return {
         **compensator.requirements(SectionValve.of(p, "valve"), Compensator.of(p, "compensator")),
         **drive.require_cylinders(x, u, p),
-        "counterbalance_pressure exceeds initial_preload": p.counterbalance_pressure - p.initial_preload,
     }
 
 
