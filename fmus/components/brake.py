@@ -1,17 +1,16 @@
 """Holding brake: wet discs, spring-applied, released by pressure.
 
-The discs slip where the torque exceeds what the springs hold, and drag in the oil; shaft and discs twist by
-z:
+The discs slip where the torque exceeds what the springs hold, and drag in the oil; shaft and discs twist:
 
-    T = k z        dz/dt = w - s(T)/c        s(T) = r(T - T_h, b) - r(-T - T_h, b)        T_h = T_b q
+    dT/dt = k (w - s(T)/c)        s(T) = r(T - T_h, b) - r(-T - T_h, b)        T_h = T_b q
 
 T is the torque against the motion of speed w, T_b the torque of the applied brake, q = 0 ... 1 how far it is
 applied, c the drag of the discs, r the `ramp` of `smooth`. An elastic spring in series with a Bingham body:
 
 - |T| <= T_h: elastic, no creep at all, unlike bristles whose speed is rounded (`friction`);
 - steady slip: |T| = T_h + c |w| + b/2; the released brake drags with c w + b/2;
-- the torque depends on the states z, q alone, not on the speed;
-- heat T s(T)/c >= 0, stored energy k z^2/2, and T w = d(k z^2/2)/dt + heat exactly, q moving or not.
+- the torque is a state, so it does not depend on the speed directly;
+- heat T s(T)/c >= 0, stored energy T^2/(2 k), and T w = d(T^2/(2 k))/dt + heat exactly, q moving or not.
 
 The brake is released by the command, once the pressure is there:
 
@@ -50,20 +49,18 @@ class Brake(Group):
 
 @dataclass(frozen=True)
 class BrakeTorque:
-    """Torque [N.m] against the motion, dz/dt [rad/s], heat [W], stored energy [J]."""
+    """dT/dt [N.m/s], heat [W], stored energy [J]."""
 
-    torque: Scalar
-    twist_rate: Scalar
+    rate: Scalar
     heat: Scalar
     stored: Scalar
 
 
-def hold(brake: Brake, twist: Scalar, applied: Scalar, speed: Scalar) -> BrakeTorque:
-    """The brake at a twist [rad], applied by `applied` [1], at the speed [rad/s] of the shaft."""
-    torque, held = brake.stiffness * twist, brake.torque * applied
-    width = ROUNDING * brake.torque
+def hold(brake: Brake, torque: Scalar, applied: Scalar, speed: Scalar) -> BrakeTorque:
+    """The brake under a torque [N.m], applied by `applied` [1], at the speed [rad/s] of the shaft."""
+    held, width = brake.torque * applied, ROUNDING * brake.torque
     slip = (ramp(torque - held, width) - ramp(-torque - held, width)) / brake.drag
-    return BrakeTorque(torque, speed - slip, torque * slip, brake.stiffness * twist**2 / 2)
+    return BrakeTorque(brake.stiffness * (speed - slip), torque * slip, torque**2 / (2 * brake.stiffness))
 
 
 def released(brake: Brake, in_use: Scalar, pressure: Scalar) -> Scalar:

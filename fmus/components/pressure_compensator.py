@@ -24,8 +24,8 @@ counts as zero, rounded over `MARGIN_ROUNDING`. So Q has a continuous derivative
 P_s and falls with P. Exact for D above 1 bar, drops that differ by 10 %, and Q above 10 Q_t (0.3 %).
 
 The meter-out edge is an orifice of its own size. In neutral both ports are connected to the tank by a small
-orifice, so that no leakage builds up pressure at the pilots of counterbalance valves; it closes, for the
-port behind the open meter-in edge, between half the dead band and its end.
+orifice, so that no leakage builds up pressure at the pilots of counterbalance valves; it closes between half
+the dead band and its end.
 
 Dynamics of the compensator (5 to 20 ms) are neglected. References: H. E. Merritt, Hydraulic Control Systems,
 1967, ch. 5 (flow forces); J. Ivantysyn and M. Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9;
@@ -113,10 +113,14 @@ class Section:
         forward, backward = (spool_valve.opening(c, *curve) for c in (command, -command))
         return (forward, backward), (backward, forward)
 
-    def neutral(self, command: Scalar) -> Scalar:
-        """1 while the meter-in edge that a positive command opens is closed, 0 from the dead band on."""
+    def in_use(self, command: Scalar) -> Scalar:
+        """0 up to half the dead band in the direction of a positive command, 1 from its end on."""
         least = ca.fmax(self.valve.dead_band, LEAST_DEAD_BAND * self.valve.full_command)
-        return 1 - s_curve(2 * command / least - 1)
+        return s_curve(2 * command / least - 1)
+
+    def neutral(self, command: Scalar) -> Scalar:
+        """1 in neutral, 0 as soon as an edge can be open."""
+        return 1 - self.in_use(command) - self.in_use(-command)
 
 
 @dataclass(frozen=True)
@@ -155,11 +159,11 @@ def section_ports(
     v, c = section.valve, section.compensator
     full_gain = spool_valve.flow_gain(1.0, v.discharge_coefficient, section.density)
     ports = []
-    sides = zip((1, -1), section.openings(command), section.return_areas, pressures, strict=True)
-    for sign, (inward, outward), full_area, p in sides:
+    sides = zip(section.openings(command), section.return_areas, pressures, strict=True)
+    for (inward, outward), full_area, p in sides:
         drop, both = metering_drop(c, inward, supply, load_sensing, p)
         to_port = _turbulent((section.flow * inward) ** 2 * drop / c.setting, v.transition_flow)
-        area = full_area * outward + section.neutral_area * section.neutral(sign * command)
+        area = full_area * outward + section.neutral_area * section.neutral(command)
         square = (full_gain * area) ** 2
         to_tank = _turbulent(square * (p - tank) / (1 + section.resistance * square), v.transition_flow)
         entering = to_port + v.leakage * both
@@ -174,7 +178,7 @@ def shown(
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Outputs of a section: meter-in flow [m3/s], drops [Pa] over edge and compensator (0 in neutral)."""
     a, b = ports
-    to_a, to_b = 1 - section.neutral(command), 1 - section.neutral(-command)
+    to_a, to_b = section.in_use(command), section.in_use(-command)
     return (
         a.edges.supply + b.edges.supply,
         to_a * a.metering_drop + to_b * b.metering_drop,

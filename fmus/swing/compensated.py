@@ -2,10 +2,10 @@
 
     C dP_a/dt = Q_a - D w - (P_a - P_b)/R_in - (P_a - P_t)/R_ex - Q_cross + Q_anti,a
     C dP_b/dt = Q_b + D w + (P_a - P_b)/R_in - (P_b - P_t)/R_ex + Q_cross + Q_anti,b
-    torque    = D (P_a - P_b) - k z           D = D_m N                   eqs. (8), (11), (12)
+    torque    = D (P_a - P_b) - T             D = D_m N                   eqs. (8), (11), (12)
 
 with the flows Q_a, Q_b of the ports of `pressure_compensator`, the crossover reliefs and anti-cavitation
-valves (make-up from the return line) of `orifice`, which are mounted at the motor, and the twist z of the
+valves (make-up from the return line) of `orifice`, which are mounted at the motor, and the torque T of the
 `brake`. A closed valve blocks the ports, which have no counterbalance valves. The brake is released as soon
 as the command leaves the dead band and the supply has pressure. Lines as in `quasistatic`: volumes, no oil
 columns. The torque depends only on states.
@@ -52,7 +52,7 @@ class CompensatedSwingParameters(
 class BrakeState(Group):
     """State of the brake."""
 
-    swing_brake_twist: Scalar = Quantity("rad", "Twist of the swing brake with its shaft", 1e-3)
+    swing_brake_torque: Scalar = Quantity("N.m", "Torque of the swing brake, against the motion", 1e4)
     swing_brake_applied: Scalar = Quantity("1", "Part of its torque that the swing brake can hold")
 
 
@@ -75,7 +75,6 @@ class CompensatedSwingOutputs(BrakeState, SwingOutputs):
     swing_anti_cavitation_flow: Scalar = Quantity(
         "m3/s", "Flow of both anti-cavitation valves of the swing motor", 1e-3
     )
-    swing_brake_torque: Scalar = Quantity("N.m", "Torque of the swing brake, against the motion", 1e4)
 
 
 @dataclass(frozen=True)
@@ -105,8 +104,7 @@ def section(p: CompensatedSwingParameters) -> Section:
 
 def _release(u: SwingInputs, p: CompensatedSwingParameters) -> Scalar:
     """f of the brake."""
-    own, command = section(p), u.swing_command
-    in_use = 2 - own.neutral(command) - own.neutral(-command)
+    in_use = 1 - section(p).neutral(u.swing_command)
     return holding.released(Brake.of(p, "brake"), in_use, u.supply_pressure - u.tank_pressure)
 
 
@@ -120,7 +118,7 @@ def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParam
             *(u.supply_pressure, u.load_sensing_pressure, tank),
         ),
         motor.nodes_at_port_pressures(a, b, tank, displaced, *drive.leakage(p)),
-        holding.hold(Brake.of(p, "brake"), x.swing_brake_twist, x.swing_brake_applied, u.swing_speed),
+        holding.hold(Brake.of(p, "brake"), x.swing_brake_torque, x.swing_brake_applied, u.swing_speed),
         _release(u, p),
         orifice.cross_flow(PressureValve.of(p, "relief"), a - b),
         (orifice.relief_flow(anti, tank - a), orifice.relief_flow(anti, tank - b)),
@@ -134,7 +132,7 @@ def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameter
     return CompensatedSwingState(
         swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c),
         swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c),
-        swing_brake_twist=n.brake.twist_rate,
+        swing_brake_torque=n.brake.rate,
         swing_brake_applied=holding.applied_rate(Brake.of(p, "brake"), x.swing_brake_applied, n.release),
     )
 
@@ -158,8 +156,8 @@ def observe(
     load = drive.load_pressure(p, u, pressures, rates)
     flows = (edges[0].line, edges[1].line)
     outputs = drive.observe(p, u, pressures, flows, edges, n.nodes, rates, load)
-    outputs["swing_torque"] -= n.brake.torque
-    outputs["swing_torque_rate"] -= p.brake_stiffness * n.brake.twist_rate
+    outputs["swing_torque"] -= x.swing_brake_torque
+    outputs["swing_torque_rate"] -= n.brake.rate
     outputs["return_flow"] -= sum(n.anti)
     make_up = sum(q * (tank - pressure) for q, pressure in zip(n.anti, pressures, strict=True))
     outputs["dissipated_power"] += n.cross * (pressures[0] - pressures[1]) + make_up + n.brake.heat
@@ -167,14 +165,13 @@ def observe(
     return CompensatedSwingOutputs(
         **outputs,
         stored_energy=compression + n.brake.stored,
-        swing_brake_twist=x.swing_brake_twist,
+        swing_brake_torque=x.swing_brake_torque,
         swing_brake_applied=x.swing_brake_applied,
         swing_meter_in_flow=meter_in,
         swing_metering_drop=metering_drop,
         swing_compensator_drop=compensator_drop,
         swing_relief_flow=n.cross,
         swing_anti_cavitation_flow=sum(n.anti),
-        swing_brake_torque=n.brake.torque,
     )
 
 
@@ -184,7 +181,7 @@ def initial(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParamet
     return {
         "swing_pressure_a": preload,
         "swing_pressure_b": preload,
-        "swing_brake_twist": 0.0,
+        "swing_brake_torque": 0.0,
         "swing_brake_applied": 1 - _release(u, p),
     }
 
