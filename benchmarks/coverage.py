@@ -28,7 +28,7 @@ from fmus.identification.machine import Parameters, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recordings.reading import read_folder
-from fmus.rig.experiments import EXPERIMENTS, experiment
+from fmus.rig.experiments import EXPERIMENTS, WEIGHED, experiment
 from fmus.rig.recordings import write
 
 VOLTS = (1.5, 2.0, 3.0, 5.0, 8.0, 10.0)
@@ -40,7 +40,7 @@ POINTS_INSIDE, CURVES, AREA, ZERO = 0.9, 0.95, 0.01, 3.0
 
 
 def truth(known: Parameters) -> dict[str, float]:
-    """C_R(V) of the valve; the parameters of the parts are found by name."""
+    """C_R(V) of the valve and the payload; the parameters of the parts are found by name."""
     v = {
         n: lookup(f"valve_{n}", known).value
         for n in ("area", "dead_band", "full_command", "command_rounding")
@@ -48,7 +48,8 @@ def truth(known: Parameters) -> dict[str, float]:
     c_d, density = lookup("valve_discharge_coefficient", known).value, lookup("density", known).value
     shares = [float(opening(x, v["dead_band"], v["full_command"], v["command_rounding"])) for x in VOLTS]
     areas = [v["area"] * share for share in shares]
-    return {f"C_R({x:g} V)": density / (2 * (c_d * a) ** 2) for x, a in zip(VOLTS, areas, strict=True)}
+    resistances = {f"C_R({x:g} V)": density / (2 * (c_d * a) ** 2) for x, a in zip(VOLTS, areas, strict=True)}
+    return resistances | {"payload[weighing_loaded]": WEIGHED}
 
 
 def trial(task: tuple[int, str]) -> list[tuple[str, float, float, float]]:

@@ -82,7 +82,7 @@ def recorded(folder: Path, machine: str) -> Identified:
 def draw(found: Identified) -> None:
     """The figures of the procedures, with what they found."""
     kinds = [r.kind for r in found.recordings]
-    for result in found.results:
+    for result in (r for r in found.results if r.procedure in PROCEDURES):
         number, name = PROCEDURES[result.procedure]
         (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(draw_procedure(result, kinds)))
         said = [f"- {typeset(remark)}" for remark in result.remarks]

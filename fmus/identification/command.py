@@ -80,7 +80,7 @@ def run(
 def _show(result: ProcedureResult) -> None:
     """Print the estimates of a procedure in display units, in ASCII for any terminal."""
     print(f"{result.procedure}:")
-    for e in result.estimates:
+    for e in result.estimates or result.others:  # of a procedure without parameters, such as a weighing
         unit, factor = display_conversion(e.unit) or (e.unit, 1.0)
         value, low, high = (f"{factor * x:.{report_texts.digits(e)}g}" for x in (e.value, e.low, e.high))
         print(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")

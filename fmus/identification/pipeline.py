@@ -20,6 +20,7 @@ from fmus.identification.procedures import (
     inertia,
     motor_leakage,
     valve,
+    weighing,
 )
 from fmus.identification.recording_names import MACHINE, name_remarks
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
@@ -29,13 +30,14 @@ from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
-# in the paper's order: section 4 (a) to (e)
+# in the paper's order: section 4 (a) to (e); the paper weighs nothing
 PROCEDURES: Mapping[str, ModuleType] = {
     "valve": valve,
     "hose_resistance": hose_resistance,
     "hose_dynamics": hose_dynamics,
     "motor_leakage": motor_leakage,
     "damping": damping,
+    "weighing": weighing,
 }
 INERTIA = "inertia"
 

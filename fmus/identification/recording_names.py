@@ -14,7 +14,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 MACHINE = "machine"
-MACHINE_SIGNALS = (MACHINE, "damping")  # procedures whose signals are those of the machine
+MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
     "valve": ("edge",),
@@ -22,6 +22,7 @@ CONDITIONS: Mapping[str, tuple[str, ...]] = {
     "hose_dynamics": ("length", "diameter", "density"),
     "motor_leakage": ("shaft", "tank_pressure"),
     "damping": ("joint", "tank_pressure"),
+    "weighing": ("payload", "tank_pressure"),
     MACHINE: ("tank_pressure",),
 }
 UNREAD: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # usual signals that are not needed

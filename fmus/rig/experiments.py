@@ -139,6 +139,21 @@ TRAIN_2: tuple[Move, ...] = (  # first far away and high, then close and low
 TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -0.95, 0.5)))
 TRAINING_STOP = 30.0  # s
 
+# slow strokes of the boom to and fro about the same angles: (command [V], hold [s]) up, then down
+_WEIGHING = ((1.2, 2.0), (-1.0, 2.0))
+WEIGHING_POSE = Pose(0.1, -1.2)
+WEIGHED = 300.0  # kg, payload of the loaded experiment
+
+
+def weighing_strokes(pairs: int = 3) -> list[Move]:
+    """Strokes of the boom up and down, slower than 2 cm/s, from 1 s on."""
+    moves, start = [], 1.0
+    for command, hold in _WEIGHING * pairs:
+        moves.append(Move("boom", start, command, 0.5, hold, 0.5))
+        start = round(end_of(moves[-1:]) + 0.5, 3)
+    return moves
+
+
 # ---- experiments on the benches --------------------------------------------------------------------
 
 HOLD = 2.0  # s: 0.5 s to settle and 300 samples
@@ -276,13 +291,17 @@ def _monolith(machine: str) -> tuple[Monolith, Connections, Mapping[str, tuple[s
 
 
 def simulate_machine(
-    machine: str, moves: Sequence[Move], stop: float, pose: Pose
+    machine: str, moves: Sequence[Move], stop: float, pose: Pose, held: float = 0.0
 ) -> tuple[Array, dict[str, Array]]:
-    """Time (n,) [s] at 200 Hz, and all outputs and inputs (n,) by `component.variable`, in SI units."""
+    """Time (n,) [s] at 200 Hz, and all outputs and inputs (n,) by `component.variable`, in SI units.
+
+    held   payload [kg] that the head holds from the start
+    """
     model, wires, targets = _monolith(machine)
     time, commands = sample(moves, stop)
     inputs = np.tile(model.u, (time.size, 1))
     inputs[:, [model.inputs.index(name) for name in COMMANDS]] = commands
+    inputs[:, model.inputs.index("payload_mass")] = held
     p = model.p.copy()
     for joint in (*JOINTS, "swing"):
         p[model.parameters.index(f"manipulator.{parameter(joint)}")] = getattr(pose, joint)
@@ -315,12 +334,14 @@ def _machine_experiment(
     conditions: Mapping[str, str | Condition],
     use: str,
     machine: str,
+    procedure: str = "machine",
+    held: float = 0.0,
 ) -> Experiment:
-    time, signals = simulate_machine(machine, moves, stop, pose)
+    time, signals = simulate_machine(machine, moves, stop, pose, held)
     return Experiment(
         name=name,
         title=title,
-        procedure="damping" if "joint" in conditions else "machine",
+        procedure=procedure,
         use=use,
         machine=machine,
         conditions=conditions,
@@ -336,7 +357,15 @@ def _damping(joint: str, number: int, machine: str) -> Experiment:
     moves = strokes(joint, sign)
     title = f"Only the {joint} moves, pose {number}"
     name, stop = f"damping_{joint}_{number}", end_of(moves) + 1.0
-    return _machine_experiment(name, title, moves, stop, pose, {"joint": joint}, "train", machine)
+    return _machine_experiment(name, title, moves, stop, pose, {"joint": joint}, "train", machine, "damping")
+
+
+def _weighing(name: str, held: float, machine: str) -> Experiment:
+    moves = weighing_strokes()
+    title = f"Slow strokes of the boom, {f'payload of {held:g} kg' if held else 'empty head'}"
+    stated = {"payload": Condition(held, "kg")}
+    where = (end_of(moves) + 1.0, WEIGHING_POSE, stated, "train", machine)
+    return _machine_experiment(f"weighing_{name}", title, moves, *where, "weighing", held)
 
 
 def _training(number: int, machine: str) -> Experiment:
@@ -362,6 +391,8 @@ MACHINE_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
     },
     **{f"machine_train_{n}": partial(_training, n) for n in range(1, len(TRAINING) + 1)},
     "machine_test": _test,
+    "weighing_empty": partial(_weighing, "empty", 0.0),
+    "weighing_loaded": partial(_weighing, "loaded", WEIGHED),
 }
 
 Machine: TypeAlias = Literal["lumped", "detailed"]

@@ -62,6 +62,7 @@ Each NAME.csv is described by its NAME.toml: the experiment, the columns with th
 | motor_leakage_1, _2 | (d) the swing motor, shaft locked, pressure stepped at port A, then at port B |
 | damping_JOINT_1, _2 | (d) the machine, one joint moves |
 | machine_train_1, _2 | the machine, all axes move |
+| weighing_empty, weighing_loaded | the boom slowly up and down, without payload and with 300 kg |
 | machine_test | section 5: a work cycle for validation, not for fitting (`use = "test"`) |
 
 | instrument | noise (standard deviation) | resolution | range | reads 0 below |

@@ -23,7 +23,10 @@ from orchestrator.base.units import parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
-PROCEDURES = ("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping", "machine")
+PROCEDURES = (
+    *("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping"),
+    *("weighing", "machine"),
+)
 FIRST_LINES = 50  # number of first lines of a text file from which its decimal mark is detected
 DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
 

@@ -130,10 +130,12 @@ def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
     rows = inputs(machine)
     x0, _ = machine.start(machine.p0, rows[0])
     moving = model(1e-6).segment(x0, machine.p0, TIME[:61], rows[:61], False).x
-    x0 = moving + 1e-2 * machine.nominal * rng.uniform(-1, 1, x0.size)
+    # without a payload: the force of a pick-up begins with a kink, across which differences are wrong
+    scale = np.where(["payload" in n or "held" in n for n in machine.states], 0.0, machine.nominal)
+    x0 = moving + 1e-2 * scale * rng.uniform(-1, 1, x0.size)
     time = np.linspace(0.3, 0.31, 21)
     rows = np.column_stack([np.interp(time, TIME, row) for row in rows.T])
-    vx, vp = machine.nominal * rng.uniform(-1, 1, x0.size), machine.p0 * rng.uniform(-1, 1, machine.p0.size)
+    vx, vp = scale * rng.uniform(-1, 1, x0.size), machine.p0 * rng.uniform(-1, 1, machine.p0.size)
 
     def moved(e: float) -> np.ndarray:
         piece = machine.segment(x0 + e * vx, machine.p0 + e * vp, time, rows, False)
