@@ -107,6 +107,13 @@ def _list_of(name: str, quantity: Quantity) -> str:
     return name.rpartition("_")[0] + "s" if quantity.listed else ""
 
 
+def _too_long(path: Path, listed: str, declared: Collection[str]) -> Problem:
+    """The problem of a list with an entry that is not declared."""
+    count = sum(n.rpartition("_")[0] == listed[:-1] and n[-1].isdigit() for n in declared)
+    expected = f"expected at most {count} values" if count else "no part declares such a list"
+    return Problem(f"{path}: [parameters.{listed}]: {expected}")
+
+
 def _entries(path: Path, section: str, name: str, entry: Any) -> Iterator[tuple[str, Number]]:
     """The parameters of a table in the file: one, or those of a list; of an empty one the first, 0."""
     where = f"{path}: [{section}.{name}]"
@@ -128,7 +135,9 @@ def padded(entries: Mapping[str, Number], declared: Collection[str]) -> dict[str
     """The entries, and the declared entries of lists that are missing at the end of a list, as zeros."""
     result = dict(entries)
     for listed in dict.fromkeys(n.listed for n in entries.values() if n.listed):
-        first = entries[entry_name(listed, 1)]
+        first = entries.get(entry_name(listed, 1))
+        if first is None:  # a single entry of a list, or one that was renamed
+            continue
         names = [n for n in declared if n.rpartition("_")[0] == listed[:-1] and n not in entries]
         result |= {n: replace(first, value=0.0, sd=None) for n in names if n.rpartition("_")[2].isdigit()}
     return result
@@ -179,9 +188,8 @@ def numbers(sub: Subsystem, path: Path | None = None) -> Tables:
             if name in declared:
                 check(path, f"[{section}.{name}]", declared[name], number)
                 checked[section][name] = replace(number, listed=_list_of(name, declared[name]))
-            elif number.listed and entry_name(number.listed, 1) in declared:
-                last = sum(n.rpartition("_")[0] == number.listed[:-1] for n in declared)
-                raise Problem(f"{path}: [{section}.{number.listed}]: expected at most {last} values")
+            elif name not in sub.names_of_variants and number.listed:
+                raise _too_long(path, number.listed, declared)
             elif name not in sub.names_of_variants:
                 raise Problem(f"{path}: [{section}.{name}] is not declared by {sub.name}")
     return checked
@@ -310,6 +318,8 @@ def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
     parameters = padded(tables["parameters"], names)
     for name, number in parameters.items():
         declarations = [q for (part, local), q in declared.items() if name in (local, f"{part}.{local}")]
+        if not declarations and number.listed:
+            raise _too_long(path, number.listed, names)
         if not declarations:
             similar = difflib.get_close_matches(name, names, 1) or ["a name in `harvester parameters`"]
             raise Problem(f"{path}: [parameters.{name}] is not declared by any part, expected {similar[0]}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,16 @@ from driver import driving
 from fmus import boom_stick, swing
 from fmus.contract import quantities, symbolic
 from fmus.machine.parts import SUBSYSTEMS
-from fmus.parameters import Number, numbers, read, values, write
+from fmus.parameters import (
+    Number,
+    numbers,
+    read,
+    read_parameter_set,
+    rows,
+    values,
+    with_parameters,
+    write,
+)
 from orchestrator.base.errors import Problem
 
 BOOM_STICK, MANIPULATOR, SWING = (SUBSYSTEMS[n] for n in ("boom_stick", "manipulator", "swing"))
@@ -195,7 +205,7 @@ def _file(tmp_path: Path, **changes: tuple[float, str]) -> Path:
 )
 def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, changes, message):
     """A wrong unit, a missing, unknown, impossible or non-finite number is refused by name."""
-    with pytest.raises(Problem, match=message):
+    with pytest.raises(Problem, match=re.escape(message)):
         numbers(SWING, _file(tmp_path, **changes))
 
 
@@ -226,3 +236,55 @@ def test_a_broken_file_is_refused_in_one_line(tmp_path, text, message):
     with pytest.raises(Problem, match=message) as caught:
         read(path)
     assert str(path) in str(caught.value)
+
+
+TABLE = """
+[parameters.{name}]
+value = {value}
+unit = "V"
+source = "assumed"
+note = "a list of a test"
+"""
+
+
+def test_a_list_replaces_all_entries(tmp_path):
+    """A parameter set with a shorter list sets its entries and zeros behind them, for all parts or one."""
+    (tmp_path / "p.toml").write_text(
+        TABLE.format(name="valve_pa_commands", value=[0.5, 2.0, 10.0])
+        + TABLE.format(name='"swing.valve_pa_commands"', value=[0.7, 9.0])
+    )
+    chosen = read_parameter_set(tmp_path / "p.toml", [SWING, BOOM_STICK])
+    for sub, expected in ((SWING, [0.7, 9.0]), (BOOM_STICK, [0.5, 2.0, 10.0])):
+        point = Number(5.0, "V", "assumed", "a test")
+        long = with_parameters(sub, {f"valve_pa_command_{i}": point for i in (3, 9)})
+        found = numbers(with_parameters(long, chosen))["parameters"]
+        assert [found[f"valve_pa_command_{i}"].value for i in range(1, 11)] == [*expected, *[0.0] * 10][:10]
+        assert list(rows({n: x for n, x in found.items() if "pa_command" in n})) == ["valve_pa_commands"]
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([1.0] * 11, "valve_pa_commands]: expected at most 10 values"),
+        (["1"], "value is '1', expected a number"),
+        ([-1.0], "expected 0.0 to None"),
+        ([0.5], None),
+    ],
+)
+def test_mistakes_in_lists_are_told(tmp_path, value, message):
+    """Too many entries, text and values out of bounds are refused with the name."""
+    (tmp_path / "p.toml").write_text(TABLE.format(name="valve_pa_commands", value=value).replace("'", '"'))
+    if message is None:
+        assert len(read_parameter_set(tmp_path / "p.toml", [SWING])) == 10
+        return
+    with pytest.raises(Problem, match=message):
+        read_parameter_set(tmp_path / "p.toml", [SWING])
+
+
+def test_an_entry_of_another_source_has_a_row_of_its_own():
+    """One point that is identified is not shown under the source of the others."""
+    point = {"valve_pa_opening_3": Number(0.2, "1", "identified", "a test", 0.01)}
+    shown = rows(numbers(with_parameters(SWING, point))["parameters"])
+    assert shown["valve_pa_opening_3"][0].source == "identified"
+    assert "valve_pa_openings" not in shown
+    assert len(shown["valve_at_openings"]) == 10
