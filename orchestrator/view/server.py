@@ -53,9 +53,9 @@ class Server:
         """port: 0 selects a free one; token: by default random, if `host` is not a loopback address."""
         if token and len(token) < SHORTEST:
             raise Problem(f"--token: expected at least {SHORTEST} characters, got {len(token)}")
-        self.session, self.authority = (
-            session,
-            ControlAuthority(session.machine, lambda: session.plan.description.modes),
+        self.session, self._training = session, Training(session.machine)
+        self.authority = ControlAuthority(
+            session.machine, lambda: session.plan.description.modes, loads=self._training.loads
         )
         self._socket = bound(host, port)
         self.port = int(self._socket.getsockname()[1])
@@ -65,7 +65,7 @@ class Server:
         self.url = f"http://{_displayed(host)}:{self.port}/{query}"
         app = FastAPI(lifespan=self._life, docs_url=None, redoc_url=None, openapi_url=None)
         serve_controls(app, self.authority)
-        self._stream, self._training = Stream(session, SharedFigures(session)), Training(session.machine)
+        self._stream = Stream(session, SharedFigures(session))
         ui.page("/")(self._page)
         ui.run_with(
             app,

@@ -17,12 +17,15 @@ DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendu
 DETAILED |= {"supply": "engine_pump"}
 
 
-def released(system: Path, mode: str, pose: str, swap: dict[str, str]) -> dict[str, Array]:
-    """Full swing, then nothing, as the process of a machine does it; the signals by bare names."""
+def released(system: Path, mode: str, pose: str, swap: dict[str, str], load: float = 0.0) -> dict[str, Array]:
+    """Full swing, then nothing, as the process of a machine does it; the signals by bare names.
+
+    load   payload [kg] of the training task at the same time
+    """
     chosen = plan(MachineChoice(system, pose, swap))
     setup, modes = chosen.setup, chosen.description.modes
     names = [axis.name for axis in setup.axes]
-    full = commands(CraneFunctions(swing=1), modes[mode], names)
+    full = commands(CraneFunctions(swing=1), modes[mode], names, {"payload_mass": load})
     live, limits, rest_delay = (
         FrameStepper(setup),
         RateLimiter(setup.axes, setup.frame),
@@ -70,3 +73,13 @@ def test_the_controller_brakes_and_then_lets_go(fmu_dir):
     assert (
         np.abs(found["swing_angle"][HELD + after[0] :] - found["swing_angle"][-1]).max() < 1e-3
     )  # rad, 4 mm
+
+
+@pytest.mark.parametrize("swap", [{}, DETAILED], ids=["lumped", "detailed"])
+def test_the_grip_holds_its_load_when_nobody_drives(fmu_dir, swap):
+    """Without commands the levers rest and the swing stops, but the stem stays in the head."""
+    found = released(fmu_dir / "harvester.ssp", "levers", "nominal", swap, load=200.0)
+    assert (found["payload_mass"] == 200.0).all()
+    assert found["swing_command"][-1] == 0.0
+    # the lag of the grip after 2 s: 2 exp(-15)
+    np.testing.assert_allclose(found["held_mass"][200:], 200.0, rtol=1e-5)

@@ -140,10 +140,12 @@ def test_choice(fmu_dir: Path) -> None:
         "usual": "lumped (usual)",
         "detailed": "detailed",
         "quasistatic": "quasistatic",
+        "compensated": "compensated",
     }
     assert "operator_input" not in variants(system)
     found = plan(MachineChoice(system)).setup
-    assert [axis.name for axis in found.axes] == ["swing_command", "boom_command", "stick_command"]
+    levers = ["swing_command", "boom_command", "stick_command"]
+    assert [axis.name for axis in found.axes] == [*levers, "payload_mass"]
     assert not [name for name in found.signals if name.startswith("operator_input.")]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,32 @@ def test_counts_only_what_is_shown() -> None:
     training.update()
     assert training.attempts == []
     assert training.status()["phase"] == "ready"
+
+
+def test_stem_is_held_between_its_two_places() -> None:
+    """From the pick to the place the head holds the stem, and nothing while no page shows the task."""
+    stem = Exercise("stem", (replace(EXERCISE.targets[0], load=200.0), EXERCISE.targets[1]))
+    live = machine(cycle())
+    frames, live.frames = live.frames, []
+    training = Training(live, stem)
+    training.open()
+    held = set()
+    for n in range(0, len(frames), 37):
+        live.frames = frames[: n + 37]
+        training.update()
+        (name, mass), *others = training.loads().items()
+        assert (name, others) == ("payload_mass", [])
+        held.add((training.status()["phase"], mass))
+        assert mass == training.status()["load"]
+    assert {mass for state, mass in held if state == "moving"} == {0.0, 200.0}
+    assert {mass for state, mass in held if state == "done"} == {0.0}
+    live.frames = frames[:700]
+    again = Training(live, stem)
+    again.open()
+    again.update()
+    assert again.loads() == {"payload_mass": 200.0}
+    again.close()
+    assert again.loads() == {"payload_mass": 0.0}
 
 
 def test_way() -> None:

@@ -42,6 +42,7 @@ from orchestrator.view.driving.sticks import (
 from orchestrator.view.view_description import DriveMode, FunctionLabels
 
 Modes = Callable[[], Mapping[str, DriveMode]]
+Loads = Callable[[], Mapping[str, float]]
 
 MOST = 50  # open pages; beyond that the oldest without a connection is removed
 STILL = 0.5  # s without a new frame, after which the machine counts as hanging
@@ -133,9 +134,15 @@ class CommandGate:
     """
 
     def __init__(
-        self, machine: Machine, available: Modes, curve: ResponseCurve, clock: Callable[[], float]
+        self,
+        machine: Machine,
+        available: Modes,
+        curve: ResponseCurve,
+        clock: Callable[[], float],
+        loads: Loads = dict,
     ) -> None:
-        """available: returns the current drive modes by name; clock: monotonic [s]"""
+        """available: the current drive modes by name; clock: monotonic [s]; loads: as `ControlAuthority`."""
+        self._loads = loads
         self.machine, self._available, self.curve = machine, available, curve
         self.live, self.why = False, "nobody drives"
         self._clock, self._frame, self._seen = clock, -1, clock()
@@ -185,7 +192,7 @@ class CommandGate:
             commanded = functions(sticks, self._pattern, self.curve)
             if not self.mode:
                 return self._fault("this machine has no input that sticks can drive")
-            values = commands(commanded, self._available()[self.mode], self.machine.axes)
+            values = commands(commanded, self._available()[self.mode], self.machine.axes, self._loads())
             if uncommanded(values, self.machine.axes, frame.axes):
                 self.rest("the machine comes to rest before it changes the mode")
                 return True
@@ -231,8 +238,10 @@ class ControlAuthority:
         silence_limit: float = 1.0,
         curve: ResponseCurve = ResponseCurve(),  # noqa: B008  frozen
         clock: Callable[[], float] = time.monotonic,
+        loads: Loads = dict,
     ) -> None:
-        self.machine, self._gate = machine, CommandGate(machine, available, curve, clock)
+        """loads: values of inputs that no stick drives, such as the payload of the training task."""
+        self.machine, self._gate = machine, CommandGate(machine, available, curve, clock, loads)
         self._timeout, self._silence_limit, self._clock = timeout, silence_limit, clock
         self._stations: list[OperatorStation] = []
         self._names = itertools.count(1)

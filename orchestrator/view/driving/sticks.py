@@ -34,6 +34,7 @@ import json
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
@@ -189,15 +190,23 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+NO_LOADS: Mapping[str, float] = MappingProxyType({})
+
+
 def modes(declared: Mapping[str, DriveMode], axes: Sequence[str]) -> tuple[str, ...]:
     """Names of the modes in which a machine with these axes can be driven."""
     inputs = {_bare(name) for name in axes}
     return tuple(name for name, mode in declared.items() if mode.drives(inputs))
 
 
-def commands(commanded: CraneFunctions, mode: DriveMode, axes: Sequence[str]) -> dict[str, float]:
-    """Values of the driven inputs, by axis. Axes that the mode does not use are left out, so they rest."""
-    values = dict(mode.constant)
+def commands(
+    commanded: CraneFunctions, mode: DriveMode, axes: Sequence[str], loads: Mapping[str, float] = NO_LOADS
+) -> dict[str, float]:
+    """Values of the driven inputs, by axis. Axes that the mode does not use are left out, so they rest.
+
+    loads   input -> value, of inputs that no stick drives
+    """
+    values = {**mode.constant, **loads}
     for function, driven in vars(mode.full).items():
         values |= {name: full * getattr(commanded, function) + 0.0 for name, full in driven.items()}  # no -0
     return {name: values[_bare(name)] for name in axes if _bare(name) in values}

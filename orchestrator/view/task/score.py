@@ -13,7 +13,8 @@ Signals, by the names of the variables in any component:
 Progress: ready -> moving -> holding -> moving -> ... -> done. The clock starts when the tip has moved by
 `start` from its first position. A target is done when the tip has been within `radius` of it and slower than
 `slow` for `hold` without interruption. The exercise is our own: a stem has to be reached, gripped while the
-head does not move, and put down at another place.
+head does not move, and put down at another place. In between a machine with the input `payload_mass` [kg]
+carries it.
 
 Score, from the start of the clock to its end or to the last sample:
 
@@ -150,10 +151,14 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Target:
-    """A position in space [m]: forward, left, up from the foot of the column."""
+    """A position in space [m]: forward, left, up from the foot of the column.
+
+    load   mass that the head holds from there on [kg]
+    """
 
     name: str
     at: Point
+    load: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -188,12 +193,14 @@ class Progress:
     now: float = 0.0
 
 
+LOAD = "payload_mass"  # input with the mass that the head is to hold
+STEM = 200.0  # kg
 EXERCISES: Mapping[str, Exercise] = {
     "stem on the left": Exercise(
-        "stem on the left", (Target("pick", (2.25, 3.9, 0.3)), Target("place", (3.4, -1.2, 1.0)))
+        "stem on the left", (Target("pick", (2.25, 3.9, 0.3), STEM), Target("place", (3.4, -1.2, 1.0)))
     ),
     "stem on the right": Exercise(
-        "stem on the right", (Target("pick", (2.25, -3.9, 0.3)), Target("place", (3.4, 1.2, 1.0)))
+        "stem on the right", (Target("pick", (2.25, -3.9, 0.3), STEM), Target("place", (3.4, 1.2, 1.0)))
     ),
 }
 
@@ -209,6 +216,11 @@ def way(tip: Point, at: Point) -> Point:
     turn = math.atan2(at[1], at[0]) - math.atan2(tip[1], tip[0])
     out = math.hypot(at[0], at[1]) - math.hypot(tip[0], tip[1])
     return out, at[2] - tip[2], math.remainder(turn, 2 * math.pi)
+
+
+def load(exercise: Exercise, progress: Progress) -> float:
+    """Mass that the head holds after the targets that are done [kg]."""
+    return exercise.targets[len(progress.done) - 1].load if progress.done else 0.0
 
 
 def clock(progress: Progress) -> float | None:

@@ -21,6 +21,7 @@ from orchestrator.realtime.setup import Machine
 from orchestrator.view.task.score import (
     DEFAULT,
     EXERCISES,
+    LOAD,
     Exercise,
     Progress,
     Samples,
@@ -29,6 +30,7 @@ from orchestrator.view.task.score import (
     distance,
     follow,
     judge,
+    load,
     of_values,
     phase,
     task_signals,
@@ -105,8 +107,13 @@ class Training:
             "way": way(tip, left[0].at) if tip and left else None,
             "held": 0.0 if inside is None else (self._progress.now - inside) / self.exercise.hold,
             "time": clock(self._progress),
+            "load": load(self.exercise, self._progress),
             "problem": self._problem,
         }
+
+    def loads(self) -> dict[str, float]:
+        """Input -> its value: the load of the head while a page shows the task, else none."""
+        return {LOAD: load(self.exercise, self._progress) if self._open else 0.0}
 
     def table(self) -> list[dict[str, Any]]:
         """The finished attempts, one row each."""
@@ -243,7 +250,8 @@ def summary(status: dict[str, Any]) -> str:
         return f"done in {status['time']:.1f} s"
     far = "" if status["way"] is None else f": {directions(status['way'])}"
     time = ": the clock starts as you move" if status["time"] is None else f", {status['time']:.1f} s"
-    return f"{status['target']['name']}{far}; {status['phase']}{time}"
+    load = f" with {status['load']:.0f} kg" if status["load"] else ""
+    return f"{status['target']['name']}{far}; {status['phase']}{load}{time}"
 
 
 def directions(way: tuple[float, float, float]) -> str:
