@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from orchestrator.data.recording import Recording
 VALVE = Recording(Path("valve.csv"), np.arange(9.0), {}, {}, procedure="valve")
 MACHINE = replace(VALVE, source=Path("machine.csv"), procedure="machine")
 AREA = Estimate("valve_area", 2e-5, "m2", 1e-7, 1.98e-5, 2.02e-5, "by hand")
+WITHOUT_ZEROS = SimpleNamespace(outputs=())
 
 
 class Procedure:
@@ -72,6 +74,7 @@ def test_an_interrupted_search_is_not_restarted(quick):
     """The best point so far is kept, and the random starts are skipped."""
 
     class Best:
+        problem = WITHOUT_ZEROS
         reason = "interrupted"
 
         def estimates(self, **_: object) -> tuple[Estimate, ...]:
@@ -88,6 +91,7 @@ def test_interrupted_starts_keep_the_result(quick):
     """The result of the refinement is kept."""
     refined = RefinementResult.__new__(RefinementResult)
     object.__setattr__(refined, "reason", "converged")
+    object.__setattr__(refined, "problem", WITHOUT_ZEROS)
     quick.setattr(RefinementResult, "estimates", lambda *_, **__: (AREA,))
     quick.setattr(pipeline, "refine_together", lambda *_: refined)
     quick.setattr(pipeline, "multistart", lambda *_, **__: MultistartResult((), 0.0, {}, interrupted=True))
