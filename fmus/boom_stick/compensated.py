@@ -179,10 +179,9 @@ class CompensatedDrive:
 
     def load_pressure(self, rates: AxisState) -> LoadPressure:
         """Load pressure of the section."""
-        v = self.section.valve
         return load_sensing.load_pressure(
             *(self.u.command, self.u.command_rate),
-            *((v.dead_band, v.dead_band), v.full_command),
+            *(self.section.dead_bands(), self.section.valve.full_command),
             *(self.x.pair("valve_pressure"), rates.pair("valve_pressure"), self.u.tank_pressure),
         )
 

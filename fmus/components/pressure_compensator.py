@@ -39,9 +39,10 @@ from typing import Any
 
 import casadi as ca
 
-from fmus.components import spool_valve
+from fmus.components import opening_curve, spool_valve
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.smooth import lower, positive, ramp, s_curve
-from fmus.components.spool_valve import EdgeFlows, Valve
+from fmus.components.spool_valve import CurvedValve, EdgeFlows
 from fmus.contract import Group, Quantity, Scalar, make_group, quantities
 
 CHECK_ROUNDING = 1e4  # Pa: pressure difference over which the check valve opens
@@ -49,8 +50,8 @@ MARGIN_ROUNDING = 2e4  # Pa: 50 Pa at a margin of 20 bar
 NOMINAL_DROP = 1e7  # D_0 [Pa]
 LEAST_DEAD_BAND = 1e-3  # of full command; keeps the neutral position defined for a valve without dead band
 
-# a spool valve whose edges have areas of their own
-SectionValve = make_group("SectionValve", {n: q for n, q in quantities(Valve).items() if n != "area"})
+# a spool valve whose edges have areas of their own, each with an optional table of its opening curve
+SectionValve = make_group("SectionValve", {n: q for n, q in quantities(CurvedValve).items() if n != "area"})
 
 
 class Compensator(Group):
@@ -81,6 +82,7 @@ def requirements(valve: Any, c: Compensator) -> dict[str, Scalar]:
     """Requirements of a section: it opens, and its droop leaves a drop to regulate."""
     return {
         **spool_valve.opens(valve),
+        **opening_curve.requirements(valve, valve.full_command),
         "compensator_droop is below 1e-7 1/Pa": 1 - c.droop * NOMINAL_DROP,
         "the section of the highest load shares the flow: compensator_sharing (1 + compensator_open_drop"
         " / compensator_setting) is below 0.95": 0.95 - c.sharing * (1 + c.open_drop / c.setting),
@@ -108,19 +110,23 @@ class Section:
 
     def openings(self, command: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         """Openings [1] (meter-in, meter-out) of the edges of port A and of port B."""
-        v = self.valve
-        curve = (v.dead_band, v.full_command, v.command_rounding)
-        forward, backward = (spool_valve.opening(c, *curve) for c in (command, -command))
-        return (forward, backward), (backward, forward)
+        y = spool_valve.edge_openings(self.valve, OpeningCurves.of(self.valve), command)
+        return (y["pa"], y["at"]), (y["pb"], y["bt"])
 
-    def in_use(self, command: Scalar) -> Scalar:
-        """0 up to half the dead band in the direction of a positive command, 1 from its end on."""
-        least = ca.fmax(self.valve.dead_band, LEAST_DEAD_BAND * self.valve.full_command)
-        return s_curve(2 * command / least - 1)
+    def dead_bands(self) -> tuple[Scalar, Scalar]:
+        """Commands at which the meter-in edges of port A and of port B begin to open [V]."""
+        v = self.valve
+        return opening_curve.meter_in_dead_bands(OpeningCurves.of(v), v.dead_band, v.dead_band)
+
+    def in_use(self, command: Scalar) -> tuple[Scalar, Scalar]:
+        """Of ports A and B: 0 up to half of the dead band of the edge that feeds them, 1 from its end on."""
+        a, b = (ca.fmax(d, LEAST_DEAD_BAND * self.valve.full_command) for d in self.dead_bands())
+        return s_curve(2 * command / a - 1), s_curve(-2 * command / b - 1)
 
     def neutral(self, command: Scalar) -> Scalar:
-        """1 in neutral, 0 as soon as an edge can be open."""
-        return 1 - self.in_use(command) - self.in_use(-command)
+        """1 in neutral, 0 as soon as a meter-in edge can be open."""
+        to_a, to_b = self.in_use(command)
+        return 1 - to_a - to_b
 
 
 @dataclass(frozen=True)
@@ -178,7 +184,7 @@ def shown(
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Outputs of a section: meter-in flow [m3/s], drops [Pa] over edge and compensator (0 in neutral)."""
     a, b = ports
-    to_a, to_b = section.in_use(command), section.in_use(-command)
+    to_a, to_b = section.in_use(command)
     return (
         a.edges.supply + b.edges.supply,
         to_a * a.metering_drop + to_b * b.metering_drop,

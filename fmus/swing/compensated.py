@@ -22,6 +22,7 @@ from fmus.components import pressure_compensator as compensator
 from fmus.components.brake import Brake, BrakeTorque
 from fmus.components.chamber import Oil
 from fmus.components.motor import MotorNodes
+from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar, Subsystem, family, quantities
@@ -153,7 +154,7 @@ def observe(
     rates, tank = (dx.swing_pressure_a, dx.swing_pressure_b), u.tank_pressure
     edges = (n.ports[0].edges, n.ports[1].edges)
     meter_in, metering_drop, compensator_drop = compensator.shown(section(p), n.ports, u.swing_command)
-    load = drive.load_pressure(p, u, pressures, rates)
+    load = drive.load_pressure(p, u, pressures, rates, OpeningCurves.of(p, "valve"))
     flows = (edges[0].line, edges[1].line)
     outputs = drive.observe(p, u, pressures, flows, edges, n.nodes, rates, load)
     outputs["swing_torque"] -= x.swing_brake_torque
