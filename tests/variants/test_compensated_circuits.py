@@ -243,5 +243,5 @@ def test_tables_of_opening_curves_work_in_sections(fmus):
         # the rounding of the turbulent law, (Q_t/2Q)^2 = 3.4e-4 at 16 L/min
         assert flow == pytest.approx(stated, rel=5e-4)
     with driving(fmus["boom_stick"], boom_command=0.74, **START, **start) as fmu:
-        # below half of the dead band of 1.5 V; the shuttle of two lines without pressure is 0.05 bar above them
+        # below half of the dead band of 1.5 V; a shuttle of two lines without pressure is 0.05 bar above
         assert fmu.get("boom_stick_load_pressure")[0] < 5e3
