@@ -199,7 +199,10 @@ def test_signals_are_listed(capsys, fmu_dir):
     assert main(["signals"]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert max(map(len, printed)) <= 100
-    words = {line.split()[0]: line.split()[1:] for line in printed if line.startswith("  ") and line.split()}
+    rows = [
+        line.split() for line in printed if line[:2] == "  " and line[2:3].strip()
+    ]  # wrapped text is further in
+    words = {row[0]: row[1:] for row in rows}
     assert words["supply.supply_pressure"][:5] == ["Pa", "Pressure", "of", "the", "supply"]
     assert words["manipulator.boom_angle"][:3] == ["rad", "Boom", "angle"]
     assert "from swing.swing_torque" in " ".join(" ".join(printed).split())

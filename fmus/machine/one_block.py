@@ -11,10 +11,13 @@ from pathlib import Path
 from fmus.components.ports import grip, lever, return_line, supply_line
 from fmus.composition import compose
 from fmus.contract import Subsystem
-from fmus.machine.parts import CONNECTIONS, HOLDING, INPUTS, RATES, SUBSYSTEMS
+from fmus.machine.parts import CONNECTIONS, DRIVES, HOLDING, INPUTS, RATES, SUBSYSTEMS
 
 # signals of internal connections; accelerations stay visible, because they can be measured
-HIDDEN = tuple(source for source, _ in RATES + HOLDING if not source.endswith("acceleration"))
+HIDDEN = (
+    *(source for source, _ in RATES + HOLDING if not source.endswith("acceleration")),
+    *(f"{drive}.{drive}_load_pressure_rate" for drive in DRIVES),
+)
 
 TEXTS = {
     "supply_flow": "Flow from the supply line into all three drives",
