@@ -54,13 +54,17 @@ def run(
         recordings, joint=joint, inertial=inertial, names=names, starts=starts, report=print, show=_show
     )
     parameters = {name: e.number() for name, (e, _) in sorted(identified.estimates.items())}
+    count = len(parameters)
+    parameters |= identified.listed
     out.parent.mkdir(parents=True, exist_ok=True)
     write(out, {"parameters": parameters})
     if identified.interrupted:
-        plural = "s" * (len(parameters) > 1)
-        print(f"{out}: {len(parameters)} parameter{plural}, estimated until the interrupt; no report")
+        plural = "s" * (count > 1)
+        print(f"{out}: {count} parameter{plural}, estimated until the interrupt; no report")
         raise KeyboardInterrupt
-    print(f"{out}: {len(parameters)} parameters with their 95 % intervals")
+    curves = len({n.listed for n in identified.listed.values()}) // 2
+    tables = f" and the opening curves of {curves} edges" if curves else ""
+    print(f"{out}: {count} parameters with their 95 % intervals{tables}")
     comparison = prediction(identified)
     contents = page_content(folder, out, identified, comparison, qualities)
     if comparison:

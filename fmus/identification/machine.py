@@ -20,7 +20,7 @@ from fmus.identification.refinement.refine import RefinementResult
 from fmus.identification.refinement.sensor_zeros import declared_errors, free_zeros, parameter, with_zeros
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
-from fmus.parameters import Number, Values, derived, numbers, read, values
+from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import display_conversion
 from orchestrator.data.recording import Recording
@@ -92,8 +92,16 @@ def updated(parameters: Parameters, estimates: Iterable[Estimate]) -> dict[str, 
         targets = targets_of(estimate.name, parameters)
         if not targets:
             raise Problem(f"estimates: expected parameters of the machine, got {estimate.name}")
+        if estimate.listed and estimate.name == entry_name(estimate.listed, 1):  # a new list replaces all
+            result |= {n: replace(result[n], value=0.0, sd=None) for n in _entries_of(estimate, parameters)}
         result |= dict.fromkeys(targets, estimate.number())
     return result
+
+
+def _entries_of(estimate: Estimate, parameters: Parameters) -> list[str]:
+    """All entries `part.name` of the list of an estimate."""
+    stem = estimate.name.rpartition("_")[0]
+    return [n for n in parameters if n.partition(".")[2].rpartition("_")[0] == stem]
 
 
 def _flat_names() -> dict[str, str]:

@@ -40,6 +40,7 @@ PROCEDURES: Mapping[str, ModuleType] = {
     "weighing": weighing,
 }
 INERTIA = "inertia"
+DEAD_BAND = "valve_dead_band"
 
 Report = Callable[[str], None]  # prints a line about the progress
 
@@ -76,6 +77,11 @@ class Identified:
             for e, procedure in estimates
             for name in [short_name(e.name, self.parameters)]
         }
+
+    @property
+    def listed(self) -> dict[str, Number]:
+        """Name -> entry of a list of parameters.toml: points of the opening curves, in their order."""
+        return {e.name: e.number() for result in self.results for e in result.listed}
 
     def skip(self, procedure: str, error: Problem, report: Report) -> None:
         """Note and report why a procedure has no result."""
@@ -153,13 +159,15 @@ def _run_procedures(
             identified.skip(name, error, report)
             continue
         identified.results.append(result)
-        identified.parameters = updated(identified.parameters, result.estimates)
+        identified.parameters = updated(identified.parameters, (*result.estimates, *result.listed))
         show(result)
 
 
 def _run_joint(identified: Identified, names: Sequence[str], starts: int, report: Report) -> None:
     """The joint refinement, and its repetition from other start points."""
     recordings = [r for r in identified.recordings if r.procedure == MACHINE]
+    if any(entry.value > 0 for entry in identified.listed.values()):  # the tables replace the dead band
+        names = [name for name in names if name != DEAD_BAND]
     try:
         identified.refined = refine_together(recordings, identified.parameters, names, report)
     except Problem as error:

@@ -70,7 +70,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         remarks=tuple(remarks(corrected, openings)),
         others=(*_curve(openings), zero, *_of_edges(openings)),
         warnings=tuple(_warnings(openings)),
-        listed=() if openings.line else tuple(_tables(openings)),
+        listed=tuple(_no_tables(parameters) if openings.line else _tables(openings)),
     )
 
 
@@ -164,6 +164,16 @@ def _tables(openings: Openings) -> Iterator[Estimate]:
             sd = float(curve.draws_at(command).std()) / largest if i > 1 else 0.0
             opening, listed = float(area) / largest, f"valve_{name}_openings"
             yield _entry(f"valve_{name}_opening_{i}", opening, "1", sd, note.format(source), listed)
+
+
+def _no_tables(parameters: Mapping[str, Number]) -> Iterator[Estimate]:
+    """Empty tables in place of known ones, because a straight line suffices."""
+    for edge in SAME_WAY:
+        name, note = edge.replace("-", "").lower(), "no table: a straight line suffices, section 4(a)"
+        known = parameters.get(f"boom_stick.valve_{name}_command_2")
+        if known and known.value > 0:
+            for kind, unit in (("command", "V"), ("opening", "1")):
+                yield _entry(f"valve_{name}_{kind}_1", 0.0, unit, 0.0, note, f"valve_{name}_{kind}s")
 
 
 def _entry(name: str, value: float, unit: str, sd: float, note: str, listed: str) -> Estimate:

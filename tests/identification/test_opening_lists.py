@@ -1,0 +1,100 @@
+"""From edges that are no straight lines to tables that the machine reads, by the command line."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks import openings as bench
+from fmus.components import opening_curve
+from fmus.identification.machine import nominal
+from fmus.identification.pipeline import identify
+from fmus.machine.build import parts_with_parameters
+from fmus.parameters import values
+from orchestrator.__main__ import main
+
+VALVE = "asymmetric 1"
+UNITS = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    """The files of `harvester identify` for one valve, and its exit status."""
+    folder = tmp_path_factory.mktemp("valve")
+    (folder / "mine").mkdir()
+    for recording in bench.recordings(VALVE, 1):
+        _write(folder / "mine" / f"{recording.conditions['edge']}.csv", recording)
+    out = folder / "parameters.toml"
+    return main(["identify", str(folder / "mine"), "--out", str(out), "--report", str(folder)]), out
+
+
+def _write(path: Path, recording) -> None:
+    """A recording with the description of its instruments."""
+    rows = np.column_stack([recording.time, *(recording[name] for name in UNITS)])
+    header = ",".join(["time", *UNITS])
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.12g")
+    edge = recording.conditions["edge"]
+    lines = ["[experiment]", 'procedure = "valve"', f'edge = "{edge}"']
+    for name, unit in UNITS.items():
+        lines += [f"[signals.{name}]", f'unit = "{unit}"']
+        if name in recording.sensors:
+            sensor = recording.sensors[name]
+            lines += [f"{key} = {getattr(sensor, key)!r}" for key in ("noise", "resolution", "dead_zone")]
+            lines += [f"span = [{sensor.low!r}, {sensor.high!r}]"]
+            lines += [f"zero_error = {sensor.zero_error!r}"] if sensor.zero_error else []
+    path.with_suffix(".toml").write_text("\n".join(lines), encoding="utf-8")
+
+
+def test_the_file_has_lists(identified):
+    """Commands and openings of all four edges; exit status 0, because nothing is doubtful."""
+    status, out = identified
+    assert status == 0
+    tables = tomllib.loads(out.read_text(encoding="utf-8"))["parameters"]
+    for edge in ("pa", "at", "pb", "bt"):
+        commands, openings = tables[f"valve_{edge}_commands"], tables[f"valve_{edge}_openings"]
+        assert len(commands["value"]) == len(openings["value"]) == len(openings["sd"])
+        assert commands["source"] == "identified"
+    # an edge that was not on the bench has the table of the other edge of its direction
+    assert tables["valve_bt_openings"]["value"] == tables["valve_pa_openings"]["value"]
+    assert tables["valve_at_openings"]["value"] != tables["valve_pa_openings"]["value"]
+
+
+def test_a_straight_line_empties_the_tables_of_before():
+    """Known tables do not stay when a line is found to suffice."""
+    known = nominal()
+    table = {
+        f"{part}.valve_pa_{kind}_{k}": value
+        for part in ("swing", "boom_stick")
+        for kind, values_of in (("command", (1.0, 10.0)), ("opening", (0.0, 1.0)))
+        for k, value in enumerate(values_of, 1)
+    }
+    known |= {name: replace(known[name], value=value) for name, value in table.items()}
+    found = identify(bench.recordings("line^1", 0), parameters=known | bench.KNOWN, joint=False)
+    assert all(found.parameters[name].value == 0 for name in table)
+
+
+@pytest.mark.parametrize(("edge", "name"), [("P-A", "pa"), ("P-B", "pb")])
+def test_the_machine_opens_as_the_valve_does(identified, edge, name):
+    """The component of the drives, with the numbers of the file, against the true opening."""
+    parts, _ = parts_with_parameters(identified[1])
+    p = values(parts["boom_stick"]).p
+    table = SimpleNamespace(
+        **{
+            f"{kind}_{k}": p[f"valve_{name}_{kind}_{k}"]
+            for kind in ("command", "opening")
+            for k in range(1, 11)
+        }
+    )
+    pieces = opening_curve.pieces(table)
+    volts = np.arange(3.0, 10.01, 0.25)
+    opened = p["valve_area"] * np.array([float(pieces.opening(v)) for v in volts])
+    # C_d and density of the machine are others than those of the bench: the product counts
+    scale = p["valve_discharge_coefficient"] / bench.C_D * np.sqrt(bench.DENSITY / p["density"])
+    true = bench.AREA * bench.VALVES[VALVE][edge](volts)
+    # 2.5 %: ten points for a curve with two bends; 1 % at the measured commands
+    assert scale * opened == pytest.approx(true, rel=0.025)
