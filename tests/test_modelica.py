@@ -21,7 +21,7 @@ from orchestrator import Problem
 from orchestrator.modelica import write_package
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "modelica"
-CONSTANT_INPUTS = ("supply_pressure", "tank_pressure")
+CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")
 POSE = {"initial_swing_angle": 0.3, "initial_boom_angle": 0.5, "initial_stick_angle": -1.2}
 CASES: Mapping[str, Mapping[str, float]] = {"": {}, "OtherPose": POSE, "HeavyHead": {"head_mass": 600.0}}
 ANGLES = [f"{joint}_angle" for joint in ("swing", "boom", "stick")]

@@ -20,10 +20,13 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
       connect(operator_input.boom_command_rate, machine.boom_command_rate);
       connect(operator_input.stick_command, machine.stick_command);
       connect(operator_input.stick_command_rate, machine.stick_command_rate);
+      connect(operator_input.payload_mass, machine.payload_mass);
       // an open input is zero in the tool's class, not its start value
       machine.supply_pressure = 20.684e6 "Pa";
       machine.supply_pressure_rate = 0 "Pa/s";
       machine.tank_pressure = 0 "Pa";
+      machine.load_sensing_pressure = 0 "Pa";
+      machine.load_sensing_pressure_rate = 0 "Pa/s";
       annotation(experiment(StopTime = 42, Interval = 0.02, Tolerance = 1e-8));
     end OneBlock;
 
