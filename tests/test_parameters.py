@@ -205,7 +205,7 @@ def _file(tmp_path: Path, **changes: tuple[float, str]) -> Path:
 )
 def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, changes, message):
     """A wrong unit, a missing, unknown, impossible or non-finite number is refused by name."""
-    with pytest.raises(Problem, match=re.escape(message)):
+    with pytest.raises(Problem, match=message):
         numbers(SWING, _file(tmp_path, **changes))
 
 
