@@ -83,10 +83,18 @@ def gauss_seidel_order(system: System) -> list[str]:
     """Names of the components in the order in which Gauss-Seidel steps them.
 
     The next component is the one with the fewest inputs that have feed-through to its outputs and whose
-    source has not stepped yet. Among equal ones it is the one with the fewest inputs whose source has not
-    stepped yet, then one that holds its inputs before one that interpolates them (which gains from a later
-    position), then the first in the system.
+    source has not stepped yet; those that it has to hold, for want of a connected rate port, count before all
+    of them. Among equal ones it is the one with the fewest inputs whose source has not stepped yet, then one
+    that holds its inputs before one that interpolates them (which gains from a later position), then the
+    first in the system.
     """
+    connected = {c.target for c in system.connections}
+    with_rate = {
+        Port(c.name, u)
+        for c in system.components.values()
+        for u, rate in c.interface.rate_inputs.items()
+        if Port(c.name, rate) in connected
+    }
     with_feedthrough = {
         Port(c.name, u)
         for c in system.components.values()
@@ -95,14 +103,15 @@ def gauss_seidel_order(system: System) -> list[str]:
     }
     remaining, order = list(system.components), list[str]()
 
-    def waiting_inputs(name: str) -> tuple[int, int, bool]:
+    def waiting_inputs(name: str) -> tuple[int, int, int, bool]:
         targets = [
             c.target
             for c in system.connections
             if c.target.component == name and c.source.component in remaining and c.source.component != name
         ]
         interpolates = bool(system.components[name].interface.ramp_inputs)
-        return sum(t in with_feedthrough for t in targets), len(targets), interpolates
+        direct = with_feedthrough.intersection(targets)
+        return len(direct - with_rate), len(direct), len(targets), interpolates
 
     while remaining:
         order.append(min(remaining, key=waiting_inputs))

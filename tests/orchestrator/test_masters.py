@@ -83,8 +83,11 @@ def test_gauss_seidel_takes_feed_through_last(oscillator):
     assert gauss_seidel_order(oscillator) == ["b", "a"]
 
 
-def order(wires, through=(), interpolating=""):
-    """Order of components a, b, c; connection "ab" is from a to b, with feed-through if in `through`."""
+def order(wires, through=(), interpolating="", rated=()):
+    """Order of components a, b, c; connection "ab" is from a to b, with feed-through if in `through`.
+
+    rated   connections whose input has a rate port, which is connected as well
+    """
     faces = {}
     for name in "abc":
         inputs = {
@@ -95,8 +98,13 @@ def order(wires, through=(), interpolating=""):
             {"y": FmuVariable("y", causality="output")} | inputs,
             {"y": direct},
             can_interpolate_inputs=name in interpolating,
+            rate_inputs={f"from_{w[0]}": f"rate_{w[0]}" for w in rated if w[1] == name},
         )
-    connections = tuple(Connection(Port(w[0], "y"), Port(w[1], f"from_{w[0]}")) for w in wires)
+    connections = tuple(
+        Connection(Port(w[0], y), Port(w[1], f"{y}_{w[0]}".replace("y_", "from_")))
+        for y, chosen in (("y", wires), ("rate", rated))
+        for w in chosen
+    )
     return "".join(
         gauss_seidel_order(System("s", {n: Component(n, f) for n, f in faces.items()}, connections))
     )
@@ -117,6 +125,15 @@ def order(wires, through=(), interpolating=""):
 def test_gauss_seidel_order_by_its_rules(wires, through, interpolating, expected):
     """Fewest waiting inputs that feed through, then fewest waiting, then those that hold their inputs."""
     assert order(wires, through, interpolating) == expected
+
+
+def test_an_input_with_a_rate_port_is_waited_for_last():
+    """Of two components that feed each other through, the one that hears rates steps first."""
+    loop = ("ab", "ba")
+    assert order(loop, loop, rated=("ba",)) == "cab"  # nothing feeds c
+    assert order(loop, loop, rated=("ab",)) == "cba"
+    # a has two direct inputs with rates to wait for, b and c one each that they would have to hold
+    assert order(("ba", "ca", "ab", "ac"), ("ba", "ca", "ab", "ac"), rated=("ba", "ca")) == "abc"
 
 
 def test_stages_follow_the_feed_through(oscillator):
