@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.boom_stick import drive, lumped
+from fmus.boom_stick import compensated, drive, lumped
 from fmus.boom_stick.drive import DriveInterface, Pair
 from fmus.boom_stick.variables import (
     AXES,
@@ -281,7 +281,9 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
         terminals=drive.TERMINALS,
     )
-    return family("boom_stick", lumped=lumped.BOOM_STICK, detailed=sub)["detailed"]
+    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=compensated.BOOM_STICK, detailed=sub)[
+        "detailed"
+    ]
 
 
 BOOM_STICK = detailed()

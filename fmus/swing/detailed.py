@@ -29,7 +29,7 @@ from fmus.components.orifice import PressureValve
 from fmus.components.spool_valve import EdgeFlows, Edges, Spool, SpoolState
 from fmus.contract import Quantity, Scalar, Subsystem, family, make_group, quantities
 from fmus.parameters import padded, read
-from fmus.swing import drive, lumped
+from fmus.swing import compensated, drive, lumped
 from fmus.swing.drive import Pair
 from fmus.swing.variables import SIDES, DetailedSwingOutputs, DetailedSwingParameters, SwingInputs, SwingState
 
@@ -210,7 +210,7 @@ def detailed(lumps: int | None = None, unsteady_friction: bool = False) -> Subsy
         validity="modes of the lines up to 75 Hz within 5 %; no flow forces on the spool, one temperature",
         terminals=drive.TERMINALS,
     )
-    return family("swing", lumped=lumped.SWING, detailed=sub)["detailed"]
+    return family("swing", lumped=lumped.SWING, compensated=compensated.SWING, detailed=sub)["detailed"]
 
 
 SWING = detailed()
