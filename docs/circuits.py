@@ -76,6 +76,12 @@ def _engine(s: Sheet, x: float, y: float, ends: float, speed: float, power: floa
         s.line([(x + 26, y + shift), (ends, y + shift)], width=1)
 
 
+def _return_line(s: Sheet, x: float) -> None:
+    s.text(x, 122, "T", "middle")
+    s.line([(x, 128), (x, 200)])
+    s.tank(x, 208)
+
+
 def _main_relief(s: Sheet, x: float, label: str) -> None:
     s.node(x, 70)
     s.line([(x, 70), (x, 128)])
@@ -94,42 +100,56 @@ def supply_engine_pump() -> Sheet:
     for x, setting in ((160, p.pump_1_pressure_setting), (300, p.pump_2_pressure_setting)):
         _pump_line(s, x, f"{per_revolution(p.pump_displacement)}")
         s.node(x, 150)
-        s.line([(x, 150), (x + 38, 150), (x + 38, 186), (x + 22, 197)], pilot=True)
+        s.line([(x, 150), (x + 38, 150), (x + 38, 197), (x + 23, 197)], pilot=True)
         s.text(x + 42, 168, f"compensator\n{bar(setting)}")
-    s.line([(160, 70), (540, 70)])
-    s.text(548, 74, "P")
-    _main_relief(s, 450, bar(p.relief_pressure))
+    s.line([(160, 70), (580, 70)])
+    s.node(300, 70)
+    s.text(588, 74, "P")
+    _main_relief(s, 450, f"main relief\n{bar(p.relief_pressure)}")
+    _return_line(s, 580)
     return s
 
 
 def supply_load_sensing() -> Sheet:
     """Load-sensing pump."""
     p = Numbers("supply", "load_sensing")
-    s = Sheet(
-        620, 310, "Supply, variant load_sensing: a variable pump that holds a margin over the highest load"
-    )
+    title = "Supply, variant load_sensing: a variable pump that holds a margin over the highest load"
+    s = Sheet(760, 310, title)
     _engine(s, 60, 220, 160, p.engine_rated_speed, p.engine_rated_speed * p.engine_rated_torque)
     _pump_line(s, 180, per_revolution(p.main_pump_displacement))
-    s.frame(250, 130, 118, 62)
-    s.text(309, 146, f"margin {bar(p.margin)}\ncut-off {bar(p.pressure_cut_off)}\npower limit", "middle")
+    limits = (
+        f"margin {bar(p.margin)}\ncut-off {bar(p.pressure_cut_off)}\ntorque limit {p.torque_limit:.0f} N.m"
+    )
+    s.frame(246, 130, 126, 56)
+    s.text(309, 148, limits, "middle")
     s.node(180, 150)
-    s.line([(180, 150), (250, 150)], pilot=True)
-    s.line([(280, 192), (203, 197)], pilot=True)
-    s.line([(180, 70), (540, 70)])
-    s.text(548, 74, "P")
-    s.line([(368, 160), (400, 160), (400, 36), (540, 36)], pilot=True)
-    s.text(548, 40, "LS")
-    _main_relief(s, 470, bar(p.relief_pressure))
+    s.line([(180, 150), (246, 150)], pilot=True)
+    s.line([(270, 186), (270, 197), (203, 197)], pilot=True)
+    s.line([(180, 70), (690, 70)])
+    s.text(698, 74, "P")
+    s.shuttle(560, 34)
+    for y, text in ((20, "LS swing"), (48, "LS boom and stick")):
+        s.line([(560, y), (640, y)], pilot=True)
+        s.text(648, y + 4, text)
+    s.line([(552, 34), (390, 34), (390, 160), (372, 160)], pilot=True)
+    s.text(398, 26, f"LS line, lag {p.load_sensing_lag * 1e3:.0f} ms")
+    s.node(444, 34)
+    s.line([(444, 34), (444, 128)], pilot=True)
+    s.relief(444, 150, label=f"LS relief\n{bar(p.pressure_cut_off - p.load_sensing_relief_difference)}")
+    s.line([(444, 172), (444, 200)], pilot=True)
+    s.tank(444, 208)
+    _main_relief(s, 570, f"main relief\n{bar(p.relief_pressure)}")
+    _return_line(s, 690)
     return s
 
 
 # ---- boom and stick
 
 
-def _valve(s: Sheet, x: float, y: float, sensing: bool = False) -> None:
-    s.four_way(x, y, sensing)
-    s.line([(x - 9, y + 21), (x - 9, y + 46)])
-    s.line([(x + 9, y + 21), (x + 9, y + 46)])
+def _valve(s: Sheet, x: float, y: float) -> None:
+    s.four_way(x, y)
+    s.line([(x - 9, y + 21), (x - 9, y + 40)])
+    s.line([(x + 9, y + 21), (x + 9, y + 40)])
 
 
 def _cylinder_label(p: Numbers, axis: str) -> str:
@@ -163,10 +183,10 @@ def _drive(s: Sheet, p: Numbers, axis: str, x: float) -> None:
         s.line([(port, 76), (port, 98)])
         s.hose(port, 120, _hose_label(p, axis) if side == "B" else "")
         s.line([(port, 142), (port, 166)])
-    s.line([(x - 44, 166), (x - 44, 176), (x - 9, 176), (x - 9, 190)])
-    s.line([(x + 34, 166), (x + 34, 176), (x + 9, 176), (x + 9, 190)])
+    s.line([(x - 44, 166), (x - 9, 166), (x - 9, 190)])
+    s.line([(x + 34, 166), (x + 9, 166), (x + 9, 190)])
     _valve(s, x, 208)
-    _supply_lines(s, x, 250, 40)
+    _supply_lines(s, x, 248, 40)
 
 
 def boom_stick() -> Sheet:
@@ -180,7 +200,9 @@ def _relief_pair(s: Sheet, port: float, y: float, side: int, label: str) -> None
     x = port + side * 62
     s.node(port, y)
     s.line([(port, y), (x, y), (x, y + 8)])
-    s.relief(x, y + 30, label=label)
+    s.relief(x, y + 30, label=label if side > 0 else "")
+    if side < 0:
+        s.text(x - 30, y + 34, label, "end")
     s.line([(x, y + 52), (x, y + 60)])
     s.tank(x, y + 66)
     c = port + side * 160
@@ -195,14 +217,14 @@ def _detailed_drive(s: Sheet, p: Numbers, axis: str, x: float) -> None:
     s.cylinder(x, 60, _cylinder_label(p, axis))
     for port, side in ((x - 44, -1), (x + 34, 1)):
         s.line([(port, 76), (port, 198)])
-        _relief_pair(s, port, 98, side, bar(p.relief_pressure) if side > 0 else "")
+        _relief_pair(s, port, 98, side, bar(p.relief_pressure))
         s.hose(port, 220, _hose_label(p, axis) if side > 0 else "")
         s.line([(port, 242), (port, 256)])
-    s.line([(x - 44, 256), (x - 44, 270), (x - 9, 270), (x - 9, 284)])
-    s.line([(x + 34, 256), (x + 34, 270), (x + 9, 270), (x + 9, 284)])
+    s.line([(x - 44, 256), (x - 9, 256), (x - 9, 284)])
+    s.line([(x + 34, 256), (x + 9, 256), (x + 9, 284)])
     _valve(s, x, 302)
     s.text(x + 80, 296, f"spool {p.spool_frequency:.0f} Hz,\ndamping {p.spool_damping:.2g}")
-    _supply_lines(s, x, 344, 40)
+    _supply_lines(s, x, 342, 40)
 
 
 def boom_stick_detailed() -> Sheet:
@@ -216,50 +238,56 @@ def boom_stick_detailed() -> Sheet:
 
 def _compensated_drive(s: Sheet, p: Numbers, axis: str, x: float) -> None:
     s.cylinder(x, 60, _cylinder_label(p, axis))
-    s.group(x - 142, 92, 300, 104)
+    s.group(x - 142, 92, 310, 146)
     left, right = x - 64.0, x + 54.0
     for port, to in ((x - 44, left), (x + 34, right)):
         s.line([(port, 76), (port, 100), (to, 100), (to, 110)])
         s.counterbalance(to, 140)
-    setting = f"{bar(p.counterbalance_pressure)}\npilot {p.counterbalance_pilot_ratio:.3g} : 1"
-    s.text(x + 166, 130, f"counterbalance\nvalves {setting}")
+    setting = f"valves {bar(p.counterbalance_pressure)}\npilot ratio {p.counterbalance_pilot_ratio:.3g} : 1"
+    s.text(x + 174, 130, f"counterbalance\n{setting}\nspring chamber\ndrained")
     for to, pilot_from in ((left, right), (right, left)):  # pilots cross below the valves
-        level = 206 if to == left else 214
+        level = 208 if to == left else 220
         s.line([(to - 40, 148), (to - 40, level), (pilot_from, level)], pilot=True)
         s.node(pilot_from, level)
     for to, side in ((left, -1), (right, 1)):
-        s.line([(to, 170), (to, 226)])
-        s.hose(to, 248, _hose_label(p, axis) if side > 0 else "")
-        s.line([(to, 270), (to, 384)])
-        _relief_pair(s, to, 292, side, bar(p.port_relief_pressure) if side > 0 else "")
-    s.line([(left, 384), (left, 394), (x - 9, 394), (x - 9, 404)])
-    s.line([(right, 384), (right, 394), (x + 9, 394), (x + 9, 404)])
-    _section(s, x, 422, getattr(p, f"{axis}_section_flow"), p.compensator_setting)
+        s.line([(to, 186), (to, 248)])
+        s.hose(to, 270, _hose_label(p, axis) if side > 0 else "")
+        s.line([(to, 292), (to, 402)])
+        _relief_pair(s, to, 314, side, bar(p.port_relief_pressure))
+    s.line([(left, 402), (x - 9, 402), (x - 9, 426)])
+    s.line([(right, 402), (x + 9, 402), (x + 9, 426)])
+    _section(s, x, 444, getattr(p, f"{axis}_section_flow"), p, bleeding=True)
 
 
-def _section(s: Sheet, x: float, y: float, rated: float, setting: float) -> None:
-    """Valve with pressure compensator below, P, T and LS."""
-    s.four_way(x, y, sensing=True)
-    s.text(x + 80, y - 2, f"{flow(rated)}\nat full command")
+def _section(s: Sheet, x: float, y: float, rated: float, p: Numbers, bleeding: bool = False) -> None:
+    """Valve with pressure compensator and check valve below: P, T, and LS that ends at (x + 35, y + 124)."""
+    s.four_way(x, y, sensing=True, bleeding=bleeding)
+    s.text(x + 82, y - 2, f"{flow(rated)}\nat full command")
     s.line([(x - 9, y + 21), (x - 9, y + 40)])
     s.compensator(x - 9, y + 70)
-    s.text(x - 62, y + 68, bar(setting), "end")
+    saturated = f"saturated: {p.compensator_sharing:.3g} (P - LS)"
+    s.text(x - 42, y + 68, f"compensator\n{bar(p.compensator_setting)},\n{saturated}", "end")
     s.line([(x + 15, y + 28), (x + 35, y + 28), (x + 35, y + 70)], pilot=True)
-    s.line([(x - 9, y + 88), (x - 9, y + 112)])
-    s.text(x - 9, y + 126, "P", "middle")
-    s.line([(x + 9, y + 21), (x + 9, y + 34), (x + 60, y + 34), (x + 60, y + 112)])
-    s.text(x + 60, y + 126, "T", "middle")
+    s.check(x - 9, y + 97, "up")
+    s.line([(x - 9, y + 106), (x - 9, y + 124)])
+    s.text(x - 9, y + 138, "P", "middle")
+    s.line([(x + 9, y + 21), (x + 9, y + 34), (x + 60, y + 34), (x + 60, y + 124)])
+    s.text(x + 60, y + 138, "T", "middle")
     s.node(x + 35, y + 70)
-    s.line([(x + 35, y + 70), (x + 35, y + 112)], pilot=True)
-    s.text(x + 35, y + 126, "LS", "middle")
+    s.line([(x + 35, y + 70), (x + 35, y + 124)], pilot=True)
 
 
 def boom_stick_compensated() -> Sheet:
     """Compensated sections with load holding."""
     title = "Boom and stick, variant compensated: compensated sections, load-holding valves, port reliefs"
-    s, p = Sheet(1050, 570, title), Numbers("boom_stick", "compensated")
-    for axis, x in (("boom", 240.0), ("stick", 750.0)):
+    s, p = Sheet(1090, 660, title), Numbers("boom_stick", "compensated")
+    for axis, x in (("boom", 240.0), ("stick", 760.0)):
         _compensated_drive(s, p, axis, x)
+    s.shuttle(530, 610)
+    for x, y in ((275, 624), (795, 596)):
+        s.line([(x, 568), (x, y), (530, y)], pilot=True)
+    s.line([(522, 610), (490, 610)], pilot=True)
+    s.text(482, 614, "LS", "end")
     return s
 
 
@@ -271,15 +299,21 @@ def _swing_motor(s: Sheet, p: Numbers, x: float, y: float, brake: bool = False) 
     s.motor(x, y)
     s.line([(x, y - 20), (x, y - 70)])
     s.line([(x, y + 20), (x, y + 70)])
+    s.text(x + 20, y - 22, per_revolution(p.motor_displacement))
+    end = x + (190 if brake else 146)
     for shift in (-2, 2):
-        s.line([(x + 20, y + shift), (x + 78, y + shift)], width=1)
-    s.frame(x + 78, y - 14, 34, 28)
-    s.text(x + 95, y + 4, f"1 : {p.gear_ratio:.3g}", "middle")
-    s.text(x + 118, y - 4, f"{per_revolution(p.motor_displacement)}\nturns the column")
+        s.line([(x + 20, y + shift), (x + 54, y + shift)], width=1)
+        s.line([(x + 98, y + shift), (end, y + shift)], width=1)
+    s.frame(x + 54, y - 14, 44, 28)
+    s.text(x + 76, y + 4, f"{p.gear_ratio:.3g} : 1", "middle")
+    s.text(end + 6, y + 4, "column")
     s.line([(x - 20, y), (x - 34, y), (x - 34, y + 32)], pilot=True)  # case drain
     s.tank(x - 34, y + 40)
     if brake:
-        s.brake(x + 48, y)
+        s.brake(x + 144, y)
+        s.text(x + 162, y + 26, f"holding brake\n{p.brake_torque / 1e3:.0f} kN.m")
+        s.line([(x + 120, y + 24), (x + 110, y + 24), (x + 110, y + 58)], pilot=True)
+        s.text(x + 106, y + 72, f"P while commanded,\nat least {bar(p.brake_release_pressure)}")
 
 
 def _cross(s: Sheet, x: float, top: float, bottom: float, label: str) -> None:
@@ -317,31 +351,28 @@ def _swing_lines(s: Sheet, x: float, y: float, start: float) -> None:
     s.line([(x, y + 70), (start + 9, y + 70), (start + 9, y + 122)])
 
 
-def _swing(variant: str, width: float, title: str) -> tuple[Sheet, Numbers]:
-    s, p = Sheet(width, 380 if variant == "compensated" else 300, title), Numbers("swing", variant)
-    return s, p
-
-
 def swing() -> Sheet:
     """The paper's circuit."""
-    s, p = _swing("lumped", 480, "Swing, variants lumped and quasistatic: valve, lines, motor, gear")
+    title = "Swing, variants lumped and quasistatic: valve, lines, motor, gear"
+    s, p = Sheet(480, 320, title), Numbers("swing", "lumped")
     _swing_motor(s, p, 250, 90)
     _swing_lines(s, 250, 90, 110)
     _valve(s, 110, 230)
-    _supply_lines(s, 110, 258, 40)
+    _supply_lines(s, 110, 270, 40)
     return s
 
 
 def swing_detailed() -> Sheet:
-    """With cross-port relief and anti-cavitation valves."""
-    title = "Swing, variant detailed: also cross-port relief and anti-cavitation valves"
-    s, p = _swing("detailed", 800, title)
-    _swing_motor(s, p, 570, 90)
-    _swing_lines(s, 570, 90, 110)
+    """With crossover relief and anti-cavitation valves."""
+    title = "Swing, variant detailed: also crossover relief and anti-cavitation valves"
+    s, p = Sheet(800, 320, title), Numbers("swing", "detailed")
+    _swing_motor(s, p, 590, 90)
+    _swing_lines(s, 590, 90, 110)
     _valve(s, 110, 230)
-    _supply_lines(s, 110, 258, 40)
-    _cross(s, 250, 20, 160, bar(p.relief_pressure))
-    _make_up(s, 480, 20, 160)
+    s.text(190, 224, f"spool {p.spool_frequency:.0f} Hz,\ndamping {p.spool_damping:.2g}")
+    _supply_lines(s, 110, 270, 40)
+    _cross(s, 250, 20, 160, f"crossover\n{bar(p.relief_pressure)}")
+    _make_up(s, 500, 20, 160)
     return s
 
 
@@ -350,12 +381,13 @@ def swing_compensated() -> Sheet:
     title = (
         "Swing, variant compensated: pressure-compensated section, crossover reliefs, make-up, holding brake"
     )
-    s, p = _swing("compensated", 800, title)
-    _swing_motor(s, p, 570, 90, brake=True)
-    _swing_lines(s, 570, 90, 110)
-    _section(s, 110, 230, p.swing_section_flow, p.compensator_setting)
-    _cross(s, 250, 20, 160, bar(p.relief_pressure))
-    _make_up(s, 480, 20, 160)
+    s, p = Sheet(940, 390, title), Numbers("swing", "compensated")
+    _swing_motor(s, p, 660, 90, brake=True)
+    _swing_lines(s, 660, 90, 220)
+    _section(s, 220, 230, p.swing_section_flow, p)
+    s.text(255, 368, "LS", "middle")
+    _cross(s, 340, 20, 160, f"crossover\n{bar(p.relief_pressure)}")
+    _make_up(s, 570, 20, 160)
     return s
 
 

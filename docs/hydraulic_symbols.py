@@ -114,8 +114,8 @@ class Sheet:
     def motor(self, x: float, y: float) -> None:
         """Motor for both directions: ports (x, y - 20) and (x, y + 20), shaft (x + 20, y)."""
         self.circle(x, y, 20)
-        self.triangle([(x, y - 9), (x - 7, y - 20), (x + 7, y - 20)])
-        self.triangle([(x, y + 9), (x - 7, y + 20), (x + 7, y + 20)])
+        for side in (-1, 1):  # the base is a chord of the circle
+            self.triangle([(x, y + 8 * side), (x - 7, y + 18.7 * side), (x + 7, y + 18.7 * side)])
 
     def engine(self, x: float, y: float, label: str) -> None:
         """Combustion engine with the shaft at (x + 26, y)."""
@@ -147,26 +147,36 @@ class Sheet:
         if label:
             self.text(x + 40, y + 4, label)
 
-    def counterbalance(self, x: float, y: float, label: str = "") -> None:
+    def shuttle(self, x: float, y: float) -> None:
+        """Shuttle valve, which passes on the higher of two pressures.
+
+        Inlets (x, y - 14) and (x, y + 14), outlet (x - 8, y).
+        """
+        self.frame(x - 8, y - 14, 16, 28)
+        for side in (-1, 1):
+            self.line([(x - 6, y + 7 * side), (x, y + 14 * side), (x + 6, y + 7 * side)], width=1)
+        self.circle(x, y + 6, 4)
+
+    def counterbalance(self, x: float, y: float) -> None:
         """Load-holding valve in a vertical line.
 
-        Cylinder at (x, y - 30), valve at (x, y + 30), pilot at (x - 40, y + 8): a relief valve from the
-        cylinder to the valve with a second pilot, and a check valve past it.
+        Cylinder at (x, y - 30), valve at (x, y + 46), pilot at (x - 40, y + 8): a relief valve from the
+        cylinder to the valve with a second pilot and a drained spring chamber, and a check valve past it.
         """
         self.frame(x - HALF, y - HALF, BOX, BOX)
         self.arrow((x - 7, y - 14), (x - 7, y + 14))
         self.line([(x, y - HALF), (x, y - 30)])
-        self.line([(x, y + HALF), (x, y + 30)])
+        self.line([(x, y + HALF), (x, y + 46)])
         self.line([(x, y - 24), (x - 26, y - 24), (x - 26, y - 8), (x - HALF, y - 8)], pilot=True)
         self.line([(x - 40, y + 8), (x - HALF, y + 8)], pilot=True)
         self.spring(x + HALF, y, x + 34, adjustable=True)
-        self.line([(x, y - 26), (x + 48, y - 26), (x + 48, y - 9)])
-        self.line([(x + 48, y + 9), (x + 48, y + 26), (x, y + 26)])
-        self.check(x + 48, y, "up")
+        self.line([(x + HALF, y + 14), (x + 31, y + 14), (x + 31, y + 20)], pilot=True)
+        self.tank(x + 31, y + 28)
+        self.line([(x, y - 26), (x + 54, y - 26), (x + 54, y - 1)])
+        self.line([(x + 54, y + 17), (x + 54, y + 42), (x, y + 42)])
+        self.check(x + 54, y + 8, "up")
         self.node(x, y - 26)
-        self.node(x, y + 26)
-        if label:
-            self.text(x + 64, y - 4, label)
+        self.node(x, y + 42)
 
     def compensator(self, x: float, y: float) -> None:
         """Pressure compensator in a vertical line that flows up: inlet (x, y + 18), outlet (x, y - 18).
@@ -180,19 +190,36 @@ class Sheet:
         self.line([(x + 34, y), (x + 44, y)], pilot=True)
         self.line([(x, y - HALF), (x, y - 30)])
 
-    def four_way(self, x: float, y: float, sensing: bool = False) -> None:
-        """Proportional 4/3 valve with a closed centre; A, B at (x -+ 9, y - 18), P, T at (x -+ 9, y + 18).
-
-        sensing   port LS at (x + 15, y + 18)
-        """
-        for k in (-1, 0, 1):
-            self.frame(x + k * BOX - HALF, y - HALF, BOX, BOX)
-        top, bottom = y - HALF, y + HALF
-        for port in (-9, 9):  # centre: closed
+    def _closed_centre(self, x: float, top: float, bottom: float) -> None:
+        for port in (-9, 9):
             self.line([(x + port, top), (x + port, top + 7)])
             self.line([(x + port - 4, top + 7), (x + port + 4, top + 7)])
             self.line([(x + port, bottom), (x + port, bottom - 7)])
             self.line([(x + port - 4, bottom - 7), (x + port + 4, bottom - 7)])
+
+    def _bleeding_centre(self, x: float, top: float, bottom: float) -> None:
+        """P closed; A and B to T, each through a restrictor."""
+        self.line([(x - 9, bottom), (x - 9, bottom - 7)])
+        self.line([(x - 13, bottom - 7), (x - 5, bottom - 7)])
+        self.line([(x + 9, top), (x + 9, bottom)], width=1)
+        self.line([(x - 9, top), (x - 9, top + 19), (x + 9, top + 19)], width=1)
+        for port in (x - 9, x + 9):
+            for side in (-1, 1):
+                ends, waist = port + 5 * side, port + 1.5 * side
+                self.line([(ends, top + 5), (waist, top + 9), (ends, top + 13)], width=1)
+
+    def four_way(self, x: float, y: float, sensing: bool = False, bleeding: bool = False) -> None:
+        """Proportional 4/3 valve; A, B at (x -+ 9, y - 18), P, T at (x -+ 9, y + 18).
+
+        sensing    port LS at (x + 15, y + 18)
+        bleeding   in neutral both ports are connected to the tank through restrictors; else all are closed
+        """
+        for k in (-1, 0, 1):
+            self.frame(x + k * BOX - HALF, y - HALF, BOX, BOX)
+        top, bottom = y - HALF, y + HALF
+        (self._bleeding_centre if bleeding else self._closed_centre)(x, top, bottom)
+        self.text(x - 20, y - 23, "A", "middle")
+        self.text(x + 20, y - 23, "B", "middle")
         left, right = x - BOX, x + BOX
         self.arrow((left - 9, bottom), (left - 9, top))
         self.arrow((left + 9, top), (left + 9, bottom))
@@ -229,10 +256,11 @@ class Sheet:
             self.text(x + 12, y + 4, label)
 
     def brake(self, x: float, y: float) -> None:
-        """Brake on a shaft at y, applied by a spring, released by the pressure at (x, y + 44)."""
+        """Brake on a shaft at y, applied by a spring, released by the pressure at (x - 24, y + 24)."""
         self.line([(x, y - 10), (x, y + 10)], width=3)
-        self.frame(x - 12, y + 14, 24, 22)
-        self.line([(x - 12, y + 26), (x + 12, y + 26)], width=3)
-        self.line([(x, y + 26), (x, y + 10)])
-        self.spring(x + 6, y + 15, y + 25, vertical=True)
-        self.line([(x, y + 36), (x, y + 44)], pilot=True)
+        self.line([(x - 6, y + 13), (x + 6, y + 13)], width=2)
+        self.frame(x - 12, y + 18, 24, 30)
+        self.line([(x, y + 13), (x, y + 30)])
+        self.line([(x - 12, y + 30), (x + 12, y + 30)], width=3)
+        self.spring(x, y + 31, y + 48, vertical=True)
+        self.line([(x - 12, y + 24), (x - 24, y + 24)], pilot=True)
