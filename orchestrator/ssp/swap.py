@@ -53,7 +53,7 @@ def with_swaps(system: System, swaps: Mapping[str, str | Path]) -> System:
         notes=(*system.notes, *(str(signal) for signal, users in told if not users)),
         warnings=(
             *system.warnings,
-            *(f"{signal}, but {' and '.join(users)} would use it" for signal, users in told if users),
+            *(f"{signal}, but {' and '.join(users)} would use the signal" for signal, users in told if users),
         ),
     )
 
@@ -343,30 +343,32 @@ class LostSignal:
     meaning: str
 
     def users(self, system: System) -> list[str]:
-        """The components that would use the signal."""
-        targets = (t for t in self.targets if t.component != self.new.name)
-        return list(dict.fromkeys(user for t in targets if (user := _user(system, t))))
+        """The other components that would use the signal."""
+        names = dict.fromkeys(_users(system, self.targets))
+        return [f"{n} ({system.components[n].interface.identifier})" for n in names if n != self.new.name]
 
     def __str__(self) -> str:
         return f"{self.new.source} has no {self.port}: {self.meaning}"
 
 
-def _user(system: System, port: Port, seen: frozenset[Port] = frozenset()) -> str:
-    """The first component with a state that depends on an input, directly or through outputs."""
-    component = system.components[port.component]
-    face, name = component.interface, port.variable
-    if port in seen or name not in face.variables or name in face.unused_inputs:
-        return ""
-    rates = [face.dependencies.get(dx) for dx in face.states.values()]
-    declared = face.stateless or (face.states and None not in rates)
-    if not declared or any(name in (known or ()) for known in rates):
-        return f"{port.component} ({face.identifier})"
-    targets = (
-        c.target
-        for c in system.connections
-        if c.source.component == port.component and name in face.direct_inputs(c.source.variable)
-    )
-    return next((user for t in targets if (user := _user(system, t, seen | {port}))), "")
+def _users(system: System, inputs: Iterable[Port]) -> Iterator[str]:
+    """Components with a state that may depend on some inputs, directly or through outputs of others."""
+    reached, todo = set[Port](), list(inputs)
+    while todo:
+        port = todo.pop()
+        interface, name = system.components[port.component].interface, port.variable
+        if port in reached or name not in interface.variables or name in interface.unused_inputs:
+            continue
+        reached.add(port)
+        rates = [interface.dependencies.get(dx) for dx in interface.states.values()]
+        declared = interface.stateless or (rates and None not in rates)
+        if not declared or any(name in known for known in rates if known):
+            yield port.component
+        todo += (
+            c.target
+            for c in system.connections
+            if c.source.component == port.component and name in interface.direct_inputs(c.source.variable)
+        )
 
 
 def _notes(old: Component, new: Component, rates: list[str], without_unit: list[str]) -> Iterator[str]:

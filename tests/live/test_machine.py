@@ -91,7 +91,7 @@ def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
     def rested():
         """Both came and went, in one and the same trace: it goes on between two readings."""
         seen = station.trace()
-        return seen["u"].max() > 0 and seen["u"][-1] == 0.0
+        return seen["u"].any() and seen["u"][-1] == 0.0
 
     until(rested)
     trace = station.trace()

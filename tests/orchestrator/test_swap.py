@@ -253,7 +253,7 @@ def test_what_is_declared_as_optional_may_be_missing(fmus):
     blind = edited(gain, "blind", renamed("u"))
     line = "has no {}: u is not seen"
     for ends, swaps, notes, warnings in (
-        (wires, {"s": silent}, (), (f"{silent} {line.format('y')}, but d (drift) would use it",)),
+        (wires, {"s": silent}, (), (f"{silent} {line.format('y')}, but d (drift) would use the signal",)),
         (wires[:1], {"s": silent}, (f"{silent} {line.format('y')}",), ()),
         (wires, {"g": blind}, (f"{blind} {line.format('u')}",), ()),
         (
