@@ -135,7 +135,7 @@ def circuits(folder: Path) -> Iterator[list[str]]:
 CIRCUITS_HEAD = (
     *("drives", "supply", "from the supply line [kJ]", "from the engine [kJ]"),
     *("travel of both pistons [m]", "turn [rad]", "highest pressure, boom and stick [bar]"),
-    *("swing [bar]", "boom mode [Hz]", "damping [%]", "ringing [mrad/s]"),
+    *("highest pressure, swing [bar]", "boom mode [Hz]", "damping [%]", "ringing [mrad/s]"),
 )
 
 

@@ -43,6 +43,8 @@ class Quantity:
     minimum, maximum   bounds that an importer and the FMU check
     tunable      parameters only: may be changed while the simulation runs
     rate         inputs only: name of the input with the exact time derivative of this input
+    optional     inputs only: what it means for a system if nothing feeds this input, which then keeps its
+                 start value; other FMUs in a system may lack the signal
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
     group        parameters only: heading in documentation; default: heading of the previous parameter
     value        parameter or start value, for a subsystem without parameters.toml
@@ -62,9 +64,10 @@ class Quantity:
     absolute: float | None = None
     value: float | None = None
     listed: str = ""
+    optional: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("unit", "text", "group", "listed"):
+        for name in ("unit", "text", "group", "listed", "optional"):
             if not isinstance(getattr(self, name), str):
                 raise Problem(f"Quantity: {name}: expected text, found {getattr(self, name)!r}")
         for name in ("nominal", "minimum", "maximum", "warn_above", "absolute", "value"):
@@ -89,6 +92,7 @@ class Quantity:
             self,
             text=self.text.replace("{}", owner),
             listed=self.listed.replace("{}", owner),
+            optional=self.optional.replace("{}", owner),
             group=heading[:1].upper() + heading[1:],
             rate=self.rate and f"{prefix}_{self.rate}",
         )

@@ -34,10 +34,8 @@ class Parameters:
 # Wires of the machine find what they look for: names and units are those of the drives.
 FORCES = "boom_force", "stick_force"
 State = subgroup("State", BOOM_STICK.outputs, *FORCES)
-LOAD = "boom_stick_load_pressure", "boom_stick_load_pressure_rate"
 Outputs = subgroup(
-    *("Outputs", BOOM_STICK.outputs, *FORCES, *(f"{f}_rate" for f in FORCES)),
-    *("supply_flow", "return_flow", *LOAD),
+    "Outputs", BOOM_STICK.outputs, *FORCES, *(f"{f}_rate" for f in FORCES), "supply_flow", "return_flow"
 )
 
 
@@ -52,7 +50,6 @@ class MyActuator(Model):
         **{f"{a}_force": [f"{a}_holding_force"] for a in ("boom", "stick")},
         **{f"{a}_force_rate": [f"{a}_command", f"{a}_velocity"] for a in ("boom", "stick")},
         **{f"{line}_flow": ["boom_command", "stick_command"] for line in ("supply", "return")},
-        **dict.fromkeys(LOAD, ()),
     }
 
     def flows(self, x, u, p):
@@ -80,5 +77,4 @@ class MyActuator(Model):
         extending, retracting = sum(max(q, 0.0) for q in flows), sum(max(-q, 0.0) for q in flows)
         supply = extending + p.area_ratio * retracting
         back = retracting + p.area_ratio * extending
-        load = (0.0, 0.0)  # not sensed: for a supply that does not need it
-        return Outputs(x.boom_force, x.stick_force, *self.rates(x, u, p), supply, back, *load)
+        return Outputs(x.boom_force, x.stick_force, *self.rates(x, u, p), supply, back)

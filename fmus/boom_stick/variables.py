@@ -10,6 +10,7 @@ from fmus.components import chamber
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, HoseWall, LumpedHose, ReferenceHose, VolumeHose
+from fmus.components.load_sensing import NOT_SHARED
 from fmus.components.orifice import ReliefParameters
 from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
@@ -109,6 +110,7 @@ class BoomStickInputs(Group, boom=DriveInputs, stick=DriveInputs):
         "Pressure of the load-sensing line, only used by compensated drives",
         1e7,
         rate="load_sensing_pressure_rate",
+        optional=NOT_SHARED,
     )
     load_sensing_pressure_rate: Scalar = Quantity(
         "Pa/s", "Rate port: time derivative of load_sensing_pressure, may stay unconnected", 1e8

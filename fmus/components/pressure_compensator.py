@@ -7,13 +7,13 @@
 The compensator stands before the edge and holds the drop over it, whatever the load:
 
     d_c = min(d_0, s (P_s - P_LS))                     regulated drop
-    d   = min(d_c (1 + k (D - D_0)), D/(1 + y^2 c))             D = max(P_s - P, 0), drop over both
+    d   = min(d_c (1 + k (D - D_0)), D/(1 + y^2 c/d_0))         D = max(P_s - P, 0), drop over both
     Q   = q_0 y sqrt(d/d_0)
 
 q_0 is the flow at full command with the drop d_0. The second argument is the drop that is left for the edge
-if the compensator is fully open, c d_0 its own drop at q_0. Flow sharing: if the pump cannot give what is
+if the compensator is fully open, c its own drop at q_0. Flow sharing: if the pump cannot give what is
 asked for, P_s falls towards the highest load P_LS. The drop is then s (P_s - P_LS) in all sections, those of
-other drives included, and their flows keep the ratio of q_0 y. With s (1 + c) < 0.9 the section of the
+other drives included, and their flows keep the ratio of q_0 y. With s (1 + c/d_0) < 0.95 the section of the
 highest load shares alike. k is the droop by the spring, which is compressed as the
 compensator closes: the flow falls when the load rises, by the fraction k/2 per Pa, and damps the load a
 little. D_0 = 100 bar is where q_0 is stated; k D_0 < 1.

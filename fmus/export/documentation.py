@@ -193,6 +193,8 @@ def _remarks(v: Variable) -> Iterable[str]:
         yield "tunable"
     if v.quantity.rate:
         yield f"changes at the rate {v.quantity.rate} inside a step"
+    if v.quantity.optional:
+        yield f"without it {v.quantity.optional}"
     if v.quantity.warn_above is not None:
         yield f"warning above {printed(v.quantity.warn_above)} {pretty(v.quantity.unit)}"
 

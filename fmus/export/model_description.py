@@ -125,9 +125,11 @@ def model_description(
         root, "DefaultExperiment", {name: shortest_decimal(value) for name, value in times.items()}
     )
     if fmi == 2:
-        _input_derivatives(root, interface)
+        _input_annotations(root, interface, fmi)
     _variables(root, interface, fmi)
     _structure(root, unknowns(interface) if structure is None else structure, fmi)
+    if fmi == 3:
+        _input_annotations(root, interface, fmi)
     return xml_text(root)
 
 
@@ -152,19 +154,26 @@ def base_unit(unit: str) -> dict[str, str]:
     return attributes if parsed.factor == 1.0 else attributes | {"factor": shortest_decimal(parsed.factor)}
 
 
-def _input_derivatives(root: Element, interface: Interface) -> None:
-    """A vendor annotation with the pairs of an input and the input that is its time derivative.
+def _input_annotations(root: Element, interface: Interface, fmi: int) -> None:
+    """A vendor annotation of the inputs: which is the time derivative of which, and which are optional.
 
-    The attribute `derivative` of FMI 2.0 would declare the same, but tools such as OMSimulator count all
-    variables that have it as derivatives of states, and find more states than the FMU has.
+    The attribute `derivative` of FMI 2.0 would declare the former, but tools such as OMSimulator count all
+    variables that have it as derivatives of states, and find more states than the FMU has. In FMI 3.0 the
+    attribute is used. An optional input has the text of `Quantity.optional`.
     """
-    pairs = [(v.name, v.quantity.rate) for v in interface.inputs if v.quantity.rate]
-    if not pairs:
+    rates = [(v.name, v.quantity.rate) for v in interface.inputs if v.quantity.rate and fmi == 2]
+    optional = [(v.name, v.quantity.optional) for v in interface.inputs if v.quantity.optional]
+    if not rates and not optional:
         return
-    tool = etree.SubElement(etree.SubElement(root, "VendorAnnotations"), "Tool", name=TOOL)
-    container = etree.SubElement(tool, "InputDerivatives")  # the schema allows one child of Tool
-    for name, rate in pairs:
+    if fmi == 2:
+        tool = etree.SubElement(etree.SubElement(root, "VendorAnnotations"), "Tool", name=TOOL)
+    else:
+        tool = etree.SubElement(etree.SubElement(root, "Annotations"), "Annotation", type=TOOL)
+    container = etree.SubElement(tool, "Inputs")  # the schema of FMI 2.0 allows one child of Tool
+    for name, rate in rates:
         etree.SubElement(container, "InputDerivative", input=name, derivative=rate)
+    for name, meaning in optional:
+        etree.SubElement(container, "OptionalInput", input=name, without=meaning)
 
 
 def _variables(root: Element, interface: Interface, fmi: int) -> None:

@@ -153,7 +153,11 @@ class ManipulatorInputs(Group, boom=CylinderInputs, stick=CylinderInputs):
         "N.m/s", "Rate port: time derivative of swing_torque, may stay unconnected", 1e5
     )
     payload_mass: Scalar = Quantity(
-        "kg", "Payload that the head is to hold; a smaller value drops mass", 100.0, minimum=0.0
+        "kg",
+        "Payload that the head is to hold; a smaller value drops mass",
+        100.0,
+        minimum=0.0,
+        optional="the head holds nothing",
     )
 
 

@@ -21,7 +21,13 @@ class ReservoirParameters(Group):
 class LoadInputs(Group):
     """Load pressure of a drive; the rate input carries its exact time derivative."""
 
-    load_pressure: Scalar = Quantity("Pa", "Highest load pressure of {}", 1e7, rate="load_pressure_rate")
+    load_pressure: Scalar = Quantity(
+        "Pa",
+        "Highest load pressure of {}",
+        1e7,
+        rate="load_pressure_rate",
+        optional="the load of {} is not sensed",
+    )
     load_pressure_rate: Scalar = Quantity(
         "Pa/s", "Rate port: time derivative of {}_load_pressure, may stay unconnected", 1e8
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from fmus.components import chamber
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.hose import HoseSize, HoseWall
+from fmus.components.load_sensing import NOT_SHARED
 from fmus.components.orifice import ReliefParameters
 from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
@@ -107,6 +108,7 @@ class SwingInputs(Group):
         "Pressure of the load-sensing line, only used by compensated drives",
         1e7,
         rate="load_sensing_pressure_rate",
+        optional=NOT_SHARED,
     )
     load_sensing_pressure_rate: Scalar = Quantity(
         "Pa/s", "Rate port: time derivative of load_sensing_pressure, may stay unconnected", 1e8

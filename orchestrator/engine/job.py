@@ -264,7 +264,7 @@ class Job:
             adaptive=adaptive,
             wall=end.wall,
             bonds=end.bonds,
-            warnings=tuple(line for log in end.logs for line in log.warnings(sink)),
+            warnings=(*self.system.warnings, *(line for log in end.logs for line in log.warnings(sink))),
             inside=end.inside,
             notes=self.system.notes + left_out + end.notes,
         )

@@ -96,6 +96,7 @@ class FmuInterface:
     unsupported            unsupported variables -> their type
     can_interpolate_inputs the FMU has a function for time derivatives of inputs, which FMI 3.0 lacks
     rate_inputs            input -> input that the FMU declares as its time derivative
+    optional_inputs        input that a system may leave without source -> what that means
     max_output_derivative_order   0 if the FMU does not provide derivatives of outputs
     rollback               the FMU can save and restore its state
     can_serialize          the FMU can serialise a saved state
@@ -122,6 +123,7 @@ class FmuInterface:
     unsupported: Mapping[str, str] = field(default_factory=dict)
     can_interpolate_inputs: bool = False
     rate_inputs: Mapping[str, str] = field(default_factory=dict)
+    optional_inputs: Mapping[str, str] = field(default_factory=dict)
     max_output_derivative_order: int = 0
     rollback: bool = False
     can_serialize: bool = False
@@ -239,6 +241,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         unsupported=unsupported,
         can_interpolate_inputs=capabilities.declares("canInterpolateInputs") and fmi == 2,
         rate_inputs=_rate_inputs(declared, description, variables),
+        optional_inputs={n: t for n, t in description.optional_inputs.items() if n in inputs and t},
         max_output_derivative_order=parse_int(capabilities.get("maxOutputDerivativeOrder")) or 0,
         rollback=capabilities.declares("canGetAndSetFMUstate", "canGetAndSetFMUState"),
         can_serialize=capabilities.declares("canSerializeFMUstate", "canSerializeFMUState"),

@@ -200,6 +200,7 @@ class ModelDescription:
     interfaces      ModelExchange, CoSimulation, ScheduledExecution -> element
     categories      log categories
     input_rates     input -> input that is its time derivative, from this project's annotation in FMI 2.0
+    optional_inputs input -> what it means if nothing feeds it, from this project's annotation
     """
 
     major: int = 0
@@ -213,6 +214,7 @@ class ModelDescription:
     experiment: Entry | None = None
     categories: tuple[str, ...] = ()
     input_rates: Mapping[str, str] = field(default_factory=dict)
+    optional_inputs: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def by_name(self) -> Mapping[str, DeclaredVariable]:

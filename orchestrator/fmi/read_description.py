@@ -26,6 +26,11 @@ SECTIONS = {  # section of ModelStructure -> its path in FMI 2.0 and in FMI 3.0
     "clocked": ((), ("ClockedState",)),
     "indicators": ((), ("EventIndicator",)),
 }
+# annotation of this project, in FMI 2.0 and in FMI 3.0
+OWN_ANNOTATION = (
+    "VendorAnnotations/Tool[@name='harvester-cosim']",
+    "Annotations/Annotation[@type='harvester-cosim']",
+)
 
 
 def read_description(root: Element | None, major: int) -> ModelDescription:
@@ -45,7 +50,11 @@ def read_description(root: Element | None, major: int) -> ModelDescription:
         entries = children(root, "ModelStructure", *path) if path else ()
         structure[section] = tuple(_unknown(e, "/".join(path), valid, major) for e in entries)
     experiment = child(root, "DefaultExperiment")
-    rates = (e for e in root.iterfind("VendorAnnotations/Tool[@name='harvester-cosim']//InputDerivative"))
+    annotation = root.find(OWN_ANNOTATION[major - 2])
+    rates, optional = (
+        () if annotation is None else annotation.iterfind(f".//{name}")
+        for name in ("InputDerivative", "OptionalInput")
+    )
     return ModelDescription(
         major=major,
         attributes=dict(root.attrib),
@@ -58,6 +67,7 @@ def read_description(root: Element | None, major: int) -> ModelDescription:
         experiment=None if experiment is None else _entry(experiment),
         categories=tuple(c.get("name", "") for c in children(root, "LogCategories", "Category")),
         input_rates={e.get("input"): e.get("derivative") for e in rates},
+        optional_inputs={e.get("input"): e.get("without", "") for e in optional},
     )
 
 

@@ -136,7 +136,7 @@ def linearize(
     plant = Plant(cut)
     try:
         plant.start((start, start + EXPERIMENT_LENGTH))
-        notes = cut.notes + plant.notes
+        notes = full.warnings + cut.notes + plant.notes
         if time is None:
             plant.settle(plant.x.copy(), plant.u)
         else:

@@ -242,7 +242,7 @@ class FrameStepper:
             self._loop = opened.loop
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
-            self.notes = (*system.notes, *suggested, *opened.network.notes)
+            self.notes = (*system.notes, *system.warnings, *suggested, *opened.network.notes)
             self._exit = stack.pop_all()
         self.values = latest.values[: len(setup.signals)]
 

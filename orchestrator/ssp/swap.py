@@ -4,14 +4,18 @@ Connections are kept, with units converted to those of the new FMU. Values that 
 (scenarios, parameter sets, --set) keep the units of the replaced FMU.
 
 A port fits if the new FMU has it with the same type, a causality that serves the same purpose, and a unit of
-the same dimension. The new FMU may lack rate ports, which are the time derivative of another port and carry
-no power. Without them inputs are held that would vary inside a step, which only reduces the accuracy.
+the same dimension. The new FMU may lack ports without power of two kinds; their connections are left out:
+
+- Rate ports, the time derivative of another port. Without them inputs are held that would vary inside a step,
+  which only reduces the accuracy.
+- Ports of connections to inputs that an FMU declares as optional. They keep their start values. A note has
+  the declared meaning. It is a warning if a state of the system depends on the input.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -35,13 +39,23 @@ def with_swaps(system: System, swaps: Mapping[str, str | Path]) -> System:
     swaps   component -> name of a variant, or path of an .fmu file; variants are in the folder `variants/`
             next to the system's file
     """
+    lost = list[LostSignal]()
     for name, chosen in swaps.items():
         if name not in system.components:
             names = ", ".join(system.components)
             hint = f"{suggest(name, system.components)}; there are {names}"
             raise Problem(f"swap {name}={chosen}: no component {name!r}{hint}")
-        system = _swap(system, name, find_fmu(system.source, name, chosen))
-    return system
+        system, signals = _swap(system, name, find_fmu(system.source, name, chosen))
+        lost += signals
+    told = [(signal, signal.users(system)) for signal in lost]
+    return replace(
+        system,
+        notes=(*system.notes, *(str(signal) for signal, users in told if not users)),
+        warnings=(
+            *system.warnings,
+            *(f"{signal}, but {' and '.join(users)} would use the signal" for signal, users in told if users),
+        ),
+    )
 
 
 def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -> Location:
@@ -73,7 +87,7 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     )
 
 
-def _swap(system: System, name: str, file: Location) -> System:
+def _swap(system: System, name: str, file: Location) -> tuple[System, tuple[LostSignal, ...]]:
     old = system.components[name]
     try:
         new = open_component(name, file)
@@ -93,7 +107,7 @@ def _swap(system: System, name: str, file: Location) -> System:
         for i in system.inputs.values()
     )
     outlets = (replace(o, map=fit.from_port(o.source).then(o.map)) for o in system.outputs.values())
-    return replace(
+    swapped = replace(
         system,
         components={**system.components, name: component},
         connections=tuple(connections),
@@ -106,6 +120,7 @@ def _swap(system: System, name: str, file: Location) -> System:
             *notes,
         ),
     )
+    return swapped, fit.lost
 
 
 # ---- which ports the system uses ---------------------------------------------------------------------------
@@ -119,6 +134,7 @@ class UsedPort:
     connections   to or from it
     exposed       it is connected to an input or output of the system
     optional      another FMU may lack it
+    meanings      connected inputs that are declared as optional -> what it means that nothing feeds them
     """
 
     declared: FmuVariable
@@ -126,6 +142,7 @@ class UsedPort:
     connections: tuple[Connection, ...]
     exposed: bool
     optional: bool
+    meanings: Mapping[Port, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return f"{self.declared.causality} {self.declared.name}{f' {self.unit}' if self.unit else ''}"
@@ -151,13 +168,26 @@ def _used_port(system: System, port: Port, exposed: bool, power: set[Port]) -> U
     # a port without a unit has the unit of the port at the other end
     other_ends = [c.target if c.source == port else c.source for c in connections if c.map == IDENTITY]
     units = [system.variable(p).unit for p in (port, *other_ends)]
+    meanings = {p: text for p in sorted(targets) if (text := _optional_input(system, p))}
+    dispensable = all(p in meanings or _is_rate(system, p) for p in targets)
     return UsedPort(
         declared=system.variable(port),
         unit=next((u for u in units if u), None),
         connections=connections,
         exposed=exposed,
-        optional=not exposed and not targets & power and all(_is_rate(system, p) for p in targets),
+        optional=not exposed and not targets & power and dispensable,
+        meanings=meanings,
     )
+
+
+def _optional_input(system: System, port: Port) -> str:
+    """The declared meaning of an optional input without source; empty for another port.
+
+    The declaration of an FMU that was replaced counts, too: it holds for the place in the system.
+    """
+    component = system.components[port.component]
+    before = component.replaced.optional_inputs if component.replaced else {}
+    return {**before, **component.interface.optional_inputs}.get(port.variable, "")
 
 
 def _is_rate(system: System, port: Port) -> bool:
@@ -190,11 +220,13 @@ class Fit:
 
     maps      port -> conversion from the unit of the system to that of the new FMU, and back
     dropped   ports whose connections are left out
+    lost      signals of dropped connections to optional inputs
     assumed   ports without a unit in the new FMU, with the expected unit
     """
 
     maps: Mapping[Port, tuple[LinearTransformation, LinearTransformation]]
     dropped: frozenset[Port]
+    lost: tuple[LostSignal, ...]
     assumed: Mapping[str, FmuVariable]
     notes: tuple[str, ...]
 
@@ -223,11 +255,17 @@ def _fit(system: System, old: Component, new: Component) -> Fit:
         back, note = conversion(variables[n].unit, use.unit, f"{new.name}.{n} in {new.source}")
         maps[Port(new.name, n)] = conversion(use.unit, variables[n].unit, n)[0], back
         notes.append(note)
+    lost = tuple(
+        LostSignal(new, n, tuple(port for port, t in used[n].meanings.items() if t == text), text)
+        for n in dropped
+        for text in dict.fromkeys(used[n].meanings.values())
+    )
     return Fit(
         maps,
         dropped=frozenset(Port(new.name, n) for n in dropped),
+        lost=lost,
         assumed={n: replace(variables[n], unit=needed[n].unit) for n in without_unit},
-        notes=(*_notes(old, new, dropped, without_unit), *filter(None, notes)),
+        notes=(*_notes(old, new, _lost_rates(system, used, dropped), without_unit), *filter(None, notes)),
     )
 
 
@@ -277,10 +315,66 @@ def _cut_advice(system: System, new: Component, faults: Iterable[str]) -> str:
     return f"; to do without: {' '.join(f'--cut {port}' for port in missing)}"
 
 
-def _notes(old: Component, new: Component, dropped: list[str], without_unit: list[str]) -> Iterator[str]:
-    if dropped:
+def _lost_rates(system: System, used: Mapping[str, UsedPort], dropped: Iterable[str]) -> list[str]:
+    """The dropped rates, without those of signals that are dropped, too."""
+    lost = {target for name in dropped for target in used[name].meanings}
+
+    def alone(rate: Port) -> bool:
+        interface = system.components[rate.component].interface
+        return not any(
+            r == rate.variable and Port(rate.component, u) in lost for u, r in interface.rate_inputs.items()
+        )
+
+    rates = [name for name in dropped if not used[name].meanings]
+    return [name for name in rates if any(alone(c.target) for c in used[name].connections)]
+
+
+@dataclass(frozen=True)
+class LostSignal:
+    """A signal to optional inputs whose port a new FMU lacks.
+
+    targets   the inputs; the port itself if it is one
+    meaning   what it means if nothing feeds them
+    """
+
+    new: Component
+    port: str
+    targets: tuple[Port, ...]
+    meaning: str
+
+    def users(self, system: System) -> list[str]:
+        """The other components that would use the signal."""
+        names = dict.fromkeys(_users(system, self.targets))
+        return [f"{n} ({system.components[n].interface.identifier})" for n in names if n != self.new.name]
+
+    def __str__(self) -> str:
+        return f"{self.new.source} has no {self.port}: {self.meaning}"
+
+
+def _users(system: System, inputs: Iterable[Port]) -> Iterator[str]:
+    """Components with a state that may depend on some inputs, directly or through outputs of others."""
+    reached, todo = set[Port](), list(inputs)
+    while todo:
+        port = todo.pop()
+        interface, name = system.components[port.component].interface, port.variable
+        if port in reached or name not in interface.variables or name in interface.unused_inputs:
+            continue
+        reached.add(port)
+        rates = [interface.dependencies.get(dx) for dx in interface.states.values()]
+        declared = interface.stateless or (rates and None not in rates)
+        if not declared or any(name in known for known in rates if known):
+            yield port.component
+        todo += (
+            c.target
+            for c in system.connections
+            if c.source.component == port.component and name in interface.direct_inputs(c.source.variable)
+        )
+
+
+def _notes(old: Component, new: Component, rates: list[str], without_unit: list[str]) -> Iterator[str]:
+    if rates:
         yield (
-            f"{new.source} has no {first_names(dropped)}: without these rates inputs are held during a step,"
+            f"{new.source} has no {first_names(rates)}: without these rates inputs are held during a step,"
             " which costs accuracy"
         )
     if without_unit:

@@ -100,6 +100,7 @@ class System:
     """A system before a run. Times in [s].
 
     notes        remarks for the user, shown after a run
+    warnings     the same, where the result may be wrong for its purpose
     suggestion   suggested master and step, from the file of the system
     shared       parameter -> components in which a parameter of this name is the same physical quantity
     """
@@ -113,6 +114,7 @@ class System:
     stop: float | None = None
     source: Location | None = None
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 

@@ -12,8 +12,13 @@ import fmpy.validation
 import pytest
 
 from fmus.export.build import build
-from fmus.parameters import Values
+from fmus.export.interface import interface_of
+from fmus.export.model_description import model_description
+from fmus.parameters import Values, values
+from fmus.supply import SUPPLY
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
+from orchestrator.fmi.description import read_interface
 
 TOYS = ("decay", "path", "vanderpol", "chamber", "gain", "blowup")
 
@@ -53,6 +58,19 @@ def test_values_units_and_bounds_are_those_of_the_declaration(chamber):
     bar = next(u for u in chamber.unitDefinitions if u.name == "Pa").displayUnits[0]
     # 1 / 1e5: rounding only
     assert (bar.name, bar.factor) == ("bar", pytest.approx(1e-5, rel=1e-15))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_optional_inputs_are_declared_with_their_meaning(tmp_path, fmi):
+    """Both versions of FMI carry them, and what their rates belong to."""
+    description = model_description(interface_of(SUPPLY, values(SUPPLY)), fmi, "token", 1e-3, 1.0)
+    (tmp_path / "modelDescription.xml").write_bytes(description)
+    interface = read_interface(Location(tmp_path))
+    drives = ("swing", "boom_stick")
+    assert interface.optional_inputs == {
+        f"{drive}_load_pressure": f"the load of {drive} is not sensed" for drive in drives
+    }
+    assert interface.rate_inputs == {f"{d}_load_pressure": f"{d}_load_pressure_rate" for d in drives}
 
 
 def test_dependencies_are_those_of_the_equations(chamber):

@@ -87,7 +87,13 @@ def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
     axes = (Axis("u", 2.0, 1e3, rest_delay=0.3), Axis("u_rate", 2.0, 1e3))
     station = opened(replace(drift, axes=axes, timeout=0.3))
     station.command({"u": 1.0, "u_rate": 1.0})
-    until(lambda: u(station) == 0.0 and station.trace()["u_rate"].max() > 0)
+
+    def rested():
+        """Both came and went, in one and the same trace: it goes on between two readings."""
+        seen = station.trace()
+        return seen["u"].any() and seen["u"][-1] == 0.0
+
+    until(rested)
     trace = station.trace()
     alone = (trace["u"] == 1.0) & (trace["u_rate"] == 0.0)
     assert np.count_nonzero(alone) == 30

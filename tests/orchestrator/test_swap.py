@@ -234,6 +234,50 @@ def test_a_speed_with_a_slope_of_its_own_is_needed(fmus):
         with_swaps(system, {"g": edited(fmus["glide"], "plain", renamed("velocity"))})
 
 
+def optional(fmu, name, port, *changes):
+    """A copy of an FMU that declares an input as optional, and its states, none, by Model Exchange."""
+    kind = "<ModelExchange modelIdentifier='gain'/><CoSimulation"
+    said = f"<Inputs><OptionalInput input='{port}' without='{port} is not seen'/></Inputs>"
+    told = (
+        f"<VendorAnnotations><Tool name='harvester-cosim'>{said}</Tool></VendorAnnotations><ModelVariables>"
+    )
+    return edited(fmu, name, ("<CoSimulation", kind), ("<ModelVariables>", told), *changes)
+
+
+def test_what_is_declared_as_optional_may_be_missing(fmus):
+    """At either end, with its meaning in a note; it is a warning where it reaches a state elsewhere."""
+    gain = optional(fmus["gain"], "seeing", "u")
+    files = {"s": fmus["source"], "g": gain, "d": fmus["drift"]}
+    wires = ["s.y -> g.u", "g.y -> d.u"]
+    silent = edited(fmus["source"], "silent", renamed("y"))
+    blind = edited(gain, "blind", renamed("u"))
+    line = "has no {}: u is not seen"
+    for ends, swaps, notes, warnings in (
+        (wires, {"s": silent}, (), (f"{silent} {line.format('y')}, but d (drift) would use the signal",)),
+        (wires[:1], {"s": silent}, (f"{silent} {line.format('y')}",), ()),
+        (wires, {"g": blind}, (f"{blind} {line.format('u')}",), ()),
+        (
+            wires[:1],
+            {"g": edited(gain, "foreign", ("<Inputs.*</Inputs>", "")), "s": silent},
+            (f"{silent} {line.format('y')}",),
+            (),
+        ),
+    ):
+        system = with_swaps(assemble(files, ends), swaps)
+        assert [str(c) for c in system.connections] == ends[1:]
+        assert [n for n in system.notes if "not seen" in n] == list(notes)
+        assert system.warnings == warnings
+        assert run(system, step=0.5, stop=1.0).card.warnings == warnings
+
+
+def test_a_lost_signal_of_the_system_is_refused(bench, fmus):
+    """Optional or not: what an input of the system feeds is needed."""
+    blind = edited(fmus["gain"], "blind", renamed("u"))
+    seeing = with_swaps(bench, {"g": optional(fmus["gain"], "seeing", "u")})
+    with pytest.raises(Problem, match=r"expected input u \[m\], got none"):
+        with_swaps(seeing, {"g": blind})
+
+
 def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     """From the system and from a selected parameter set; a note lists values that are left out."""
     plain = edited(fmus["gain"], "plain", renamed("offset"))

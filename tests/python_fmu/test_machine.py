@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+from any_fmu.edit import edited
 
 from fmus.export.python.build import build_python, build_user
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator import load, run
 from orchestrator.check import check
+from orchestrator.ssp.swap import with_swaps
+from orchestrator.ssp.write import write_ssp
 from python_fmu.test_states import ACTUATOR
 
 
@@ -37,6 +42,49 @@ def test_the_example_stands_in_for_boom_and_stick(fmu_dir, tmp_path):
         assert moved > 0.2  # rad
         # a static table in the place of hoses and chambers: measured 10 and 8 % of the motion
         assert np.abs(table[angle] - lumped[angle]).max() < 0.2 * moved
+
+
+def test_an_fmu_without_load_pressure_runs_and_says_so(fmu_dir, tmp_path):
+    """Its wire is left out with a note, with a warning only if the supply needs the load; also in an SSP."""
+    path = build_user(ACTUATOR, tmp_path)
+    machine = load(fmu_dir / "harvester.ssp")
+    line = f"{path} has no boom_stick_load_pressure: the load of boom_stick is not sensed"
+    usual = run(machine, stop=0.1, swap={"boom_stick": str(path)})
+    assert line in usual.card.notes
+    assert usual.card.warnings == ()
+    assert (usual.trace["supply.boom_stick_load_pressure"] == 0.0).all()
+    swap = {"boom_stick": str(path), "supply": "load_sensing"}
+    needed = run(machine, stop=0.1, swap=swap)
+    assert f"{line}, but supply (supply_load_sensing) would use the signal" in needed.card.warnings
+    assert not any("load_pressure" in note for note in needed.card.notes)
+    written = load(write_ssp(needed.system, tmp_path / "mine.ssp"))
+    wires = [str(c) for c in written.connections]
+    assert wires == [str(c) for c in needed.system.connections]
+    assert not any("boom_stick_load_pressure" in wire for wire in wires)
+
+
+def test_an_fmu_of_the_version_before_fits(fmu_dir, tmp_path):
+    """Each part without the new ports: one line for each lost signal, none for its rate."""
+    machine = load(fmu_dir / "harvester.ssp")
+    new = re.compile("load_pressure|load_sensing|payload_mass")
+    notes = {
+        "swing": ["flow is not shared with the other drives", "the load of swing is not sensed"],
+        "boom_stick": ["flow is not shared with the other drives", "the load of boom_stick is not sensed"],
+        "manipulator": ["the head holds nothing"],
+        "supply": ["flow is not shared", "the load of swing is", "the load of boom_stick is"],
+    }
+    for part, expected in notes.items():
+        fmu = fmu_dir / f"{part}.fmu"
+        names = [n for n in machine.components[part].interface.variables if new.search(n)]
+        changes = [(f'name="{n}" valueReference', f'name="other_{n}" valueReference') for n in names]
+        old = edited(
+            fmu, tmp_path / f"{part}.fmu", *changes, ("<VendorAnnotations>.*</VendorAnnotations>", "")
+        )
+        system = with_swaps(machine, {part: old})
+        said = [note for note in system.notes if note.startswith(f"{old} has no ")]
+        assert all(len([note for note in said if text in note]) == 1 for text in expected), said
+        assert not any(f"{name}_rate" in note for note in said for name in names)
+        assert system.warnings == ()
 
 
 def test_check_finds_no_error_in_the_example(tmp_path):
