@@ -166,7 +166,8 @@ def _run_procedures(
 def _run_joint(identified: Identified, names: Sequence[str], starts: int, report: Report) -> None:
     """The joint refinement, and its repetition from other start points."""
     recordings = [r for r in identified.recordings if r.procedure == MACHINE]
-    if any(entry.value > 0 for entry in identified.listed.values()):  # the tables replace the dead band
+    if DEAD_BAND in names and _all_tables(identified.parameters):
+        report(f"{DEAD_BAND}: not refined, because tables replace it; they stay as they are")
         names = [name for name in names if name != DEAD_BAND]
     try:
         identified.refined = refine_together(recordings, identified.parameters, names, report)
@@ -182,6 +183,12 @@ def _run_joint(identified: Identified, names: Sequence[str], starts: int, report
     if starts and not identified.interrupted:
         identified.starts = refine_from_other_starts(refined, starts, report)
         identified.interrupted = identified.starts.interrupted
+
+
+def _all_tables(parameters: Parameters) -> bool:
+    """Whether every edge of every valve has a table of its opening, so that no dead band counts."""
+    second = [n for n in parameters if n.partition(".")[2].startswith("valve_") and n.endswith("_command_2")]
+    return bool(second) and all(parameters[name].value > 0 for name in second)
 
 
 def refine_together(

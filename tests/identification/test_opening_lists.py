@@ -12,11 +12,13 @@ import pytest
 
 from benchmarks import openings as bench
 from fmus.components import opening_curve
+from fmus.identification import pipeline
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
 from orchestrator.__main__ import main
+from orchestrator.base.errors import Problem
 
 VALVE = "asymmetric 1"
 UNITS = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
@@ -76,6 +78,27 @@ def test_a_straight_line_empties_the_tables_of_before():
     known |= {name: replace(known[name], value=value) for name, value in table.items()}
     found = identify(bench.recordings("line^1", 0), parameters=known | bench.KNOWN, joint=False)
     assert all(found.parameters[name].value == 0 for name in table)
+
+
+def test_a_dead_band_behind_tables_is_not_refined(monkeypatch):
+    """All edges have known tables: the joint refinement leaves out what has no effect, and says so."""
+    known = {
+        name: replace(number, value=10.0) if name.endswith("_command_2") else number
+        for name, number in nominal().items()
+    }
+    asked, told = [], []
+
+    def refine(_recordings, _parameters, names, _report):
+        asked.extend(names)
+        raise Problem("enough")
+
+    monkeypatch.setattr(pipeline, "refine_together", refine)
+    driven = replace(bench.recordings("line^1", 0)[0], procedure="machine")
+    with pytest.raises(Problem, match="enough"):
+        identify([driven], parameters=known, report=told.append)
+    assert "valve_area" in asked
+    assert "valve_dead_band" not in asked
+    assert any(line.startswith("valve_dead_band: not refined") for line in told)
 
 
 @pytest.mark.parametrize(("edge", "name"), [("P-A", "pa"), ("P-B", "pb")])

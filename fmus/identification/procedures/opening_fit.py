@@ -25,6 +25,7 @@ from fmus.identification.procedures.opening_posterior import (
     OpeningDraws,
     OpeningPosterior,
     explore,
+    unexplained,
 )
 from fmus.identification.procedures.regression import NEGLIGIBLE, UNLIKELY, Regression
 from fmus.identification.procedures.valve_law import ValveConstants, ValveFit, ValveSteps
@@ -35,6 +36,8 @@ GRID = 96  # commands at which curves are drawn, besides the measured ones
 SAME = 1e-6  # V, difference of two commands that are one
 PARAMETERS = 5  # of a curve beyond noise: area, start, exponent, size and length of the deviation
 LINE = 2  # of a line: area, start
+READING = 2.0  # areas over that of the meter's dead zone from which on it must read a flow, also with ripple
+REPEATED = 0.5  # degrees of freedom from steps with nearly one command below which they are not repeated
 
 
 @dataclass(frozen=True)
@@ -143,24 +146,56 @@ def _by_command(
 
 
 def scatter(data: OpeningData) -> float:
-    """Scatter of steps with one command over their noise: 1 unless it is significantly larger."""
+    """Scatter of steps with one command, or nearly one, over their noise: 1 unless significantly larger.
+
+    A recorded command has noise, so that repeated steps do not have exactly one; no smooth curve goes
+    through them if the valve has hysteresis. Their chi-square is approximated by its mean and variance
+    [Satterthwaite, Biometrics Bulletin 2 (1946) 6].
+    """
     chi_square, freedom = data.pure_error
-    if not freedom or float(stats.chi2.sf(chi_square, freedom)) >= UNLIKELY:
+    left, weights = unexplained(data)
+    if weights.sum() < REPEATED:
+        left, weights = 0.0, np.zeros(1)
+    mean, variance = freedom + float(weights.sum()), freedom + float(np.sum(weights**2))
+    total = chi_square + left
+    if not mean or float(stats.chi2.sf(total * mean / variance, mean**2 / variance)) >= UNLIKELY:
         return 1.0
-    return math.sqrt(chi_square / freedom)
+    return math.sqrt(total / mean)
 
 
-def posterior(data: OpeningData, factor: float | None = None) -> OpeningPosterior:
+def posterior(data: OpeningData, factor: float | None = None, label: str = "valve") -> OpeningPosterior:
     """What the data say of the opening.
 
     factor   errors of the steps over their noise; by default by their scatter, if noise does not explain it
+    label    of error messages
     """
-    return explore(replace(data, sd=(scatter(data) if factor is None else factor) * data.sd))
+    factor = scatter(data) if factor is None else factor
+    return explore(replace(data, sd=factor * data.sd, scatter=factor), label)
 
 
 def curve(found: OpeningPosterior) -> OpeningCurve:
     """The opening curve with its band."""
     return curve_of(found.draws(_grid(found.data)), float(found.data.command.min()))
+
+
+def misfit(curve: OpeningCurve, data: OpeningData) -> float:
+    """Rms distance of the measured areas from the table, in their noise and the width of the band.
+
+    Large if no rising curve goes through them, such as areas that fall with the command.
+    """
+    rows = data.command <= data.full_command + SAME
+    command = data.command[rows]
+    found, (low, high) = np.maximum(curve.at(command), 1e-3 * curve.areas[-1]), curve.band_at(command)
+    corrected = (data.log_area - data.by_zero * np.median(curve.draws.zero))[rows]
+    allowed = np.hypot(data.sd[rows], (high - low) / (2 * found))
+    return math.sqrt(float(np.mean(((corrected - np.log(found)) / allowed) ** 2)))
+
+
+def idle_command(curve: OpeningCurve, data: OpeningData) -> float | None:
+    """Highest command [V] of a step without a reading, though all of the band says that there is one."""
+    low = curve.band_at(data.bounds[:, 0])[0]
+    wrong = data.bounds[low > READING * np.exp(data.bounds[:, 1]), 0]
+    return float(wrong.max()) if wrong.size else None
 
 
 def _grid(data: OpeningData) -> Array:
@@ -287,6 +322,6 @@ def excess(found: OpeningPosterior, factor: float) -> float:
 
 def line_probability(line: ValveFit, found: OpeningPosterior) -> float:
     """Probability that data of a straight line prefer the curve as much (likelihood ratio)."""
-    factor = scatter(found.data)
+    factor = found.data.scatter
     ratio = line.regression.chi_square / factor**2 - excess(found, factor)
     return float(stats.chi2.sf(ratio, PARAMETERS - LINE))

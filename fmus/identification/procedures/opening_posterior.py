@@ -31,7 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import logsumexp
 
 from orchestrator.base.errors import Problem
@@ -57,6 +57,7 @@ class OpeningData:
     zero_limit              largest |z| [Pa], two standard deviations of its prior
     full_command            V_full
     pure_error              chi-square and degrees of freedom of repeated steps with one command
+    scatter                 `sd` over the noise of the steps
     """
 
     command: Array
@@ -67,6 +68,7 @@ class OpeningData:
     zero_limit: float
     full_command: float
     pure_error: tuple[float, int]
+    scatter: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,23 @@ class _Model:
         )
 
 
+def unexplained(data: OpeningData) -> tuple[float, Array]:
+    """Chi-square of the noise that the most flexible curve leaves, and its weights.
+
+    With noise alone it is a sum of squared standard normal numbers with these weights: about 0 for a step
+    that is alone, which such a curve follows, and about 1 in all for two steps with nearly one command.
+    """
+    model = _Model(data, SIZES[-1], LENGTHS[0])
+    starts = np.linspace(0.0, float(data.command.min()) - CLOSEST, COARSE)
+    criteria, means, _ = model.fits(starts)
+    best = int(np.argmin(criteria[:, 0]))
+    shape = np.log((data.command - starts[best]) / (data.full_command - starts[best]))
+    columns = np.column_stack([np.ones_like(shape), shape, data.by_zero])
+    residual = (data.log_area - columns @ means[best]) / data.sd
+    kept = data.sd[:, None] * cho_solve((model.factor, True), np.diag(data.sd))
+    return float(np.sum((kept @ residual) ** 2)), np.maximum(np.linalg.eigvalsh(kept), 0.0) ** 2
+
+
 @dataclass(frozen=True)
 class _Cell:
     """A part of the grid: one size and length of g, and all starts with their weights."""
@@ -180,10 +199,10 @@ class OpeningPosterior:
         return OpeningDraws(grid, _monotone(area[allowed]), start[allowed], exponent[allowed], zero[allowed])
 
 
-def explore(data: OpeningData) -> OpeningPosterior:
-    """The posterior of an edge, or of several equal ones."""
+def explore(data: OpeningData, label: str = "valve") -> OpeningPosterior:
+    """The posterior of an edge, or of several equal ones; its label is for error messages."""
     if data.command.min() < 2 * CLOSEST:
-        raise Problem(f"valve: expected a closed edge at 0 V, got a flow at {data.command.min():g} V")
+        raise Problem(f"{label}: expected a closed edge at 0 V, got a flow at {data.command.min():g} V")
     return OpeningPosterior(data, tuple(_cells(data)))
 
 

@@ -90,13 +90,37 @@ def _warnings(openings: Openings) -> Iterator[str]:
     if openings.line:
         yield from misfit_warning(openings.line.regression.times_noise, "valve: the straight opening")
         yield from zero_warning("valve", *openings.line.zero_wanted, openings.zero_limit, BAR)
+        yield from _below_zero(openings.line)
+    elif openings.straight:
+        for edge, fitted in openings.separate.items():
+            yield from misfit_warning(fitted.regression.times_noise, f"valve {edge}: the straight opening")
+            yield from zero_warning(f"valve {edge}", *fitted.zero_wanted, openings.zero_limit, BAR)
     else:
         yield from misfit_warning(openings.scatter, "valve: the mean of steps with one command")
+        for edge, times in openings.misfit.items():
+            yield from misfit_warning(times, f"valve {edge}: the rising curve of the opening")
         if openings.impossible_zero:
             yield (
                 "valve: the data need zeros of the pressures that differ by more than the "
                 f"{openings.zero_limit / BAR[1]:.3g} bar that the sensors are declared to have."
             )
+    for edge, command in openings.idle.items():
+        yield (
+            f"valve {edge}: the flow meter reads nothing at {command:.3g} V, where the opening that was "
+            "found has a flow well above its dead zone: the opening has a step, or the meter was stuck."
+        )
+
+
+def _below_zero(line: ValveFit) -> Iterator[str]:
+    """A sentence if the dead band is one that the machine refuses, because the known rounding is too long."""
+    law = line.law()
+    if law.dead_band < 0:
+        longest = max(2 * law.dead_band + law.rounding, 0.0)
+        yield (
+            f"valve: the dead band is {law.dead_band:.3g} V, which the machine refuses: the straight opening "
+            f"starts at {longest / 2:.3g} V, so valve_command_rounding is at most {longest:.3g} V, not the "
+            f"{law.rounding:.3g} V that are known. Change it in parameters.toml and identify again."
+        )
 
 
 def _of_line(fitted: ValveFit, edge: str = "") -> Iterator[Estimate]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -13,7 +13,7 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.procedures import opening_fit
 from fmus.identification.procedures.opening_fit import OpeningCurve
 from fmus.identification.procedures.opening_posterior import OpeningData, OpeningPosterior
-from fmus.identification.procedures.regression import UNLIKELY
+from fmus.identification.procedures.regression import SIGNIFICANT, UNLIKELY
 from fmus.identification.procedures.valve_law import (
     ValveConstants,
     ValveFit,
@@ -43,6 +43,8 @@ class Openings:
     zero              difference of the two pressures without flow
     scatter           scatter of steps with one command, over their noise
     impossible_zero   whether all curves need a zero that the transducers cannot have
+    misfit            edge -> rms residual of the rising curve over noise and band; of curves only
+    idle              edge -> highest command [V] at which the meter reads nothing, in spite of the opening
     """
 
     steps: ValveSteps
@@ -57,6 +59,8 @@ class Openings:
     scatter: float
     zero_limit: float
     impossible_zero: bool = False
+    misfit: Mapping[str, float] = field(default_factory=dict)
+    idle: Mapping[str, float] = field(default_factory=dict)
 
     def areas(self) -> dict[str, AreaOf]:
         """Edge -> its effective area [m2] as a function of commands [V]; one function for equal edges."""
@@ -85,12 +89,15 @@ def fit_openings(
     separate = {e: _line(good.of(e), constants, rounding, zero_limit) for e in edges}
     lines = {edge: line for edge, line in separate.items() if line}
     data = {e: opening_fit.opening_data(steps.of(e), constants, zero_limit, idle_flow) for e in edges}
-    found = {e: opening_fit.posterior(d) for e, d in data.items()}
+    found = {e: opening_fit.posterior(d, label=f"valve {e}") for e, d in data.items()}
     probability = {e: opening_fit.line_probability(lines[e], found[e]) if e in lines else 0.0 for e in edges}
     if min(probability.values()) > UNLIKELY / len(edges):
-        return _straight(steps, constants, rounding, zero_limit, probability)
-    pooled = opening_fit.opening_data(steps, constants, zero_limit, idle_flow)
-    return _curved(steps, constants, pooled, found, lines, probability)
+        openings = _straight(steps, constants, rounding, zero_limit, probability)
+    else:
+        pooled = opening_fit.opening_data(steps, constants, zero_limit, idle_flow)
+        openings = _curved(steps, constants, pooled, found, lines, probability)
+    idle = {e: opening_fit.idle_command(curve, data[e]) for e, curve in openings.curves.items()}
+    return replace(openings, idle={e: command for e, command in idle.items() if command is not None})
 
 
 def _line(
@@ -113,6 +120,7 @@ def _straight(
     """One line for all edges, or one for each if they differ."""
     good = steps.checked()
     common = fit_valve(good, constants, rounding, zero_limit)
+    _check_closed(common)
     own_rounding = Number(common.law().rounding, "V", "identified", "of all edges")
     separate = {e: fit_valve(good.of(e), constants, own_rounding, zero_limit) for e in good.edges}
     equal = asymmetry(good, constants, own_rounding)[0] if len(good.edges) > 1 else 1.0
@@ -137,6 +145,17 @@ def _straight(
     )
 
 
+def _check_closed(line: ValveFit) -> None:
+    """Problem if a straight opening starts below 0 V, which no machine here can have."""
+    law = line.law()
+    start = law.dead_band + law.rounding / 2
+    if start < -SIGNIFICANT * line.regression.sd("dead_band"):
+        raise Problem(
+            f"valve ({', '.join(line.steps.edges)}): expected closed edges at 0 V, got a straight opening "
+            f"that starts at {start:.3g} V: an underlapped spool, or a command with an offset"
+        )
+
+
 def _curved(
     steps: ValveSteps,
     constants: ValveConstants,
@@ -149,7 +168,7 @@ def _curved(
 
     pooled   effective areas as if all edges were equal
     """
-    scatter = max(opening_fit.scatter(each.data) for each in found.values())
+    scatter = max(each.data.scatter for each in found.values())
     together = opening_fit.posterior(pooled, scatter)
     apart = sum(opening_fit.excess(each, scatter) for each in found.values())
     freedom = opening_fit.PARAMETERS * (len(found) - 1)
@@ -172,5 +191,6 @@ def _curved(
         zero=some.estimate("pressures without flow", "Pa", "pressure_in - pressure_out", zeros),
         scatter=scatter,
         zero_limit=pooled.zero_limit,
+        misfit={e: opening_fit.misfit(curve, found[e].data) for e, curve in curves.items()},
         impossible_zero=bool(np.abs(np.median(zeros)) > pooled.zero_limit),
     )

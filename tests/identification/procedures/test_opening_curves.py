@@ -7,6 +7,9 @@ import pytest
 
 from benchmarks import openings as bench
 from fmus.identification.procedures import opening_fit, valve
+from fmus.identification.procedures.valve_law import ValveConstants, valve_steps
+from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Sensor
 
 SEEDS = 1
 
@@ -90,6 +93,75 @@ def test_hysteresis_is_a_warning():
     changed = replace(recording, signals={**recording.signals, "flow": flow})
     (warning,) = valve.identify([changed], bench.KNOWN).warnings
     assert "steps with one command" in warning
+
+
+def shaken(share, falling_flow, seed=4):
+    """An edge whose command was recorded with a noise of 1 mV, and whose flow changes on the way down."""
+    recording = bench.edge("P-A", share, np.zeros(2), [seed])
+    command = recording["command"] + np.random.default_rng(seed).normal(0.0, 1e-3, recording.time.size)
+    falling = np.arange(recording.time.size) > recording.time.size / 2
+    flow = np.where(falling, falling_flow, 1.0) * recording["flow"]
+    return replace(
+        recording,
+        signals={**recording.signals, "flow": flow, "command": command},
+        sensors={**recording.sensors, "command": Sensor("converter", 1e-3)},
+    )
+
+
+def test_hysteresis_is_a_warning_if_the_command_has_noise():
+    """No two steps have exactly one command then: an area once was 5e6 m2 for 27 mm2, without a word."""
+    result = valve.identify([shaken(bench.power(2.0), 0.9)], bench.KNOWN)
+    assert any("steps with one command" in warning for warning in result.warnings)
+    # the mean of both ways is 5 % below the way up, and the band is wide
+    assert result.estimates[0].value == pytest.approx(0.95 * bench.AREA, rel=0.05)
+
+
+def test_noise_of_the_command_is_no_hysteresis():
+    """Steps with nearly one command scatter as their noise says, and far more with hysteresis."""
+
+    def scatter(recording):
+        constants = ValveConstants.of(bench.KNOWN)
+        data = opening_fit.opening_data(valve_steps([recording]), constants, 2 * bench.ZERO_ERROR, 0.0)
+        return opening_fit.scatter(data)
+
+    for seed, share in enumerate((bench.power(1.2), bench.FINE, bench.KINKED)):
+        assert scatter(shaken(share, 1.0, seed)) == 1.0
+        # 2 % between two steps with a noise of about 0.03 % each
+        assert scatter(shaken(share, 0.98, seed)) > 10
+
+
+def test_an_opening_that_falls_is_a_warning():
+    """A spool that closes again above 7 V has no rising curve: area and band are those of none."""
+
+    def share(v):
+        return bench.power(1.2)(np.minimum(v, 7.0)) * (1 - 0.1 * np.maximum(v - 7.0, 0.0))
+
+    (warning,) = found(share).warnings
+    assert warning.startswith("valve P-A: the rising curve of the opening leaves residuals")
+
+
+def test_a_flow_that_the_meter_must_have_read_is_a_warning():
+    """Up to 4.5 V it reads nothing; the straight line through the rest would have sixty litres per minute."""
+
+    def share(v):
+        return np.where(v < 5.0, 0.1, 0.8) * bench.power(1.0)(v)
+
+    (warning,) = found(share).warnings
+    assert "reads nothing at 4.5 V" in warning
+
+
+def test_an_edge_that_is_open_at_zero_is_refused():
+    """A dead band below zero is no parameter of the machine: one line says what was expected and found."""
+    with pytest.raises(
+        Problem, match=r"valve \(P-A\): expected closed edges at 0 V, got .* starts at -1\.\d+ V"
+    ):
+        found(lambda v: 0.1 + 0.09 * v)
+
+
+def test_a_dead_band_that_the_machine_refuses_is_a_warning():
+    """A dead band of 0.05 V is less than half the known rounding of 0.4 V, so that it is found below zero."""
+    (warning,) = found(bench.power(1.0, 0.05)).warnings
+    assert "valve_command_rounding is at most 0.1 V, not the 0.4 V" in warning
 
 
 def test_a_band_holds_its_share_of_whole_curves():
