@@ -20,7 +20,8 @@ The line has an orifice and a small relief valve, which limits its pressure to P
 and follows with a lag, a state of the supply.
 
 P_A, P_B are the pressures of the actuator's chambers, so the drop in the hose, 0.7 bar at 90 L/min in 4 m of
-3/4 in, is not sensed. Valid for a line whose own volume is negligible; its lag belongs to the supply.
+3/4 in, is not sensed. In `compensated` drives they are the pressures of the valve's ports, and it is. Valid
+for a line whose own volume is negligible; its lag belongs to the supply.
 Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9.
 """
 
