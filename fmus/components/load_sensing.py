@@ -85,11 +85,16 @@ def load_pressure(
 def highest(a: LoadPressure, b: LoadPressure) -> LoadPressure:
     """The higher one of two load pressures, by a shuttle valve."""
     z = a.value - b.value + SHUTTLE_ROUNDING / 2
-    s = ca.fmax(0, ca.fmin(1, z / SHUTTLE_ROUNDING))
-    share = s**2 * (3 - 2 * s)  # slope of the ramp
+    share = _ramp_slope(z, SHUTTLE_ROUNDING)
     return LoadPressure(b.value + ramp(z, SHUTTLE_ROUNDING), b.rate + share * (a.rate - b.rate))
 
 
-def relieved(load: Scalar, limit: Scalar, rounding: Scalar) -> Scalar:
-    """Steady pressure [Pa] of the line at a highest load pressure, limited by its relief valve."""
-    return lowest(load, limit, rounding)
+def relieved(load: LoadPressure, limit: Scalar, rounding: Scalar) -> LoadPressure:
+    """Steady pressure of the line at a highest load pressure, limited by its relief valve."""
+    share = 1 - _ramp_slope(load.value - limit + rounding / 2, rounding)
+    return LoadPressure(lowest(load.value, limit, rounding), share * load.rate)
+
+
+def _ramp_slope(z: Scalar, width: Scalar) -> Scalar:
+    s = ca.fmax(0, ca.fmin(1, z / width))
+    return s**2 * (3 - 2 * s)

@@ -32,7 +32,7 @@ from fmus.supply.variables import (
     TERMINALS,
     SupplyInputs,
     SupplyOutputs,
-    highest_load,
+    line_pressure,
     return_flow,
     supply_flow,
 )
@@ -151,7 +151,8 @@ def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> En
 def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
     """Outputs."""
     a, b = _outlets(x, p)
-    supplied, returned, load = supply_flow(u), return_flow(u), highest_load(u)
+    supplied, returned = supply_flow(u), return_flow(u)
+    load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
     return EnginePumpOutputs(
         **vars(x),
         supply_pressure_rate=dynamics(x, u, p).supply_pressure,

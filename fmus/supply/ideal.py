@@ -15,17 +15,17 @@ from fmus.components.chamber import ATMOSPHERE
 from fmus.contract import Group, Quantity, Scalar, Subsystem
 from fmus.supply.variables import (
     TERMINALS,
-    ReservoirParameters,
+    CommonParameters,
     SupplyInputs,
     SupplyOutputs,
-    highest_load,
+    line_pressure,
     return_flow,
     supply_flow,
 )
 
 
-class IdealParameters(ReservoirParameters):
-    """The two pressures; values and sources are in parameters.toml."""
+class IdealParameters(CommonParameters):
+    """The two pressures, and the load-sensing line; values and sources are in parameters.toml."""
 
     pressure_setting: Scalar = Quantity(
         "Pa", "Pressure of the supply line at any flow", 1e7, minimum=-ATMOSPHERE, group="Source"
@@ -45,7 +45,7 @@ def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs
     """Outputs."""
     supplied, returned = supply_flow(u), return_flow(u)
     power = p.pressure_setting * supplied - p.reservoir_pressure * returned
-    load = highest_load(u)
+    load = line_pressure(u, p, p.pressure_setting)
     return SupplyOutputs(
         supply_pressure=p.pressure_setting,
         supply_pressure_rate=0,

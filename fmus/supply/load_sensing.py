@@ -48,7 +48,8 @@ from fmus.supply.variables import (
     TERMINALS,
     SupplyInputs,
     SupplyOutputs,
-    highest_load,
+    limited,
+    line_pressure,
     return_flow,
     supply_flow,
 )
@@ -110,12 +111,6 @@ class Regulators(Group, main_pump=MainPump):
         "N.m", "Torque of the swash plate, without friction, that the power limit allows", 100.0, minimum=1.0
     )
     load_sensing_lag: Scalar = Quantity("s", "Time constant of the load-sensing line", minimum=1e-6)
-    load_sensing_relief_difference: Scalar = Quantity(
-        "Pa", "Pressure below the cut-off to which the load-sensing line is limited", 1e6, minimum=0.0
-    )
-    load_sensing_relief_rounding: Scalar = Quantity(
-        "Pa", "Pressure range over which the relief valve of that line opens", 1e5, minimum=1.0
-    )
     rail_leakage: Scalar = Quantity(
         "m3/(s.Pa)", "Pilot oil and leakage of spools from the supply line to the tank", 1e-12, minimum=1e-17
     )
@@ -128,11 +123,6 @@ class LoadSensingParameters(RailParameters, Regulators, TankParameters, engine=D
     def limits(self) -> StrokeLimits:
         """Pressure cut-off and power limit."""
         return StrokeLimits(self.pressure_cut_off, self.cut_off_band, self.torque_limit)
-
-    @property
-    def load_sensing_limit(self) -> Scalar:
-        """Pressure [Pa] of the relief valve of the load-sensing line."""
-        return self.pressure_cut_off - self.load_sensing_relief_difference
 
     def pump(self, load_sensing_pressure: Scalar) -> Pump:
         """Parameters of the pump; its setting is the load-sensing pressure plus the margin."""
@@ -181,18 +171,13 @@ def _leakage(x: LoadSensingState, p: LoadSensingParameters) -> Scalar:
     return p.rail_leakage * (x.supply_pressure - p.reservoir_pressure)
 
 
-def _line_pressure(load: LoadPressure, p: LoadSensingParameters) -> Scalar:
-    """Steady pressure [Pa] of the load-sensing line."""
-    return load_sensing.relieved(load.value, p.load_sensing_limit, p.load_sensing_relief_rounding)
-
-
 def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingState:
     """Time derivative of the state, field by field."""
     pump, leakage = _outlet(x, p), _leakage(x, p)
     target = engine_and_pump.limited_stroke(pump.pump, p.limits, x.pump_pressure, pump.rise)
     return LoadSensingState(
         supply_pressure=rail.pressure_rate((pump,), supply_flow(u) + leakage, x, p),
-        load_sensing_pressure=(_line_pressure(highest_load(u), p) - x.load_sensing_pressure)
+        load_sensing_pressure=(line_pressure(u, p, p.pressure_cut_off).value - x.load_sensing_pressure)
         / p.load_sensing_lag,
         pump_pressure=pump.pressure_rate,
         pump_stroke=engine_and_pump.servo_rate(pump.pump, x.pump_stroke, target),
@@ -226,7 +211,7 @@ def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> L
 def _standby_line(p: LoadSensingParameters) -> Scalar:
     """Pressure [Pa] of the load-sensing line with all valves closed: that of the tank."""
     closed = LoadPressure(p.reservoir_pressure, 0)
-    return _line_pressure(load_sensing.highest(closed, closed), p)
+    return limited(load_sensing.highest(closed, closed), p, p.pressure_cut_off).value
 
 
 def _standby(p: LoadSensingParameters, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -276,7 +261,7 @@ def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
         "margin exceeds margin_band": p.margin - p.margin_band,
         "load_sensing_relief_difference is not above margin": p.margin - p.load_sensing_relief_difference + 1,
         "pressure_cut_off exceeds reservoir_pressure plus margin and load_sensing_relief_difference": (
-            p.load_sensing_limit - tank - p.margin
+            p.pressure_cut_off - p.load_sensing_relief_difference - tank - p.margin
         ),
         "relief_pressure exceeds pressure_cut_off": p.relief_pressure - p.pressure_cut_off,
         "engine_rated_torque exceeds torque_limit with the friction of the pump": p.engine_rated_torque

@@ -18,7 +18,7 @@ from fmus.components import chamber, engine_and_pump, orifice
 from fmus.components.engine_and_pump import DieselEngine, Pump
 from fmus.components.orifice import PressureValve
 from fmus.contract import Group, Quantity, Scalar
-from fmus.supply.variables import ReservoirParameters
+from fmus.supply.variables import CommonParameters
 
 
 class RailParameters(Group):
@@ -48,7 +48,7 @@ class RailParameters(Group):
     )
 
 
-class TankParameters(ReservoirParameters):
+class TankParameters(CommonParameters):
     """Parameters of a tank whose oil is counted."""
 
     reservoir_volume_start: Scalar = Quantity("m3", "Initial volume of oil in the tank", 0.1, minimum=0.0)

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import casadi as ca
+
 from fmus.components import ports
 from fmus.components.chamber import ATMOSPHERE
-from fmus.components.load_sensing import LoadPressure, highest
+from fmus.components.load_sensing import LoadPressure, highest, relieved
 from fmus.contract import Group, Quantity, Scalar
 
 CONSUMERS = ("swing", "boom_stick")
 
 
-class ReservoirParameters(Group):
-    """Parameters of the tank in every variant."""
+class CommonParameters(Group):
+    """Parameters of every variant: tank, relief valve of the load-sensing line."""
 
     reservoir_pressure: Scalar = Quantity(
         "Pa", "Pressure in the tank and in the return lines", 1e5, minimum=-ATMOSPHERE, group="Tank"
+    )
+    load_sensing_relief_difference: Scalar = Quantity(
+        "Pa",
+        "Pressure below the highest one of the supply to which the load-sensing line is limited",
+        1e6,
+        minimum=0.0,
+        group="Load-sensing line",
+    )
+    load_sensing_relief_rounding: Scalar = Quantity(
+        "Pa", "Pressure range over which the relief valve of that line opens", 1e5, minimum=1.0
     )
 
 
@@ -78,12 +90,22 @@ def return_flow(u: SupplyInputs) -> Scalar:
     return u.return_flow_swing + u.return_flow_boom_stick
 
 
-def highest_load(u: SupplyInputs) -> LoadPressure:
-    """Highest load pressure of all drives."""
-    return highest(
+def line_pressure(u: SupplyInputs, p: CommonParameters, setting: Scalar) -> LoadPressure:
+    """Pressure of the load-sensing line without lag: the highest load pressure of all drives, limited."""
+    load = highest(
         LoadPressure(u.swing_load_pressure, u.swing_load_pressure_rate),
         LoadPressure(u.boom_stick_load_pressure, u.boom_stick_load_pressure_rate),
     )
+    return limited(load, p, setting)
+
+
+def limited(load: LoadPressure, p: CommonParameters, setting: Scalar) -> LoadPressure:
+    """Limited by the relief valve of the load-sensing line.
+
+    setting   highest pressure of the supply without its main relief valve [Pa]
+    """
+    limit = ca.fmax(setting - p.load_sensing_relief_difference, p.reservoir_pressure)
+    return relieved(load, limit, p.load_sensing_relief_rounding)
 
 
 TERMINALS = tuple(

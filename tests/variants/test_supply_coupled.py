@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from fmus.contract import quantities
+from fmus.contract import quantities, symbolic
 from fmus.machine.parts import DRIVES, FAMILIES, SUPPLY_WIRES, parts, wiring
 from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.monolith import join, simulate
-from orchestrator import load, run
+from fmus.parameters import values
+from orchestrator import Trace, load, run
 from orchestrator.ssp.power_bonds import find_bonds
 
 STOP = 6.0  # s of the work cycle: lift, swing and stick overlap
@@ -100,3 +102,39 @@ def test_ideal_source_changes_nothing(system):
     alone, fed = (run(whole, master="jacobi", step=1e-3, stop=2.5).trace for whole in (cut, system))
     for name in ("manipulator.boom_speed", "manipulator.swing_speed", "boom_stick.boom_head_pressure"):
         assert np.array_equal(fed[name], alone[name])  # the same numbers go into the same FMUs
+
+
+@pytest.mark.parametrize("variant", FAMILIES["supply"])
+def test_a_stalled_stroke_leaves_other_compensated_sections_their_flow(system, variant):
+    """The boom stands at its end with the lever held; the swing turns as fast as with the boom at rest."""
+    time = np.arange(0, 8.001, 0.01)
+    speeds = {}
+    for boom in (0.0, 10.0):
+        levers = {
+            "boom_command": np.interp(time, [0, 0.3], [0, boom]),
+            "swing_command": np.interp(time, [4, 4.5], [0, 5]),
+        }
+        swap = {"swing": "compensated", "boom_stick": "compensated", "supply": variant}
+        trace = run(system, Trace(time, levers), swap=swap, step=1e-3, stop=8.0).trace
+        speeds[boom] = trace["manipulator.swing_speed"][trace.time > 7].mean()
+    stroke = values(FAMILIES["boom_stick"]["compensated"]).p["boom_stroke"]
+    assert trace["manipulator.boom_position"][-1] > stroke
+    assert speeds[0.0] > 0.4
+    # supplies with an engine fall to 14.8 bar above the line: sqrt(0.75 * 14.8 / 12) is 0.962; droop adds 1.5 %
+    assert speeds[10.0] == pytest.approx(speeds[0.0], rel=0.05)
+
+
+@pytest.mark.parametrize("variant", ["ideal", "engine_pump"])
+def test_the_load_sensing_line_is_limited(variant):
+    """It is the highest load with its rate, at most 17 bar below the setting, where its rate is zero."""
+    sub = FAMILIES["supply"][variant]
+    p = values(sub).p
+    setting = p["pressure_setting"] if variant == "ideal" else p["pump_1_pressure_setting"]
+    for load_pressure, pressure, rate in ((1e7, 1e7, 3e5), (2.5e7, setting - 1.7e6, 0.0)):
+        loads = {"boom_stick_load_pressure": load_pressure, "boom_stick_load_pressure_rate": 3e5}
+        model, v = symbolic(sub), values(sub)
+        y = ca.Function("y", [model.x, model.u, model.p], [model.y])
+        numbers = [list(group.values()) for group in (v.x, v.u | loads, v.p)]
+        found = dict(zip(quantities(sub.outputs), y(*numbers).full().ravel(), strict=True))
+        assert found["load_sensing_pressure"] == pytest.approx(pressure, rel=1e-12)
+        assert found["load_sensing_pressure_rate"] == pytest.approx(rate, rel=1e-12)
