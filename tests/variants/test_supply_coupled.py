@@ -120,7 +120,7 @@ def test_a_stalled_stroke_leaves_other_compensated_sections_their_flow(system, v
     stroke = values(FAMILIES["boom_stick"]["compensated"]).p["boom_stroke"]
     assert trace["manipulator.boom_position"][-1] > stroke
     assert speeds[0.0] > 0.4
-    # supplies with an engine fall to 14.8 bar above the line: sqrt(0.75 * 14.8 / 12) is 0.962; droop adds 1.5 %
+    # supplies with an engine fall to 14.8 bar above the line: sqrt(0.75 * 14.8 / 12) = 0.962; droop: 1.5 %
     assert speeds[10.0] == pytest.approx(speeds[0.0], rel=0.05)
 
 
