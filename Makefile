@@ -17,7 +17,7 @@ demo: $(INSTALLED)
 	$(BIN)/harvester validate
 
 test: $(TESTING)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-long: $(TESTING)
 	$(BIN)/python -m pytest -n 2 -m long -s

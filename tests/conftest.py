@@ -1,8 +1,9 @@
-"""Fixtures shared by all tests: the machine's FMUs and a browser, one of each per test process."""
+"""Fixtures shared by all tests: the machine's FMUs, and a browser per test process."""
 
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import properties
 import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-LONG = 120.0  # s for a browser to start; only bounds a failure
+LONG = 600.0  # s for a browser to start or the machine to be built; only bounds a failure
 INSTALL = "no Chromium found; install one: apt install chromium, or any Chrome in the search path"
 # pictures are drawn by the processor; without the calls home that a fresh browser makes
 FLAGS = (
@@ -40,18 +41,38 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
-def fmu_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp."""
+def built(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """Folder of the machine in both versions of FMI, built once for all test processes."""
     from fmus.machine.build import build_machine
 
-    folder = tmp_path_factory.mktemp("fmus")
-    build_machine(folder)
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if hasattr(request.config, "workerinput") else base) / "machine"
+    ready, failed = folder / "ready", folder / "failed"
+    try:
+        folder.mkdir()
+    except FileExistsError:  # another process builds it
+        end = time.monotonic() + LONG
+        while not ready.exists():
+            assert not failed.exists(), "the build of the machine failed in another test process"
+            assert time.monotonic() < end, f"the machine is not built after {LONG} s"
+            time.sleep(0.1)
+        return folder
+    try:
+        build_machine(folder, versions=(2, 3))
+    except BaseException:
+        failed.touch()
+        raise
+    ready.touch()
     return folder
 
 
 @pytest.fixture(scope="session")
-def fmi3_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the same files in FMI 3 and SSP 2."""
-    from fmus.machine.build import build_machine
+def fmu_dir(built: Path) -> Path:
+    """Folder with swing.fmu, boom_stick.fmu, manipulator.fmu and harvester.ssp."""
+    return built
 
-    return build_machine(tmp_path_factory.mktemp("fmi3"), versions=(3,))[0].parent
+
+@pytest.fixture(scope="session")
+def fmi3_dir(built: Path) -> Path:
+    """Folder with the same files in FMI 3 and SSP 2."""
+    return built / "fmi3"

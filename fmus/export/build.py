@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fmus.contract import Subsystem
 from fmus.export.compile import binaries, host, shared_library
-from fmus.export.package import Package, package
+from fmus.export.package import Package, packages
 from fmus.parameters import Values
 from orchestrator.base.files import write_zip
 
@@ -33,7 +33,7 @@ def build(
     fmi          2 or 3
     platforms    names of `compile.PLATFORMS`; default: the platform that this program runs on
     """
-    return _write([(Path(out_dir), package(sub, fmi, step, stop, values))], platforms)[0]
+    return _write([(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi])], platforms)[0]
 
 
 def build_all(
@@ -51,10 +51,11 @@ def build_all(
     folders      FMI version -> output folder
     subfolders   name of a subsystem -> folder inside the output folder
     """
+    made = [packages(sub, step, stop, versions=list(folders)) for sub in subs]
     targets = [
-        (Path(folder) / (subfolders or {}).get(sub.name, ""), package(sub, fmi, step, stop))
+        (Path(folder) / (subfolders or {}).get(sub.name, ""), files[fmi])
         for fmi, folder in folders.items()
-        for sub in subs
+        for sub, files in zip(subs, made, strict=True)
     ]
     paths = iter(_write(targets, platforms))
     return {fmi: [next(paths) for _ in subs] for fmi in folders}

@@ -41,8 +41,10 @@ class Package:
         }
 
 
-def package(sub: Subsystem, fmi: int, step: float, stop: float, values: Values | None = None) -> Package:
-    """The files of an FMU of version 2 or 3; step and stop are the default experiment [s]."""
+def packages(
+    sub: Subsystem, step: float, stop: float, values: Values | None = None, versions: Sequence[int] = VERSIONS
+) -> dict[int, Package]:
+    """The files of an FMU by version, 2 and 3; step and stop are the default experiment [s]."""
     interface = interface_of(sub, values or parameters.values(sub, derive=False))
     compiled = [main_source(sub.name)]
     drafts: dict[int, dict[str, str]] = {}  # both versions have one GUID, which depends on these files
@@ -52,12 +54,15 @@ def package(sub: Subsystem, fmi: int, step: float, stop: float, values: Values |
         drafts[version] = {f"sources/{name}": text for name, text in code.items()}
         drafts[version]["modelDescription.xml"] = description.decode()
     guid = guid_of(drafts.values())
-    content = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in drafts[fmi].items()}
-    if fmi == 3:
-        content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
-        content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)
-    content |= common_files(sub, interface, fmi, step, stop)
-    return Package(sub.name, fmi, content, compiled)
+    result = {}
+    for fmi in versions:
+        content = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in drafts[fmi].items()}
+        if fmi == 3:
+            content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
+            content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)
+        content |= common_files(sub, interface, fmi, step, stop)
+        result[fmi] = Package(sub.name, fmi, content, compiled)
+    return result
 
 
 def guid_of(drafts: Iterable[Mapping[str, str]]) -> str:

@@ -14,7 +14,7 @@ from fmus.contract import quantities
 from fmus.controller import CONTROLLER
 from fmus.export.documentation import printed, project_file, prose, slug
 from fmus.export.interface import interface_of
-from fmus.export.package import package
+from fmus.export.package import packages
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.parameters import numbers, values
@@ -29,7 +29,9 @@ ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 def content():
     """(name, FMI version) -> files of the FMU."""
     return {
-        (name, fmi): package(sub, fmi, 1e-3, 40.0).files for name, sub in SUBSYSTEMS.items() for fmi in (2, 3)
+        (name, fmi): made.files
+        for name, sub in SUBSYSTEMS.items()
+        for fmi, made in packages(sub, 1e-3, 40.0).items()
     }
 
 
@@ -148,7 +150,7 @@ def test_text_of_a_declaration_is_escaped(toys, make_toy):
         lambda *_: {},
         lambda _x, u, p: {"product": p.factor * u.left},
     )
-    text = package(odd, 2, 1e-3, 1.0, values).files["documentation/index.html"].decode()
+    text = packages(odd, 1e-3, 1.0, values)[2].files["documentation/index.html"].decode()
     assert "a &lt; b &amp; c" in text
     assert "a < b" not in text
 

@@ -36,9 +36,12 @@ def life(fmu: Fmu, steps: int) -> Iterator[str]:
     yield from (f"euler 0 1e-8 10 {fmu.states}", look(fmu), "free 0")
 
 
-@pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("name", NAMES)
-def test_valgrind_finds_nothing(machines, drivers, tmp_path, version, name):
+# the functions of FMI are those of the parts in both versions; the whole machine takes longest
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [(name, version) for name in NAMES for version in (2, 3) if (name, version) != ("harvester", 2)],
+)
+def test_valgrind_finds_nothing(machines, drivers, tmp_path, name, version):
     """A hundred instances, a thousand steps each, states saved and restored: no error, no leak."""
     fmu = machines[version, name]
     drive(drivers[version], fmu, life(fmu, STEPS), tmp_path, before=VALGRIND)
