@@ -19,6 +19,7 @@ from fmus.components.opening_curve import (
     EDGES,
     POINTS,
     SMALLEST_GAP,
+    Line,
     OpeningCurves,
     OpeningTable,
     pieces,
@@ -190,6 +191,24 @@ def test_the_c_code_is_the_expression(compiled, points, volts):
         np.testing.assert_allclose(of_c("first", at, coefficients, 2), first, rtol=1e-12, atol=1e-15 * scale)
         found = of_c("second", at, coefficients, 2 * COEFFICIENTS)
         np.testing.assert_allclose(found, second, rtol=1e-12, atol=1e-15 * scale)
+
+
+@given(
+    dead_band=st.floats(0.0, 8.0),
+    rounding=st.floats(1e-3, 4.0),
+    volts=st.floats(-12.0, 12.0),
+)
+def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, volts):
+    """In C: value and slope of the ramp with dead band, also if the rounding reaches beyond full command."""
+    of_c, _ = compiled
+    coefficients = pieces(table(()), Line(dead_band, 10.0, rounding)).coefficients
+    v = ca.SX.sym("v")
+    line = spool_valve.opening(v, dead_band, 10.0, rounding)
+    expected = ca.Function("line", [v], [ca.vertcat(line, ca.jacobian(line, v))])(volts)
+    if volts == 10.0:  # a corner: the slope there is a convention
+        return
+    # rounding of the fourth power over 1 mV, relative to a slope of up to 1/V and more at a short line
+    np.testing.assert_allclose(of_c("first", volts, coefficients, 2), np.array(expected).ravel(), atol=1e-11)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,8 @@ Interpolants, SIAM J. Sci. Stat. Comput. 5 (1984) 300; monotone: Fritsch and Car
 (1980) 238.
 
 Which points count: the first one always; point i > 1 if its command is positive. With fewer than two points
-there is no table.
+there is no table, and the curve is a straight line with a rounded start (`Line`), which has three such
+pieces: a quartic, the line, and 1 from full command on.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from typing import Any
 
 import casadi as ca
 
+from fmus.components.smooth import ramp
 from fmus.contract import Group, Quantity, Scalar, make_group
 
 POINTS = 10
 EDGES = ("pa", "at", "pb", "bt")
 SMALLEST_GAP = 1e-3  # V, between the commands of two points
-COEFFICIENTS = 5 * POINTS - 5  # the first piece has a_1 = d_1 = 0, after the last point only a is not zero
-# V: first command of a curve without a table, beyond every command; its third power is finite
-NEVER = 1e9
+COEFFICIENTS = 5 * POINTS - 4  # the first piece has a_1 = d_1 = 0, after the last point only a is not zero
+NEVER = 1e9  # V: a command that no edge gets; its fourth power is finite
 
 
 def _point(number: int) -> dict[str, Quantity]:
@@ -95,19 +96,32 @@ def openings(table: Any) -> list[Scalar]:
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """The cubic pieces of a curve, which depend on the parameters alone.
+class Line:
+    """The curve without a table [V]: ramp(V - dead_band) / ramp(full - dead_band), constant from full on.
 
-    coefficients   V_i of all points; of the first piece the factors of s^2 and s^3, of each other one a_i,
-                   d_i and these factors; a_i of the last point. Shape (COEFFICIENTS, 1)
-    straight       1 without a table, else 0
+    ramp is that of `smooth`, rounded over `rounding`.
+    """
+
+    dead_band: Scalar
+    full: Scalar
+    rounding: Scalar
+
+
+CLOSED = Line(NEVER, 2 * NEVER, 1.0)  # an edge that no command opens
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The pieces of a curve, which depend on the parameters alone.
+
+    coefficients   V_i of all points; of the first piece the factors of s^2, s^3 and s^4, of each other one
+                   a_i, d_i and the factors of s^2 and s^3; a_i of the last point. Shape (COEFFICIENTS, 1)
     """
 
     coefficients: Any
-    straight: Scalar
 
     def opening(self, command: Scalar) -> Scalar:
-        """Opening [1] at a command [V]; zero without a table."""
+        """Opening [1] at a command [V]."""
         return CURVE(command, self.coefficients)
 
 
@@ -124,15 +138,15 @@ def meter_in_dead_bands(
     )
 
 
-def pieces(table: Any) -> Pieces:
-    """The pieces of the curve through the points of a table; after the last point it is constant."""
-    coefficients, straight = PIECES(ca.vertcat(*commands(table)), ca.vertcat(*openings(table)[1:]))
-    return Pieces(coefficients, straight)
+def pieces(table: Any, line: Line = CLOSED) -> Pieces:
+    """The pieces of the curve through the points of a table, or of the line."""
+    points = ca.vertcat(*commands(table)), ca.vertcat(*openings(table)[1:])
+    return Pieces(PIECES(*points, ca.vertcat(line.dead_band, line.full, line.rounding)))
 
 
 def _pieces() -> ca.Function:
-    """(commands, openings from the second on) -> coefficients, straight; a function that stays a call."""
-    given = ca.SX.sym("commands", POINTS), ca.SX.sym("openings", POINTS - 1)
+    """(commands, openings from the second on, line) -> coefficients; a function that stays a call."""
+    given = ca.SX.sym("commands", POINTS), ca.SX.sym("openings", POINTS - 1), ca.SX.sym("line", 3)
     v: list[Scalar] = ca.vertsplit(given[0])
     a: list[Scalar] = [0, *ca.vertsplit(given[1])]
     used = [v[1] > 0, *(value > 0 for value in v[1:])]
@@ -147,10 +161,20 @@ def _pieces() -> ca.Function:
         factors = (d, (3 * rise - 2 * d - following) / gap, (d + following - 2 * rise) / gap**2)
         rows.append([a[i], *(ca.if_else(used[i + 1], factor, 0) for factor in factors)])
     first, *others = rows
-    starts = [ca.if_else(used[0], command, NEVER) for command in v]
-    values = [*starts, *first[2:], *(x for row in others for x in row), a[-1]]
-    results = [ca.vertcat(*values), ca.if_else(used[0], 0, 1)]
-    return ca.Function("opening_pieces", given, results, {"never_inline": True, "cse": True})
+    table = [*v, *first[2:], 0, *(x for row in others for x in row), a[-1]]
+    line = _line_pieces(Line(*ca.vertsplit(given[2])))
+    values = [ca.if_else(used[0], x, y) for x, y in zip(table, line, strict=True)]
+    return ca.Function("opening_pieces", given, [ca.vertcat(*values)], {"never_inline": True, "cse": True})
+
+
+def _line_pieces(line: Line) -> list[Scalar]:
+    """The coefficients of the line: with w = `rounding`, (w (s/w)^3 - w (s/w)^4/2)/r and (w/2 + s)/r."""
+    start, full, w = line.dead_band, line.full, line.rounding
+    r = ramp(full - start, w)
+    commands = [start, ca.fmin(start + w, full), full, *[NEVER] * (POINTS - 3)]
+    first = [0, 1 / (w**2 * r), -1 / (2 * w**3 * r)]
+    others = [[w / 2 / r, 1 / r, 0, 0], [1, 0, 0, 0], *[[0, 0, 0, 0]] * (POINTS - 4)]
+    return [*commands, *first, *(x for row in others for x in row), 1]
 
 
 def _slopes(used: Sequence[Scalar], gaps: Sequence[Scalar], secants: Sequence[Scalar]) -> list[Scalar]:
@@ -181,14 +205,14 @@ def _curve() -> ca.Function:
     This expression evaluates all pieces; the C code of the FMUs evaluates one (native/opening_curve.h).
     """
     command, table = ca.SX.sym("command"), ca.SX.sym("table", COEFFICIENTS)
-    v, cubics = table[:POINTS], table[POINTS:-1]
-    rows: list[tuple[Scalar, ...]] = [(0, 0, cubics[0], cubics[1])]
-    rows += [tuple(ca.vertsplit(cubics[4 * i - 2 : 4 * i + 2])) for i in range(1, POINTS - 1)]
+    v, factors = table[:POINTS], table[POINTS:-1]
+    rows: list[tuple[Scalar, ...]] = [(0, 0, *ca.vertsplit(factors[:3]))]
+    rows += [(*ca.vertsplit(factors[4 * i - 1 : 4 * i + 3]), 0) for i in range(1, POINTS - 1)]
     value: Scalar = ca.if_else(command >= v[POINTS - 1], table[COEFFICIENTS - 1], 0)
-    for i, (a, d, square, cube) in enumerate(rows):
+    for i, (a, d, square, cube, fourth) in enumerate(rows):
         s = command - v[i]
         inside = ca.logic_and(command >= v[i], command < v[i + 1])
-        value += ca.if_else(inside, a + s * (d + s * (square + s * cube)), 0)
+        value += ca.if_else(inside, a + s * (d + s * (square + s * (cube + s * fourth))), 0)
     return ca.Function("opening_curve", [command, table], [value], {"never_inline": True})
 
 

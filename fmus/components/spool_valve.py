@@ -38,7 +38,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from fmus.components import opening_curve
-from fmus.components.opening_curve import OpeningCurves, OpeningTable
+from fmus.components.opening_curve import EDGES, Line, OpeningCurves, OpeningTable
 from fmus.components.smooth import ramp
 from fmus.contract import Group, Quantity, Scalar
 
@@ -124,22 +124,17 @@ def opening(command: Scalar, dead_band: Scalar, full_command: Scalar, rounding: 
 
 def edge_openings(valve: Valve, curves: OpeningCurves | None, command: Scalar) -> dict[str, Scalar]:
     """Openings [1] of the edges pa, at, pb and bt at a command [V]: by its table, or the straight line."""
-    curve = (valve.dead_band, valve.full_command, valve.command_rounding)
-    forward, backward = opening(command, *curve), opening(-command, *curve)
-    line = {"pa": forward, "at": backward, "pb": backward, "bt": forward}
-    return with_tables(curves, command, line)
+    line = Line(valve.dead_band, valve.full_command, valve.command_rounding)
+    return _openings(dict.fromkeys(EDGES, line), curves, command)
 
 
-def with_tables(
-    curves: OpeningCurves | None, command: Scalar, line: Mapping[str, Scalar]
-) -> dict[str, Scalar]:
-    """Openings [1] by edge at a command [V]: `line` for an edge without a table."""
+def _openings(lines: Mapping[str, Line], curves: OpeningCurves | None, command: Scalar) -> dict[str, Scalar]:
+    """Openings [1] by edge at a command [V]."""
+    towards = {edge: command if edge in FORWARD else -command for edge in lines}
     if curves is None:
-        return dict(line)
-    pieces = {edge: opening_curve.pieces(OpeningTable.of(curves, edge)) for edge in line}
+        return {e: opening(towards[e], *(x.dead_band, x.full, x.rounding)) for e, x in lines.items()}
     return {
-        edge: pieces[edge].straight * share + pieces[edge].opening(command if edge in FORWARD else -command)
-        for edge, share in line.items()
+        e: opening_curve.pieces(OpeningTable.of(curves, e), x).opening(towards[e]) for e, x in lines.items()
     }
 
 
@@ -222,16 +217,12 @@ def _square_gains(
     valve: Valve, curves: OpeningCurves | None, command: Scalar, density: Scalar
 ) -> tuple[Scalar, Scalar]:
     """K^2 [m6/(s2.Pa)] of the open edge of A and of B, K = `flow_gain` times the opening."""
-    foot = ramp(valve.full_command - valve.dead_band, valve.command_rounding)
     full = flow_gain(valve.area, valve.discharge_coefficient, density)
-    effective = ca.fmin(ca.fabs(command), valve.full_command)
-    rise = ramp(effective - valve.dead_band, valve.command_rounding)
     if curves is None:
-        square = (full / foot * rise) ** 2
+        shape = (valve.dead_band, valve.full_command, valve.command_rounding)
+        square = (full * opening(ca.fabs(command), *shape)) ** 2
         return square, square
-    forward, backward = ca.if_else(command > 0, rise / foot, 0), ca.if_else(command > 0, 0, rise / foot)
-    line = {"pa": forward, "at": backward, "pb": backward, "bt": forward}
-    share = with_tables(curves, command, line)
+    share = edge_openings(valve, curves, command)
     return (full * (share["pa"] + share["at"])) ** 2, (full * (share["pb"] + share["bt"])) ** 2
 
 
@@ -343,9 +334,8 @@ def spool_ports(
     A table is one over the position times full command.
     """
     full = flow_gain(edges.area, edges.discharge_coefficient, density)
-    rounding = edges.command_rounding / edges.full_command
-    line = {
-        edge: opening(position if edge in FORWARD else -position, overlap, 1.0, rounding)
+    lines = {
+        edge: Line(overlap * edges.full_command, edges.full_command, edges.command_rounding)
         for edge, overlap in (
             ("pa", spool.overlap_pa),
             ("at", spool.overlap_at),
@@ -353,7 +343,7 @@ def spool_ports(
             ("bt", spool.overlap_bt),
         )
     }
-    share = with_tables(curves, position * edges.full_command, line)
+    share = _openings(lines, curves, position * edges.full_command)
     gain = {edge: full * value for edge, value in share.items()}
     edge = (edges.leakage, edges.transition_flow, supply_pressure, tank_pressure)
     return (

@@ -217,7 +217,8 @@ class _Call:
         if name == _CURVE:
             return value
         if name.startswith("fwd1_") and not self._zero(bounds[4]):
-            return ""
+            given = (command, self._vector(1, bounds[1]), self.arguments[bounds[3][0]])
+            return f"{_CURVE}_along({', '.join(given)}, {self._vector(4, bounds[4])})"
         if name.startswith("adj1_") and any(o >= 0 for o in self.outputs[1:]):
             return ""
         return f"{value} * {self.arguments[bounds[3][0]]}"
