@@ -97,8 +97,8 @@ def measure(folder: Path, chosen: Mapping[str, str]) -> dict[str, Any]:
         "engine": float(np.trapezoid(trace["supply.engine_power"], t)),
         "travel": travel,
         "turn": float(np.abs(np.diff(trace["manipulator.swing_angle"])).sum()),
-        "boom_stick": pressure["boom_stick"],
-        "swing": pressure["swing"],
+        "boom_stick_pressure": pressure["boom_stick"],
+        "swing_pressure": pressure["swing"],
         "ringing": float(np.sqrt(np.mean(ringing**2))),
         "cost": spent / WORK_CYCLE_STOP * STEP,
     }
@@ -124,8 +124,8 @@ def circuits(folder: Path) -> Iterator[list[str]]:
             f"{m['engine'] / 1e3:.0f}",
             f"{m['travel']:.2f}",
             f"{m['turn']:.2f}",
-            f"{m['boom_stick'] / 1e5:.0f}",
-            f"{m['swing'] / 1e5:.0f}",
+            f"{m['boom_stick_pressure'] / 1e5:.0f}",
+            f"{m['swing_pressure'] / 1e5:.0f}",
             f"{frequency:.1f}",
             f"{damping * 100:.1f}",
             f"{m['ringing'] * 1e3:.2f}",
@@ -201,8 +201,8 @@ def _cached_mode(folder: Path, chosen: tuple[tuple[str, str], ...]) -> tuple[flo
 
 SUMMARY = (
     ("energy", 1e-3, "energy from the supply line [kJ]"),
-    ("boom_stick", 1e-5, "highest pressure, boom and stick [bar]"),
-    ("swing", 1e-5, "highest pressure, swing [bar]"),
+    ("boom_stick_pressure", 1e-5, "highest pressure, boom and stick [bar]"),
+    ("swing_pressure", 1e-5, "highest pressure, swing [bar]"),
     ("cost", 1e6, "cost [us per step of 1 ms, whole run]"),
     ("frequency", 1, "frequency of the boom mode [Hz]"),
     ("damping", 100, "its damping ratio [%]"),
