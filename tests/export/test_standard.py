@@ -16,12 +16,12 @@ OK, DISCARD, ERROR = 0, 2, 3
 def test_nominals_are_known_before_the_initialisation(open_fmu):
     """fmi2GetNominalsOfContinuousStates is allowed as soon as there is an instance (table in 3.2.3).
 
-    They are a thousandth of the magnitudes in modelDescription.xml: importers make tolerances of them.
+    They are a ten-thousandth of the magnitudes in modelDescription.xml: importers make tolerances of them.
     """
     fmu = open_fmu("chamber", model_exchange=True)
     nominals = (ctypes.c_double * 3)()
     fmu.fmu.fmi2GetNominalsOfContinuousStates(fmu.fmu.component, nominals, 3)
-    np.testing.assert_allclose(nominals, [1e4, 1e-7, 0.1], rtol=1e-15)  # rounding of a product
+    np.testing.assert_allclose(nominals, [1e3, 1e-8, 0.01], rtol=1e-15)  # rounding of a product
 
 
 @pytest.mark.parametrize(

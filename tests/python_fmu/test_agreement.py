@@ -112,13 +112,14 @@ def test_two_builds_are_equal(tmp_path, name):
 
 
 def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes():
-    """A full command within the dead band divides by zero; the message contains the violated requirement."""
-    run = of_subsystem(SUBS["swing"])
+    """A governor without a range of speeds divides by zero; the message contains the violated requirement."""
+    run = of_subsystem(SUBS["supply_engine_pump"])
     run.setup(0.0, None, None)
-    run.assign(valve_full_command=0.1)
+    run.assign(engine_no_load_speed=260.0, engine_rated_speed=260.0)
     run.enter()
-    with pytest.raises(Refused, match='"valve_full_command exceeds valve_dead_band" is violated at t = 0 s'):
-        run["supply_flow"]
+    violated = '"engine_no_load_speed exceeds engine_rated_speed" is violated at t = 0 s'
+    with pytest.raises(Refused, match=violated):
+        run["engine_power"]
 
 
 def test_refused_derivatives_name_what_is_possible():
