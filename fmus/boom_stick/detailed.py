@@ -281,9 +281,8 @@ def detailed(lumps: int | Mapping[str, int] | None = None, unsteady_friction: bo
         validity="modes of the hoses up to 75 Hz within 5 %; no flow forces on spools, one temperature",
         terminals=drive.TERMINALS,
     )
-    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=compensated.BOOM_STICK, detailed=sub)[
-        "detailed"
-    ]
+    others = {"lumped": lumped.BOOM_STICK, "compensated": compensated.BOOM_STICK}
+    return family("boom_stick", **others, detailed=sub)["detailed"]
 
 
 BOOM_STICK = detailed()
