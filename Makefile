@@ -55,9 +55,9 @@ bench-peers: $(PEERS)
 coverage: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
 
-# the site, as build/site/index.html; NO_MKDOCS_2_WARNING: an announcement of its theme's makers
+# the site, as build/site/index.html
 docs: $(DOCUMENTING)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	$(BIN)/sphinx-build -q -W --keep-going -c docs . build/site
 
 clean:
 	rm -rf build .venv
