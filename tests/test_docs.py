@@ -17,6 +17,7 @@ DOCUMENTS = sorted(
     p for p in ROOT.rglob("*.md") if not {".venv", "build", "node_modules"} & set(p.relative_to(ROOT).parts)
 )
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "run.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
@@ -29,14 +30,14 @@ def test_relative_links_lead_to_files(document):
 
 
 def commands() -> list[str]:
-    """The `harvester` lines of the README without comments, but those that need files of the user.
+    """The `harvester` lines of the README and of docs/run.md without comments, but those that need files of the user.
 
     Others have tests of their own: the build for all platforms (tests/export/test_platforms.py), the page,
     which does not end by itself (tests/view), and the study of 640 runs (tests/sweep/test_swing_peaks.py).
     """
-    lines = re.findall(r"^    (harvester .*?)(?:\s+#.*)?$", README, re.MULTILINE)
+    lines = re.findall(r"^    (harvester .*?)(?:\s+#.*)?$", README + GUIDE, re.MULTILINE)
     elsewhere = ("my_", "--platform all", "harvester view", "harvester sweep")
-    return [line for line in lines if not any(word in line for word in elsewhere)]
+    return list(dict.fromkeys(line for line in lines if not any(word in line for word in elsewhere)))
 
 
 @pytest.fixture
@@ -52,8 +53,8 @@ def workplace(fmu_dir, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("workplace")
 @pytest.mark.parametrize("command", commands())
-def test_commands_of_the_readme_run(command):
-    """Each line works as it stands in the README, here over the first half second."""
+def test_commands_of_the_documents_run(command):
+    """Each line works as it stands in the documents, here over the first half second."""
     arguments = shlex.split(command)[1:]
     if arguments[0] in ("run", "validate"):
         arguments += ["--stop", "0.5"]  # the last one counts
@@ -63,10 +64,11 @@ def test_commands_of_the_readme_run(command):
 
 
 @pytest.mark.usefixtures("workplace")
-def test_the_python_snippet_of_the_readme_runs():
+@pytest.mark.parametrize("text", [README, GUIDE], ids=["README.md", "docs/run.md"])
+def test_the_python_snippet_runs(text):
     """The lines under "In Python"."""
-    (snippet,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    exec(compile(snippet, "README.md", "exec"), {})
+    (snippet,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(compile(snippet, "snippet.py", "exec"), {})
 
 
 def test_signals_of_the_mapping_example_exist(fmu_dir):
