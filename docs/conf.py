@@ -54,7 +54,12 @@ pygments_dark_style = "a11y-high-contrast-dark"
 
 # captions of the sidebar and their pages, from the project's root
 NAVIGATION = {
-    "Start": ["README.md", "docs/tutorials/first-run.md", "docs/tutorials/index.md", "CHANGELOG.md"],
+    "Start": [
+        "What it is <README.md>",
+        "docs/tutorials/first-run.md",
+        "docs/tutorials/index.md",
+        "CHANGELOG.md",
+    ],
     "Tutorials": [
         "docs/tutorials/use-the-fmus.md",
         "docs/tutorials/swap-fidelity.md",
@@ -74,13 +79,13 @@ NAVIGATION = {
         "docs/machine.md",
         "docs/equations.md",
         "docs/fidelity.md",
-        "fmus/swing/README.md",
-        "fmus/boom_stick/README.md",
-        "fmus/manipulator/README.md",
-        "fmus/supply/README.md",
-        "fmus/operator_input/README.md",
-        "fmus/controller/README.md",
-        "fmus/machine/harvester/README.md",
+        "FMU swing <fmus/swing/README.md>",
+        "FMU boom_stick <fmus/boom_stick/README.md>",
+        "FMU manipulator <fmus/manipulator/README.md>",
+        "FMU supply <fmus/supply/README.md>",
+        "FMU operator_input <fmus/operator_input/README.md>",
+        "FMU controller <fmus/controller/README.md>",
+        "FMU harvester <fmus/machine/harvester/README.md>",
         "fmus/README.md",
     ],
     "Co-simulation": [

@@ -51,7 +51,9 @@ def navigation(app: Sphinx) -> dict[str, list[str]]:
 
 def toctree(caption: str, pages: list[str]) -> str:
     """A part of the sidebar."""
-    names = "\n".join(f"/{page.removesuffix('.md')}" for page in pages)
+    names = "\n".join(
+        re.sub(r"(\S+)\.md(>?)$", r"\1\2", re.sub(r"([^<\s]+)(>?)$", r"/\1\2", page)) for page in pages
+    )
     return f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n:titlesonly:\n\n{names}\n```\n"
 
 
