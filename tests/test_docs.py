@@ -30,7 +30,7 @@ def test_relative_links_lead_to_files(document):
 
 
 def commands() -> list[str]:
-    """The `harvester` lines of the README and of docs/run.md without comments, but those that need files of the user.
+    """The `harvester` lines of README and docs/run.md, but those that need files of the user.
 
     Others have tests of their own: the build for all platforms (tests/export/test_platforms.py), the page,
     which does not end by itself (tests/view), and the study of 640 runs (tests/sweep/test_swing_peaks.py).
