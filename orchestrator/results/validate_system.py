@@ -17,16 +17,26 @@ from rich.console import Console
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
+from orchestrator.base.progress import doing
 from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, fill_gaps, read_recording
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import RowLayout
 from orchestrator.engine.result import Card, Result
 from orchestrator.engine.run import run_to_file
+from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.summary import summary
-from orchestrator.results.validation import Validation, by_variable, validate, without_repetitions
+from orchestrator.results.validation import (
+    Validation,
+    by_variable,
+    check_comparable,
+    validate,
+    without_repetitions,
+)
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import missing_after_swap
 from orchestrator.ssp.system import Component, Port, System, coerce
@@ -103,7 +113,8 @@ def judge(
     facts   settings of the run, in the order of the report
     rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
     """
-    validation = validate(result.trace, reference, rate=rate)
+    with doing(f"comparing {len(reference.signals)} signals"):
+        validation = validate(result.trace, reference, rate=rate)
     layout.check(result.trace)
     report = reporting.Report(
         title=layout.title or f"Validation of {result.system.name}",
@@ -120,7 +131,8 @@ def judge(
         notes=result.card.notes,
         caution=another_model(result.system, reference),
     )
-    return validation, *reporting.write_report(out / "report.html", report)
+    with doing(f"drawing {len(report.figures)} figures"):
+        return validation, *reporting.write_report(out / "report.html", report)
 
 
 def another_model(system: System, reference: Recording) -> str:
@@ -238,14 +250,22 @@ def validate_system(
     page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
-    result, file = run_to_file(system, scenario or commands, trace, **options, every_point=False)
-    # A reference of the default system contains signals that a swapped FMU lacks.
-    missing = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
-    against = against.select([name for name in against.signals if name not in missing])
-    recorded = result.trace.select(result.trace.signals)  # in memory, also if the run is long
-    if len(result.system.components) == 1:
-        against = without_repetitions(against)
-        recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in page.signals)])
+
+    def accept(system: System, times: Grid, signals: RowLayout) -> None:
+        """Refuse what cannot be compared, before the first step."""
+        ahead = _times_ahead(times, against)
+        blank = Trace(ahead, dict.fromkeys(signals.names, np.zeros_like(ahead)), signals.units)
+        selected, renamed = _comparable(system, blank, against, page)
+        check_comparable(renamed, selected)
+        if layout:
+            page.check(renamed)
+
+    result, file = run_to_file(
+        system, scenario or commands, trace, **options, every_point=False, accept=accept
+    )
+    missing = _lost(result.system, against, result.trace)
+    # in memory, also if the run is long
+    against, recorded = _comparable(result.system, result.trace.select(result.trace.signals), against, page)
     notes = [
         _input_note(commands) if reference and not scenario else "",
         _default_reference_note(scenario, against) if scenario and not reference else "",
@@ -264,6 +284,32 @@ def validate_system(
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
     return validation.passed
+
+
+def _comparable(system: System, trace: Trace, reference: Recording, page: Layout) -> tuple[Recording, Trace]:
+    """Reference and run with the names under which they are compared.
+
+    A reference of the default system contains signals that a swapped FMU lacks. They are left out.
+    """
+    lost = _lost(system, reference, trace)
+    reference = reference.select([name for name in reference.signals if name not in lost])
+    if len(system.components) > 1:
+        return reference, trace
+    reference = without_repetitions(reference)
+    return reference, by_variable(trace, [*reference.signals, *(signal for _, signal in page.signals)])
+
+
+def _lost(system: System, reference: Recording, trace: Trace) -> set[str]:
+    """Signals of the reference that are lost in a swap."""
+    return missing_after_swap(system).keys() & reference.signals.keys() - trace.signals.keys()
+
+
+def _times_ahead(times: Grid, reference: Recording) -> Array:
+    """The times that a run will record [s]; of an adaptive run, which may record any, those of interest."""
+    if not times.free:
+        return np.linspace(times.start, times.stop, times.rows)
+    inside = (reference.time > times.start) & (reference.time < times.stop)
+    return np.concatenate(([times.start], reference.time[inside], [times.stop]))
 
 
 def _input_note(commands: Trace | None) -> str:
