@@ -6,8 +6,8 @@ Equal subsystems with equal values give equal bytes.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from fmus.contract import Subsystem
@@ -33,7 +33,9 @@ def build(
     fmi          2 or 3
     platforms    names of `compile.PLATFORMS`; default: the platform that this program runs on
     """
-    return _write([(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi])], platforms)[0]
+    with _Compilers(tuple(platforms or (host(),))) as compilers:
+        compilers.add(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi])
+        return compilers.write()[0]
 
 
 def build_all(
@@ -43,6 +45,7 @@ def build_all(
     stop: float = 10.0,
     platforms: Sequence[str] | None = None,
     subfolders: Mapping[str, str] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> dict[int, list[Path]]:
     """Build several FMUs of one or both FMI versions; returns version -> paths, in the order of `subs`.
 
@@ -50,29 +53,50 @@ def build_all(
 
     folders      FMI version -> output folder
     subfolders   name of a subsystem -> folder inside the output folder
+    progress     called with what is done now, such as "generating C code, 3 of 17: supply"
     """
-    made = [packages(sub, step, stop, versions=list(folders)) for sub in subs]
-    targets = [
-        (Path(folder) / (subfolders or {}).get(sub.name, ""), files[fmi])
-        for fmi, folder in folders.items()
-        for sub, files in zip(subs, made, strict=True)
-    ]
-    paths = iter(_write(targets, platforms))
-    return {fmi: [next(paths) for _ in subs] for fmi in folders}
-
-
-def _write(targets: Sequence[tuple[Path, Package]], platforms: Sequence[str] | None) -> list[Path]:
-    """Compile packages for all platforms, then write each to its folder; no file is written if one fails."""
     names = tuple(platforms or (host(),))
-    jobs = [(p, name) for _, p in targets for name in names]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        libraries = iter(list(pool.map(lambda job: _library(*job), jobs)))
-    paths = []
-    for folder, p in targets:
-        by_platform = {name: next(libraries) for name in names}
-        paths.append(folder / f"{p.name}.fmu")
-        write_zip(paths[-1], {**p.files, **binaries(p.name, p.fmi, by_platform)})
-    return paths
+    with _Compilers(names) as compilers:
+        for number, sub in enumerate(subs, 1):
+            progress(f"generating C code, {number} of {len(subs)}: {sub.name}")
+            for fmi, package in packages(sub, step, stop, versions=list(folders)).items():
+                compilers.add(Path(folders[fmi]) / (subfolders or {}).get(sub.name, ""), package)
+        paths = compilers.write(progress)
+    return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}
+
+
+class _Compilers:
+    """Compiles packages for all platforms while code of further ones is generated, and writes the FMUs."""
+
+    def __init__(self, platforms: Sequence[str]) -> None:
+        self._platforms = platforms
+        self._targets: list[tuple[Path, Package, list[Future[bytes]]]] = []
+        self._pool = ThreadPoolExecutor(os.cpu_count())
+
+    def __enter__(self) -> _Compilers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def add(self, folder: Path, package: Package) -> None:
+        """Begin to compile a package that goes to `folder`."""
+        libraries = [self._pool.submit(_library, package, name) for name in self._platforms]
+        self._targets.append((folder, package, libraries))
+
+    def write(self, progress: Callable[[str], None] = lambda _: None) -> list[Path]:
+        """Write all FMUs; no file is written if one cannot be compiled."""
+        libraries = [library for *_, compiled in self._targets for library in compiled]
+        for number, library in enumerate(libraries, 1):
+            progress(f"compiling, {number} of {len(libraries)}")
+            library.result()
+        return [self._written(*target) for target in self._targets]
+
+    def _written(self, folder: Path, package: Package, libraries: Sequence[Future[bytes]]) -> Path:
+        by_platform = {n: library.result() for n, library in zip(self._platforms, libraries, strict=True)}
+        path = folder / f"{package.name}.fmu"
+        write_zip(path, {**package.files, **binaries(package.name, package.fmi, by_platform)})
+        return path
 
 
 def _library(p: Package, platform: str) -> bytes:

@@ -109,13 +109,40 @@ def shared_library(
     """
     target = PLATFORMS[platform]
     library = f"{model}{target.suffix}"
-    arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS), *compiled]
+    arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS)]
+    if START in code:
+        code, compiled = _start_apart(model, code, compiled, platform)
+        arguments.append(APART)
+    arguments += compiled
     if target.suffix == ".dylib":
         arguments += ["-install_name", f"@rpath/{library}"]  # else the path in the build folder is stored
     elif target.suffix == ".so":
         arguments += libraries
+    return _compile(library, code, arguments, f"{model}, {platform}")
+
+
+START, START_HEADER, APART = "start.c", "start.h", "-DSTART_APART"
+
+
+def _start_apart(
+    model: str, code: Mapping[str, bytes], compiled: Sequence[str], platform: str
+) -> tuple[dict[str, bytes], list[str]]:
+    """The code with all but the start values compiled to an object file, and the files that are left.
+
+    An FMU with other values has the same object file, which is then in the cache.
+    """
+    file = f"{model}.o"
+    rest = {name: content for name, content in code.items() if name not in (START, START_HEADER)}
+    flags = [flag for flag in FLAGS if flag not in ("-s", "-shared")]
+    target = ["-target", PLATFORMS[platform].target]
+    arguments = [*target, *flags, APART, "-c", "-isystem", str(HEADERS), *compiled]
+    made = _compile(file, rest, arguments, f"{model}, {platform}")
+    return {file: made, **{name: code[name] for name in (START, START_HEADER)}}, [START, file]
+
+
+def _compile(file: str, code: Mapping[str, bytes], arguments: Sequence[str], where: str) -> bytes:
     headers = (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
     try:
-        return compiler.shared_library(library, code, arguments, headers).read_bytes()
+        return compiler.shared_library(file, code, arguments, headers).read_bytes()
     except CompilerError as error:
-        raise Problem(f"{model}, {platform}: {error}") from None
+        raise Problem(f"{where}: {error}") from None

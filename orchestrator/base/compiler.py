@@ -17,7 +17,8 @@ import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -49,19 +50,46 @@ def shared_library(
     for part in (_compiler_version().encode(), *(a.encode() for a in arguments), *sources, *dependencies):
         digest.update(len(part).to_bytes(8, "big") + part)
     file = f"{digest.hexdigest()[:32]}-{name}"
-    try:
-        folder = cache_folder().resolve()  # what is checked is what is used, also behind a symbolic link
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if _owned(folder):
-            if folder.stat().st_mode & OTHERS:
-                folder.chmod(0o700)
+    with suppress(OSError):  # the cache is not writable
+        if folder := _private_folder():
             return _compile(folder / file, name, code, arguments)
-        _warn_of_shared(folder)
-    except OSError:  # the cache is not writable
-        pass
     own = _process_folder()
     zig = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(own / "zig")}  # of the compiler, next to ours
     return _compile(own / file, name, code, arguments, zig)
+
+
+def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) -> bytes:
+    """The bytes that `make` returns, from the cache if they were made before from equal `dependencies`.
+
+    name   end of the name of the file in the cache
+    """
+    digest = hashlib.sha256()
+    for part in dependencies:
+        digest.update(len(part).to_bytes(8, "big") + part)
+    with suppress(OSError):  # the cache is not writable
+        if folder := _private_folder():
+            file = folder / f"{digest.hexdigest()[:32]}-{name}"
+            if _is_private(file):
+                return file.read_bytes()
+            content = make()
+            with tempfile.TemporaryDirectory(dir=folder) as temporary:
+                (Path(temporary) / name).write_bytes(content)
+                (Path(temporary) / name).chmod(0o600)
+                (Path(temporary) / name).replace(file)
+            return content
+    return make()
+
+
+def _private_folder() -> Path | None:
+    """The cache, which is made if needed; None if another user can change it."""
+    folder = cache_folder().resolve()  # what is checked is what is used, also behind a symbolic link
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not _owned(folder):
+        _warn_of_shared(folder)
+        return None
+    if folder.stat().st_mode & OTHERS:
+        folder.chmod(0o700)
+    return folder
 
 
 def cache_folder() -> Path:

@@ -72,6 +72,9 @@ def build(
         print(build_model(model, out, platforms))
         return
     from fmus.machine.build import build_machine
+    from orchestrator.base.progress import doing
 
-    for path in build_machine(out, versions[fmi], platforms, parameters):
+    with doing("building FMUs") as line:
+        paths = build_machine(out, versions[fmi], platforms, parameters, line.update)
+    for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

@@ -103,7 +103,7 @@ def _warped(c: Array, t: Array) -> tuple[Array, Array]:
 
 
 def _path(cost: Array, n: int) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Rows i and columns j of the cheapest path from (n, n) back to (1, 1); of equal ones the diagonal step."""
+    """Rows i and columns j of the cheapest path from (n, n) to (1, 1); of equal ones the diagonal step."""
     at = cost.item  # as Python numbers, which compare faster
     k, i = 2 * n, n
     path = [(n, n)]
