@@ -203,7 +203,7 @@ def printed_equations(interface: Interface) -> PrintedEquations:
     }
     parts = [ca.__version__.encode(), function.serialize().encode(), json.dumps(names).encode()]
     kept = compiler.kept(
-        f"{interface.name}.json", lambda: _print(interface, names), [*parts, *_generator_sources()]
+        f"{interface.name}.json", lambda: _print(interface, names), [*parts, *generator_sources()]
     )
     return PrintedEquations(**json.loads(kept))
 
@@ -219,7 +219,7 @@ def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
 
 
 @cache
-def _generator_sources() -> list[bytes]:
+def generator_sources() -> list[bytes]:
     """The Python code that prints equations: another version of it may print them in another way."""
     modules = (called_functions, c_functions, elimination)
     return [Path(file).read_bytes() for file in (__file__, *(str(module.__file__) for module in modules))]
