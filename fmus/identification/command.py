@@ -17,6 +17,7 @@ from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import faults, quality, write_page
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
+from orchestrator.base.progress import doing
 from orchestrator.base.units import display_conversion
 
 
@@ -51,7 +52,14 @@ def run(
     recordings = [resample_uniformly(r) for r in recordings]
     recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
     identified = identify(
-        recordings, joint=joint, inertial=inertial, names=names, starts=starts, report=print, show=_show
+        recordings,
+        joint=joint,
+        inertial=inertial,
+        names=names,
+        starts=starts,
+        report=print,
+        show=_show,
+        activity=doing,
     )
     parameters = {name: e.number() for name, (e, _) in sorted(identified.estimates.items())}
     count = len(parameters)
@@ -65,8 +73,9 @@ def run(
     curves = len({n.listed for n in identified.listed.values()}) // 2
     tables = f" and the opening curves of {curves} edges" if curves else ""
     print(f"{out}: {count} parameters with their 95 % intervals{tables}")
-    comparison = prediction(identified)
-    contents = page_content(folder, out, identified, comparison, qualities)
+    with doing("predicting the recordings that are held out"):
+        comparison = prediction(identified)
+        contents = page_content(folder, out, identified, comparison, qualities)
     if comparison:
         use = "held out" if comparison.recording.use == "test" else "used for fitting"
         print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")
@@ -76,7 +85,8 @@ def run(
         print(contents.explanation.verdict)
     for line in contents.warnings:
         print(f"warning: {line}")
-    html, data = write_page(page, contents)
+    with doing("drawing the figures of the page"):
+        html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
     return not contents.warnings
 

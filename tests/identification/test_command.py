@@ -117,6 +117,25 @@ def test_a_failed_procedure_does_not_stop_the_others(capsys):
     assert "drain_flow" in told
 
 
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("file", "old", "new", "told"),
+    [
+        ("machine_test", "deg", "V", "signal manipulator.swing_angle is in V, expected rad"),
+        ("hose_resistance", "bar", "L/min", "signal pressure_in is in L/min (m3/s), expected Pa"),
+    ],
+)
+def test_a_wrong_unit_is_told_before_the_first_procedure(capsys, file, old, new, told):
+    """Also one that only the last step would read, after minutes."""
+    toml = Path(f"mine/{file}.toml")
+    text = toml.read_text(encoding="utf-8")
+    toml.write_text(text.replace(f'unit = "{old}"', f'unit = "{new}"', 1), encoding="utf-8")
+    assert main(["identify", "mine"]) == 2
+    printed = capsys.readouterr()
+    assert printed.err == f"harvester: mine/{file}.csv: {told}\n"
+    assert "valve:" not in printed.out
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
