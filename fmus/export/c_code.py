@@ -201,7 +201,7 @@ def printed_equations(interface: Interface) -> PrintedEquations:
         "u": [v.name for v in interface.inputs],
         "p": [v.name for v in interface.parameters],
     }
-    parts = [ca.__version__.encode(), function.serialize().encode(), json.dumps(names).encode()]
+    parts = [ca.CasadiMeta.version().encode(), function.serialize().encode(), json.dumps(names).encode()]
     kept = compiler.kept(
         f"{interface.name}.json", lambda: _print(interface, names), [*parts, *generator_sources()]
     )

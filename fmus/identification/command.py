@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
@@ -73,9 +74,9 @@ def run(
     curves = len({n.listed for n in identified.listed.values()}) // 2
     tables = f" and the opening curves of {curves} edges" if curves else ""
     print(f"{out}: {count} parameters with their 95 % intervals{tables}")
-    with doing("predicting the recordings that are held out"):
+    with doing("simulating what the model predicts, and the effects that it lacks"):
         comparison = prediction(identified)
-        contents = page_content(folder, out, identified, comparison, qualities)
+        contents = page_content(folder, out, identified, comparison, qualities, os.cpu_count() or 1)
     if comparison:
         use = "held out" if comparison.recording.use == "test" else "used for fitting"
         print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")

@@ -7,11 +7,8 @@ and states that the recordings are simulated.
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
-import signal
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from functools import partial
@@ -27,6 +24,7 @@ from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiment
 from fmus.rig.instruments import Experiment, Instrument, record
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
+from orchestrator.base.processes import mapping
 from orchestrator.data.description import (
     Description,
     Origin,
@@ -95,21 +93,10 @@ def write_all(
     start = perf_counter()
     report(f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}")
     (out / README).write_text(readme(machine, seed), encoding="utf-8", newline="\n")
-    with _mapping(min(processes, len(EXPERIMENTS) // MANY)) as mapping:
-        for line in mapping(partial(_write_named, out, machine, seed), EXPERIMENTS):
+    with mapping(min(processes, len(EXPERIMENTS) // MANY)) as each:
+        for line in each(partial(_write_named, out, machine, seed), EXPERIMENTS):
             report(line)
     report(f"{len(EXPERIMENTS)} recordings with their descriptions in {out}, {perf_counter() - start:.0f} s")
-
-
-@contextmanager
-def _mapping(processes: int) -> Iterator[Callable[..., Iterable[str]]]:
-    """A function like `map`, in the order of its arguments; the work is done in `processes` processes."""
-    if processes < 2:
-        yield map
-        return
-    context = multiprocessing.get_context("spawn")  # the same on all systems
-    with context.Pool(processes, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        yield pool.imap  # an interrupt ends this process, and the pool with it
 
 
 def _write_named(out: Path, machine: str, seed: int, name: str) -> str:

@@ -179,7 +179,7 @@ def kept_sources(model: ReducedModel) -> dict[str, str]:
     function = ca.Function("model", [eqs.x, eqs.u, eqs.p], [eqs.dx, eqs.y, eqs.require])
     names = (model.states, model.inputs, model.parameters, model.outputs, model.estimated, eqs.statements)
     declared = [model.quantities[n] for n in (*model.states, *model.inputs, *model.parameters)]
-    described = (ca.__version__, function.serialize(), repr((names, model.dynamic, declared)))
+    described = (ca.CasadiMeta.version(), function.serialize(), repr((names, model.dynamic, declared)))
     folder = files("fmus.identification.refinement")
     code = [(folder / f"{name}.py").read_bytes() for name in ("compiled_model", "sensitivity_equations")]
     dependencies = [*(text.encode() for text in described), *code, *generator_sources()]
