@@ -266,8 +266,8 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
         )
     else:
         text = (
-            f"The largest part of the residual comes from one effect: {first.effect}, {_percent(first.alone)}, "
-            f"{first.coefficient:.2g} times as strong as in the variant. "
+            f"The largest part of the residual comes from one effect: {first.effect}, "
+            f"{_percent(first.alone)}, {first.coefficient:.2g} times as strong as in the variant. "
             f"All effects together explain {_percent(together)}."
         )
         close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
