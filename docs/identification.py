@@ -133,7 +133,7 @@ def returned(found: Identified) -> str:
             holds = "yes" if e.low <= truth <= e.high else "no"
             shown = report_texts.number(report_texts.in_unit(truth, e.unit), 4)
             rows.append((f"`{e.name}`", shown, *value(e), report_texts.change(e.value, truth), holds))
-    head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval holds it")
+    head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval contains it")
     return table(head, rows)
 
 
@@ -166,7 +166,7 @@ def held_out(seen: RecordingComparison) -> str:
         (KINDS[kind], f"`{name}`", report_texts.percentage(error, 3), LIMITS.get(kind, ""))
         for kind, (name, error) in worst_signals(seen).items()
     ]
-    return table(("", "worst signal", "NRMSE", "asked for below"), rows)
+    return table(("", "worst signal", "NRMSE", "limit"), rows)
 
 
 def effects(found: Explanation) -> str:
