@@ -71,6 +71,17 @@ def test_the_python_snippet_runs(text):
     exec(compile(snippet, "snippet.py", "exec"), {})
 
 
+@pytest.mark.usefixtures("workplace")
+@pytest.mark.parametrize("page", ["coupling.md", "linearize.md"])
+def test_the_python_snippets_of_a_page_run(page):
+    """One after the other, as a reader would type them."""
+    text, names = (ROOT / "docs" / page).read_text(encoding="utf-8"), dict[str, object]()
+    snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert snippets
+    for snippet in snippets:
+        exec(compile(snippet, page, "exec"), names)
+
+
 def test_signals_of_the_mapping_example_exist(fmu_dir):
     """The measurement in docs/recordings.md maps columns to signals of this machine."""
     text = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
