@@ -2,55 +2,17 @@
 
 from __future__ import annotations
 
-import platform
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
 
 from orchestrator.base import compiler
-from orchestrator.base.compiler import CompilerError
+from orchestrator.base.compiler import PLATFORMS, CompilerError, Platform, host, linker_arguments
 from orchestrator.base.errors import Problem
 
-
-@dataclass(frozen=True)
-class Platform:
-    """Processor and operating system.
-
-    name      platform tuple of FMI 3.0
-    folders   folders of FMI 2.0; the platform tuple if FMI 2.0 defines none (FMI 2.0.5, section 2.3)
-    target    target of the compiler, with the oldest supported C library
-    suffix    suffix of shared libraries
-    """
-
-    name: str
-    folders: tuple[str, ...]
-    target: str
-    suffix: str
-
-
-_ALL = (
-    Platform("x86_64-linux", ("linux64",), "x86_64-linux-gnu.2.17", ".so"),
-    Platform("aarch64-linux", ("aarch64-linux",), "aarch64-linux-gnu.2.17", ".so"),
-    Platform("x86_64-windows", ("win64",), "x86_64-windows-gnu", ".dll"),
-    Platform("x86_64-darwin", ("darwin64",), "x86_64-macos.11.0", ".dylib"),
-    # the standard defines aarch64-darwin, but tools look in darwin64 for any processor
-    Platform("aarch64-darwin", ("darwin64", "aarch64-darwin"), "aarch64-macos.11.0", ".dylib"),
-)
-PLATFORMS: Mapping[str, Platform] = {p.name: p for p in _ALL}
-_SYSTEMS = {"Linux": "linux", "Windows": "windows", "Darwin": "darwin"}
-_PROCESSORS = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-
-
-def host() -> str:
-    """Name of the platform that this program runs on."""
-    system, processor = platform.system(), platform.machine()
-    name = f"{_PROCESSORS.get(processor.lower())}-{_SYSTEMS.get(system)}"
-    if name not in PLATFORMS:
-        raise Problem(f"{system} on {processor} is not supported, expected one of {', '.join(PLATFORMS)}")
-    return name
+__all__ = ["FLAGS", "HEADERS", "PLATFORMS", "Platform", "binaries", "host", "select", "shared_library"]
 
 
 def select(names: Sequence[str]) -> tuple[str, ...]:
@@ -107,15 +69,23 @@ def shared_library(
     platform    a name of `PLATFORMS`
     libraries   linker options for system libraries, except on Windows and macOS
     """
+    try:
+        made = compiler.shared_library(*recipe(model, code, compiled, platform, libraries))
+    except CompilerError as error:
+        raise Problem(f"{model}, {platform}: {error}") from None
+    return made.read_bytes()
+
+
+def recipe(
+    model: str,
+    code: Mapping[str, bytes],
+    compiled: Sequence[str],
+    platform: str,
+    libraries: Sequence[str] = ("-lm",),
+) -> tuple[str, Mapping[str, bytes], list[str], list[bytes]]:
+    """How the library of a model is made: arguments of `compiler.shared_library`."""
     target = PLATFORMS[platform]
     library = f"{model}{target.suffix}"
     arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS), *compiled]
-    if target.suffix == ".dylib":
-        arguments += ["-install_name", f"@rpath/{library}"]  # else the path in the build folder is stored
-    elif target.suffix == ".so":
-        arguments += libraries
-    headers = (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
-    try:
-        return compiler.shared_library(library, code, arguments, headers).read_bytes()
-    except CompilerError as error:
-        raise Problem(f"{model}, {platform}: {error}") from None
+    arguments += linker_arguments(library, target, libraries)
+    return library, code, arguments, [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]

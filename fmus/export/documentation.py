@@ -21,6 +21,7 @@ from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
 from fmus.export.ls_ref import PAGE, ls_ref_files
 from fmus.export.model_description import LOG_CATEGORIES
+from fmus.package_files import project_file
 from fmus.parameters import SOURCES, Number, numbers
 from orchestrator.base.text import typeset
 from orchestrator.base.units import display_conversion, pretty
@@ -29,12 +30,6 @@ from orchestrator.base.xml import package_version
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)
 _HEADING = re.compile(r"^(#+) +(.*)$", re.MULTILINE)
-
-
-def project_file(name: str) -> Path | None:
-    """A file by its path in a checkout, such as data/x.csv; an installed package contains a copy."""
-    package = Path(__file__).parents[1]
-    return next((folder / name for folder in (package.parent, package) if (folder / name).is_file()), None)
 
 
 # ---- README ------------------------------------------------------------------------------------------

@@ -12,28 +12,22 @@ from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER, controller
 from fmus.controller.values import GAINS
 from fmus.export.build import build_all
-from fmus.export.documentation import project_file
 from fmus.machine.one_block import composed_machine
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import write_control, write_system
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
+from fmus.package_files import BUILT, data
 from fmus.parameters import ParameterSet, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
 
+__all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
+
 STEP = 1e-3  # default communication step [s]
 SUBFOLDERS = {2: "", 3: "fmi3"}  # version of FMI -> folder of the FMUs
 VARIANTS = "variants"  # sub-folder with every variant of every part, as part_variant.fmu
-
-
-def data(name: str) -> Path:
-    """A file in the folder data of the project."""
-    path = project_file(f"data/{name}")
-    if path is None:
-        raise Problem(f"data/{name} is missing, expected next to or inside the package fmus")
-    return path
 
 
 def build_machine(
@@ -66,6 +60,20 @@ def build_machine(
     return paths
 
 
+def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
+    """Copy the FMUs and systems that the package contains, for all platforms; the copies."""
+    if not BUILT.is_dir():
+        raise Problem(f"{BUILT}: no such folder: only the wheel of harvester-cosim contains built FMUs")
+    paths = []
+    for fmi in versions:
+        for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
+            for source in sorted(p for p in (BUILT / sub).iterdir() if p.is_file()):
+                paths.append(Path(folder) / sub / source.name)
+                paths[-1].parent.mkdir(parents=True, exist_ok=True)
+                _copy(source, paths[-1])
+    return paths
+
+
 def parts_with_parameters(parameters: Path | None = None) -> tuple[dict[str, Subsystem], list[Subsystem]]:
     """Default parts by name, and all other variants, with the values of a parameter set if given."""
     others = [s for variants in FAMILIES.values() for s in variants.values() if s.name != s.component]
@@ -92,12 +100,17 @@ def controller_of(parts: Mapping[str, Subsystem], parameters: Path | None = None
 
 
 def _copied(fmu: Path, variant: str) -> Path:
-    """Copy the FMU of a part to the folder of variants; replaces an existing file in one step."""
+    """Copy the FMU of a part to the folder of variants."""
     path = fmu.parent / VARIANTS / f"{fmu.stem}_{variant}.fmu"
+    _copy(fmu, path)
+    return path
+
+
+def _copy(source: Path, path: Path) -> None:
+    """Copy a file; replaces an existing file in one step."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        copyfile(fmu, temporary)
+        copyfile(source, temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-    return path

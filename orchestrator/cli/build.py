@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.cli.options import BUILD, app
 
 
@@ -47,6 +48,14 @@ def build(
             " none.",
         ),
     ] = None,
+    shipped: Annotated[
+        bool,
+        typer.Option(
+            "--shipped",
+            help="Copy the FMUs and systems in the installed package, which are for all platforms, instead of"
+            " building them; needs no compiler.",
+        ),
+    ] = False,
 ) -> None:
     """Build the FMUs of the machine, or one FMU from a model in Python.
 
@@ -71,7 +80,18 @@ def build(
             raise Problem(f"--parameters {parameters}: expected none with MODEL, which has its own values")
         print(build_model(model, out, platforms))
         return
-    from fmus.machine.build import build_machine
+    from fmus.machine.build import build_machine, copy_shipped
+    from fmus.package_files import BUILT
 
-    for path in build_machine(out, versions[fmi], platforms, parameters):
+    if shipped and (platform or parameters):
+        raise Problem("--shipped: expected neither --platform nor --parameters, which need a build")
+    if not shipped:
+        copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_dir() else ""
+        require("build", "harvester build", advice=copying)
+    paths = (
+        copy_shipped(out, versions[fmi])
+        if shipped
+        else build_machine(out, versions[fmi], platforms, parameters)
+    )
+    for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

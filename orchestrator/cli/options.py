@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
@@ -24,8 +25,23 @@ app = typer.Typer(
 )
 
 
+def _print_version(requested: bool) -> None:
+    if requested:
+        from fmus.package_files import version_text
+
+        print(version_text(BUILD))
+        raise typer.Exit
+
+
 @app.callback()
-def _main() -> None:  # the docstring is the text of `harvester --help`
+def _main(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print versions and where the FMUs are."
+        ),
+    ] = False,
+) -> None:  # the docstring is the text of `harvester --help`
     """An electrohydraulic harvester as FMUs: build, co-simulate, validate."""
 
 
@@ -119,7 +135,33 @@ def assignments(
     return values
 
 
-System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
+System = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="SYSTEM",
+        help="An .ssp, .ssd or .fmu file; default: build/harvester.ssp, else the one in the"
+        " installed package.",
+    ),
+]
+
+
+def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
+    """The system that the user names, else build/NAME, else the one in the package, with a line about that.
+
+    If there is none, build/NAME, which the caller then reports as missing.
+    """
+    file = BUILD / name
+    if chosen is not None or file.exists():
+        return chosen or file
+    from fmus.package_files import shipped
+
+    found = shipped(name)
+    if found is None:
+        return file
+    print(f"{file} does not exist; using the one in the package: {found}", file=sys.stderr)
+    return found
+
+
 Swap = Annotated[
     list[str] | None,
     typer.Option(

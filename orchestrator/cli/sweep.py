@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.cli.options import app, positive_integer
 
 
@@ -44,6 +45,7 @@ def sweep(
 
     An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
     """
+    require("sweep", "harvester sweep")
     from orchestrator.studies.parameter_study import run
 
     if workers and scheduler:

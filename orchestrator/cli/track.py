@@ -9,9 +9,8 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import BUILD, Set, Swap, app, assignments, number, swaps
+from orchestrator.cli.options import BUILD, Set, Swap, app, assignments, number, swaps, system_file
 
-CONTROLLED = BUILD / "harvester_control.ssp"
 MACHINES = {
     "lumped": dict[str, str](),
     "detailed": {
@@ -27,8 +26,13 @@ PATHS = ("line", "square")
 @app.command()
 def track(
     system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM", help="The machine with its controller (.ssp).")
-    ] = CONTROLLED,
+        Path | None,
+        typer.Argument(
+            metavar="SYSTEM",
+            help="The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one"
+            " in the installed package.",
+        ),
+    ] = None,
     path: Annotated[
         list[str] | None,
         typer.Option(
@@ -93,13 +97,14 @@ def track(
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
     allowed = None if limit is None else limit / 1e3
+    system = system_file(system, "harvester_control.ssp")
     if not run_study(system, paths, machines, out, modes, allowed, set=assignments(set_ or [])):
         raise typer.Exit(1)
 
 
 def _file(name: str) -> Path:
     """The scenario of a path."""
-    from fmus.machine.build import data
+    from fmus.package_files import data
 
     if name in PATHS:
         return data(f"scenarios/{name}.csv")

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.extras import require
 from orchestrator.base.files import Location
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
@@ -300,6 +301,7 @@ def _number(cell: str) -> float | None:
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a Parquet file, or of a folder of them, with units from the fields. A null is a gap."""
+    require("files", f"{file}: a Parquet file", "pyarrow")
     import pyarrow
     import pyarrow.parquet
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.base.files import csv_header
 from orchestrator.data.trace import TIME, Trace, check_suffix, read_trace
 
@@ -358,6 +359,7 @@ class _Parquet:
     sha256 = ""
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
+        require("files", f"{path}: a Parquet file", "pyarrow")
         import pyarrow as pa
 
         self._folder, self._blocks = path, list[Array]()

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.base.text import TextTable
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout
@@ -60,6 +61,7 @@ class Result:
 
     def to_pandas(self) -> pd.DataFrame:
         """A data frame with one column for each recorded signal; the index is the time [s]."""
+        require("files", "to_pandas()", "pandas")
         import pandas as pd
 
         return pd.DataFrame(dict(self.trace.signals), index=pd.Index(self.trace.time, name="time"))

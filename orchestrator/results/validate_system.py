@@ -222,6 +222,7 @@ def validate_system(
     default: tuple[Path, Path],
     rate: bool = True,
     play: Sequence[str] = (),
+    default_system: Path = DEFAULT_SYSTEM,
     **options: Any,
 ) -> bool:
     """Co-simulate, compare, write the trace and the report, print the table; True if no limit is exceeded.
@@ -230,11 +231,12 @@ def validate_system(
     default  reference and layout if none is given; this layout may contain signals that the run lacks
     rate     whether to compute the ISO/TS 18571 rating
     play     patterns of signals of the reference that are played with its commands, without a scenario
+    default_system   system to which the default layout belongs, also with another reference
     """
     if play and (scenario or not reference):
         raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
     against = read_recording(reference or default[0])
-    chosen = layout or (default[1] if reference is None or system == DEFAULT_SYSTEM else None)
+    chosen = layout or (default[1] if reference is None or system == default_system else None)
     page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
