@@ -22,8 +22,10 @@ import subprocess
 import sys
 import tarfile
 import time
+import tomllib
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,6 +45,12 @@ harvester.fmu is the whole machine; harvester.ssp connects its parts; harvester_
 
 def main() -> int:
     """Make the release."""
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    if (installed := version("harvester-cosim")) != declared:  # the FMUs say by which version they were made
+        print(
+            f"pyproject.toml: version {declared}: expected the installed one, {installed}; pip install -e ."
+        )
+        return 2
     epoch = _output("git", "log", "-1", "--format=%ct").strip()
     os.environ.setdefault("SOURCE_DATE_EPOCH", epoch)
     if _output("git", "status", "--porcelain", "--untracked-files=no"):
@@ -68,7 +76,7 @@ def _output(*command: str) -> str:
     return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
 
 
-def _timed(what: str, step) -> None:
+def _timed(what: str, step: Callable[[], None]) -> None:
     began = time.monotonic()
     print(f"{what} ...", flush=True)
     step()
@@ -114,15 +122,15 @@ def _zip() -> None:
     from orchestrator.base.files import write_zip
 
     (wheel,) = DIST.glob("*.whl")
-    version = wheel.name.split("-")[1]
-    top = f"harvester-fmus-{version}"
-    members = {f"{top}/{name}": data for name, data in _members(version)}
+    release = wheel.name.split("-")[1]
+    top = f"harvester-fmus-{release}"
+    members = {f"{top}/{name}": data for name, data in _members(release)}
     write_zip(DIST / f"{top}.zip", members)
 
 
-def _members(version: str) -> Iterator[tuple[str, bytes]]:
+def _members(release: str) -> Iterator[tuple[str, bytes]]:
     built = STAGE / "fmus" / "built"
-    yield "README.txt", READ_ME.format(version=version).encode()
+    yield "README.txt", READ_ME.format(version=release).encode()
     yield "LICENSE.txt", (STAGE / "LICENSE").read_bytes()
     for path in sorted(p for p in built.rglob("*") if p.is_file()):
         relative = path.relative_to(built)
