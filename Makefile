@@ -5,12 +5,16 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-INSTALLED := .venv/installed
-TESTING := .venv/testing
-PEERS := .venv/peers
-DOCUMENTING := .venv/documenting
+# empty files: what is installed in .venv
+INSTALLED := .venv/.have-build
+EVERYTHING := .venv/.have-all
+TESTING := .venv/.have-test
+PEERS := .venv/.have-peers
+DOCUMENTING := .venv/.have-docs
+RELEASING := .venv/.have-release
 
-.PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage docs clean
+.PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
+  docs clean release constraints test-lowest test-newest audit
 
 demo: $(INSTALLED)
 	$(BIN)/harvester build
@@ -29,18 +33,18 @@ lint: $(TESTING)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(INSTALLED)
+bench: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.speed
 	$(BIN)/python -m benchmarks.variants
 
-bench-sensitivities: $(INSTALLED)
+bench-sensitivities: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.sensitivities
 	$(BIN)/python -m benchmarks.starts
 
 bench-live: $(TESTING)
 	$(BIN)/python -m benchmarks.live --browser
 
-bench-sweep: $(INSTALLED)
+bench-sweep: $(EVERYTHING)
 	test -f build/harvester.ssp || $(BIN)/harvester build
 	$(BIN)/python -m benchmarks.sweep
 
@@ -52,7 +56,7 @@ matrix: $(TESTING)
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
 
-coverage: $(INSTALLED)
+coverage: $(EVERYTHING)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
 
 # the site, as build/site/index.html
@@ -62,20 +66,62 @@ docs: $(DOCUMENTING)
 clean:
 	rm -rf build .venv
 
-# the stamps make a second call skip the installation
-$(INSTALLED): pyproject.toml
+# wheel, sdist, and a zip of FMUs and their documentation, in dist/; two runs give the same bytes
+release: $(RELEASING)
+	$(BIN)/python tools/release.py
+
+# writes constraints.txt anew: the newest versions that pyproject.toml allows, for all platforms and extras
+constraints: $(RELEASING)
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-emit-package harvester-cosim \
+	  --no-annotate --no-header --upgrade pyproject.toml -o constraints.txt
+
+# the lowest and the newest versions that pyproject.toml allows, each in an environment of its own; a fast part
+# of the tests. With old versions warnings are no errors
+FAST := tests/test_extras.py tests/test_cli.py tests/orchestrator/test_cli.py tests/orchestrator/test_run.py \
+  tests/orchestrator/test_matlab.py tests/validation tests/check/test_good.py tests/sweep/test_running.py \
+  tests/sweep/test_analysis_sobol.py tests/identification/procedures tests/view/test_page_command.py \
+  tests/control/test_linear_use.py tests/python_fmu/test_agreement.py
+
+test-lowest: $(RELEASING)
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest
+	$(BIN)/uv pip install --quiet --python build/lowest --resolution lowest-direct -e ".[all]"
+	$(BIN)/uv pip install --quiet --python build/lowest -e . $(TESTS_NEED)
+	build/lowest/bin/python -m pytest -W default $(FAST)
+
+test-newest: $(RELEASING)
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/newest
+	$(BIN)/uv pip install --quiet --python build/newest -e ".[all]" $(TESTS_NEED)
+	build/newest/bin/python -m pytest $(FAST)
+
+TESTS_NEED := pytest pytest-timeout pytest-xdist hypothesis httpx playwright
+
+# licences of the packages in constraints.txt, and their known vulnerabilities; the latter needs the internet
+audit: $(RELEASING) $(TESTING)
+	$(BIN)/python tools/licences.py
+	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip
+
+# a second call skips the installation; constraints.txt has the versions that were tested
+$(INSTALLED): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	$(BIN)/python tools/install.py build
+	touch $@
+
+$(EVERYTHING): $(INSTALLED)
+	$(BIN)/python tools/install.py all
 	touch $@
 
 $(TESTING): $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	$(BIN)/python tools/install.py test
 	touch $@
 
 $(PEERS): $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
+	$(BIN)/python tools/install.py build peers
 	touch $@
 
 $(DOCUMENTING): $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
+	$(BIN)/python tools/install.py docs
+	touch $@
+
+$(RELEASING): $(INSTALLED)
+	$(BIN)/python tools/install.py release
 	touch $@

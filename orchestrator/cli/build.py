@@ -63,13 +63,18 @@ def build(
     connect them.
     """
     from fmus.export.compile import select
+    from fmus.package_files import BUILT
+    from orchestrator.base.files import make_folder
 
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
     platforms = select(platform or ["host"])
-    from orchestrator.base.files import make_folder
-
+    if shipped and (model or platform or parameters):
+        raise Problem("--shipped: expected no MODEL, --platform or --parameters, which need a build")
+    if model is None and not shipped:
+        copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_dir() else ""
+        require("build", "harvester build", advice=copying)
     make_folder(out)
     if model is not None:
         from fmus.export.python.build import build_model
@@ -81,17 +86,12 @@ def build(
         print(build_model(model, out, platforms))
         return
     from fmus.machine.build import build_machine, copy_shipped
-    from fmus.package_files import BUILT
+    from orchestrator.base.progress import doing
 
-    if shipped and (platform or parameters):
-        raise Problem("--shipped: expected neither --platform nor --parameters, which need a build")
-    if not shipped:
-        copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_dir() else ""
-        require("build", "harvester build", advice=copying)
-    paths = (
-        copy_shipped(out, versions[fmi])
-        if shipped
-        else build_machine(out, versions[fmi], platforms, parameters)
-    )
+    if shipped:
+        paths = copy_shipped(out, versions[fmi])
+    else:
+        with doing("building FMUs") as line:
+            paths = build_machine(out, versions[fmi], platforms, parameters, line.update)
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
