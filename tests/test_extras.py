@@ -153,30 +153,55 @@ def test_a_command_of_the_base_needs_no_extra(command, fmu_dir, tmp_path):
 # ---- the wheel: built FMUs and compiled libraries
 
 
+@pytest.fixture(scope="module")
+def archive(built, tmp_path_factory):
+    """The archive of the built FMUs as in the wheel, compressed less."""
+    path = tmp_path_factory.mktemp("package") / "built.tar.xz"
+    package_files.pack(built, path, preset=0)
+    return path
+
+
 @pytest.fixture
-def wheel(fmu_dir, tmp_path, monkeypatch):
-    """An empty working folder, and a package that contains built FMUs."""
-    monkeypatch.setattr(package_files, "BUILT", fmu_dir)
+def wheel(archive, tmp_path_factory, tmp_path, monkeypatch):
+    """The cache of a user with an empty working folder, and with a package that contains built FMUs."""
+    cache = tmp_path_factory.mktemp("cache")
+    monkeypatch.setattr(package_files, "BUILT", archive)
+    monkeypatch.setattr(compiler, "cache_folder", lambda: cache)
     monkeypatch.chdir(tmp_path)
-    return fmu_dir
+    return cache
+
+
+def test_the_archive_restores_the_files(archive, built):
+    """The same files with the same bytes; without FMI 3.0 those of FMI 2.0."""
+    files = {
+        p.relative_to(built).as_posix(): p.read_bytes()
+        for p in built.rglob("*")
+        if p.suffix in (".fmu", ".ssp")
+    }
+    assert dict(package_files.unpack(archive)) == files
+    second = {name: data for name, data in files.items() if not name.startswith("fmi3/")}
+    assert dict(package_files.unpack(archive, fmi3=False)) == second
+    # SSPs contain the FMUs, and default variants are copies: most of their bytes are there once
+    assert archive.stat().st_size < sum(map(len, files.values())) / 2
 
 
 def test_without_a_built_system_commands_take_the_one_in_the_package(wheel, capsys):
     """They say so, and their results are in the working folder."""
     assert main(["run", "--stop", "0.01", "--swap", "boom_stick=detailed"]) == 0
     told = f"{Path('build/harvester.ssp')} does not exist; using the one in the package: {wheel}"
-    assert capsys.readouterr().err.startswith(told)
+    assert told in capsys.readouterr().err
     assert Path("build/trace.csv").is_file()
     assert main(["run", "none/harvester.ssp"]) == 2  # a system that the user names is never replaced
     assert capsys.readouterr().err == f"harvester: {Path('none/harvester.ssp')}: no such file\n"
 
 
-def test_a_built_system_goes_before_the_one_in_the_package(wheel, capsys):
+@pytest.mark.usefixtures("wheel")
+def test_a_built_system_goes_before_the_one_in_the_package(fmu_dir, capsys):
     """Also for `--version`, which says where the FMUs are."""
     assert main(["--version"]) == 0
-    assert f"FMUs: as in the package, in {wheel}\n" in capsys.readouterr().out
+    assert f"FMUs: those in the package, {package_files.BUILT}\n" in capsys.readouterr().out
     Path("build").mkdir()
-    Path("build/harvester.ssp").write_bytes((wheel / "harvester.ssp").read_bytes())
+    Path("build/harvester.ssp").write_bytes((fmu_dir / "harvester.ssp").read_bytes())
     assert main(["run", "--stop", "0.01"]) == 0
     assert capsys.readouterr().err == ""
     assert main(["--version"]) == 0
@@ -185,17 +210,15 @@ def test_a_built_system_goes_before_the_one_in_the_package(wheel, capsys):
     assert lines[-1] == f"FMUs: built, in {Path('build').resolve()}"
 
 
-def test_the_fmus_in_the_package_can_be_copied(wheel, capsys, monkeypatch):
+@pytest.mark.usefixtures("wheel")
+def test_the_fmus_in_the_package_can_be_copied(fmu_dir, capsys, monkeypatch):
     """Without a compiler, to the same places where a build puts them; in a checkout there are none."""
-    from fmus.machine import build
-
-    monkeypatch.setattr(build, "BUILT", wheel)
     assert main(["build", "--shipped", "--fmi", "2"]) == 0
     copied = {p.relative_to("build").as_posix() for p in Path("build").rglob("*") if p.is_file()}
     assert {"harvester.ssp", "swing.fmu", "variants/swing_detailed.fmu"} <= copied
-    assert all((Path("build") / name).read_bytes() == (wheel / name).read_bytes() for name in copied)
+    assert all((Path("build") / name).read_bytes() == (fmu_dir / name).read_bytes() for name in copied)
     assert main(["build", "--shipped", "--platform", "all"]) == 2
-    monkeypatch.setattr(build, "BUILT", Path("none"))
+    monkeypatch.setattr(package_files, "BUILT", Path("none"))
     assert main(["build", "--shipped"]) == 2
     assert "only the wheel of harvester-cosim contains built FMUs" in capsys.readouterr().err
 

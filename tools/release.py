@@ -3,7 +3,7 @@
     python tools/release.py
 
 1. The files of the last commit are copied to build/release, so that nothing else gets into the release.
-2. `harvester build --platform all` writes FMUs and systems to fmus/built there.
+2. `harvester build --platform all` writes FMUs and systems, which go to fmus/built.tar.xz there.
 3. The libraries that commands load, or put into FMUs whose code is Python, go to orchestrator/compiled.
 4. Hatchling packs wheel and sdist. The sdist contains no built files.
 5. The zip contains the FMUs and systems, and the documentation page of each FMU.
@@ -29,7 +29,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-STAGE, DIST = ROOT / "build" / "release", ROOT / "dist"
+STAGE, BUILT, DIST = ROOT / "build" / "release", ROOT / "build" / "release-fmus", ROOT / "dist"
 READ_ME = """harvester-cosim {version}: an electrohydraulic forestry harvester as FMUs
 
 fmi2/    FMUs of FMI 2.0 (Co-Simulation and Model Exchange) and systems (.ssp, SSP 1.0)
@@ -59,6 +59,7 @@ def main() -> int:
     sys.path.insert(0, str(STAGE))  # the release is built by its own code
     os.environ["PYTHONPATH"] = str(STAGE)
     _timed("build the FMUs for all platforms (3 minutes the first time)", _build)
+    _timed("compress the FMUs for the wheel", _archive)
     _timed("compile the libraries for all platforms", _compile)
     shutil.rmtree(DIST, ignore_errors=True)
     DIST.mkdir()
@@ -93,8 +94,15 @@ def _stage() -> None:
 
 def _build() -> None:
     """In a process of its own, which imports the copy and not what this one has imported."""
-    command = [sys.executable, "-m", "orchestrator", "build", "--platform", "all", "--out", "fmus/built"]
+    command = [sys.executable, "-m", "orchestrator", "build", "--platform", "all", "--out", str(BUILT)]
+    shutil.rmtree(BUILT, ignore_errors=True)
     subprocess.run(command, cwd=STAGE, check=True, stdout=subprocess.DEVNULL)
+
+
+def _archive() -> None:
+    from fmus.package_files import pack
+
+    pack(BUILT, STAGE / "fmus" / "built.tar.xz")
 
 
 def _compile() -> None:
@@ -129,11 +137,10 @@ def _zip() -> None:
 
 
 def _members(release: str) -> Iterator[tuple[str, bytes]]:
-    built = STAGE / "fmus" / "built"
     yield "README.txt", READ_ME.format(version=release).encode()
     yield "LICENSE.txt", (STAGE / "LICENSE").read_bytes()
-    for path in sorted(p for p in built.rglob("*") if p.is_file()):
-        relative = path.relative_to(built)
+    for path in sorted(p for p in BUILT.rglob("*") if p.is_file()):
+        relative = path.relative_to(BUILT)
         folder = "" if relative.parts[0] == "fmi3" else "fmi2/"
         yield f"{folder}{relative.as_posix()}", path.read_bytes()
         if path.suffix == ".fmu" and folder:

@@ -18,10 +18,9 @@ from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import write_control, write_system
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
-from fmus.package_files import BUILT, data
+from fmus.package_files import data, shipped_folder
 from fmus.parameters import ParameterSet, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
-from orchestrator.base.errors import Problem
 
 __all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
 
@@ -65,12 +64,10 @@ def build_machine(
 
 def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
     """Copy the FMUs and systems that the package contains, for all platforms; the copies."""
-    if not BUILT.is_dir():
-        raise Problem(f"{BUILT}: no such folder: only the wheel of harvester-cosim contains built FMUs")
-    paths = []
+    built, paths = shipped_folder(fmi3=3 in versions), []
     for fmi in versions:
         for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
-            for source in sorted(p for p in (BUILT / sub).iterdir() if p.is_file()):
+            for source in sorted(p for p in (built / sub).iterdir() if p.is_file()):
                 paths.append(Path(folder) / sub / source.name)
                 paths[-1].parent.mkdir(parents=True, exist_ok=True)
                 _copy(source, paths[-1])

@@ -105,16 +105,12 @@ def shared_library(
         return shipped
     file = _file_name(name, _compiler_version(), code, arguments, dependencies)
     try:
-        folder = cache_folder().resolve()  # what is checked is what is used, also behind a symbolic link
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if _owned(folder):
-            if folder.stat().st_mode & OTHERS:
-                folder.chmod(0o700)
+        folder = private_cache()
+        if folder is not None:
             return _compile(folder / file, name, code, arguments)
-        _warn_of_shared(folder)
     except OSError:  # the cache is not writable
         pass
-    own = _process_folder()
+    own = process_folder()
     zig = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(own / "zig")}  # of the compiler, next to ours
     return _compile(own / file, name, code, arguments, zig)
 
@@ -139,6 +135,18 @@ def _file_name(
     for part in (compiler.encode(), *(a.encode() for a in arguments), *sources, *dependencies):
         digest.update(len(part).to_bytes(8, "big") + part)
     return f"{digest.hexdigest()[:32]}-{name}"
+
+
+def private_cache() -> Path | None:
+    """The user's cache, which nobody else can change then; None, and a warning, if it is another user's."""
+    folder = cache_folder().resolve()  # what is checked is what is used, also behind a symbolic link
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not _owned(folder):
+        _warn_of_shared(folder)
+        return None
+    if folder.stat().st_mode & OTHERS:
+        folder.chmod(0o700)
+    return folder
 
 
 def cache_folder() -> Path:
@@ -218,7 +226,7 @@ def _compiler_error(run: subprocess.CompletedProcess[str]) -> CompilerError:
 
 
 @cache
-def _process_folder() -> Path:
+def process_folder() -> Path:
     """A temporary folder that is removed when this process ends."""
     folder = Path(tempfile.mkdtemp(prefix="harvester-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -73,7 +73,7 @@ def build(
     if shipped and (model or platform or parameters):
         raise Problem("--shipped: expected no MODEL, --platform or --parameters, which need a build")
     if model is None and not shipped:
-        copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_dir() else ""
+        copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_file() else ""
         require("build", "harvester build", advice=copying)
     make_folder(out)
     if model is not None:
