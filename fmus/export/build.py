@@ -6,7 +6,7 @@ Equal subsystems with equal values give equal bytes.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -43,7 +43,6 @@ def build_all(
     stop: float = 10.0,
     platforms: Sequence[str] | None = None,
     subfolders: Mapping[str, str] | None = None,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> dict[int, list[Path]]:
     """Build several FMUs of one or both FMI versions; returns version -> paths, in the order of `subs`.
 
@@ -51,35 +50,23 @@ def build_all(
 
     folders      FMI version -> output folder
     subfolders   name of a subsystem -> folder inside the output folder
-    progress     called with what is done now, such as "generating C code, 3 of 17: supply"
     """
-    made = []
-    for number, sub in enumerate(subs, 1):
-        progress(f"generating C code, {number} of {len(subs)}: {sub.name}")
-        made.append(packages(sub, step, stop, versions=list(folders)))
+    made = [packages(sub, step, stop, versions=list(folders)) for sub in subs]
     targets = [
         (Path(folder) / (subfolders or {}).get(sub.name, ""), files[fmi])
         for fmi, folder in folders.items()
         for sub, files in zip(subs, made, strict=True)
     ]
-    paths = iter(_write(targets, platforms, progress))
+    paths = iter(_write(targets, platforms))
     return {fmi: [next(paths) for _ in subs] for fmi in folders}
 
 
-def _write(
-    targets: Sequence[tuple[Path, Package]],
-    platforms: Sequence[str] | None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Path]:
+def _write(targets: Sequence[tuple[Path, Package]], platforms: Sequence[str] | None) -> list[Path]:
     """Compile packages for all platforms, then write each to its folder; no file is written if one fails."""
     names = tuple(platforms or (host(),))
     jobs = [(p, name) for _, p in targets for name in names]
-    done = list[bytes]()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for library in pool.map(lambda job: _library(*job), jobs):
-            done.append(library)
-            progress(f"compiling, {len(done)} of {len(jobs)} libraries are ready")
-    libraries = iter(done)
+        libraries = iter(list(pool.map(lambda job: _library(*job), jobs)))
     paths = []
     for folder, p in targets:
         by_platform = {name: next(libraries) for name in names}

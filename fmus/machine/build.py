@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shutil import copyfile
 
@@ -34,14 +34,12 @@ def build_machine(
     versions: Sequence[int] = (2,),
     platforms: Sequence[str] | None = None,
     parameters: Path | None = None,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Write the FMUs of parts, operator, controller and composed machine, and both systems; their files.
 
     versions    versions of FMI; FMUs of version 2 go to `folder`, those of version 3 to its sub-folder fmi3
     platforms   names of `fmus.export.compile`; default: the platform of this computer
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
-    progress    called with what is done now
     """
     parts, others = parts_with_parameters(parameters)
     steering = controller_of(parts, parameters)
@@ -49,8 +47,7 @@ def build_machine(
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     subfolders = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
-    built_fmus = build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders, progress)
-    for fmi, built in built_fmus.items():
+    for fmi, built in build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders).items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         default = [_copied(fmus[part], next(iter(variants))) for part, variants in FAMILIES.items()]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]

@@ -86,12 +86,11 @@ def build(
         print(build_model(model, out, platforms))
         return
     from fmus.machine.build import build_machine, copy_shipped
-    from orchestrator.base.progress import doing
 
-    if shipped:
-        paths = copy_shipped(out, versions[fmi])
-    else:
-        with doing("building FMUs") as line:
-            paths = build_machine(out, versions[fmi], platforms, parameters, line.update)
+    paths = (
+        copy_shipped(out, versions[fmi])
+        if shipped
+        else build_machine(out, versions[fmi], platforms, parameters)
+    )
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
