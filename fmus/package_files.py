@@ -114,7 +114,7 @@ def pack(folder: Path, archive: Path, preset: int = 9) -> None:
                 with zipfile.ZipFile(BytesIO(content)) as opened:
                     for member in sorted(opened.namelist()):
                         _add(tar, f"{name}/{member}", opened.read(member), known, always=True)
-            known[content] = name
+            known.setdefault(content, name)
 
 
 def _add(

@@ -1,6 +1,7 @@
 """Makes the files of a release in dist/: wheel, sdist, and a zip for people without Python.
 
-    python tools/release.py
+    python tools/release.py            all platforms; the first time 10 minutes on two cores
+    python tools/release.py host       a try, for this computer only
 
 1. The files of the last commit are copied to build/release, so that nothing else gets into the release.
 2. `harvester build --platform all` writes FMUs and systems, which go to fmus/built.tar.xz there.
@@ -24,7 +25,8 @@ import tarfile
 import time
 import tomllib
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -44,7 +46,8 @@ harvester.fmu is the whole machine; harvester.ssp connects its parts; harvester_
 
 
 def main() -> int:
-    """Make the release."""
+    """Make the release; PLATFORM... as in `harvester build`."""
+    platforms = sys.argv[1:] or ["all"]
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     if (installed := version("harvester-cosim")) != declared:  # the FMUs say by which version they were made
         print(
@@ -58,7 +61,7 @@ def main() -> int:
     _timed("copy the files of the last commit", _stage)
     sys.path.insert(0, str(STAGE))  # the release is built by its own code
     os.environ["PYTHONPATH"] = str(STAGE)
-    _timed("build the FMUs for all platforms (3 minutes the first time)", _build)
+    _timed(f"build the FMUs, platform {', '.join(platforms)}", partial(_build, platforms))
     _timed("compress the FMUs for the wheel", _archive)
     _timed("compile the libraries for all platforms", _compile)
     shutil.rmtree(DIST, ignore_errors=True)
@@ -92,9 +95,10 @@ def _stage() -> None:
         archive.extractall(STAGE, filter="data")
 
 
-def _build() -> None:
+def _build(platforms: Sequence[str]) -> None:
     """In a process of its own, which imports the copy and not what this one has imported."""
-    command = [sys.executable, "-m", "orchestrator", "build", "--platform", "all", "--out", str(BUILT)]
+    command = [sys.executable, "-m", "orchestrator", "build", "--out", str(BUILT)]
+    command += [word for name in platforms for word in ("--platform", name)]
     shutil.rmtree(BUILT, ignore_errors=True)
     subprocess.run(command, cwd=STAGE, check=True, stdout=subprocess.DEVNULL)
 
