@@ -243,6 +243,8 @@ def test_a_library_in_the_package_needs_no_compiler(tmp_path, monkeypatch):
     recipe = "one.so", {"one.c": b"int one(void) { return 1; }"}, ["-shared", "one.c"]
     compiler.shipped_file(*recipe).write_bytes(b"a library")
     assert compiler.shared_library(*recipe) == compiler.shipped_file(*recipe)
+    moved = *recipe[:2], [*recipe[2], str(tmp_path)]  # a folder of headers is elsewhere on each computer
+    assert compiler.shipped_file(*moved) == compiler.shipped_file(*recipe)
     other = "one.so", {"one.c": b"int one(void) { return 2; }"}, ["-shared", "one.c"]
     install = re.escape('install with: pip install "harvester-cosim[build]"')
     with pytest.raises(compiler.CompilerError, match=install):

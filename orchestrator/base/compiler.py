@@ -129,8 +129,12 @@ def _file_name(
     arguments: Sequence[str],
     dependencies: Iterable[bytes],
 ) -> str:
-    """A hash of what a library is made from and by, and its name."""
+    """A hash of what a library is made from and by, and its name.
+
+    Absolute paths among the arguments differ between computers; what they lead to is in `dependencies`.
+    """
     digest = hashlib.sha256()
+    arguments = [argument for argument in arguments if not os.path.isabs(argument)]
     sources = (part for file in sorted(code) for part in (file.encode(), code[file]))
     for part in (compiler.encode(), *(a.encode() for a in arguments), *sources, *dependencies):
         digest.update(len(part).to_bytes(8, "big") + part)
