@@ -16,8 +16,10 @@ RELEASING := .venv/.have-release
 .PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
   docs clean release constraints test-lowest test-newest audit
 
+# FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
 demo: $(INSTALLED)
-	$(BIN)/harvester build
+	$(BIN)/harvester build --fmi 2
+	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
 
 test: $(TESTING)

@@ -448,3 +448,13 @@ def test_a_coupling_that_kills_the_run_is_named(capsys):
     assert error.startswith("harvester: boom_stick: the step failed at t = ")
     assert "; likely cause: the coupling, jacobi with a step of 0.01 s (energy error " in error
     assert error.endswith("; take a shorter step or the master hermite\n")
+
+
+def test_a_build_of_some_fmus(tmp_path, capsys):
+    """Those whose names match, and no system, because a part of it is not built; a mistake names all FMUs."""
+    assert main(["build", "--fmi", "2", "--only", "supply", "--out", str(tmp_path)]) == 0
+    files = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+    assert files == {"supply.fmu", "variants/supply_ideal.fmu"}
+    capsys.readouterr()
+    assert main(["build", "--only", "pump", "--out", str(tmp_path)]) == 2
+    assert "--only pump: expected the name of an FMU; there are swing, " in capsys.readouterr().err

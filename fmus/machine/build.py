@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from shutil import copyfile
 
@@ -21,6 +22,7 @@ from fmus.manipulator import MANIPULATOR
 from fmus.package_files import data, shipped_folder
 from fmus.parameters import ParameterSet, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
+from orchestrator.base.errors import Problem
 
 __all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
 
@@ -34,27 +36,34 @@ def build_machine(
     versions: Sequence[int] = (2,),
     platforms: Sequence[str] | None = None,
     parameters: Path | None = None,
+    only: Sequence[str] = ("*",),
 ) -> list[Path]:
     """Write the FMUs of parts, operator, controller and composed machine, and both systems; their files.
 
     versions    versions of FMI; FMUs of version 2 go to `folder`, those of version 3 to its sub-folder fmi3
     platforms   names of `fmus.export.compile`; default: the platform of this computer
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
+    only        patterns of the names of FMUs; systems are written if all of their FMUs are
     """
     parts, others = parts_with_parameters(parameters)
     steering = controller_of(parts, parameters)
     subs = [*parts.values(), steering, composed_machine({name: parts[name] for name in SUBSYSTEMS}), *others]
+    names = [sub.name for sub in subs]
+    subs = [sub for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
+    if not subs:
+        raise Problem(f"--only {only[0]}: expected the name of an FMU; there are {', '.join(names)}")
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     subfolders = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
     for fmi, built in build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders).items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
-        default = [_copied(fmus[part], next(iter(variants))) for part, variants in FAMILIES.items()]
+        default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]
-        systems = (
-            write_system(folders[fmi], fmus, STEP, manipulator),
-            write_control(folders[fmi], fmus, STEP, manipulator, boom_stick),
-        )
+        systems = []
+        if fmus.keys() >= ALL.keys():
+            systems.append(write_system(folders[fmi], fmus, STEP, manipulator))
+            if steering.name in fmus:
+                systems.append(write_control(folders[fmi], fmus, STEP, manipulator, boom_stick))
         paths += [*built, *systems, *default]
     return paths
 

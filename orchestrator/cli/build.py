@@ -48,6 +48,13 @@ def build(
             " none.",
         ),
     ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Build only the FMUs whose names match, such as 'swing*'; repeatable; default: all.",
+        ),
+    ] = None,
     shipped: Annotated[
         bool,
         typer.Option(
@@ -70,8 +77,8 @@ def build(
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
     platforms = select(platform or ["host"])
-    if shipped and (model or platform or parameters):
-        raise Problem("--shipped: expected no MODEL, --platform or --parameters, which need a build")
+    if shipped and (model or platform or parameters or only):
+        raise Problem("--shipped: expected no MODEL, --platform, --parameters or --only, which need a build")
     if model is None and not shipped:
         copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_file() else ""
         require("build", "harvester build", advice=copying)
@@ -90,7 +97,7 @@ def build(
     paths = (
         copy_shipped(out, versions[fmi])
         if shipped
-        else build_machine(out, versions[fmi], platforms, parameters)
+        else build_machine(out, versions[fmi], platforms, parameters, only=only or ("*",))
     )
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")
