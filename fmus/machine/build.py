@@ -75,7 +75,6 @@ def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
         for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
             for source in sorted(p for p in (built / sub).iterdir() if p.is_file()):
                 paths.append(Path(folder) / sub / source.name)
-                paths[-1].parent.mkdir(parents=True, exist_ok=True)
                 _copy(source, paths[-1])
     return paths
 
@@ -114,6 +113,7 @@ def _copied(fmu: Path, variant: str) -> Path:
 
 def _copy(source: Path, path: Path) -> None:
     """Copy a file; replaces an existing file in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         copyfile(source, temporary)
