@@ -19,7 +19,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
 UV = [sys.executable, "-m", "uv", "pip", "install", "--no-progress", "--python", sys.executable]
-TOLD = re.compile(r"\s*(Resolved|Downloading|Prepared|Installed|Installing collected packages|error:|ERROR:)")
+# downloads of less than 20 MB take less than 5 s
+TOLD = re.compile(
+    r"\s*(Resolved|Downloading .*\((\d{3,}|[2-9]\d)[.\d]* ?Mi?B\)|Prepared|Installed|Installing collected packages|error:|ERROR:)"
+)
 
 
 def main(arguments: list[str]) -> int:

@@ -47,7 +47,9 @@ def build_machine(
     """
     parts, others = parts_with_parameters(parameters)
     steering = controller_of(parts, parameters)
-    subs = [*parts.values(), steering, composed_machine({name: parts[name] for name in SUBSYSTEMS}), *others]
+    # load-sensing supply, the largest, is the last variant: compiled first, it does not keep one core waiting
+    whole = composed_machine({name: parts[name] for name in SUBSYSTEMS})
+    subs = [*reversed(others), steering, whole, *parts.values()]
     names = [sub.name for sub in subs]
     subs = [sub for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
     if not subs:
