@@ -21,7 +21,8 @@ PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
 UV = [sys.executable, "-m", "uv", "pip", "install", "--no-progress", "--python", sys.executable]
 # downloads of less than 20 MB take less than 5 s
 TOLD = re.compile(
-    r"\s*(Resolved|Downloading .*\((\d{3,}|[2-9]\d)[.\d]* ?Mi?B\)|Prepared|Installed|Installing collected packages|error:|ERROR:)"
+    r"\s*(Resolved|Prepared|Installed|Installing collected packages|error:|ERROR:"
+    r"|Downloading .*\((\d{3,}|[2-9]\d)[.\d]* ?Mi?B\))"
 )
 
 
