@@ -118,7 +118,11 @@ def shared_library(
 def shipped_file(
     name: str, code: Mapping[str, bytes], arguments: Sequence[str], dependencies: Iterable[bytes] = ()
 ) -> Path:
-    """Where the wheel contains a library, if it does; any version of the compiler may have made it."""
+    """Where the wheel contains a library, if it does; any version of the compiler may have made it.
+
+    Absolute paths among the arguments differ between computers; what they lead to is in `dependencies`.
+    """
+    arguments = [argument for argument in arguments if not os.path.isabs(argument)]
     return COMPILED / _file_name(name, "", code, arguments, dependencies)
 
 
@@ -129,12 +133,8 @@ def _file_name(
     arguments: Sequence[str],
     dependencies: Iterable[bytes],
 ) -> str:
-    """A hash of what a library is made from and by, and its name.
-
-    Absolute paths among the arguments differ between computers; what they lead to is in `dependencies`.
-    """
+    """A hash of what a library is made from and by, and its name."""
     digest = hashlib.sha256()
-    arguments = [argument for argument in arguments if not os.path.isabs(argument)]
     sources = (part for file in sorted(code) for part in (file.encode(), code[file]))
     for part in (compiler.encode(), *(a.encode() for a in arguments), *sources, *dependencies):
         digest.update(len(part).to_bytes(8, "big") + part)
