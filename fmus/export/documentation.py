@@ -37,7 +37,8 @@ _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)
 _HEADING = re.compile(r"^(#+) +(.*)$", re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(?P<display>[^$]+)\$\$|\$(?P<inline>[^\s$](?:[^$\n]*[^\s$])?)\$(?![\w$])")
 _FUNCTION = re.compile(  # a space precedes "ln"; one follows it, except before "(" or at an end
-    r"<m[io]>(cos|exp|height|ln|max|min|sign|sin)</m[io]>(<mo stretchy=\"false\">&#x00028;|<mrow><mo stretchy=|</)?"
+    r"<m[io]>(cos|exp|height|ln|max|min|sign|sin)</m[io]>"
+    r'(<mo stretchy="false">&#x00028;|<mrow><mo stretchy=|</)?'
 )
 _NOT_CONVERTED = re.compile(r"\\[A-Za-z]+\*?|<mi>&</mi>")
 
