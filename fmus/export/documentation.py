@@ -15,6 +15,7 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from latex2mathml.converter import convert
+from lxml import etree
 from markdown_it import MarkdownIt
 from markdown_it.rules_inline import StateInline
 from markdown_it.token import Token
@@ -154,6 +155,11 @@ def mathml(latex: str, display: bool = False, file: str = "") -> str:
         raise Problem(f"{file}: formula {latex.strip()}: expected LaTeX, {reason}") from None
     if unknown := _NOT_CONVERTED.search(made):
         raise Problem(f"{file}: formula {latex.strip()}: expected commands of LaTeX, found {unknown[0]}")
+    for element in etree.fromstring(made).iter():
+        if len(element) != ARITY.get(etree.QName(element).localname, len(element)):
+            raise Problem(
+                f"{file}: formula {latex.strip()}: expected LaTeX, found a command without an argument"
+            )
     return _FUNCTION.sub(_spaced, made)
 
 
@@ -161,6 +167,7 @@ def _spaced(name: re.Match[str]) -> str:
     return f'<mo lspace="0.17em" rspace="{"0" if name[2] else "0.17em"}">{name[1]}</mo>{name[2] or ""}'
 
 
+ARITY = {"mfrac": 2, "mroot": 2, "msub": 2, "msup": 2, "mover": 2, "munder": 2, "msubsup": 3, "munderover": 3}
 SIDES = {"l": "left", "r": "right"}  # which \\left or \\right a fence needs to be stretched and spaced as one
 
 
