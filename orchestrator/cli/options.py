@@ -147,7 +147,7 @@ Set = Annotated[
         metavar="NAME=VALUE",
         help="Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs with"
         " this name (supply_pressure sets both drives), or of a parameter that components share (boom_stroke)"
-        ", in the unit that `harvester signals` shows;"
+        ", in the unit that `harvester signals` shows or with a unit, supply.pressure_setting=180bar;"
         " repeatable.",
     ),
 ]

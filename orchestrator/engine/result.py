@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable
-from orchestrator.data.trace import Trace
+from orchestrator.data.table import SUFFIXES
+from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
@@ -50,9 +51,9 @@ class Result:
     complete: bool = True
     coupling: Coupling = field(default_factory=Coupling)
 
-    def plot(self, *patterns: str, title: str = "") -> Figure:
-        """Recorded signals over time as a matplotlib figure, see `Trace.plot`."""
-        return self.trace.plot(*patterns, title=title or self.system.name)
+    def plot(self, *patterns: str, title: str = "", **options: Any) -> Figure:
+        """Recorded signals over time as a matplotlib figure; arguments of `Trace.plot`."""
+        return self.trace.plot(*patterns, title=title or self.system.name, **options)
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """The values of a recorded signal, in its unit, shape (n,); the times are `trace.time`."""
@@ -385,3 +386,22 @@ def read_metadata(path: Path) -> RunMetadata | None:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
     return loaded if digest == _digest(path) else None
+
+
+def read_run(path: Path) -> tuple[Trace, RunMetadata | None]:
+    """The trace in a file, with the units of its run, and the metadata of the run if there are any."""
+    trace, run_metadata = read_trace(path), read_metadata(path)
+    stored = run_metadata.units if run_metadata else {}
+    units = {name: unit for name, unit in stored.items() if name in trace.signals}
+    return replace(trace, units={**trace.units, **units}), run_metadata
+
+
+def newest_trace(folder: Path) -> Path | None:
+    """The trace in a folder that a run wrote last, known by the metadata next to it; None without one."""
+    traces = [
+        file.with_name(file.name.removesuffix(METADATA_SUFFIX) + suffix)
+        for file in folder.glob(f"*{METADATA_SUFFIX}")
+        for suffix in SUFFIXES
+    ]
+    complete = [t for t in traces if t.is_file() and not t.stem.endswith(".partial")]
+    return max(complete, key=lambda trace: trace.stat().st_mtime, default=None)

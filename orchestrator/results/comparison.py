@@ -11,11 +11,11 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.text import first_names
-from orchestrator.base.units import factor_and_offset, parse_unit
+from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, read_trace
-from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_metadata
+from orchestrator.data.trace import Trace
+from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
 from orchestrator.results.metrics import constant
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
@@ -51,6 +51,11 @@ def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Pat
     return _with_units([_run(label, source) for label, source in labelled.items()])
 
 
+def read_runs(files: Sequence[Path]) -> list[Run]:
+    """The runs of one or more files, with units and short labels."""
+    return _with_units([_run(label, source) for label, source in _labelled(files).items()])
+
+
 def _labelled(files: Sequence[Path]) -> dict[str, Source]:
     """Files by their stems, or by their paths if stems are equal."""
     stems = [f.stem for f in dict.fromkeys(files)]
@@ -63,13 +68,10 @@ def _run(label: str, source: Source) -> Run:
     if isinstance(source, Trace):
         return Run(label, source)
     path = Path(source)
-    if path.suffix.lower() == ".csv" and path.with_suffix(".toml").is_file():
+    if path.suffix.lower() != ".parquet" and path.with_suffix(".toml").is_file():
         return Run(label, read_recording(path).trace(), None, str(path))
-    trace = read_trace(path)
-    run_metadata = read_metadata(path)
-    stored = run_metadata.units if run_metadata else {}
-    units = {name: unit for name, unit in stored.items() if name in trace.signals}
-    return Run(label, replace(trace, units={**trace.units, **units}), run_metadata, str(path))
+    trace, run_metadata = read_run(path)
+    return Run(label, trace, run_metadata, str(path))
 
 
 def _with_units(runs: list[Run]) -> list[Run]:
@@ -84,12 +86,6 @@ def _with_units(runs: list[Run]) -> list[Run]:
     return complete
 
 
-# Quantity -> its SI unit.
-QUANTITIES = {
-    "speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m",
-    "acceleration": "m/s2", "angular acceleration": "rad/s2", "force": "N", "torque": "N.m",
-    "flow": "m3/s", "power": "W", "voltage": "V",
-}  # fmt: skip
 DEFAULT_QUANTITIES = ("speed", "pressure", "angle")  # shown if the user names no signals
 # Range of a signal over the widest range of its quantity; below it the signal is at rest and has no NRMSE.
 AT_REST = 1e-3
@@ -191,20 +187,6 @@ def _validate(recording: Recording, run: Run) -> Validation:
         return validate(run.trace, recording, rate=False)
     except Problem as problem:
         raise Problem(f"compare {run.label} with {problem}") from None
-
-
-def quantity(unit: str) -> str:
-    """The quantity of a unit; the unit in brackets if it has no name here."""
-    names: dict[tuple[int, ...], str] = {parse_unit(u).exponents: name for name, u in QUANTITIES.items()}
-    try:
-        name = names.get(parse_unit(unit).exponents, "")
-    except Problem:
-        name = ""
-    if name == "torque" and unit.endswith("J"):
-        return "energy"
-    if name == "power" and not unit.endswith("W"):
-        name = ""  # N.m/s is the rate of a torque
-    return name or (f"[{unit}]" if unit else "without unit")
 
 
 def _as_recording(run: Run, names: Sequence[str], start: float | None, stop: float | None) -> Recording:
