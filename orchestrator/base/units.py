@@ -177,6 +177,13 @@ def reader_unit(unit: str) -> str:
         return unit
 
 
+def in_reader_unit(value: float, unit: str) -> float:
+    """A value in the unit that `reader_unit` gives; unchanged if the unit is unknown."""
+    shown = reader_unit(unit)
+    factor, offset = (1.0, 0.0) if shown == unit else factor_and_offset(unit, shown, "value")
+    return factor * value + offset
+
+
 def display_conversion(unit: str) -> tuple[str, float] | None:
     """The display unit of an SI unit and its factor (displayed = factor * value); None if there is none."""
     if unit not in DISPLAY:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -117,6 +117,17 @@ def assignments(
         if values.setdefault(name, value) != value:
             raise Problem(f"{option} {text}: {name} already has the value {values[name]}")
     return values
+
+
+def tell_built(system: Path, swapped: Mapping[str, str]) -> None:
+    """Print which file of parameters the FMUs of a system were built with, if they were."""
+    from orchestrator.base.files import require_system
+    from orchestrator.ssp.load import load
+    from orchestrator.ssp.provenance import built_notes
+    from orchestrator.ssp.swap import with_swaps
+
+    for note in built_notes(with_swaps(load(require_system(system)), swapped)):
+        print(note, flush=True)
 
 
 System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import BUILD, SYSTEM, Set, Swap, app, assignments, swaps
+from orchestrator.cli.options import BUILD, SYSTEM, Set, Swap, app, assignments, swaps, tell_built
 
 CONTROL = BUILD / "harvester_control.ssp"
 
@@ -70,8 +70,10 @@ def view(
     from orchestrator.view.server import serve
 
     swapped = swaps(swap or [])
+    chosen = system or _default_system(swapped)
+    tell_built(chosen, swapped)
     serve(
-        system or _default_system(swapped),
+        chosen,
         replay,
         pose,
         swapped,

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, csv_header
+from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
 from orchestrator.data.trace import TIME, Trace, check_suffix, read_trace
 
@@ -227,7 +228,7 @@ class TraceFile(TraceSink):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)
             make = FORMATS[self.path.suffix.lower()]
-            self._format = make(self.partial, layout.names, layout.units, self.origin)
+            self._format = make(self.partial, layout.names, layout.units)
 
     def append(self, times: Array, values: Array) -> None:
         """Write rows; if the disk is full, the file ends with the last row that fits."""
@@ -260,7 +261,7 @@ class TraceFile(TraceSink):
         """
         assert self._format is not None
         with _naming(self.partial):
-            return self._format.finish(check)
+            return self._format.finish(check, self.origin)
 
     @property
     def sha256(self) -> str:
@@ -303,11 +304,9 @@ class _Format(Protocol):
 
     @property
     def sha256(self) -> str: ...
-    def __init__(
-        self, path: Path, names: Sequence[str], units: Mapping[str, str], origin: str = ""
-    ) -> None: ...
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None: ...
     def append(self, times: Array, values: Array) -> None: ...
-    def finish(self, check: Callable[[], None]) -> tuple[Path, str]: ...
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]: ...
     def close(self) -> None: ...
     def check_alone(self) -> None: ...
 
@@ -315,8 +314,8 @@ class _Format(Protocol):
 class _Csv:
     """CSV: each value is the shortest decimal that is read back as the same float64."""
 
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str], origin: str = "") -> None:
-        del units, origin
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
+        del units
         self._path, self._size, self._digest, self.end = path, 0, hashlib.sha256(), float("nan")
         self._file = path.open("wb", buffering=0)
         self._identity = os.fstat(self._file.fileno()).st_ino
@@ -346,8 +345,8 @@ class _Csv:
     def sha256(self) -> str:
         return self._digest.hexdigest()
 
-    def finish(self, check: Callable[[], None]) -> tuple[Path, str]:
-        del check
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
+        del check, origin
         self._file.close()
         return self._path, self.sha256
 
@@ -368,7 +367,7 @@ class _Parquet:
 
     sha256 = ""
 
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str], origin: str = "") -> None:
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         import pyarrow as pa
 
         self._folder, self._blocks = path, list[Array]()
@@ -378,7 +377,7 @@ class _Parquet:
             pa.field(n, pa.float64(), nullable=False, metadata={"unit": units[n]} if n in units else None)
             for n in (TIME, *names)
         ]
-        self._schema = pa.schema(fields, {ORIGIN: origin} if origin else None)
+        self._schema = pa.schema(fields)
         path.mkdir()
         self._mark = path / f"_{secrets.token_hex(8)}"
         self._mark.touch()
@@ -411,14 +410,14 @@ class _Parquet:
         if not self._mark.exists():
             raise Problem(f"{self._folder}: expected one run that writes this folder, got two")
 
-    def finish(self, check: Callable[[], None]) -> tuple[Path, str]:
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         self.check_alone()
         whole, waiting = self._folder / "_whole", list[Any]()
         try:
-            with pq.ParquetWriter(whole, self._schema) as writer:
+            with pq.ParquetWriter(whole, self._schema.with_metadata({ORIGIN: origin})) as writer:
                 for part in range(self._parts):
                     check()
                     waiting.append(pq.read_table(self._folder / f"part-{part + 1:06}.parquet"))
@@ -452,14 +451,14 @@ class _Mat(_Csv):
     signals in their order -> their names in the file, which differ for what is no name in MATLAB.
     """
 
-    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str], origin: str = "") -> None:
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
         super().__init__(path, names, units)
-        self._names, self._units, self._origin = names, units, origin
+        self._names, self._units = names, units
 
-    def finish(self, check: Callable[[], None]) -> tuple[Path, str]:
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
         import scipy.io
 
-        super().finish(check)
+        super().finish(check, origin)
         rows = read_columns(Location(self._path), None).values if self.end == self.end else {}
         written, units = matlab_names(self._names), dict[str, Any]({TIME: "s"})
         content = dict[str, Any]({TIME: rows.get(TIME, np.zeros(0))})
@@ -467,8 +466,8 @@ class _Mat(_Csv):
             _put(content, written[name], rows.get(name, np.zeros(0)))
         for name, unit in self._units.items():
             _put(units, written[name], unit)
-        origin = json.loads(self._origin) if self._origin else {}
-        run = json.dumps({**origin, "names": {name: ".".join(path) for name, path in written.items()}})
+        about = json.loads(origin) if origin else {}
+        run = json.dumps({**about, "names": {name: ".".join(path) for name, path in written.items()}})
         content |= {"units": units, "run": run}
         whole = self._path.with_suffix(".mat")
         try:
@@ -522,6 +521,20 @@ def _put(struct_: dict[str, Any], path: Sequence[str], value: Any) -> None:
     for field_ in path[:-1]:
         struct_ = struct_.setdefault(field_, {})
     struct_[path[-1]] = value
+
+
+def read_origin(path: Path) -> str:
+    """The JSON text about the run in a Parquet or MATLAB file; empty if there is none."""
+    suffix = path.suffix.lower()
+    if suffix == ".mat":
+        run = read_variables(Location(path)).get("run")
+        return run if isinstance(run, str) and '"master"' in run else ""
+    if suffix != ".parquet" or not path.is_file():
+        return ""
+    import pyarrow.parquet as pq
+
+    metadata = pq.read_schema(path).metadata or {}
+    return str(metadata.get(ORIGIN.encode(), b"").decode())
 
 
 class _naming:

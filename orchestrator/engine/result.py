@@ -21,9 +21,10 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Trace, read_trace
-from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout
+from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout, read_origin, write_trace
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
+from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import System
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class Result:
     coupling   all choices about the coupling
     complete   False if the run ended early; the trace then ends there. A run that an FMU asked to end is
                complete, and has a note about it
+    provenance checksums of the FMUs, and values that differ from the shipped ones, with their origin
     """
 
     system: System
@@ -50,6 +52,13 @@ class Result:
     messages: tuple[LogMessage, ...] = ()
     complete: bool = True
     coupling: Coupling = field(default_factory=Coupling)
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def write(self, path: str | Path) -> Path:
+        """Write the trace as .csv, .parquet or .mat, and the metadata of the run next to it."""
+        file = write_trace(self.trace, path, metadata_text(self, ""))
+        write_metadata(self, file)
+        return file
 
     def plot(self, *patterns: str, title: str = "", **options: Any) -> Figure:
         """Recorded signals over time as a matplotlib figure; arguments of `Trace.plot`."""
@@ -293,6 +302,7 @@ class RunMetadata:
     swapped                              component -> file of the FMU that replaces the one of the system
     given                                the user's options that differ from the defaults
     units                                units of the signals; `inputs`: signals that are inputs of components
+    provenance                           files with checksums, values that differ from the shipped ones
     """
 
     system: str
@@ -312,6 +322,7 @@ class RunMetadata:
     passes: int = 0
     repeated: int = 0
     lengths: tuple[float, float] = (0.0, 0.0)
+    provenance: Provenance = field(default_factory=Provenance)
 
     @property
     def adaptive(self) -> bool:
@@ -343,6 +354,7 @@ def metadata(
         passes=card.passes,
         repeated=card.repeated,
         lengths=card.lengths,
+        provenance=result.provenance,
     )
 
 
@@ -375,17 +387,29 @@ def _digest(trace: Path) -> str:
 
 
 def read_metadata(path: Path) -> RunMetadata | None:
-    """The metadata of the run that made a trace; None if there are none, or those of another trace."""
+    """The metadata of the run that made a trace, next to it, else inside; None if there are none.
+
+    Metadata next to a trace with another checksum are those of another trace.
+    """
     file = metadata_file(path)
-    if not file.is_file():
-        return None
+    if file.is_file():
+        loaded, digest = _parsed(file, file.read_text(encoding="utf-8"))
+        if digest == _digest(path):
+            return loaded
+    inside = read_origin(path)
+    return _parsed(path, inside)[0] if inside else None
+
+
+def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
+    """Metadata in a JSON text, and the checksum of their trace."""
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(text)
         digest = data.pop("sha256")
-        loaded = RunMetadata(**{**data, "inputs": tuple(data["inputs"])})
+        data.pop("names", None)  # of a MATLAB file
+        values = {"inputs": tuple(data["inputs"]), "provenance": Provenance.of(data.get("provenance", {}))}
+        return RunMetadata(**{**data, **values}), digest
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
-    return loaded if digest == _digest(path) else None
 
 
 def read_run(path: Path) -> tuple[Trace, RunMetadata | None]:

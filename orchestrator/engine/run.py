@@ -43,7 +43,8 @@ from orchestrator.engine.time_grid import (
 )
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
-from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.parameter_sets import SUFFIX, with_sets
+from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
@@ -124,6 +125,7 @@ def prepare(
         system = system.coupled(master if isinstance(master, Coupling) else Coupling(master))
     system = replace(system, notes=system.notes + system.suggestion.notes(step is not None))
     system = with_sets(system, parameters).with_start(set or {})
+    system = replace(system, notes=system.notes + built_notes(system))
     trace, driving = _scenario(system, scenario)
     if driving:
         system = driving.released(system)
@@ -137,7 +139,9 @@ def prepare(
     else:
         corners = driving.table.corners() if driving else ()
         times = free_grid(system, trace, step, start, stop, record.step, corners)
-    return Job(system, driving, coupling, record, execution), times
+    ssv = [s for s in parameters if str(s).endswith(SUFFIX)]
+    files = [*ssv, *([scenario] if isinstance(scenario, str | Path | Location) else [])]
+    return Job(system, driving, coupling, record, execution, provenance(system, files)), times
 
 
 def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
@@ -151,7 +155,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
     """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(times, outcome, sink)
-    result = Result(job.system, trace, card, tuple(messages), outcome.complete, job.coupling)
+    result = Result(job.system, trace, card, tuple(messages), outcome.complete, job.coupling, job.provenance)
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
     if outcome.problem:
@@ -345,6 +349,7 @@ def _published(
         summary = _summary(ended.result.card, file, file.partial)
         print(f"{ended.result.card.text()}\n\nthe run ended early; its record{end} is in {summary}")
         raise
+    file.origin = metadata_text(result, "", given, file.layout)
     complete, digest = file.finish(check)
     file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file.layout)})
     return result, _summary(result.card, file, file.path)

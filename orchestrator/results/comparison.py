@@ -16,6 +16,7 @@ from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
+from orchestrator.fmi.description import Value
 from orchestrator.results.metrics import constant
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
@@ -167,6 +168,49 @@ def compare(
     return Comparison(
         tuple(runs), reference, validations, _chosen(runs, common, signals), _notes(runs, common)
     )
+
+
+Cell = tuple[Value, str]  # value and its origin; "" for the shipped value
+
+
+def different_values(runs: Sequence[Run]) -> dict[tuple[str, str], list[Cell | None]]:
+    """(name, unit) of each start value in which runs differ -> value and origin in each run.
+
+    None for a run whose FMU may not have the variable, or without metadata.
+    """
+    listed = [{v.name: v for v in run.metadata.provenance.values} if run.metadata else {} for run in runs]
+    first = {name: value for values in reversed(listed) for name, value in values.items()}
+    result: dict[tuple[str, str], list[Cell | None]] = {}
+    for name, other in first.items():
+        cells: list[Cell | None] = []
+        for run, values in zip(runs, listed, strict=True):
+            if name in values:
+                cells.append((values[name].value, values[name].origin))
+            elif other.shipped is not None and run.metadata and _has(run.metadata, runs, listed, name):
+                cells.append((other.shipped, ""))
+            else:
+                cells.append(None)
+        if len({cell and cell[0] for cell in cells}) > 1:
+            result[name, other.unit] = cells
+    return result
+
+
+def _has(meta: RunMetadata, runs: Sequence[Run], listed: Sequence[Mapping[str, object]], name: str) -> bool:
+    """Has a run the FMU of a run that lists the variable?"""
+    owner = next((c for c in sorted(meta.fmus, key=len, reverse=True) if name.startswith(f"{c}.")), None)
+    models = (
+        {r.metadata.fmus.get(owner) for r, v in zip(runs, listed, strict=True) if r.metadata and name in v}
+        if owner
+        else set()
+    )
+    return owner is not None and meta.fmus[owner] in models
+
+
+def different_fmus(runs: Sequence[Run]) -> list[str]:
+    """Components whose FMU files have different checksums."""
+    known = [run.metadata.provenance.fmus for run in runs if run.metadata and run.metadata.provenance.fmus]
+    names = dict.fromkeys(name for fmus in known for name in fmus)
+    return [n for n in names if len({fmus[n]["sha256"] for fmus in known if n in fmus}) > 1]
 
 
 def _range(values: Array) -> float:

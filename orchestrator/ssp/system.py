@@ -38,13 +38,20 @@ class Port(NamedTuple):
         return f"{self.component}.{self.variable}"
 
 
+class Chosen(NamedTuple):
+    """Where a start value that a user chose comes from, such as --set, and the value of the system."""
+
+    origin: str
+    before: Value
+
+
 @dataclass(frozen=True)
 class Component:
     """One FMU in the system.
 
     start      start values that the system sets before initialisation
     replaced   interface of the FMU that was replaced by a swap
-    origins    variable -> where its start value comes from, such as --set, for those that a user chose
+    origins    variable -> origin of its start value, for those that a user chose
     """
 
     name: str
@@ -52,7 +59,15 @@ class Component:
     source: Location | None = None
     start: Mapping[str, Value] = field(default_factory=dict)
     replaced: FmuInterface | None = None
-    origins: Mapping[str, str] = field(default_factory=dict)
+    origins: Mapping[str, Chosen] = field(default_factory=dict)
+
+    def chosen(self, values: Mapping[str, Value], origin: str) -> Component:
+        """The component with other start values; origin: where they come from, if a user chose them."""
+        if not origin:
+            return replace(self, start={**self.start, **values})
+        before = {n: self.origins[n].before if n in self.origins else self.value(n) for n in values}
+        origins = {name: Chosen(origin, value) for name, value in before.items()}
+        return replace(self, start={**self.start, **values}, origins={**self.origins, **origins})
 
     def value(self, variable: str) -> Value:
         """The start value of a variable: that of the system, else that of the FMU; NaN without one."""
@@ -280,16 +295,15 @@ class System:
         """From the unit of values that a user gives to the unit of the FMU."""
         return conversion(self.unit(port), self.variable(port).unit, str(port))[0]
 
-    def with_start(self, values: Mapping[str, Value | str], origin: str = "") -> System:
+    def with_start(self, values: Mapping[str, Value | str], origin: str = "--set") -> System:
         """The system with other start values; names are those that `targets` accepts.
 
         A text may contain a unit: "180bar". Otherwise a value is in the unit of the variable.
 
-        origin   where the values come from, such as --set; stored in `Component.origins`
+        origin   where the values come from, for `Component.origins`
         """
         connected = {c.target: c for c in self.connections}
-        start = {name: dict(c.start) for name, c in self.components.items()}
-        origins = {name: dict(c.origins) for name, c in self.components.items()}
+        start: dict[str, dict[str, Value]] = {name: {} for name in self.components}
         for name, given in values.items():
             for port, linear in self.targets(name):
                 if port in connected:
@@ -300,8 +314,7 @@ class System:
                 converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
                 check_bounds(str(port), self.variable(port), converted)
                 start[port.component][port.variable] = converted
-                origins[port.component][port.variable] = origin
-        components = {n: replace(c, start=start[n], origins=origins[n]) for n, c in self.components.items()}
+        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
         system = replace(self, components=components)
         for component in components.values():
             for name, value in component.start.items():
