@@ -103,11 +103,18 @@ def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
     return x[indices], y[indices]
 
 
+class ShownFigure(Figure):
+    """A figure that notebooks show, although it does not belong to pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self, 100)
+
+
 def new_figure(width: float, height: float, **padding: Any) -> Figure:
     """An empty figure of this size [in]; `padding`: options of matplotlib's constrained layout."""
     layout = ConstrainedLayoutEngine()
     layout.set(**padding)
-    figure = Figure(figsize=(width, height), layout=layout)
+    figure = ShownFigure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -333,7 +340,8 @@ def plot_signals(
 ) -> Figure:
     """Signals over time, one panel per display unit, in the order of the signals of the first run.
 
-    runs    label -> times [s] and signals; the line style distinguishes several runs
+    runs    label -> times [s] and signals; the line style distinguishes several runs, and the colour if
+            each panel has one signal
     below   a short line below the figure
     """
     first = next(iter(runs.values()))[1]
@@ -342,6 +350,8 @@ def plot_signals(
         panels.setdefault(reader_unit(units.get(name, "")), []).append(name)
     labels = _labels(list(first))
     styles = _styles(list(panels.values()), labels) if len(runs) == 1 else {}
+    # then colours distinguish runs, too, and the signal is the title of its panel
+    single = len(runs) > 1 and max(map(len, panels.values()), default=0) == 1
     drawn = []
     for unit, names in panels.items():
         lines = []
@@ -349,13 +359,16 @@ def plot_signals(
             for i, (time, signals) in enumerate(runs.values()):
                 if name in signals:
                     values = convert(signals[name], units.get(name, ""), unit, name)
-                    style = styles.get(name) or _style(k, i if len(runs) > 1 else k // len(PALETTE.series))
-                    lines.append(TraceLine(time, values, style, "" if i else labels[name]))
+                    dashes = i if len(runs) > 1 else k // len(PALETTE.series)
+                    style = styles.get(name) or _style(i if single else k, dashes)
+                    lines.append(TraceLine(time, values, style, "" if i or single else labels[name]))
         height = max(3.8, (LEGEND_ROW * len(names) + 0.25) / ROW_HEIGHT)
         label = "" if (word := quantity(units.get(names[0], ""))).startswith(("[", "without")) else word
-        drawn.append(TracePanel(unit, lines, label, heights=(height, 0.0), key_beside=True))
+        name = labels[names[0]] if single else ""
+        drawn.append(TracePanel(unit, lines, label, name, heights=(height, 0.0), key_beside=True))
     ends = [t for time, _ in runs.values() for t in (float(time[0]), float(time[-1]))]
-    key = [legend_entry(n, **{**_style(0, i), "color": PALETTE.ink}) for i, n in enumerate(runs)]
+    colours = {} if single else {"color": PALETTE.ink}
+    key = [legend_entry(n, **{**_style(i, i), **colours}) for i, n in enumerate(runs)]
     return draw_traces(drawn, (min(ends), max(ends)), title, below, key if len(runs) > 1 else ())
 
 
