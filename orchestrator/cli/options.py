@@ -172,7 +172,7 @@ class RunOptions:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Inputs over time (.csv, .parquet); default: none, the inputs are those of the system (the"
+            help="Inputs over time (.csv, .parquet, .mat); default: none, the inputs are those of the system (the"
             " harvester contains the work cycle); validate with --reference: the commands of the reference.",
         ),
     ] = None

@@ -27,7 +27,8 @@ def view(
     replay: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Start with the replay of this result file (.csv, .parquet); default: none."
+            metavar="FILE",
+            help="Start with the replay of this result file (.csv, .parquet, .mat); default: none.",
         ),
     ] = None,
     pose: Annotated[
