@@ -172,8 +172,9 @@ class RunOptions:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Inputs over time (.csv, .parquet, .mat); default: none, the inputs are those of the system (the"
-            " harvester contains the work cycle); validate with --reference: the commands of the reference.",
+            help="Inputs over time (.csv, .parquet, .mat); default: none, the inputs are those of the system"
+            " (the harvester contains the work cycle);"
+            " validate with --reference: the commands of the reference.",
         ),
     ] = None
     start: Annotated[
