@@ -47,7 +47,8 @@ def sweep(
     from orchestrator.studies import read_study
     from orchestrator.studies.parameter_study import run
 
-    tell_built(Path(read_study(study).system), {})
+    chosen = read_study(study)
+    tell_built(Path(chosen.folder) / chosen.system, {})
     if workers and scheduler:
         raise Problem(
             "--workers: expected none with --scheduler, whose cluster determines the number of workers"
