@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, RunOptions, System, app, with_option_groups
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    RunOptions,
+    System,
+    app,
+    tell_built,
+    with_option_groups,
+)
 
 STUDY = BUILD / "convergence"
 
@@ -61,6 +69,7 @@ def convergence(
     from fmus.machine.build import data
     from orchestrator.studies.convergence.convergence_study import convergence as study
 
+    tell_built(system, {})
     work_cycle = data("reference/work_cycle.csv")
     options = case.options() | {"scenario": case.scenario, "default_reference": work_cycle}
     study(system, reference, out, steps, masters, signals or (), repeats, **options)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import BUILD, Set, Swap, app, assignments, number, swaps
+from orchestrator.cli.options import BUILD, Set, Swap, app, assignments, number, swaps, tell_built
 
 CONTROLLED = BUILD / "harvester_control.ssp"
 MACHINES = {
@@ -92,6 +92,7 @@ def track(
         paths = [(file, partial(start_angles, str(file), first_point(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
+    tell_built(system, {})
     allowed = None if limit is None else limit / 1e3
     if not run_study(system, paths, machines, out, modes, allowed, set=assignments(set_ or [])):
         raise typer.Exit(1)
