@@ -362,7 +362,10 @@ def test_all_options_reach_the_validation(capsys):
         (["validate", "--start", "99", "--stop", "99.1"], "the reference covers 0 to 42 s"),
         (["validate", "--record-step", "0.0015"], "expected a multiple of the step 0.001 s, got 0.0015 s"),
         (["validate", "--stop", "1", "--master", "magic"], "expected one of jacobi, gauss-seidel"),
-        (["run", "--scenario", "file.txt"], "file.txt: expected a file name ending in .csv or .parquet"),
+        (
+            ["run", "--scenario", "file.txt"],
+            "file.txt: expected a file name ending in .csv, .parquet or .mat",
+        ),
         (["build", "--out", "file.txt"], "file.txt: expected a folder, which cannot be made: "),
         (["parameters", "nosuch"], "'nosuch', expected one of swing, boom_stick, manipulator"),
         (["parameters", "swing", "boom"], "boom"),

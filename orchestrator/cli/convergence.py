@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, RunOptions, System, app, system_file, with_option_groups
+from orchestrator.cli.options import (
+    BUILD,
+    RunOptions,
+    System,
+    app,
+    system_file,
+    tell_built,
+    with_option_groups,
+)
 
 STUDY = BUILD / "convergence"
 
@@ -61,6 +69,8 @@ def convergence(
     from fmus.package_files import data
     from orchestrator.studies.convergence.convergence_study import convergence as study
 
+    system = system_file(system)
+    tell_built(system, {})
     work_cycle = data("reference/work_cycle.csv")
     options = case.options() | {"scenario": case.scenario, "default_reference": work_cycle}
-    study(system_file(system), reference, out, steps, masters, signals or (), repeats, **options)
+    study(system, reference, out, steps, masters, signals or (), repeats, **options)

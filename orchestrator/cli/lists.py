@@ -64,10 +64,13 @@ def parameters(
         ),
     ] = None,
 ) -> None:
-    """Print the parameters of the model with value, unit and source."""
+    """Print the parameters of the model with value, unit and source.
+
+    Values that were built into the FMUs in the folder build stand in place of the shipped ones, with both.
+    """
     from fmus.machine.tables import print_parameters
 
-    print_parameters(subsystem, source)
+    print_parameters(subsystem, source, BUILD)
 
 
 @app.command()

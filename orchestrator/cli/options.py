@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -135,6 +135,17 @@ def assignments(
     return values
 
 
+def tell_built(system: Path, swapped: Mapping[str, str]) -> None:
+    """Print which file of parameters the FMUs of a system were built with, if they were."""
+    from orchestrator.base.files import require_system
+    from orchestrator.ssp.load import load
+    from orchestrator.ssp.provenance import built_notes
+    from orchestrator.ssp.swap import with_swaps
+
+    for note in built_notes(with_swaps(load(require_system(system)), swapped)):
+        print(note, flush=True)
+
+
 System = Annotated[
     Path | None,
     typer.Argument(
@@ -189,7 +200,7 @@ Set = Annotated[
         metavar="NAME=VALUE",
         help="Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs with"
         " this name (supply_pressure sets both drives), or of a parameter that components share (boom_stroke)"
-        ", in the unit that `harvester signals` shows;"
+        ", in the unit that `harvester signals` shows or with a unit, supply.pressure_setting=180bar;"
         " repeatable.",
     ),
 ]
@@ -203,8 +214,9 @@ class RunOptions:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Inputs over time (.csv, .parquet); default: none, the inputs are those of the system (the"
-            " harvester contains the work cycle); validate with --reference: the commands of the reference.",
+            help="Inputs over time (.csv, .parquet, .mat); default: none, the inputs are those of the system"
+            " (the harvester contains the work cycle);"
+            " validate with --reference: the commands of the reference.",
         ),
     ] = None
     start: Annotated[

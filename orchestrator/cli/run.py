@@ -28,8 +28,9 @@ def run(
     system: System = None,
     case: RunOptions,
     steps: StepOptions,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the trace (.csv or .parquet).")] = BUILD
-    / "trace.csv",
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="File for the trace (.csv, .parquet, .mat).")
+    ] = BUILD / "trace.csv",
     error_estimate: Annotated[
         bool,
         typer.Option(

@@ -9,7 +9,7 @@ import typer
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.cli.options import app, positive_integer
+from orchestrator.cli.options import app, positive_integer, tell_built
 
 
 @app.command()
@@ -46,8 +46,11 @@ def sweep(
     An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
     """
     require("sweep", "harvester sweep")
+    from orchestrator.studies import read_study
     from orchestrator.studies.parameter_study import run
 
+    chosen = read_study(study)
+    tell_built(Path(chosen.folder) / chosen.system, {})
     if workers and scheduler:
         raise Problem(
             "--workers: expected none with --scheduler, whose cluster determines the number of workers"

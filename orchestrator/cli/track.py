@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import BUILD, Set, Swap, app, assignments, number, swaps, system_file
+from orchestrator.cli.options import (
+    BUILD,
+    Set,
+    Swap,
+    app,
+    assignments,
+    number,
+    swaps,
+    system_file,
+    tell_built,
+)
 
 MACHINES = {
     "lumped": dict[str, str](),
@@ -96,8 +106,9 @@ def track(
         paths = [(file, partial(start_angles, str(file), first_point(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
-    allowed = None if limit is None else limit / 1e3
     system = system_file(system, "harvester_control.ssp")
+    tell_built(system, {})
+    allowed = None if limit is None else limit / 1e3
     if not run_study(system, paths, machines, out, modes, allowed, set=assignments(set_ or [])):
         raise typer.Exit(1)
 

@@ -10,7 +10,17 @@ import typer
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.cli.options import BUILD, SYSTEM, Set, Swap, app, assignments, swaps, system_file
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    Set,
+    Swap,
+    app,
+    assignments,
+    swaps,
+    system_file,
+    tell_built,
+)
 
 CONTROL = BUILD / "harvester_control.ssp"
 
@@ -28,7 +38,8 @@ def view(
     replay: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Start with the replay of this result file (.csv, .parquet); default: none."
+            metavar="FILE",
+            help="Start with the replay of this result file (.csv, .parquet, .mat); default: none.",
         ),
     ] = None,
     pose: Annotated[
@@ -72,8 +83,10 @@ def view(
     from orchestrator.view.server import serve
 
     swapped = swaps(swap or [])
+    chosen = system or _default_system(swapped)
+    tell_built(chosen, swapped)
     serve(
-        system or _default_system(swapped),
+        chosen,
         replay,
         pose,
         swapped,

@@ -28,7 +28,9 @@ from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layo
 from orchestrator.results.summary import summary
 from orchestrator.results.validation import Validation, by_variable, validate, without_repetitions
 from orchestrator.ssp.load import load
-from orchestrator.ssp.swap import missing_after_swap
+from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.provenance import built_notes, checksum, chosen_note, other_values
+from orchestrator.ssp.swap import missing_after_swap, with_swaps
 from orchestrator.ssp.system import Component, Port, System, coerce
 
 POSITIONS = ("rad", "m")
@@ -132,6 +134,22 @@ def another_model(system: System, reference: Recording) -> str:
     return f"{', '.join(swapped)} {verb} swapped: the reference is of another model, expect a difference"
 
 
+def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str, Any]) -> str:
+    """What differs in the numbers of a system from those of the shipped one; empty if nothing does.
+
+    shipped   the reference that comes with the system, which was computed with the shipped numbers
+    options   parameters and start values of the run
+    """
+    loaded = with_swaps(load(require_system(system)), options.get("swap") or {})
+    chosen = with_sets(loaded, options.get("parameters") or ()).with_start(options.get("set") or {})
+    built, own = built_notes(loaded), chosen_note(chosen)
+    if shipped is None:
+        return "\n".join(built)
+    reason = "; ".join([*built, *([own] if own else [])])
+    consequence = f"{shipped.heading} was computed with the shipped numbers: expect differences"
+    return f"{reason}\n{consequence}" if reason else ""
+
+
 def describe(component: Component) -> reporting.ReportedComponent:
     """Data of one FMU for the report."""
     source = component.source
@@ -145,11 +163,13 @@ def describe(component: Component) -> reporting.ReportedComponent:
         f"{interface.fmi}.0 CS",
         interface.tool,
         interface.description,
+        checksum(source) if source else "",
     )
 
 
 def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
     """All parameters of a run, with their sources if the FMU contains `resources/parameters.toml`."""
+    others = {v.name: v for v in other_values(system)}
     for component in system.components.values():
         sources = _provenance(component)
         for v in component.interface.of("parameter"):
@@ -158,6 +178,7 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
             if isinstance(of_list.get("value"), list) and value == 0:
                 continue  # an entry of a list that is not used
             provenance = sources.get(v.name, of_list)
+            other = others.get(f"{component.name}.{v.name}")
             yield reporting.ReportedParameter(
                 component=component.name,
                 name=v.name,
@@ -167,6 +188,8 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
                 source=str(provenance.get("source", "")),
                 note=str(provenance.get("note", "")),
                 changed=_changed(v, component),
+                shipped=None if other is None else other.shipped,
+                origin=other.origin if other else "",
             )
 
 
@@ -240,6 +263,8 @@ def validate_system(
     page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
+    if other := other_numbers(system, against if reference is None else None, options):
+        print(f"{other}\n", flush=True)
     result, file = run_to_file(system, scenario or commands, trace, **options, every_point=False)
     # A reference of the default system contains signals that a swapped FMU lacks.
     missing = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()

@@ -49,11 +49,15 @@ class ReportedComponent:
     fmi: str = ""
     tool: str = ""
     text: str = ""
+    sha256: str = ""
 
 
 @dataclass(frozen=True)
 class ReportedParameter:
-    """One parameter of the run; `changed` if it was set for this run."""
+    """One parameter of the run; `changed` if it was set for this run.
+
+    shipped, origin   shipped value of a parameter that differs from it, and where its value comes from
+    """
 
     component: str
     name: str
@@ -63,6 +67,8 @@ class ReportedParameter:
     source: str = ""
     note: str = ""
     changed: bool = False
+    shipped: float | int | bool | str | None = None
+    origin: str = ""
 
 
 @dataclass(frozen=True)
