@@ -1,4 +1,16 @@
-"""Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options."""
+"""Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options.
+
+WebAssembly. `wasm` adds a module for browsers next to the native libraries: the same C files, compiled unchanged
+for wasm32-wasi with the C library and libm of the compiler package (wasi-libc, whose libm is that of musl). The
+module exports the C functions of FMI, `malloc`, `free`, its memory and its table of functions, and imports nothing.
+It is in binaries/wasm32-wasip1/<modelIdentifier>.wasm.
+
+The draft layered standard fmi-ls-wasm (Modelica Association, state of 8 July 2026, no release) defines
+binaries/wasm32-wasip2/<modelIdentifier>.wasm and extra/org.modelica.fmi-ls-wasm/manifest.xml for a component of the
+WebAssembly component model, whose interface is WIT. Browsers cannot load components. Our module has the draft's rule
+for folder and file name, with the target triple of what it is, and has the C interface of FMI; an importer that looks
+for the draft's component must not find it, so the draft's folder and manifest are left out.
+"""
 
 from __future__ import annotations
 
@@ -40,6 +52,11 @@ _ALL = (
     Platform("aarch64-darwin", ("darwin64", "aarch64-darwin"), "aarch64-macos.11.0", ".dylib"),
 )
 PLATFORMS: Mapping[str, Platform] = {p.name: p for p in _ALL}
+WASM = "wasm"
+TARGETS: Mapping[str, Platform] = {
+    **PLATFORMS,
+    WASM: Platform("wasm32-wasip1", ("wasm32-wasip1",), "wasm32-wasi", ".wasm"),
+}
 _SYSTEMS = {"Linux": "linux", "Windows": "windows", "Darwin": "darwin"}
 _PROCESSORS = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 
@@ -54,21 +71,27 @@ def host() -> str:
 
 
 def select(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of platforms from options of a user: host, all, or names."""
+    """Names of `TARGETS` from options of a user: host, all (the native ones), or names.
+
+    `wasm` is for browsers: it is never part of `all`, and alone it is added to the host.
+    """
     chosen: list[str] = []
     for name in names:
-        if name not in ("host", "all", *PLATFORMS):
-            raise Problem(f"platform {name!r} is unknown, expected host, all or {', '.join(PLATFORMS)}")
+        if name not in ("host", "all", *TARGETS):
+            raise Problem(f"platform {name!r} is unknown, expected host, all or {', '.join(TARGETS)}")
         chosen += PLATFORMS if name == "all" else [host() if name == "host" else name]
-    return tuple(name for name in PLATFORMS if name in chosen)
+    if set(chosen) == {WASM}:
+        chosen.append(host())
+    return tuple(name for name in TARGETS if name in chosen)
 
 
 def binaries(model: str, fmi: int, libraries: Mapping[str, bytes]) -> dict[str, bytes]:
     """Files of the FMU, path -> content, from shared libraries by platform."""
     slices: dict[str, list[bytes]] = {}
     for name, library in libraries.items():
-        for folder in PLATFORMS[name].folders if fmi == 2 else (name,):
-            slices.setdefault(f"binaries/{folder}/{model}{PLATFORMS[name].suffix}", []).append(library)
+        target = TARGETS[name]
+        for folder in target.folders if fmi == 2 else (target.name,):
+            slices.setdefault(f"binaries/{folder}/{model}{target.suffix}", []).append(library)
     return {path: libs[0] if len(libs) == 1 else universal(libs) for path, libs in slices.items()}
 
 
@@ -86,9 +109,15 @@ def universal(slices: Sequence[bytes]) -> bytes:
 
 
 FLAGS = (
-    *("-std=c99", "-O3", "-g0", "-s", "-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-std=c99", "-O3", "-g0", "-s", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
+)
+LIBRARY = ("-fPIC", "-shared")
+# a module without main, which exports what is visible, and a table in which an importer can put its callbacks
+MODULE = (
+    *("-mexec-model=reactor", "-rdynamic", "-Wl,--export=malloc", "-Wl,--export=free"),
+    *("-Wl,--export-table", "-Wl,--growable-table"),
 )
 HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h and fmi3*.h, which FMUs must not contain
 
@@ -104,12 +133,13 @@ def shared_library(
 
     code        the files under sources/ by name
     compiled    names of the files to compile
-    platform    a name of `PLATFORMS`
+    platform    a name of `TARGETS`
     libraries   linker options for system libraries, except on Windows and macOS
     """
-    target = PLATFORMS[platform]
+    target = TARGETS[platform]
     library = f"{model}{target.suffix}"
-    arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS), *compiled]
+    kind = MODULE if platform == WASM else LIBRARY
+    arguments = ["-target", target.target, *FLAGS, *kind, "-isystem", str(HEADERS), *compiled]
     if target.suffix == ".dylib":
         arguments += ["-install_name", f"@rpath/{library}"]  # else the path in the build folder is stored
     elif target.suffix == ".so":
