@@ -70,7 +70,7 @@ def build_all(
 
 
 def _write(targets: Sequence[tuple[Path, Package, Sequence[str]]]) -> list[Path]:
-    """Compile each package for its platforms, then write it to its folder; no file is written if one fails."""
+    """Compile each package for its platforms, then write all to their folders, or none if one fails."""
     jobs = [(p, name) for _, p, names in targets for name in names]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         libraries = iter(list(pool.map(lambda job: _library(*job), jobs)))

@@ -1,15 +1,15 @@
 """Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options.
 
-WebAssembly. `wasm` adds a module for browsers next to the native libraries: the same C files, compiled unchanged
-for wasm32-wasi with the C library and libm of the compiler package (wasi-libc, whose libm is that of musl). The
-module exports the C functions of FMI, `malloc`, `free`, its memory and its table of functions, and imports nothing.
-It is in binaries/wasm32-wasip1/<modelIdentifier>.wasm.
+WebAssembly. The platform `wasm` adds a module for browsers next to the native libraries. The C files are
+the same, compiled for wasm32-wasi with C library and libm of the compiler package (wasi-libc, with the
+libm of musl). The module is binaries/wasm32-wasip1/<modelIdentifier>.wasm. It exports the C functions of
+FMI, `malloc`, `free`, its memory, and its table of functions for callbacks. It imports nothing.
 
-The draft layered standard fmi-ls-wasm (Modelica Association, state of 8 July 2026, no release) defines
-binaries/wasm32-wasip2/<modelIdentifier>.wasm and extra/org.modelica.fmi-ls-wasm/manifest.xml for a component of the
-WebAssembly component model, whose interface is WIT. Browsers cannot load components. Our module has the draft's rule
-for folder and file name, with the target triple of what it is, and has the C interface of FMI; an importer that looks
-for the draft's component must not find it, so the draft's folder and manifest are left out.
+The draft layered standard fmi-ls-wasm (state of 8 July 2026, no release) defines a component of the
+WebAssembly component model with a WIT interface, in binaries/wasm32-wasip2/<modelIdentifier>.wasm, and a
+manifest in extra/org.modelica.fmi-ls-wasm/. Browsers cannot load components. Our module follows the
+draft's rule for the names of folder and file, with the target of its own interface. It omits the draft's
+folder and manifest, because an importer that finds those expects a component.
 """
 
 from __future__ import annotations

@@ -45,8 +45,8 @@ def build_machine(
     """Write the FMUs of parts, operator, controller and composed machine, and both systems; their files.
 
     versions    versions of FMI; FMUs of version 2 go to `folder`, those of version 3 to its sub-folder fmi3
-    platforms   names of `fmus.export.compile`; default: the platform of this computer. The composed machine in
-                FMI 3.0 always has the WebAssembly module, too, for the machine on pages
+    platforms   names of `fmus.export.compile`; default: the platform of this computer. The composed machine
+                in FMI 3.0 always has the WebAssembly module, too: pages need it
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
     """
     parts, others = parts_with_parameters(parameters)

@@ -17,12 +17,12 @@ from fmus.contract import quantities, symbolic
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
+from orchestrator.scene import bodies
+from orchestrator.scene.geometry import NODES, Angles, Geometry, NodePose, ScenePose, geometry, pose
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import System
 from orchestrator.view.choice import MachineChoice, plan
-from orchestrator.view.scene import bodies
 from orchestrator.view.scene.canvas import SCALE, UNKNOWN, colour, rings
-from orchestrator.view.scene.pose import NODES, Angles, Geometry, NodePose, ScenePose, geometry, pose
 
 PENDULUM = VARIANTS["pendulum"]
 OWN = values(PENDULUM).p

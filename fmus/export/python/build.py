@@ -71,7 +71,9 @@ def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
     The FMU is written to a subfolder, so that no FMU with C code of the same name is overwritten.
     """
     if WASM in platforms:
-        raise Problem(f"--platform {WASM}: expected another one with MODEL: a browser has no Python for {model}")
+        raise Problem(
+            f"--platform {WASM}: expected another one with MODEL: a browser has no Python for {model}"
+        )
     folder = folder / SUBFOLDER
     if model.endswith(".py"):
         return build_user(Path(model), folder, platforms=platforms)
