@@ -77,14 +77,21 @@ def find_fmu(system: Path) -> Path | None:
     return next((path for path in names if path.is_file() and _module(load(path)) is not None), None)
 
 
-def fragment(system: Path, replayed: Replayed | None = None, autostart: bool = False) -> Markup:
+def fragment(
+    system: Path, replayed: Replayed | None = None, autostart: bool = False, shown: System | None = None
+) -> Markup:
     """The section of a system whose file describes a scene; empty if there is nothing to drive or to replay.
 
+    replayed    shown first; left out if it has no angle of a joint
     autostart   the machine moves when it comes into sight, unless the visitor prefers reduced motion
+    shown       the system of the replayed run; default: that of the file
     """
-    loaded, fmu = load(system), find_fmu(system)
+    loaded, fmu = shown or load(system), find_fmu(system)
     driven = load(fmu) if fmu is not None else None
     description = view_description(loaded)
+    if description.scene is not None and replayed is not None:
+        angles = by_bare_name(replayed.run.signals)
+        replayed = replayed if any(joint in angles for joint in description.scene.joints) else None
     if description.scene is None or (driven is None and replayed is None):
         return Markup()
     parts, data = {"three": three()}, _scene(description, loaded)
@@ -92,7 +99,7 @@ def fragment(system: Path, replayed: Replayed | None = None, autostart: bool = F
         data |= {"fmu": _fmu(view_description(driven), driven, loaded)}
         parts["module"] = _module(driven) or b""
     if replayed is not None:
-        data |= {"replay": _replay(description, description.scene, replayed)}
+        data |= {"replay": _replay(description.shown, description.scene.joints, replayed)}
     parts["data"] = json.dumps(data | {"autostart": autostart}, separators=(",", ":")).encode()
     return Markup(
         _environment()
@@ -289,16 +296,17 @@ def _program(fmu: System, inputs: Iterable[str]) -> dict[str, Any] | None:
     return {"time": table[:, 0].tolist(), "columns": columns} if columns else None
 
 
-def _replay(description: ViewDescription, scene: SceneSignals, replayed: Replayed) -> dict[str, Any]:
+def _replay(shown: Iterable[str], joints: Iterable[str], replayed: Replayed) -> dict[str, Any]:
     """Signals of a run at the times of the pictures, and the angles of the reference."""
     run = replayed.run
     count = max(2, round((run.time[-1] - run.time[0]) * REPLAY_RATE) + 1)
     time = np.linspace(run.time[0], run.time[-1], count)
-    columns = _columns(run, time, description.shown)
-    if not any(joint in columns for joint in scene.joints):
-        raise Problem(f"replay: expected signals such as {scene.joints[0]}, found {', '.join(run.signals)}")
-    ghost = _columns(replayed.reference, time, scene.joints) if replayed.reference else {}
-    return {"time": [round(t, 4) for t in time.tolist()], "columns": columns, "ghost": ghost}
+    ghost = _columns(replayed.reference, time, joints) if replayed.reference else {}
+    return {
+        "time": [round(t, 4) for t in time.tolist()],
+        "columns": _columns(run, time, shown),
+        "ghost": ghost,
+    }
 
 
 def _columns(trace: Trace, time: Any, names: Iterable[str]) -> dict[str, list[float]]:

@@ -165,7 +165,7 @@ class Scene {
     [this.THREE, this.data, this.place, this.number, this.colours] = [THREE, data, place, 0, {}];
     const software = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(graphics());
     const renderer = new THREE.WebGLRenderer({ antialias: !software });
-    const camera = new THREE.PerspectiveCamera(38, 1, 0.3, 200);
+    const camera = new THREE.PerspectiveCamera(31, 1, 0.3, 200);
     camera.up.set(0, 0, 1);
     place.append(renderer.domElement);
     const controls = new THREE.OrbitControls(camera, renderer.domElement);
@@ -448,7 +448,7 @@ class Section {
       this.simulation = new Simulation(fmu, this.data.fmu);
     }
     const THREE = new Function(`${text(three)}\nreturn THREE;`)();
-    this.scene = new Scene(THREE, this.data.scene, this.at("stage"), this.data.replay?.ghost.boom_angle);
+    this.scene = new Scene(THREE, this.data.scene, this.at("stage"), Object.keys(this.data.replay?.ghost ?? {}).length > 0);
     const names = new Set(module ? this.data.fmu.outputs : Object.keys(this.data.replay.columns));
     this.gauges = new Gauges(this.at("gauges"), this.data.gauges, names);
     this.charts = this.data.charts.map((chart) => new Chart(this.at("charts"), chart, names));
@@ -514,9 +514,9 @@ class Section {
     const axis = this.simulation.names.indexOf(name);
     return { follow: () => {
       if (axis < 0 || this.mode !== "program") return;
-      input.value = this.simulation.now[axis] * factor;
       this.simulation.goal[axis] = this.simulation.now[axis];
-      show(Number(input.value));
+      input.value = this.simulation.now[axis] * factor;
+      show(this.simulation.now[axis] * factor);
     } };
   }
 
@@ -679,12 +679,12 @@ class Section {
     this.values = this.mode === "replay" ? this.replayed() : this.simulation.values();
     const colour = (value) => this.scene.colour(value, this.data.full);
     const colours = Object.entries(this.data.pressures).map(([part, name]) => [part, colour(this.values[name])]);
+    const angles = this.angles(this.values, this.data.initial);
     if (this.scene.ghost) {
       this.scene.ghost.root.visible = this.mode === "replay";
-      if (this.mode === "replay")
-        this.scene.ghost.show(0, this.angles(this.replayed(this.data.replay.ghost), this.data.initial), {}, true);
+      if (this.mode === "replay") this.scene.ghost.show(0, this.angles(this.replayed(this.data.replay.ghost), angles), {}, true);
     }
-    this.scene.show(this.angles(this.values, this.data.initial), Object.fromEntries(colours), again);
+    this.scene.show(angles, Object.fromEntries(colours), again);
     if (again || performance.now() - (this.shown ?? 0) > PANELS) this.panels();
   }
 
