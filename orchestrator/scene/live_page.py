@@ -151,10 +151,15 @@ def three() -> bytes:
     return f"/*{licence}*/\n{(HERE / 'three' / 'three.min.js').read_text(encoding='utf-8')}".encode()
 
 
+def scene_modules() -> str:
+    """Classes Rig, Ground and Brush of the scene, for a function of THREE and getElement."""
+    return "\n".join(_without_modules(HERE / f"{name}.js") for name in SCENE_SCRIPTS)
+
+
 def script() -> str:
-    """The script without three.js: modules of the scene as one function of what they import."""
-    modules = "\n".join(_without_modules(HERE / f"{name}.js") for name in SCENE_SCRIPTS)
-    scene = f"const sceneOf = (THREE, getElement) => {{\n{modules}\nreturn {{ Rig, Ground, Brush }};\n}};"
+    """The script without three.js."""
+    body = f"{scene_modules()}\nreturn {{ Rig, Ground, Brush }};"
+    scene = f"const sceneOf = (THREE, getElement) => {{\n{body}\n}};"
     own = ((HERE / name).read_text(encoding="utf-8") for name in ("fmu.js", "machine.js"))
     return "\n".join(["(() => {", '"use strict";', scene, *own, "})();"])
 

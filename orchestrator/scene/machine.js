@@ -279,7 +279,7 @@ class Gauges {
     for (const { title, lines } of groups) {
       const present = lines.filter((line) => names.has(line.name));
       if (!present.length) continue;
-      place.append(make("h3", { textContent: title }), ...present.map((line) => this.line(line)));
+      place.append(make("p", { className: "hm-title", textContent: title }), ...present.map((line) => this.line(line)));
     }
   }
 
@@ -328,7 +328,7 @@ class Chart {
       key.firstChild.style.borderTop = `2px ${curve.dashed ? "dashed" : "solid"} ${curve.colour}`;
       return key;
     });
-    const heading = make("h3", { textContent: `${chart.title} [${chart.unit}]` });
+    const heading = make("p", { className: "hm-title", textContent: `${chart.title} [${chart.unit}]` });
     place.append(make("figure", { className: "hm-chart" }, heading, make("div", { className: "hm-key" }, ...keys), this.canvas));
   }
 

@@ -1,4 +1,4 @@
-"""The machine on a page: opened from disk it moves as `harvester run` moves it, and asks nobody for anything."""
+"""The machine on a page: from disk it moves as `harvester run` moves it, and asks nobody for anything."""
 
 from __future__ import annotations
 
@@ -37,9 +37,8 @@ def files(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     late = Trace(cycle.time, {n: np.interp(cycle.time - 1, cycle.time, v) for n, v in cycle.signals.items()})
     replayed = folder / "replay.html"
     section = fragment(fmu_dir / "harvester.ssp", Replayed(late, cycle))
-    replayed.write_text(
-        f'<!doctype html><html lang="en"><title>replay</title><main>{section}', encoding="utf-8"
-    )
+    head = '<!doctype html><html lang="en" style="color-scheme: light dark"><title>replay</title>'
+    replayed.write_text(f"{head}<main><h1>Replay</h1>{section}</main>", encoding="utf-8")
     return {
         "drive": write_page(folder / "drive.html", fmu_dir / "harvester.ssp", "Drive"),
         "replay": replayed,
@@ -47,7 +46,7 @@ def files(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
 
 
 class Opened:
-    """A page from disk. requests: schemes of all addresses that it asked for; complaints: errors in its console."""
+    """A page from disk. requests: schemes of the addresses asked for; complaints: errors in the console."""
 
     def __init__(self, chromium: Any, file: Path, **settings: Any) -> None:
         self.context = chromium.new_context(viewport={"width": 1100, "height": 900}, **settings)
@@ -108,7 +107,7 @@ def drive(page: Opened) -> None:
 
 
 def test_same_motion_as_run(opened: Any, fmi3_dir: Path, tmp_path: Path) -> None:
-    """Driven by hand for 6 s, the machine is where `harvester run` has it with the commands that were saved."""
+    """Driven by hand for 6 s, the machine is where `harvester run` has it with the saved commands."""
     page = opened("drive")
     drive(page)
     seen = page.ask("points.map(p => [p.t, p.values.boom_angle, p.values.swing_angle, p.values.stick_angle])")
@@ -125,7 +124,7 @@ def test_same_motion_as_run(opened: Any, fmi3_dir: Path, tmp_path: Path) -> None
     for name, values in zip(("boom_angle", "swing_angle", "stick_angle"), angles, strict=True):
         same = result.trace.at(time)[f"harvester.{name}"]
         assert np.ptp(values) > 0.05, f"{name} did not move"
-        # the bar of the page; the same C code with another libm differs by some 1e-14
+        # the bar of the page; the same C code with another libm differs by some 1e-15
         assert values[at] == pytest.approx(same[at], abs=1e-9)
         np.testing.assert_allclose(values, same, atol=1e-9)
     assert page.complaints == []
@@ -135,11 +134,10 @@ def test_same_motion_as_run(opened: Any, fmi3_dir: Path, tmp_path: Path) -> None
 def test_fast_enough(opened: Any) -> None:
     """The FMU in the page is at least twenty times faster than real time."""
     page = opened("drive")
-    page.page.get_by_label("Speed").select_option("5")
+    page.page.locator(".hm-speed").select_option("5")
     page.until("s.simulation.time > 7")
     time, cost = page.ask("simulation.time"), page.ask("simulation.cost")
     assert 1e3 * time / cost > 20, f"{time} s took {cost} ms"
-    assert "real time" in page.page.locator(".hm-pace").inner_text() or cost > 0
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -191,7 +189,7 @@ def test_waits(opened: Any) -> None:
 def test_parameters_and_poses(opened: Any) -> None:
     """A pose, a heavier head and a lower pressure act: the machine starts there, and the pressures follow."""
     page = opened("drive")
-    page.page.get_by_label("Pose").select_option("raised")
+    page.page.locator(".hm-pose").select_option("raised")
     page.until("s.mode === 'drive' && s.simulation.frames > 200")
     assert page.ask("values.boom_angle") == pytest.approx(0.95, abs=0.01)  # of fmus.machine.poses
     light = (
@@ -215,9 +213,8 @@ def test_replay_then_drive(opened: Any) -> None:
     cycle = read_recording(data("reference/work_cycle.csv")).trace().at([9.0, 10.0])
     # pictures between samples of 20 ms, five digits
     assert page.ask("values.boom_angle") == pytest.approx(cycle["manipulator.boom_angle"][0], abs=1e-3)
-    assert page.ask("replayed(s.data.replay.ghost).boom_angle".replace("s.", f"{SECTION}.")) == pytest.approx(
-        cycle["manipulator.boom_angle"][1], abs=1e-3
-    )
+    ghost = page.ask(f"replayed({SECTION}.data.replay.ghost).boom_angle")
+    assert ghost == pytest.approx(cycle["manipulator.boom_angle"][1], abs=1e-3)
     assert page.ask("scene.ghost.root.visible")
     before = page.ask("values.swing_angle")
     page.page.locator(".hm-stage").focus()
@@ -236,7 +233,7 @@ def test_a_failure_is_said(opened: Any) -> None:
         f"() => {{ {SECTION}.commanded = () => ({{ swing_command: NaN }}); {SECTION}.run(true); }}"
     )
     page.page.wait_for_selector(".hm-failed")
-    assert "swing_command cannot be set to nan" in page.page.locator(".hm-said").inner_text()
+    assert re.search("swing_command cannot be set to -?nan", page.page.locator(".hm-said").inner_text())
 
 
 def test_levers_as_in_view(opened: Any) -> None:
@@ -244,7 +241,7 @@ def test_levers_as_in_view(opened: Any) -> None:
     other = Path(driving.__file__).parent / "assets" / "lib" / "keyboard.js"
     own = Path(live_page.__file__).with_name("machine.js")
     tables = [re.search(r"const AXES = \{.*?\};", f.read_text(encoding="utf-8"), re.S) for f in (other, own)]
-    assert tables[0] and tables[1] and tables[0].group() == tables[1].group()
+    assert [found and found.group() for found in tables] == 2 * [tables[0] and tables[0].group()]
     page = opened("drive", reduced_motion="reduce")
     for deflection in (-1.0, -0.5, 0.05, 0.3, 1.0):
         page.page.evaluate(f"(x) => {{ {SECTION}.levers.hands.left = [x, 0]; }}", deflection)
@@ -253,7 +250,7 @@ def test_levers_as_in_view(opened: Any) -> None:
 
 
 def test_which_fmu(fmu_dir: Path, fmi3_dir: Path, tmp_path: Path) -> None:
-    """That of FMI 3.0 is found next to the SSP or FMU; a system without one is refused with what is missing."""
+    """That of FMI 3.0 next to the SSP or FMU; a system without one is refused with what is missing."""
     for system in (fmu_dir / "harvester.ssp", fmu_dir / "harvester.fmu", fmi3_dir / "harvester.fmu"):
         assert find_fmu(system) == fmi3_dir / "harvester.fmu"
     lonely = tmp_path / "harvester.ssp"
@@ -270,7 +267,7 @@ def test_which_fmu(fmu_dir: Path, fmi3_dir: Path, tmp_path: Path) -> None:
 
 
 def test_module_needs_nothing(fmi3_dir: Path) -> None:
-    """The module in the FMU has no section of imports (WebAssembly 1.0, section 5.5.5): nothing to provide."""
+    """The module has no section of imports (WebAssembly 1.0, section 5.5.5): nothing to provide."""
     with zipfile.ZipFile(fmi3_dir / "harvester.fmu") as archive:
         module = archive.read("binaries/wasm32-wasip1/harvester.wasm")
     assert module[:8] == b"\0asm\1\0\0\0"
@@ -289,7 +286,7 @@ def test_module_needs_nothing(fmi3_dir: Path) -> None:
 
 
 def test_library_is_as_built() -> None:
-    """three.js is what the script in its folder makes of the pinned version: the hash in entry.js is its own."""
+    """three.js is what its folder makes of the pinned version: the hash in entry.js is its own."""
     folder = Path(live_page.__file__).with_name("three")
     digest = hashlib.sha256((folder / "three.min.js").read_bytes()).hexdigest()
     assert digest in (folder / "entry.js").read_text(encoding="utf-8")
