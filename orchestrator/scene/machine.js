@@ -169,6 +169,7 @@ class Scene {
     camera.up.set(0, 0, 1);
     place.append(renderer.domElement);
     const controls = new THREE.OrbitControls(camera, renderer.domElement);
+    renderer.domElement.style.touchAction = "pan-y"; // fingers scroll the page
     controls.enableZoom = false; // the wheel scrolls the page; two fingers and Ctrl + wheel are the browser's
     this.stage = { renderer, camera, controls, $el: place, $emit() {}, scene: new THREE.Scene() };
     const { Rig, Ground, Brush } = sceneOf(THREE, () => this.stage);
