@@ -191,11 +191,12 @@ class Scene {
     return rig;
   }
 
-  // the reference: transparent and of one colour, without shadow and trail
+  // the reference: transparent and of one colour, without shadow and trail; behind the machine where they agree
   fade() {
     const colour = new this.THREE.Color("#e69f00");
+    const behind = { polygonOffset: true, polygonOffsetFactor: 4, polygonOffsetUnits: 40, depthWrite: false };
     for (const material of this.ghost.materials.values())
-      Object.assign(material, { vertexColors: false, color: colour, transparent: true, opacity: 0.4, depthWrite: false });
+      Object.assign(material, { vertexColors: false, color: colour, transparent: true, opacity: 0.45, ...behind });
     this.ghost.shadow.visible = false;
     this.ghost.root.children[1].visible = false;
     this.ghost.materials = new Map(); // pressures do not colour it
@@ -648,7 +649,7 @@ class Section {
   // ---- replay
 
   seek(t) {
-    [this.moment, this.points] = [t, []];
+    this.moment = t;
     if (this.mode !== "replay") this.choose("replay");
     this.present(true);
   }
@@ -657,8 +658,16 @@ class Section {
     const { time } = this.data.replay;
     this.moment = (this.moment ?? time[0]) + this.due;
     this.due = 0;
-    if (this.moment > time[time.length - 1]) [this.moment, this.points] = [time[0], []];
-    this.sample(this.moment, this.replayed());
+    if (this.moment > time[time.length - 1]) this.moment = time[0];
+  }
+
+  // the last seconds of the replay, for the charts
+  recent() {
+    const { time, columns } = this.data.replay;
+    const names = Object.keys(columns);
+    this.history ??= time.map((t, k) => ({ t, values: Object.fromEntries(names.map((name) => [name, columns[name][k]])) }));
+    const past = this.history.filter(({ t }) => t > this.time - WINDOW && t < this.time);
+    return [...past, { t: this.time, values: this.values }];
   }
 
   // values at the moment of the replay, linear between the pictures
@@ -697,7 +706,8 @@ class Section {
     if (!this.values) return;
     this.shown = performance.now();
     this.gauges.show(this.values, (value) => this.scene.colour(value, this.data.full));
-    for (const chart of this.charts) chart.draw(this.points);
+    const points = this.mode === "replay" ? this.recent() : this.points;
+    for (const chart of this.charts) chart.draw(points);
     for (const part of [...(this.sliders ?? [])]) part.follow();
     for (const stick of this.sticks ?? []) stick.show();
     this.at("mode").textContent = this.running ? TITLES[this.mode] : `${TITLES[this.mode]}, paused`;
