@@ -281,7 +281,8 @@ class Gauges {
     for (const { title, lines } of groups) {
       const present = lines.filter((line) => names.has(line.name));
       if (!present.length) continue;
-      place.append(make("p", { className: "hm-title", textContent: title }), ...present.map((line) => this.line(line)));
+      const heading = make("p", { className: "hm-title", textContent: title });
+      place.append(make("div", { className: "hm-group" }, heading, ...present.map((line) => this.line(line))));
     }
   }
 
