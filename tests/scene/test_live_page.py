@@ -18,6 +18,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.run import run
+from orchestrator.results.validate_system import validate_system
 from orchestrator.scene import live_page
 from orchestrator.scene.live_page import Replayed, find_fmu, fragment, write_page
 from orchestrator.view.driving.sticks import ResponseCurve, response
@@ -307,3 +308,15 @@ def test_library_is_as_built() -> None:
     digest = hashlib.sha256((folder / "three.min.js").read_bytes()).hexdigest()
     assert digest in (folder / "entry.js").read_text(encoding="utf-8")
     assert '"three": "0.180.0"' in (folder / "package.json").read_text(encoding="utf-8")
+
+
+def test_report_has_the_machine(fmu_dir: Path, tmp_path: Path) -> None:
+    """The report of a validation contains the machine with its module, in place of the animation of lines."""
+    default = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
+    options = {"default": default, "rate": False, "stop": 1.0}
+    validate_system(fmu_dir / "harvester.ssp", None, None, None, tmp_path, **options)
+    report = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'data-part="module"' in report
+    assert "Replay the run" in report
+    assert 'id="motion-data"' not in report
+    assert "no machine in the report" not in report
