@@ -1,4 +1,16 @@
-"""Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options."""
+"""Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options.
+
+WebAssembly. The platform `wasm` adds a module for browsers next to the native libraries. The C files are
+the same, compiled for wasm32-wasi with C library and libm of the compiler package (wasi-libc, with the
+libm of musl). The module is binaries/wasm32-wasip1/<modelIdentifier>.wasm. It exports the C functions of
+FMI, `malloc`, `free`, its memory, and its table of functions for callbacks. It imports nothing.
+
+The draft layered standard fmi-ls-wasm (state of 8 July 2026, no release) defines a component of the
+WebAssembly component model with a WIT interface, in binaries/wasm32-wasip2/<modelIdentifier>.wasm, and a
+manifest in extra/org.modelica.fmi-ls-wasm/. Browsers cannot load components. Our module follows the
+draft's rule for the names of folder and file, with the target of its own interface. It omits the draft's
+folder and manifest, because an importer that finds those expects a component.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +24,35 @@ from orchestrator.base import compiler
 from orchestrator.base.compiler import PLATFORMS, CompilerError, Platform, host, linker_arguments
 from orchestrator.base.errors import Problem
 
-__all__ = ["FLAGS", "HEADERS", "PLATFORMS", "Platform", "binaries", "host", "select", "shared_library"]
+WASM = "wasm"
+TARGETS: Mapping[str, Platform] = {
+    **PLATFORMS,
+    WASM: Platform("wasm32-wasip1", ("wasm32-wasip1",), "wasm32-wasi", ".wasm"),
+}
 
 
 def select(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of platforms from options of a user: host, all, or names."""
+    """Names of `TARGETS` from options of a user: host, all (the native ones), or names.
+
+    `wasm` is for browsers: it is never part of `all`, and alone it is added to the host.
+    """
     chosen: list[str] = []
     for name in names:
-        if name not in ("host", "all", *PLATFORMS):
-            raise Problem(f"platform {name!r} is unknown, expected host, all or {', '.join(PLATFORMS)}")
+        if name not in ("host", "all", *TARGETS):
+            raise Problem(f"platform {name!r} is unknown, expected host, all or {', '.join(TARGETS)}")
         chosen += PLATFORMS if name == "all" else [host() if name == "host" else name]
-    return tuple(name for name in PLATFORMS if name in chosen)
+    if set(chosen) == {WASM}:
+        chosen.append(host())
+    return tuple(name for name in TARGETS if name in chosen)
 
 
 def binaries(model: str, fmi: int, libraries: Mapping[str, bytes]) -> dict[str, bytes]:
     """Files of the FMU, path -> content, from shared libraries by platform."""
     slices: dict[str, list[bytes]] = {}
     for name, library in libraries.items():
-        for folder in PLATFORMS[name].folders if fmi == 2 else (name,):
-            slices.setdefault(f"binaries/{folder}/{model}{PLATFORMS[name].suffix}", []).append(library)
+        target = TARGETS[name]
+        for folder in target.folders if fmi == 2 else (target.name,):
+            slices.setdefault(f"binaries/{folder}/{model}{target.suffix}", []).append(library)
     return {path: libs[0] if len(libs) == 1 else universal(libs) for path, libs in slices.items()}
 
 
@@ -48,9 +70,15 @@ def universal(slices: Sequence[bytes]) -> bytes:
 
 
 FLAGS = (
-    *("-std=c99", "-O3", "-g0", "-s", "-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-std=c99", "-O3", "-g0", "-s", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
+)
+LIBRARY = ("-fPIC", "-shared")
+# a module without main, which exports what is visible, and a table in which an importer can put its callbacks
+MODULE = (
+    *("-mexec-model=reactor", "-rdynamic", "-Wl,--export=malloc", "-Wl,--export=free"),
+    *("-Wl,--export-table", "-Wl,--growable-table"),
 )
 HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h and fmi3*.h, which FMUs must not contain
 
@@ -66,7 +94,7 @@ def shared_library(
 
     code        the files under sources/ by name
     compiled    names of the files to compile
-    platform    a name of `PLATFORMS`
+    platform    a name of `TARGETS`
     libraries   linker options for system libraries, except on Windows and macOS
     """
     try:
@@ -84,8 +112,9 @@ def recipe(
     libraries: Sequence[str] = ("-lm",),
 ) -> tuple[str, Mapping[str, bytes], list[str], list[bytes]]:
     """How the library of a model is made: arguments of `compiler.shared_library`."""
-    target = PLATFORMS[platform]
+    target = TARGETS[platform]
     library = f"{model}{target.suffix}"
-    arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS), *compiled]
+    kind = MODULE if platform == WASM else LIBRARY
+    arguments = ["-target", target.target, *FLAGS, *kind, "-isystem", str(HEADERS), *compiled]
     arguments += linker_arguments(library, target, libraries)
     return library, code, arguments, [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]

@@ -16,7 +16,7 @@ from fmus.export.build import build_all
 from fmus.machine.one_block import composed_machine
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.ssp import write_control, write_system
+from fmus.machine.ssp import NAME, write_control, write_system
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
 from fmus.package_files import data, shipped_folder
@@ -41,7 +41,8 @@ def build_machine(
     """Write the FMUs of parts, operator, controller and composed machine, and both systems; their files.
 
     versions    versions of FMI; FMUs of version 2 go to `folder`, those of version 3 to its sub-folder fmi3
-    platforms   names of `fmus.export.compile`; default: the platform of this computer
+    platforms   names of `fmus.export.compile`; default: the platform of this computer. The composed machine
+                in FMI 3.0 always has the WebAssembly module, too: pages need it
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
     only        patterns of the names of FMUs; systems are written if all of their FMUs are
     """
@@ -57,7 +58,9 @@ def build_machine(
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     subfolders = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
-    for fmi, built in build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders).items():
+    for fmi, built in build_all(
+        subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders, wasm=[NAME]
+    ).items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]

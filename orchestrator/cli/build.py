@@ -37,7 +37,8 @@ def build(
         typer.Option(
             metavar="NAME",
             help="Platform of the binaries: host (this computer, the default), x86_64-linux, aarch64-linux,"
-            " x86_64-windows, x86_64-darwin, aarch64-darwin or all; repeatable.",
+            " x86_64-windows, x86_64-darwin, aarch64-darwin, all (these), or wasm (a WebAssembly module"
+            " for browsers in addition; harvester.fmu of FMI 3.0 always has one); repeatable.",
         ),
     ] = None,
     parameters: Annotated[

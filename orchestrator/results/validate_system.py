@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from rich.console import Console
 
 from orchestrator.base import toml
@@ -27,6 +28,7 @@ from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.summary import summary
 from orchestrator.results.validation import Validation, by_variable, validate, without_repetitions
+from orchestrator.scene.live_page import Replayed, fragment
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.provenance import built_notes, checksum, chosen_note, other_values
@@ -99,11 +101,13 @@ def judge(
     out: Path,
     facts: Mapping[str, Any],
     rate: bool = True,
+    machine: Markup = Markup(),  # noqa: B008  immutable
 ) -> tuple[Validation, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
     facts   settings of the run, in the order of the report
     rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
+    machine the machine that replays the run, as HTML
     """
     validation = validate(result.trace, reference, rate=rate)
     layout.check(result.trace)
@@ -118,6 +122,7 @@ def judge(
         card=card(result),
         motion=layout.motion(result.trace),
         ghost=layout.motion(reference.trace()),
+        machine=machine,
         warnings=result.card.warnings,
         notes=result.card.notes,
         caution=another_model(result.system, reference),
@@ -287,10 +292,21 @@ def validate_system(
         title = default_title or f"{(scenario or system).stem} against {against.heading}"
         page = replace(page.within(recorded), title=title)
     facts = _facts(system, scenario, against.heading, card, **options)
-    validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate)
+    machine, reason = _machine(system, result, against)
+    if reason:
+        result = replace(result, card=replace(result.card, notes=(*result.card.notes, reason)))
+    validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate, machine)
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
     return validation.passed
+
+
+def _machine(system: Path, result: Result, reference: Recording) -> tuple[Markup, str]:
+    """The machine that replays a run, empty for a system without a scene; or the reason why there is none."""
+    try:
+        return fragment(system, Replayed(result.trace, reference.trace()), shown=result.system), ""
+    except Problem as problem:
+        return Markup(), f"no machine in the report: {problem}"
 
 
 def _input_note(commands: Trace | None) -> str:

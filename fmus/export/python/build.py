@@ -17,7 +17,7 @@ from typing import Any
 from fmus import parameters
 from fmus.contract import Subsystem
 from fmus.export.c_code import string
-from fmus.export.compile import binaries, host, shared_library
+from fmus.export.compile import WASM, binaries, host, shared_library
 from fmus.export.interface import Interface, interface_of
 from fmus.export.model_description import CAPABILITIES, Unknowns, model_description
 from fmus.export.package import PLACEHOLDER, common_files, guid_of
@@ -71,6 +71,10 @@ def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
 
     The FMU is written to a subfolder, so that no FMU with C code of the same name is overwritten.
     """
+    if WASM in platforms:
+        raise Problem(
+            f"--platform {WASM}: expected another one with MODEL: a browser has no Python for {model}"
+        )
     folder = folder / SUBFOLDER
     if model.endswith(".py"):
         return build_user(Path(model), folder, platforms=platforms)
