@@ -5,15 +5,21 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-INSTALLED := .venv/installed
-TESTING := .venv/testing
-PEERS := .venv/peers
-DOCUMENTING := .venv/documenting
+# empty files: what is installed in .venv
+INSTALLED := .venv/.have-build
+EVERYTHING := .venv/.have-all
+TESTING := .venv/.have-test
+PEERS := .venv/.have-peers
+DOCUMENTING := .venv/.have-docs
+RELEASING := .venv/.have-release
 
-.PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage docs clean
+.PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
+  docs clean release constraints test-lowest test-newest audit
 
+# FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
 demo: $(INSTALLED)
-	$(BIN)/harvester build
+	$(BIN)/harvester build --fmi 2
+	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
 
 test: $(TESTING)
@@ -29,18 +35,18 @@ lint: $(TESTING)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(INSTALLED)
+bench: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.speed
 	$(BIN)/python -m benchmarks.variants
 
-bench-sensitivities: $(INSTALLED)
+bench-sensitivities: $(EVERYTHING)
 	$(BIN)/python -m benchmarks.sensitivities
 	$(BIN)/python -m benchmarks.starts
 
 bench-live: $(TESTING)
 	$(BIN)/python -m benchmarks.live --browser
 
-bench-sweep: $(INSTALLED)
+bench-sweep: $(EVERYTHING)
 	test -f build/harvester.ssp || $(BIN)/harvester build
 	$(BIN)/python -m benchmarks.sweep
 
@@ -52,7 +58,7 @@ matrix: $(TESTING)
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
 
-coverage: $(INSTALLED)
+coverage: $(EVERYTHING)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
 
 # the site, as build/site/index.html
@@ -62,20 +68,67 @@ docs: $(DOCUMENTING)
 clean:
 	rm -rf build .venv
 
-# the stamps make a second call skip the installation
-$(INSTALLED): pyproject.toml
+# wheel, sdist, and a zip of FMUs and their documentation, in dist/; two runs give the same bytes
+release: $(RELEASING)
+	$(BIN)/python tools/release.py
+
+# writes constraints.txt anew: the newest versions that pyproject.toml allows, for all platforms and extras
+constraints: $(RELEASING)
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-emit-package harvester-cosim \
+	  --no-annotate --no-header --upgrade pyproject.toml -o constraints.txt
+
+# the lowest and the newest versions that pyproject.toml allows, each in an environment of its own; a fast part
+# of the tests. With old versions warnings are no errors
+FAST := tests/test_extras.py tests/test_cli.py tests/orchestrator/test_cli.py tests/orchestrator/test_run.py \
+  tests/orchestrator/test_matlab.py tests/validation tests/check/test_good.py tests/sweep/test_running.py \
+  tests/sweep/test_analysis_sobol.py tests/identification/procedures tests/view/test_page_command.py \
+  tests/control/test_linear_use.py tests/python_fmu/test_agreement.py
+
+test-lowest: $(RELEASING)
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest
+	$(BIN)/uv pip install --quiet --python build/lowest --resolution lowest-direct -e ".[all]"
+	$(BIN)/uv pip install --quiet --python build/lowest -e . $(TESTS_NEED)
+	build/lowest/bin/python -m pytest -W default $(FAST)
+
+test-newest: $(RELEASING)
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/newest
+	$(BIN)/uv pip install --quiet --python build/newest -e ".[all]" $(TESTS_NEED)
+	build/newest/bin/python -m pytest $(FAST)
+
+TESTS_NEED := pytest pytest-timeout pytest-xdist hypothesis httpx playwright
+
+# Licences of the installed packages, and known vulnerabilities of the versions in constraints.txt; the latter
+# asks a database on the internet. Read by hand: casadi LGPL-3.0 (a library that is imported, unchanged),
+# docutils public domain with a few GPL files (of nicegui, not loaded); without a declaration FMPy BSD-2-Clause,
+# cmeel-qhull Qhull (of a test), objective_rating_metrics MIT (of a test)
+PERMISSIVE := MIT;BSD;Apache;ISC;MPL;Mozilla;PSF;Python Software Foundation;Zlib;BSL;Unlicense;CC0
+audit: $(RELEASING) $(TESTING)
+	$(BIN)/pip-licenses --from=mixed --partial-match --allow-only="$(PERMISSIVE)" --order=license --format=markdown \
+	  --ignore-packages harvester-cosim casadi docutils fmpy cmeel-qhull objective-rating-metrics
+	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip
+
+# a second call skips the installation; constraints.txt has the versions that were tested
+$(INSTALLED): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	$(BIN)/python tools/install.py build
+	touch $@
+
+$(EVERYTHING): $(INSTALLED)
+	$(BIN)/python tools/install.py all
 	touch $@
 
 $(TESTING): $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
+	$(BIN)/python tools/install.py test
 	touch $@
 
 $(PEERS): $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[peers]"
+	$(BIN)/python tools/install.py build peers
 	touch $@
 
 $(DOCUMENTING): $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
+	$(BIN)/python tools/install.py docs
+	touch $@
+
+$(RELEASING): $(INSTALLED)
+	$(BIN)/python tools/install.py release
 	touch $@

@@ -213,4 +213,4 @@ SUMMARY = (
 def table(head: Iterable[str], rows: Iterable[list[str]]) -> str:
     """A table of the documentation."""
     lines = [list(head), ["---"] * len(list(head)), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return "\n".join("|" + "|".join(cell or " " for cell in line) + "|" for line in lines)

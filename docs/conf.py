@@ -92,7 +92,6 @@ NAVIGATION = {
         "docs/run.md",
         "docs/coupling.md",
         "docs/convergence.md",
-        "docs/reference-traces.md",
         "orchestrator/README.md",
     ],
     "Identification": ["docs/identification.md", "docs/recordings.md", "fmus/identification/README.md"],
@@ -101,7 +100,6 @@ NAVIGATION = {
         "docs/linearize.md",
         "docs/view.md",
         "docs/sweep.md",
-        "docs/sensitivity.md",
     ],
     "Examples": [
         "examples/fidelity/README.md",
@@ -117,6 +115,7 @@ NAVIGATION = {
         "docs/reference/variants.md",
         "docs/reference/ports.md",
         "docs/reference/parameters.md",
+        "docs/reference/check-rules.md",
         *sorted(f"docs/reference/api/{p.name}" for p in (DOCS / "reference" / "api").glob("*.md")),
     ],
     "Development": ["docs/design.md", "CONTRIBUTING.md"],

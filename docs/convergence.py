@@ -59,9 +59,8 @@ def main() -> None:
     for name, study in (("work cycle", cycle), ("M1", benchmark)):
         if chosen := adaptive_table(study):
             fill(PAGE, f"{name}, adaptive step size", chosen.markdown())
-    for document in (PAGE, EXAMPLE / "README.md"):
-        fill(document, "M1, pressure", error_table(benchmark, "pressure").markdown())
-        fill(document, "M1, length", maximum_table(benchmark, "position").markdown())
+    fill(EXAMPLE / "README.md", "M1, pressure", error_table(benchmark, "pressure").markdown())
+    fill(EXAMPLE / "README.md", "M1, length", maximum_table(benchmark, "position").markdown())
 
 
 def pictures(name: str, study: ConvergenceStudy) -> None:
@@ -76,8 +75,8 @@ def fill(document: Path, name: str, table: str) -> None:
     place = re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(\n<!-- end -->)", re.DOTALL)
     if not place.search(text):
         raise SystemExit(f"{document}: expected a place <!-- {name} -->")
-    told = place.sub(lambda found: found[1] + table + found[2], text)
-    document.write_text(told, encoding="utf-8", newline="\n")
+    filled = place.sub(lambda match: match[1] + table + match[2], text)
+    document.write_text(filled, encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

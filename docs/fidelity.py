@@ -1,4 +1,4 @@
-"""Runs what docs/fidelity.md tells, fills its tables and draws: `python docs/fidelity.py [folder]`.
+"""Runs what docs/fidelity.md describes, fills its tables and draws: `python docs/fidelity.py [folder]`.
 
 Ten minutes. The folder is where the machine is built, by default one that is removed at the end. The table
 and the picture of examples/fidelity/README.md come from here, too.
@@ -6,6 +6,7 @@ and the picture of examples/fidelity/README.md come from here, too.
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import sys
 import tempfile
@@ -43,6 +44,7 @@ from fidelity_tables import (
     peak_table,
     ripple_table,
     rows_of_costs,
+    sensitivity,
 )
 
 from fmus.boom_stick.detailed import detailed
@@ -57,6 +59,7 @@ from orchestrator.studies.variants import combinations
 
 HERE = Path(__file__).parent
 DOCUMENT, IMAGES = HERE / "fidelity.md", HERE / "images"
+SENSITIVITIES = HERE / "fidelity-sensitivity.csv"
 EXAMPLE = HERE.parent / "examples" / "fidelity"
 SIGNALS = ("manipulator.boom_speed", "boom_stick.boom_head_pressure", "boom_stick.stick_rod_pressure")
 MACHINES: Mapping[str, tuple[float, Mapping[str, str]]] = {  # command of the stick [V], variants
@@ -108,8 +111,8 @@ def tables(found: Mapping[str, Outcome], system: Path) -> None:
     fill(DOCUMENT, "causes", level_table(of(CAUSES)))
     fill(DOCUMENT, "peaks", peak_table(of(EFFECTS), base))
     fill(DOCUMENT, "swing lines", peak_table([measure(system, c) for c in within("swing")], base))
-    fill(DOCUMENT, "ripple sensitivity", ripple_table(of(SENSITIVITY), base))
-    fill(DOCUMENT, "peak sensitivity", peak_table(of(SENSITIVITY), base))
+    with SENSITIVITIES.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(sensitivity(of(SENSITIVITY), base))
     found_modes = {name: modes(command, **swap) for name, (command, swap) in MACHINES.items()}
     fill(DOCUMENT, "modes", mode_table(found_modes))
 

@@ -52,7 +52,7 @@ def _peaks(system: Path, case: Case, test: Test) -> np.ndarray:
 
 
 def _rows(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
+    lines = ["|" + "|".join(cell or " " for cell in cells) + "|" for cells in (head, *rows)]
     return "\n".join([lines[0], "|---" * len(head) + "|", *lines[1:]])
 
 
@@ -75,8 +75,11 @@ def _level(found: Ripple) -> tuple[str, str]:
 
 def _fast(found: Ripple) -> str:
     """The ripple with its frequency, if that is not the flank of the bumps."""
-    told = found.fast > LEAST and found.peak > 1.1 * SPLIT
-    return f"{found.fast:.2f}" + (f" at {found.peak:.1f} Hz" if told else "")
+    return f"{found.fast:.2f}" + (f" at {found.peak:.1f} Hz" if _told(found) else "")
+
+
+def _told(found: Ripple) -> bool:
+    return found.fast > LEAST and found.peak > 1.1 * SPLIT
 
 
 def level_table(found: Sequence[Outcome]) -> str:
@@ -105,6 +108,28 @@ def peak_table(found: Sequence[Outcome], base: Outcome) -> str:
             row += [_change(one.peaks[t][:, side], base.peaks[t][:, side], one is base) for t in TESTS]
         rows.append([*row, f"{one.peaks['quick'][0, 1]:.0f} bar"])
     return _rows(head, rows)
+
+
+def sensitivity(found: Sequence[Outcome], base: Outcome) -> list[list[str]]:
+    """Rows of docs/fidelity-sensitivity.csv: ripples [bar, Hz] and changes of the peaks [%], head first."""
+    strokes = [f"{side} {t}" for side in ("start", "stop") for t in ("alone", "work cycle")]
+    head = ["case"]
+    for test in ("out", "in", "work cycle"):
+        head += [f"{test} bumps [bar]", f"{test} ripple [bar]", f"{test} ripple at [Hz]"]
+    head += ["speed [%]", *(f"{s} {what} [%]" for s in strokes for what in ("mean", "least", "largest"))]
+    rows = [[*head, "stop in 0.3 s [bar]"]]
+    for one in found:
+        row = [one.case.name.replace("`", "")]
+        for name in ("out", "in", "cycle"):
+            seen = one.ripples[name]
+            row += [f"{seen.slow:.2f}", f"{seen.fast:.2f}", f"{seen.peak:.1f}" if _told(seen) else ""]
+        row.append(_speed(one, base).removesuffix(" %"))
+        for side in (0, 1):
+            for t in TESTS:
+                share = 100 * (one.peaks[t][:, side] / base.peaks[t][:, side] - 1)
+                row += [f"{share.mean():.1f}", f"{share.min():.0f}", f"{share.max():.0f}"]
+        rows.append([*row, f"{one.peaks['quick'][0, 1]:.0f}"])
+    return rows
 
 
 TESTS = ("alone", "cycle")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from benchmarks import openings
@@ -17,14 +17,14 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.machine import lookup, nominal
 from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import Identified, identify
-from fmus.identification.procedures import valve
+from fmus.identification.procedure_result import ProcedureResult
+from fmus.identification.procedures import valve, weighing
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.procedure_figures import draw_procedure
-from fmus.identification.report.recording_comparison import RecordingComparison, captioned_figure
-from fmus.identification.report.report_texts import caption
+from fmus.identification.report.recording_comparison import WINDOW, RecordingComparison, captioned_figure
 from fmus.rig import write_all
 from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable, typeset
@@ -41,6 +41,8 @@ PROCEDURES = {  # number in the paper, name of the file
 JOINTS = {"swing": 10, "stick": 11}
 KINDS = {"angle": "joint angles", "speed": "joint speeds", "pressure": "pressures", "flow": "flows"}
 LIMITS = {"angle": "1 %", "speed": "5 %", "pressure": "10 %"}
+REPORT_ONLY = ("form for the logarithm", "nothing is left out")  # remarks of which the page needs none
+AS_IN_FIG_5 = ("by AIC", "errors of their calibration")  # of the opening curves: as below Fig. 5
 
 
 def main() -> None:
@@ -57,6 +59,7 @@ def everything(folder: Path) -> None:
     FIGURES.mkdir(exist_ok=True)
     found = {machine: recorded(folder / machine, machine) for machine in ("lumped", "detailed")}
     fill("returned", returned(found["lumped"]))
+    fill("payload", "\n".join(payloads(found)))
     draw(found["detailed"])
     opening_curve()
     seen = prediction(found["detailed"])
@@ -64,7 +67,7 @@ def everything(folder: Path) -> None:
     for joint, number in JOINTS.items():
         shown = captioned_figure(seen, joint)
         (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(shown.figure))
-        fill(f"figure {number}", shown.caption)
+    fill("figures 10 and 11", work_cycle(seen))
     fill("held out", held_out(seen))
     told = explanation(seen, found["detailed"])
     assert told is not None
@@ -85,9 +88,7 @@ def draw(found: Identified) -> None:
     for result in (r for r in found.results if r.procedure in PROCEDURES):
         number, name = PROCEDURES[result.procedure]
         (FIGURES / f"fig{number:02d}_{name}.png").write_bytes(png(draw_procedure(result, kinds)))
-        said = [f"- {typeset(remark)}" for remark in result.remarks]
-        told = [caption(result, kinds), "", estimates(result.estimates), "", *said]
-        fill(f"figure {number}", "\n".join(told).rstrip())
+        fill(f"figure {number}", "\n".join([estimates(result.estimates), "", *remarks(result, REPORT_ONLY)]))
 
 
 def opening_curve() -> None:
@@ -95,9 +96,21 @@ def opening_curve() -> None:
     result = valve.identify(openings.recordings("asymmetric 1", seed=0), openings.KNOWN)
     figure = draw_procedure(result, ["simulation"])
     (FIGURES / "fig05_opening_curve.png").write_bytes(png(figure))
-    points = [e for e in result.others if e.name.startswith(("opening[", "valve_dead_band["))]
-    said = [f"- {typeset(remark)}" for remark in result.remarks]
-    fill("opening curve", "\n".join([estimates((*result.estimates, *points)), "", *said]))
+    fill("opening curve", "\n".join([estimates(result.estimates), "", *remarks(result, AS_IN_FIG_5)]))
+
+
+def remarks(result: ProcedureResult, omitted: Sequence[str]) -> list[str]:
+    """The remarks of a procedure as a list, except those with one of these texts."""
+    return [f"- {typeset(r)}" for r in result.remarks if not any(text in r for text in omitted)]
+
+
+def work_cycle(seen: RecordingComparison) -> str:
+    """What the figures of the joints show."""
+    title = seen.recording.title[0].lower() + seen.recording.title[1:]
+    return (
+        f"Data: {title}, simulated. For the speeds both angles are differentiated by one filter, "
+        f"{1000 * WINDOW:.0f} ms wide. Flows in the dead zone of the meter are left out."
+    )
 
 
 def estimates(found: Iterable[Estimate]) -> str:
@@ -120,8 +133,21 @@ def returned(found: Identified) -> str:
             holds = "yes" if e.low <= truth <= e.high else "no"
             shown = report_texts.number(report_texts.in_unit(truth, e.unit), 4)
             rows.append((f"`{e.name}`", shown, *value(e), report_texts.change(e.value, truth), holds))
-    head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval holds it")
+    head = ("parameter", "rig", "identified", "95 % interval", "unit", "off by", "interval contains it")
     return table(head, rows)
+
+
+def payloads(found: Mapping[str, Identified]) -> Iterator[str]:
+    """The weighed payload of both machines, with and without the recording of the empty head."""
+    rows = []
+    for machine, identified in found.items():
+        loaded = weighing.identify(
+            [r for r in identified.recordings if r.conditions.get("payload") != 0.0], nominal()
+        )
+        (tared,) = (r for r in identified.results if r.procedure == "weighing")
+        cells = [cell for result in (tared, loaded) for cell in value(result.others[0])[:2]]
+        rows.append((machine, *cells))
+    yield table(("rig", "with tare [kg]", "95 % interval", "without tare [kg]", "95 % interval"), rows)
 
 
 def refined(found: Identified) -> str:
@@ -140,7 +166,7 @@ def held_out(seen: RecordingComparison) -> str:
         (KINDS[kind], f"`{name}`", report_texts.percentage(error, 3), LIMITS.get(kind, ""))
         for kind, (name, error) in worst_signals(seen).items()
     ]
-    return table(("", "worst signal", "NRMSE", "asked for below"), rows)
+    return table(("", "worst signal", "NRMSE", "limit"), rows)
 
 
 def effects(found: Explanation) -> str:

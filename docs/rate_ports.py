@@ -1,7 +1,7 @@
 """Draws docs/images/rate-ports.png and prints the table of docs/rate-ports.md: `python docs/rate_ports.py`.
 
-The machine from harvester.ssp in Ecos and in FMPy, plain Jacobi masters, over the step; with its rate wires
-and without. Needs ecospy (on Debian with libtbb12).
+The machine from harvester.ssp in Ecos and in FMPy, plain Jacobi masters, over the step; with its rate ports
+connected and open. Needs ecospy (on Debian with libtbb12).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SPEEDS = tuple(f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stic
 STOP, SAMPLE = 42.0, 0.04  # s; the reference has a sample every 20 ms, all steps have one every 40 ms
 STEPS = {"Ecos": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 8e-3, 1e-2), "FMPy": (1e-3, 2e-3, 5e-3)}
 BAR, LOST = 0.5, 100.0  # % of range: what the project asks for, and where nothing is left to compare
-INK, WIRED, CUT = "#1c2024", "#06406b", "#c2341d"
+INK, BLUE, RED = "#1c2024", "#06406b", "#c2341d"
 Signals = dict[str, np.ndarray]
 
 
@@ -37,25 +37,25 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         build_machine(folder)
-        wired = folder / "harvester.ssp"
-        systems = {"wired": wired, "not wired": without_rates(wired, folder / "held.ssp")}
+        connected = folder / "harvester.ssp"
+        systems = {"connected": connected, "open": without_rates(connected, folder / "held.ssp")}
         errors = {
-            (tool, wires): {h: error(TOOLS[tool], system, h) for h in STEPS[tool]}
+            (tool, rates): {h: error(TOOLS[tool], system, h) for h in STEPS[tool]}
             for tool in STEPS
-            for wires, system in systems.items()
+            for rates, system in systems.items()
         }
-        stick = {w: in_ecos(s, 1e-3, 10.0, 5e-3)[SPEEDS[2]] for w, s in systems.items()}
+        stick = {rates: in_ecos(s, 1e-3, 10.0, 5e-3)[SPEEDS[2]] for rates, s in systems.items()}
     draw(errors, stick)
-    tell(errors)
+    print_table(errors)
 
 
 def without_rates(system: Path, target: Path) -> Path:
-    """A copy of an SSP that lacks the wires of the rate ports."""
-    wire = rb'<ssd:Connection [^>]*endConnector="\w*_(?:rate|acceleration)"[^>]*?(?:/>|>.*?</ssd:Connection>)'
+    """A copy of an SSP without the connections of the rate ports."""
+    port = rb'<ssd:Connection [^>]*endConnector="\w*_(?:rate|acceleration)"[^>]*?(?:/>|>.*?</ssd:Connection>)'
     with zipfile.ZipFile(system) as whole, zipfile.ZipFile(target, "w") as part:
         for name in whole.namelist():
             content = whole.read(name)
-            part.writestr(name, re.sub(wire, b"", content, flags=re.S) if name.endswith(".ssd") else content)
+            part.writestr(name, re.sub(port, b"", content, flags=re.S) if name.endswith(".ssd") else content)
     return target
 
 
@@ -77,8 +77,8 @@ def in_ecos(system: Path, step: float, stop: float = STOP, sample: float = SAMPL
 
 
 def in_fmpy(system: Path, step: float) -> Signals:
-    """The same; an FMU that finds the machine bent out of shape ends the run."""
-    with contextlib.redirect_stdout(io.StringIO()):  # the FMUs warn of torn oil
+    """The same; an FMU whose states leave the range of the model ends the run."""
+    with contextlib.redirect_stdout(io.StringIO()):  # the FMUs warn of cavitation
         try:
             rows = simulate_ssp(str(system), stop_time=STOP, step_size=step)
         except FMICallException:
@@ -127,11 +127,11 @@ def _errors(axes: Axes, errors: Errors) -> None:
         "Ecos": {"marker": "o", "linewidth": 1.4},
         "FMPy": {"marker": "s", "linestyle": "none", "ms": 8},
     }
-    for (tool, wires), found in errors.items():
-        color = WIRED if wires == "wired" else CUT
+    for (tool, rates), found in errors.items():
+        color = BLUE if rates == "connected" else RED
         style = styles[tool] | {"color": color, "markerfacecolor": color if tool == "Ecos" else "none"}
         values = np.minimum([*found.values()], LOST)
-        axes.plot(np.array([*found]) * 1e3, values, label=f"{tool}, rates {wires}", **style)
+        axes.plot(np.array([*found]) * 1e3, values, label=f"{tool}, rate ports {rates}", **style)
     axes.axhline(BAR, color=INK, linewidth=0.8, linestyle="--")
     axes.text(0.1, BAR * 1.15, f"{BAR} %", color=INK, fontsize=8)
     axes.text(0.1, LOST * 0.62, "diverges", color=INK, fontsize=8)
@@ -142,24 +142,24 @@ def _errors(axes: Axes, errors: Errors) -> None:
 
 
 def _trace(axes: Axes, stick: Mapping[str, np.ndarray]) -> None:
-    time = np.arange(1, len(stick["wired"]) + 1) * 5e-3
+    time = np.arange(1, len(stick["connected"]) + 1) * 5e-3
     true = reference()
-    axes.plot(time, stick["not wired"], color=CUT, linewidth=0.8, label="Ecos at 1 ms, rates not wired")
+    axes.plot(time, stick["open"], color=RED, linewidth=0.8, label="Ecos at 1 ms, rate ports open")
     axes.plot(true["time"], true[SPEEDS[2]], color="#7db7dc", linewidth=4, label="monolithic reference")
-    axes.plot(time, stick["wired"], color=WIRED, linewidth=1, label="Ecos at 1 ms, rates wired")
+    axes.plot(time, stick["connected"], color=BLUE, linewidth=1, label="Ecos at 1 ms, rate ports connected")
     axes.set(xlim=(5, 10), ylim=(-0.6, 0.6), xlabel="time [s]", ylabel="stick speed [rad/s]")
     axes.legend(loc="lower left", fontsize=8, frameon=False)
 
 
-def tell(errors: Errors) -> None:
+def print_table(errors: Errors) -> None:
     """The table of the page."""
     steps = sorted({h for found in errors.values() for h in found})
     print("| |" + "".join(f" {1e3 * h:.3g} ms |" for h in steps))
     print("|---|" + "---|" * len(steps))
-    for (tool, wires), found in errors.items():
-        told = {h: "diverges" if np.isinf(e) else f"{e:.2g} %" for h, e in found.items()}
-        cells = [told.get(h, "") for h in steps]
-        print(f"| {tool}, rates {wires} | " + " | ".join(cells) + " |")
+    for (tool, rates), found in errors.items():
+        texts = {h: "diverges" if np.isinf(e) else f"{e:.2g} %" for h, e in found.items()}
+        cells = [texts.get(h, "") for h in steps]
+        print(f"| {tool}, rate ports {rates} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

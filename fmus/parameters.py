@@ -25,10 +25,11 @@ part.
 from __future__ import annotations
 
 import difflib
+import hashlib
 import json
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeAlias
@@ -53,6 +54,8 @@ class Number:
     """A value with its unit and source; `sd` is one standard deviation, if known.
 
     listed   name of the list in the file of which this is an entry, empty if it has a table of its own
+    shipped  the value that a parameter set replaces; None without one
+    file     name and SHA-256 of the file of that set
     """
 
     value: float
@@ -61,6 +64,8 @@ class Number:
     note: str
     sd: float | None = None
     listed: str = ""
+    shipped: float | None = field(default=None, compare=False)
+    file: tuple[str, str] = field(default=("", ""), compare=False)
 
 
 Tables: TypeAlias = Mapping[str, Mapping[str, Number]]  # "parameters" and "start", each by name
@@ -75,10 +80,13 @@ class Values:
     x: Mapping[str, float]
 
 
-def read(path: Path) -> dict[str, dict[str, Number]]:
-    """Tables `parameters` and `start` of a file; keys and types of each entry are checked."""
+def read(path: Path, content: bytes | None = None) -> dict[str, dict[str, Number]]:
+    """Tables `parameters` and `start` of a file; keys and types of each entry are checked.
+
+    content   of the file; default: what is on disk at `path`
+    """
     try:
-        document = toml.read(path, path.read_bytes()).data
+        document = toml.read(path, path.read_bytes() if content is None else content).data
     except OSError as error:
         raise Problem(f"{path}: expected a TOML file, got {error.strerror}") from None
     unknown = set(document) - {"parameters", "start"}
@@ -303,8 +311,12 @@ ParameterSet: TypeAlias = Mapping[str, Number]  # parameters by name, or by "par
 
 
 def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
-    """Parameters of a file, each checked against the parts that declare it, at least one."""
+    """Parameters of a file, each checked against the parts that declare it, at least one.
+
+    Each has the name and the checksum of the file.
+    """
     tables = read(path)
+    origin = path.name, hashlib.sha256(path.read_bytes()).hexdigest()
     if tables["start"]:
         raise Problem(f"{path}: [start.{min(tables['start'])}]: expected tables [parameters.NAME] only")
     if not tables["parameters"]:
@@ -325,7 +337,7 @@ def read_parameter_set(path: Path, subs: Iterable[Subsystem]) -> ParameterSet:
             raise Problem(f"{path}: [parameters.{name}] is not declared by any part, expected {similar[0]}")
         for quantity in declarations:
             check(path, f"[parameters.{name}]", quantity, number)
-    return parameters
+    return {name: replace(number, file=origin) for name, number in parameters.items()}
 
 
 def with_parameters(
@@ -337,10 +349,22 @@ def with_parameters(
     """
     tables, part = numbers(sub), sub.component
     replaced = {
-        n: parameters.get(f"{part}.{n}", parameters.get(n, old)) for n, old in tables["parameters"].items()
+        n: _replaced(old, parameters.get(f"{part}.{n}", parameters.get(n, old)))
+        for n, old in tables["parameters"].items()
     }
     started = {
         n: replace(old, value=(start or {}).get(f"{part}.{n}", old.value))
         for n, old in tables["start"].items()
     }
     return replace(sub, numbers={"parameters": replaced, "start": started})
+
+
+def _replaced(old: Number, new: Number) -> Number:
+    """The new number, with the shipped value that it replaces."""
+    return new if new is old else replace(new, shipped=old.value if old.shipped is None else old.shipped)
+
+
+def not_shipped(sub: Subsystem) -> dict[str, Number]:
+    """The parameters of a subsystem whose values differ from the shipped ones."""
+    table = numbers(sub)["parameters"]
+    return {n: number for n, number in table.items() if number.shipped not in (None, number.value)}

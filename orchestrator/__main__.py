@@ -9,6 +9,7 @@ from io import TextIOWrapper
 from typing import Any, TextIO
 
 from orchestrator.base.errors import Problem, Stopped, one_line
+from orchestrator.base.extras import extra_of, install
 from orchestrator.base.interrupts import signals_interrupt
 from orchestrator.cli import app
 
@@ -74,6 +75,8 @@ def _told(error: Exception) -> int:
             return 2
         context = getattr(error, "ctx", None)
         message = f"{message.rstrip('.')}; see {context.command_path if context else 'harvester'} --help"
+    elif isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
+        message = f"the package {error.name} is not installed; install with: {install(extra)}"
     elif isinstance(error, OSError):
         message = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or message
     elif not isinstance(error, Problem):

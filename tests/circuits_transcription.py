@@ -19,7 +19,7 @@ SHUTTLE, LEAST = 5e4, 1e-3  # W [Pa]; smallest dead band over full command
 
 
 def step(z: float) -> float:
-    """s(z) of section 5.4: 0 up to 0, 1 from 1 on."""
+    """sigma(z), Symbols: 0 up to 0, 1 from 1 on."""
     z = min(max(z, 0.0), 1.0)
     return z**3 * (10 - 15 * z + 6 * z**2)
 
@@ -31,17 +31,17 @@ def step_slope(z: float) -> float:
 
 
 def foot(z: float, width: float) -> float:
-    """m(z) of section 4.6."""
+    """m(z), Symbols."""
     return (z + sqrt(z**2 + width**2)) / 2
 
 
 def least(a: float, b: float, width: float) -> float:
-    """l(a, b) of section 5.4: the lower one, rounded."""
+    """l(a, b), Symbols: the lower one, rounded."""
     return a - ramp(a - b + width / 2, width)
 
 
 def root(y: float, transition: float) -> float:
-    """f(y) of section 4.6: the signed root, laminar below the transition flow."""
+    """f(y) of section 4.5: the signed root, laminar below the transition flow."""
     e = 2 / transition**2
     return y * sqrt(e / (1 + sqrt(1 + (e * y) ** 2)))
 

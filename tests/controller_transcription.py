@@ -16,7 +16,7 @@ AXES = ("swing", "boom", "stick")
 
 
 def r(z, w):
-    """The ramp of docs/equations.md, section 2."""
+    """The ramp of docs/equations.md, Symbols."""
     s = min(max(z / w, 0.0), 1.0)
     return w * (s**3 - s**4 / 2) + max(z - w, 0.0)
 

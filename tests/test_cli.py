@@ -362,7 +362,10 @@ def test_all_options_reach_the_validation(capsys):
         (["validate", "--start", "99", "--stop", "99.1"], "the reference covers 0 to 42 s"),
         (["validate", "--record-step", "0.0015"], "expected a multiple of the step 0.001 s, got 0.0015 s"),
         (["validate", "--stop", "1", "--master", "magic"], "expected one of jacobi, gauss-seidel"),
-        (["run", "--scenario", "file.txt"], "file.txt: expected a file name ending in .csv or .parquet"),
+        (
+            ["run", "--scenario", "file.txt"],
+            "file.txt: expected a file name ending in .csv, .parquet or .mat",
+        ),
         (["build", "--out", "file.txt"], "file.txt: expected a folder, which cannot be made: "),
         (["parameters", "nosuch"], "'nosuch', expected one of swing, boom_stick, manipulator"),
         (["parameters", "swing", "boom"], "boom"),
@@ -471,3 +474,13 @@ def test_a_coupling_that_kills_the_run_is_named(capsys):
     assert error.startswith("harvester: boom_stick: the step failed at t = ")
     assert "; likely cause: the coupling, jacobi with a step of 0.01 s (energy error " in error
     assert error.endswith("; take a shorter step or the master hermite\n")
+
+
+def test_a_build_of_some_fmus(tmp_path, capsys):
+    """Those whose names match, and no system, because a part of it is not built; a mistake names all FMUs."""
+    assert main(["build", "--fmi", "2", "--only", "supply", "--out", str(tmp_path)]) == 0
+    files = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+    assert files == {"supply.fmu", "variants/supply_ideal.fmu"}
+    capsys.readouterr()
+    assert main(["build", "--only", "pump", "--out", str(tmp_path)]) == 2
+    assert "--only pump: expected the name of an FMU; there are swing, " in capsys.readouterr().err

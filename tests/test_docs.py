@@ -71,11 +71,22 @@ def test_the_python_snippet_runs(text):
     exec(compile(snippet, "snippet.py", "exec"), {})
 
 
+@pytest.mark.usefixtures("workplace")
+@pytest.mark.parametrize("page", ["coupling.md", "linearize.md"])
+def test_the_python_snippets_of_a_page_run(page):
+    """One after the other, as a reader would type them."""
+    text, names = (ROOT / "docs" / page).read_text(encoding="utf-8"), dict[str, object]()
+    snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert snippets
+    for snippet in snippets:
+        exec(compile(snippet, page, "exec"), names)
+
+
 def test_signals_of_the_mapping_example_exist(fmu_dir):
-    """docs/reference-traces.md maps columns to signals of this machine."""
-    text = (ROOT / "docs" / "reference-traces.md").read_text(encoding="utf-8")
+    """The measurement in docs/recordings.md maps columns to signals of this machine."""
+    text = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
     names = set(load(fmu_dir / "harvester.ssp").names())
     examples = [tomllib.loads(t) for t in re.findall(r"```toml\n(.*?)```", text, re.DOTALL)]
-    signals = [name for example in examples for name in example.get("signals", {})]
+    (signals,) = [example["signals"] for example in examples if "experiment" not in example]
     assert signals
     assert set(signals) <= names

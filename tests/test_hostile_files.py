@@ -30,8 +30,8 @@ from orchestrator.check.subject import Subject
 from orchestrator.fmi.library import find_library
 from orchestrator.fmi.read_description import read_description
 from orchestrator.results.validate_system import _provenance
+from orchestrator.scene.view_description import FILE, view_description
 from orchestrator.ssp.assembly import open_component
-from orchestrator.view.view_description import FILE, view_description
 
 Members = Mapping[str, bytes]
 GOOD: Members = {DESCRIPTION: XML_2.encode(), "binaries/linux64/lag.so": b"no library"}

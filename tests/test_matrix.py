@@ -89,6 +89,23 @@ def test_a_table_is_written_between_its_marks(tmp_path):
     assert page.read_text() == "a\n<!-- matrix: t -->\n| h |\n| --- |\n| 1 |\n<!-- end: t -->\nb\n"
 
 
+def test_the_page_merges_versions_of_fmi_that_agree():
+    """What differs only in version and time is one row; what diverges is in the table by tool alone."""
+    good = {"speed": 0.1, "angle": 0.1, "pressure": 0.1}
+    shown = [
+        Row("X", 2, "jacobi", WIRED, "50", good),
+        Row("X", 2, "jacobi", OPEN, DIVERGES),
+        Row("X", 3, "jacobi", WIRED, "40", good),
+        Row("Y", 2, "jacobi", WIRED, "no such file"),
+        Row("Y", 3, "jacobi", WIRED, "no such tool"),
+    ]
+    merged = ("X", "2.0, 3.0", "jacobi", WIRED, "10", "10", "10", "50")
+    assert matrix.on_page([row.cells for row in shown], 7) == [merged, shown[3].cells, shown[4].cells]
+    sides = [("X", "2.0 CS", "1", "1 s"), ("X", "3.0 CS", "1", "2 s"), ("X", "3.0 ME", "1", "2 s")]
+    assert matrix.on_page(sides, 3) == [("X", "2.0, 3.0 CS", "1", "1 s"), sides[2]]
+    assert matrix.on_page(sides, None) == sides
+
+
 def test_a_page_without_marks_is_told_in_one_line(tmp_path):
     """And so is one that is not there."""
     (tmp_path / "page.md").write_text("no table")
@@ -381,7 +398,7 @@ def test_a_job_leaves_no_process_behind(program, tmp_path, end):
         ('print("fake 1.2.3 (linux)")', "1.2.3"),
         ('print("fake v3.0.post1-g29")', "3.0.post1-g29"),
         ('sys.exit(sys.argv[1] != "-v" or print("2.5"))', "2.5"),
-        ('print("no number")', "tells no version"),
+        ('print("no number")', "version unknown"),
     ],
 )
 def test_a_program_tells_its_version(program, text, version):

@@ -76,10 +76,11 @@ def test_nothing_comes_from_other_servers(site, pages):
 
 
 def test_the_reference_is_complete(pages):
-    """It has every command, every variant, every parameter of every part, and what `orchestrator` exports."""
+    """It has every command, variant, parameter and rule of the check, and what `orchestrator` exports."""
     import orchestrator
     from fmus.contract import quantities
     from fmus.machine.parts import FAMILIES
+    from orchestrator.check import all_rules
     from orchestrator.cli import app
 
     def text(name: str) -> str:
@@ -95,6 +96,7 @@ def test_the_reference_is_complete(pages):
             assert all(name in text("parameters") for name in rows)
             assert all(name in text("ports") for name in quantities(sub.outputs))
     api = "".join(text(f"api/{path.stem}") for path in (ROOT / "docs" / "reference" / "api").glob("*.md"))
+    assert all(rule.id in text("check-rules") for rule in all_rules())
     assert [name for name in orchestrator.__all__ if not re.search(rf"\b{name}\b", api)] == []
 
 

@@ -99,7 +99,7 @@ class Machine:
 
 
 def ramp(z: float, width: float) -> float:
-    """max(z, 0) with a rounded foot of `width`, section 2."""
+    """max(z, 0) with a rounded foot of `width`, Symbols."""
     s = min(max(z / width, 0.0), 1.0)
     return width * (s**3 - s**4 / 2) + max(z - width, 0.0)
 

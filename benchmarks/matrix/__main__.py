@@ -27,6 +27,8 @@ TABLES: Mapping[str, Table] = {
     "alone": (single.ALONE_HEAD, single.alone),
 }
 
+TIMES = {"systems": 7, "strokes": 5, "alone": 4}  # column of the time
+
 
 def main() -> None:
     """Run what is asked for."""
@@ -65,9 +67,28 @@ def _made(key: str, tools: Sequence[Tool], build: Path, folder: Path, page: Path
         found.append(row)
         print(" | ".join(_cells(row)), flush=True)
     if page:
-        write(page, key, table(head, [_cells(row) for row in found]))
+        write(page, key, table(head, on_page([_cells(row) for row in found], TIMES.get(key))))
     if page and key == "systems":
         write(_rates(page), "rates", table(systems.RATE_HEAD, systems.by_tool(found)))
+
+
+def on_page(rows: Sequence[tuple[str, ...]], time: int | None) -> list[tuple[str, ...]]:
+    """The rows that the page shows.
+
+    Systems that diverge have no numbers; docs/rate-ports.md lists them by tool. Rows that differ only in the
+    version of FMI, the first word of the second cell, and in the time are one row, with the time of the first.
+    """
+    if time is None:
+        return list(rows)
+    merged: dict[tuple[str, ...], tuple[str, ...]] = {}
+    for row in (row for row in rows if row[time] != systems.DIVERGES):
+        version, _, side = row[1].partition(" ")
+        same = [cell for i, cell in enumerate(row) if i > 1 and (i != time or "" in row[2:time])]
+        key = (row[0], side, *same)  # with the message of a run without numbers
+        first = merged.setdefault(key, row)
+        if first is not row:
+            merged[key] = (first[0], f"{first[1].split(' ')[0]}, {version} {side}".rstrip(), *first[2:])
+    return list(merged.values())
 
 
 def _cells(row: systems.Row | tuple[str, ...]) -> tuple[str, ...]:

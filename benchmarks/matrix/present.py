@@ -117,7 +117,7 @@ def _modelica() -> Presence:
         script.write_text("getVersion();\n")
         ended = ran(["omc", str(script)], ANSWER)
     told = ended.out.strip().strip('"')
-    return _failed(ended, "omc") or Presence(told if re.search(r"\d", told) else "tells no version")
+    return _failed(ended, "omc") or Presence(told if re.search(r"\d", told) else "version unknown")
 
 
 def _said(command: str) -> Presence:
@@ -130,9 +130,9 @@ def _said(command: str) -> Presence:
             return refused
         match = re.search(r"v?(\d+\.\d+[\w.+-]*)", ended.out + ended.err)
         if not refused:
-            return Presence(match[1] if match else "tells no version")
+            return Presence(match[1] if match else "version unknown")
         problem = problem or refused
-    return problem or Presence("tells no version")
+    return problem or Presence("version unknown")
 
 
 def versions() -> Iterator[tuple[str, ...]]:
@@ -141,7 +141,7 @@ def versions() -> Iterator[tuple[str, ...]]:
         found = next(t for t in TOOLS if t.name == name).presence()
         yield (name, found.version or f"not run: {found.problem}")
     for name in NEVER:
-        yield (name, "not run: nobody here has it")
+        yield (name, "not run: not available")
 
 
 BOTH = tuple((fmi, side) for fmi in (2, 3) for side in ("CS", "ME"))

@@ -27,7 +27,7 @@ ALONE_HEAD = (
     "ran",
     "largest deviation over nominal value",
     "wall time each",
-    "what the others say",
+    "messages of the others",
 )
 STROKES_HEAD = ("tool", "FMI", "output interval", "largest [%]", "NRMSE [%]", "wall time, or what happens")
 
@@ -67,7 +67,7 @@ class Tally:
         self.problems.setdefault(remark(problem), []).append(name)
 
     def cells(self, count: int) -> tuple[str, str, str, str]:
-        """How many ran, the largest deviation, the wall time of those that ran, what the others say."""
+        """How many ran, the largest deviation, the wall time of those that ran, messages of the others."""
         share, where = self.worst
         deviation = f"{share:.1g} ({where})" if share > 0 else "0"
         told = "; ".join(f"{', '.join(names)}: {text}" for text, names in self.problems.items())

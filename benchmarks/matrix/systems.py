@@ -41,7 +41,7 @@ HEAD = (
     "pressure [%]",
     "times real time, or what happens",
 )
-RATE_HEAD = ("tool", "master", "rates wired [%]", "rates open [%]", "so")
+RATE_HEAD = ("tool", "master", "rate ports connected [%]", "rate ports open [%]", "advice")
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ from typing import Any
 
 import tables
 from docutils import nodes
-from latex2mathml.converter import convert
 from pygments.lexers import TextLexer
 from sphinx.application import Sphinx
 from sphinx.util.osutil import relative_uri
+
+from fmus.export.documentation import mathml
 
 ROOT = Path(__file__).parents[2]
 OBJECT = re.compile(r"^::: (\S+)$", re.MULTILINE)
@@ -104,13 +105,13 @@ def finish_pages(app: Sphinx, error: Exception | None) -> None:
 
 def visit_math(translator: Any, node: nodes.math) -> None:
     """An equation within a line."""
-    translator.body.append(convert(node.astext()))
+    translator.body.append(mathml(node.astext(), file=translator.builder.current_docname))
     raise nodes.SkipNode
 
 
 def visit_math_block(translator: Any, node: nodes.math_block) -> None:
     """An equation on lines of its own, which scrolls if it is wider than the page."""
-    formula = convert(node.astext(), display="block")
+    formula = mathml(node.astext(), True, translator.builder.current_docname)
     translator.body.append(f'<div class="equation" tabindex="0">{formula}</div>\n')
     raise nodes.SkipNode
 

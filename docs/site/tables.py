@@ -154,10 +154,20 @@ def sources() -> str:
     return "\n".join(table(("source", "meaning"), ((f"`{word}`", text) for word, text in SOURCES.items())))
 
 
+@cache
+def rules() -> str:
+    """The rules of `harvester check`, by topic."""
+    from orchestrator.check import all_rules
+    from orchestrator.check.report import table as rule_table
+
+    return rule_table(all_rules())
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "commands": commands,
     "variants": variants,
     "ports": ports,
     "parameters": parameters,
     "sources": sources,
+    "rules": rules,
 }

@@ -11,9 +11,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from fmus.contract import Subsystem
-from fmus.export.compile import binaries, host, shared_library
+from fmus.export.compile import WASM, binaries, shared_library
 from fmus.export.package import Package, packages
 from fmus.parameters import Values
+from orchestrator.base.compiler import host
 from orchestrator.base.files import write_zip
 
 
@@ -31,10 +32,10 @@ def build(
     step, stop   default experiment [s]
     values       parameter and start values; default: those of the subsystem's parameters.toml
     fmi          2 or 3
-    platforms    names of `compile.PLATFORMS`; default: the platform that this program runs on
+    platforms    names of `compile.TARGETS`; default: the platform that this program runs on
     """
-    with _Compilers(tuple(platforms or (host(),))) as compilers:
-        compilers.add(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi])
+    with _Compilers() as compilers:
+        compilers.add(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi], platforms or (host(),))
         return compilers.write()[0]
 
 
@@ -46,6 +47,7 @@ def build_all(
     platforms: Sequence[str] | None = None,
     subfolders: Mapping[str, str] | None = None,
     progress: Callable[[str], None] = lambda _: None,
+    wasm: Sequence[str] = (),
 ) -> dict[int, list[Path]]:
     """Build several FMUs of one or both FMI versions; returns version -> paths, in the order of `subs`.
 
@@ -54,23 +56,25 @@ def build_all(
     folders      FMI version -> output folder
     subfolders   name of a subsystem -> folder inside the output folder
     progress     called with what is done now, such as "generating C code, 3 of 17: supply"
+    wasm         names of subsystems whose FMU of FMI 3.0 gets a WebAssembly module in addition
     """
     names = tuple(platforms or (host(),))
-    with _Compilers(names) as compilers:
+    with _Compilers() as compilers:
         for number, sub in enumerate(subs, 1):
             progress(f"generating C code, {number} of {len(subs)}: {sub.name}")
             for fmi, package in packages(sub, step, stop, versions=list(folders)).items():
-                compilers.add(Path(folders[fmi]) / (subfolders or {}).get(sub.name, ""), package)
+                folder = Path(folders[fmi]) / (subfolders or {}).get(sub.name, "")
+                module = (WASM,) if fmi == 3 and sub.name in wasm else ()
+                compilers.add(folder, package, tuple(dict.fromkeys((*names, *module))))
         paths = compilers.write(progress)
     return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}
 
 
 class _Compilers:
-    """Compiles packages for all platforms while code of further ones is generated, and writes the FMUs."""
+    """Compiles packages for their platforms while code of others is generated, and writes the FMUs."""
 
-    def __init__(self, platforms: Sequence[str]) -> None:
-        self._platforms = platforms
-        self._targets: list[tuple[Path, Package, list[Future[bytes]]]] = []
+    def __init__(self) -> None:
+        self._targets: list[tuple[Path, Package, dict[str, Future[bytes]]]] = []
         self._pool = ThreadPoolExecutor(os.cpu_count())
 
     def __enter__(self) -> _Compilers:
@@ -79,21 +83,22 @@ class _Compilers:
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
 
-    def add(self, folder: Path, package: Package) -> None:
+    def add(self, folder: Path, package: Package, platforms: Sequence[str]) -> None:
         """Begin to compile a package that goes to `folder`."""
-        libraries = [self._pool.submit(_library, package, name) for name in self._platforms]
+        libraries = {name: self._pool.submit(_library, package, name) for name in platforms}
         self._targets.append((folder, package, libraries))
 
     def write(self, progress: Callable[[str], None] = lambda _: None) -> list[Path]:
         """Write all FMUs; no file is written if one cannot be compiled."""
-        libraries = [library for *_, compiled in self._targets for library in compiled]
+        libraries = [library for *_, compiled in self._targets for library in compiled.values()]
         for number, library in enumerate(libraries, 1):
             progress(f"compiling, {number} of {len(libraries)}")
             library.result()
         return [self._written(*target) for target in self._targets]
 
-    def _written(self, folder: Path, package: Package, libraries: Sequence[Future[bytes]]) -> Path:
-        by_platform = {n: library.result() for n, library in zip(self._platforms, libraries, strict=True)}
+    @staticmethod
+    def _written(folder: Path, package: Package, libraries: Mapping[str, Future[bytes]]) -> Path:
+        by_platform = {name: library.result() for name, library in libraries.items()}
         path = folder / f"{package.name}.fmu"
         write_zip(path, {**package.files, **binaries(package.name, package.fmi, by_platform)})
         return path

@@ -1,74 +1,58 @@
-"""Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options."""
+"""Compiles the shared libraries of an FMU: platforms, their folders in the FMU, compiler options.
+
+WebAssembly. The platform `wasm` adds a module for browsers next to the native libraries. The C files are
+the same, compiled for wasm32-wasi with C library and libm of the compiler package (wasi-libc, with the
+libm of musl). The module is binaries/wasm32-wasip1/<modelIdentifier>.wasm. It exports the C functions of
+FMI, `malloc`, `free`, its memory, and its table of functions for callbacks. It imports nothing.
+
+The draft layered standard fmi-ls-wasm (state of 8 July 2026, no release) defines a component of the
+WebAssembly component model with a WIT interface, in binaries/wasm32-wasip2/<modelIdentifier>.wasm, and a
+manifest in extra/org.modelica.fmi-ls-wasm/. Browsers cannot load components. Our module follows the
+draft's rule for the names of folder and file, with the target of its own interface. It omits the draft's
+folder and manifest, because an importer that finds those expects a component.
+"""
 
 from __future__ import annotations
 
-import platform
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
 
 from orchestrator.base import compiler
-from orchestrator.base.compiler import CompilerError
+from orchestrator.base.compiler import PLATFORMS, CompilerError, Platform, host, linker_arguments
 from orchestrator.base.errors import Problem
 
-
-@dataclass(frozen=True)
-class Platform:
-    """Processor and operating system.
-
-    name      platform tuple of FMI 3.0
-    folders   folders of FMI 2.0; the platform tuple if FMI 2.0 defines none (FMI 2.0.5, section 2.3)
-    target    target of the compiler, with the oldest supported C library
-    suffix    suffix of shared libraries
-    """
-
-    name: str
-    folders: tuple[str, ...]
-    target: str
-    suffix: str
-
-
-_ALL = (
-    Platform("x86_64-linux", ("linux64",), "x86_64-linux-gnu.2.17", ".so"),
-    Platform("aarch64-linux", ("aarch64-linux",), "aarch64-linux-gnu.2.17", ".so"),
-    Platform("x86_64-windows", ("win64",), "x86_64-windows-gnu", ".dll"),
-    Platform("x86_64-darwin", ("darwin64",), "x86_64-macos.11.0", ".dylib"),
-    # the standard defines aarch64-darwin, but tools look in darwin64 for any processor
-    Platform("aarch64-darwin", ("darwin64", "aarch64-darwin"), "aarch64-macos.11.0", ".dylib"),
-)
-PLATFORMS: Mapping[str, Platform] = {p.name: p for p in _ALL}
-_SYSTEMS = {"Linux": "linux", "Windows": "windows", "Darwin": "darwin"}
-_PROCESSORS = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-
-
-def host() -> str:
-    """Name of the platform that this program runs on."""
-    system, processor = platform.system(), platform.machine()
-    name = f"{_PROCESSORS.get(processor.lower())}-{_SYSTEMS.get(system)}"
-    if name not in PLATFORMS:
-        raise Problem(f"{system} on {processor} is not supported, expected one of {', '.join(PLATFORMS)}")
-    return name
+WASM = "wasm"
+TARGETS: Mapping[str, Platform] = {
+    **PLATFORMS,
+    WASM: Platform("wasm32-wasip1", ("wasm32-wasip1",), "wasm32-wasi", ".wasm"),
+}
 
 
 def select(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of platforms from options of a user: host, all, or names."""
+    """Names of `TARGETS` from options of a user: host, all (the native ones), or names.
+
+    `wasm` is for browsers: it is never part of `all`, and alone it is added to the host.
+    """
     chosen: list[str] = []
     for name in names:
-        if name not in ("host", "all", *PLATFORMS):
-            raise Problem(f"platform {name!r} is unknown, expected host, all or {', '.join(PLATFORMS)}")
+        if name not in ("host", "all", *TARGETS):
+            raise Problem(f"platform {name!r} is unknown, expected host, all or {', '.join(TARGETS)}")
         chosen += PLATFORMS if name == "all" else [host() if name == "host" else name]
-    return tuple(name for name in PLATFORMS if name in chosen)
+    if set(chosen) == {WASM}:
+        chosen.append(host())
+    return tuple(name for name in TARGETS if name in chosen)
 
 
 def binaries(model: str, fmi: int, libraries: Mapping[str, bytes]) -> dict[str, bytes]:
     """Files of the FMU, path -> content, from shared libraries by platform."""
     slices: dict[str, list[bytes]] = {}
     for name, library in libraries.items():
-        for folder in PLATFORMS[name].folders if fmi == 2 else (name,):
-            slices.setdefault(f"binaries/{folder}/{model}{PLATFORMS[name].suffix}", []).append(library)
+        target = TARGETS[name]
+        for folder in target.folders if fmi == 2 else (target.name,):
+            slices.setdefault(f"binaries/{folder}/{model}{target.suffix}", []).append(library)
     return {path: libs[0] if len(libs) == 1 else universal(libs) for path, libs in slices.items()}
 
 
@@ -86,9 +70,15 @@ def universal(slices: Sequence[bytes]) -> bytes:
 
 
 FLAGS = (
-    *("-std=c99", "-O3", "-g0", "-s", "-fPIC", "-shared", "-fvisibility=hidden"),
+    *("-std=c99", "-O3", "-g0", "-s", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"),
     *("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
+)
+LIBRARY = ("-fPIC", "-shared")
+# a module without main, which exports what is visible, and a table in which an importer can put its callbacks
+MODULE = (
+    *("-mexec-model=reactor", "-rdynamic", "-Wl,--export=malloc", "-Wl,--export=free"),
+    *("-Wl,--export-table", "-Wl,--growable-table"),
 )
 HEADERS = Path(fmpy.__file__).parent / "c-code"  # fmi2*.h and fmi3*.h, which FMUs must not contain
 
@@ -104,21 +94,16 @@ def shared_library(
 
     code        the files under sources/ by name
     compiled    names of the files to compile
-    platform    a name of `PLATFORMS`
+    platform    a name of `TARGETS`
     libraries   linker options for system libraries, except on Windows and macOS
     """
-    target = PLATFORMS[platform]
-    library = f"{model}{target.suffix}"
-    arguments = ["-target", target.target, *FLAGS, "-isystem", str(HEADERS)]
-    if START in code:
-        code, compiled = _start_apart(model, code, compiled, platform)
-        arguments.append(APART)
-    arguments += compiled
-    if target.suffix == ".dylib":
-        arguments += ["-install_name", f"@rpath/{library}"]  # else the path in the build folder is stored
-    elif target.suffix == ".so":
-        arguments += libraries
-    return _compile(library, code, arguments, f"{model}, {platform}")
+    try:
+        if START in code and platform != WASM:
+            code, compiled = _start_apart(model, code, compiled, platform)
+        made = compiler.shared_library(*recipe(model, code, compiled, platform, libraries))
+    except CompilerError as error:
+        raise Problem(f"{model}, {platform}: {error}") from None
+    return made.read_bytes()
 
 
 START, START_HEADER, APART = "start.c", "start.h", "-DSTART_APART"
@@ -127,22 +112,31 @@ START, START_HEADER, APART = "start.c", "start.h", "-DSTART_APART"
 def _start_apart(
     model: str, code: Mapping[str, bytes], compiled: Sequence[str], platform: str
 ) -> tuple[dict[str, bytes], list[str]]:
-    """The code with all but the start values compiled to an object file, and the files that are left.
+    """The code with all but the start values compiled to an object file, and what is left to compile.
 
     An FMU with other values has the same object file, which is then in the cache.
     """
-    file = f"{model}.o"
-    rest = {name: content for name, content in code.items() if name not in (START, START_HEADER)}
-    flags = [flag for flag in FLAGS if flag not in ("-s", "-shared")]
-    target = ["-target", PLATFORMS[platform].target]
-    arguments = [*target, *flags, APART, "-c", "-isystem", str(HEADERS), *compiled]
-    made = _compile(file, rest, arguments, f"{model}, {platform}")
-    return {file: made, **{name: code[name] for name in (START, START_HEADER)}}, [START, file]
+    file, target = f"{model}.o", TARGETS[platform]
+    starts = {name: code[name] for name in (START, START_HEADER)}
+    rest = {name: content for name, content in code.items() if name not in starts}
+    flags = [flag for flag in (*FLAGS, *LIBRARY) if flag not in ("-s", "-shared")]
+    arguments = ["-target", target.target, *flags, APART, "-c", "-isystem", str(HEADERS), *compiled]
+    headers = [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]
+    made = compiler.shared_library(file, rest, arguments, headers).read_bytes()
+    return {file: made, **starts}, [APART, START, file]
 
 
-def _compile(file: str, code: Mapping[str, bytes], arguments: Sequence[str], where: str) -> bytes:
-    headers = (path.read_bytes() for path in sorted(HEADERS.glob("*.h")))
-    try:
-        return compiler.shared_library(file, code, arguments, headers).read_bytes()
-    except CompilerError as error:
-        raise Problem(f"{where}: {error}") from None
+def recipe(
+    model: str,
+    code: Mapping[str, bytes],
+    compiled: Sequence[str],
+    platform: str,
+    libraries: Sequence[str] = ("-lm",),
+) -> tuple[str, Mapping[str, bytes], list[str], list[bytes]]:
+    """How the library of a model is made: arguments of `compiler.shared_library`."""
+    target = TARGETS[platform]
+    library = f"{model}{target.suffix}"
+    kind = MODULE if platform == WASM else LIBRARY
+    arguments = ["-target", target.target, *FLAGS, *kind, "-isystem", str(HEADERS), *compiled]
+    arguments += linker_arguments(library, target, libraries)
+    return library, code, arguments, [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]

@@ -1,7 +1,8 @@
 """documentation/index.html of an FMU: description, equations, ports and parameter values on one page.
 
 The text is the README of the subsystem, with the sections of other documents that it links to. The tables
-contain the variables.
+contain the variables. Formulas, LaTeX between dollar signs as on git servers, become MathML: the page needs
+neither JavaScript nor a server.
 """
 
 from __future__ import annotations
@@ -14,7 +15,12 @@ from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from latex2mathml.converter import convert
+from lxml import etree
 from markdown_it import MarkdownIt
+from markdown_it.rules_inline import StateInline
+from markdown_it.token import Token
+from markdown_it.utils import EnvType
 from markupsafe import Markup
 
 from fmus.contract import Subsystem
@@ -22,7 +28,9 @@ from fmus.export.c_code import DEFAULT_TOLERANCE
 from fmus.export.interface import Interface, Variable
 from fmus.export.ls_ref import PAGE, ls_ref_files
 from fmus.export.model_description import LOG_CATEGORIES
+from fmus.package_files import project_file
 from fmus.parameters import SOURCES, Number, numbers
+from orchestrator.base.errors import Problem
 from orchestrator.base.text import typeset
 from orchestrator.base.units import display_conversion, pretty
 from orchestrator.base.xml import package_version
@@ -30,12 +38,12 @@ from orchestrator.base.xml import package_version
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)\s]+)\)")
 _VARIANT = re.compile(r"^## ([a-z_]+)\n(?:(?!## ).*\n?)*", re.MULTILINE)
 _HEADING = re.compile(r"^(#+) +(.*)$", re.MULTILINE)
-
-
-def project_file(name: str) -> Path | None:
-    """A file by its path in a checkout, such as data/x.csv; an installed package contains a copy."""
-    package = Path(__file__).parents[1]
-    return next((folder / name for folder in (package.parent, package) if (folder / name).is_file()), None)
+_FORMULA = re.compile(r"\$\$(?P<display>[^$]+)\$\$|\$(?P<inline>[^\s$](?:[^$\n]*[^\s$])?)\$(?![\w$])")
+_FUNCTION = re.compile(  # a space precedes "ln"; one follows it, except before "(" or at an end
+    r"<m[io]>(cos|exp|height|ln|max|min|sign|sin)</m[io]>"
+    r'(<mo stretchy="false">&#x00028;|<mrow><mo stretchy=|</)?'
+)
+_NOT_CONVERTED = re.compile(r"\\[A-Za-z]+\*?|<mi>&</mi>")
 
 
 # ---- README ------------------------------------------------------------------------------------------
@@ -70,7 +78,8 @@ def prose(readme: Path, variant: str = "") -> tuple[Markup, list[LinkedSection]]
         section = _section(readme, file, anchor) if file.endswith(".md") and anchor else None
         if section:
             title, body = section.split("\n", 1)
-            linked[anchor] = LinkedSection(anchor, title.lstrip("# "), _html(_LINK.sub(r"\1", body)))
+            html = _html(_LINK.sub(r"\1", body), file)
+            linked[anchor] = LinkedSection(anchor, title.lstrip("# "), html)
 
     def page_link(match: re.Match[str]) -> str:
         """The link to a section of the page or to the web; for other targets only its text."""
@@ -80,7 +89,7 @@ def prose(readme: Path, variant: str = "") -> tuple[Markup, list[LinkedSection]]
             return f"[{text}](#{anchor})"
         return match[0] if target.startswith(("http://", "https://")) else text
 
-    return _html(_LINK.sub(page_link, text)), list(linked.values())
+    return _html(_LINK.sub(page_link, text), readme), list(linked.values())
 
 
 def _section(readme: Path, file: str, anchor: str) -> str | None:
@@ -103,8 +112,60 @@ def slug(heading: str) -> str:
 
 
 @cache
-def _html(text: str) -> Markup:
-    return Markup(MarkdownIt("commonmark").enable("table").render(text))
+def _html(text: str, file: Path | str) -> Markup:
+    reader = MarkdownIt("commonmark").enable("table").use(formulas)
+    return Markup(reader.render(text, {"file": str(file)}))
+
+
+# ---- formulas ----------------------------------------------------------------------------------------
+
+
+def formulas(reader: MarkdownIt) -> None:
+    """A plugin for markdown-it: `$...$` and `$$...$$` become MathML; `env["file"]` is named in a Problem."""
+
+    def rule(state: StateInline, silent: bool) -> bool:
+        found = _FORMULA.match(state.src, state.pos) if state.src[state.pos] == "$" else None
+        if found and not silent:
+            token = state.push("formula", "math", 0)
+            token.content, token.block = found[found.lastgroup or 0], found.lastgroup == "display"
+        state.pos = found.end() if found else state.pos
+        return bool(found)
+
+    def render(_self: object, tokens: Sequence[Token], i: int, _options: object, env: EnvType) -> str:
+        return mathml(tokens[i].content, tokens[i].block, env.get("file", ""))
+
+    reader.inline.ruler.before("escape", "formula", rule)
+    reader.add_render_rule("formula", render)
+
+
+def mathml(latex: str, display: bool = False, file: str = "") -> str:
+    """MathML of a formula in LaTeX, on a line of its own if `display`; a Problem if it does not convert.
+
+    latex2mathml knows neither `aligned` nor that \\lvert and \\rvert are a pair.
+    """
+    text = re.sub(r"\\(begin|end)\{aligned\}", r"\\\1{align*}", latex)
+    text = re.sub(r"(?<!left)(?<!right)\\([lr])(vert|angle)\b", lambda m: f"\\{SIDES[m[1]]}{m[0]}", text)
+    try:
+        made = convert(text, display="block" if display else "inline")
+    except Exception as error:  # of many classes, most without a message
+        reason = str(error) or type(error).__name__
+        raise Problem(f"{file}: formula {latex.strip()}: expected LaTeX, {reason}") from None
+    if unknown := _NOT_CONVERTED.search(made):
+        raise Problem(f"{file}: formula {latex.strip()}: expected commands of LaTeX, found {unknown[0]}")
+    for element in etree.fromstring(made).iter():
+        if len(element) != ARITY.get(etree.QName(element).localname, len(element)):
+            raise Problem(
+                f"{file}: formula {latex.strip()}: expected LaTeX, found a command without an argument"
+            )
+    return _FUNCTION.sub(_spaced, made)
+
+
+def _spaced(name: re.Match[str]) -> str:
+    return f'<mo lspace="0.17em" rspace="{"0" if name[2] else "0.17em"}">{name[1]}</mo>{name[2] or ""}'
+
+
+ARITY = {"mfrac": 2, "mroot": 2, "msub": 2, "msup": 2, "mover": 2, "munder": 2, "msubsup": 3, "munderover": 3}
+SIDES = {"l": "left", "r": "right"}  # which \\left or \\right a fence needs to be stretched and spaced as one
 
 
 # ---- variables -------------------------------------------------------------------------------------

@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Literal
 
 import casadi as ca
 
 from fmus.contract import Quantity, Subsystem, Symbolic, quantities, symbolic
-from fmus.parameters import Values
+from fmus.parameters import Number, Values, not_shipped
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import per_second
 
@@ -51,6 +51,7 @@ class Interface:
     equations: Symbolic
     y: ca.SX  # expressions of `outputs`, shape (n, 1)
     stiff: bool = True  # see `Subsystem`
+    not_shipped: Mapping[str, Number] = field(default_factory=dict)  # see `parameters.not_shipped`
 
     @property
     def groups(self) -> tuple[Sequence[Variable], ...]:
@@ -74,7 +75,8 @@ def interface_of(sub: Subsystem, values: Values) -> Interface:
             )
     groups = variable_groups((parameters, quantities(sub.inputs), states, outputs), values, sym.calculated)
     rows = [i for i, name in enumerate(outputs) if name not in states]
-    return replace(make_interface(sub.name, sub.text, groups, sym, _select(sym.y, rows)), stiff=sub.stiff)
+    interface = make_interface(sub.name, sub.text, groups, sym, _select(sym.y, rows))
+    return replace(interface, stiff=sub.stiff, not_shipped=not_shipped(sub) if sub.numbers else {})
 
 
 def _sorted_by_heading(

@@ -19,6 +19,7 @@ from orchestrator.base.xml import Element, generation_tool, package_version, sho
 
 COPYRIGHT = "Copyright (c) 2026 the harvester-cosim authors"  # as in LICENSE
 TOOL = "harvester-cosim"  # in vendor annotations and terminal kinds
+PARAMETERS = f"{TOOL}.parameters"  # annotation of the parameters whose values are not the shipped ones
 LOG_CATEGORIES = {
     "logEvents": "Function calls",
     "logStatusWarning": "Warnings",
@@ -126,10 +127,12 @@ def model_description(
     )
     if fmi == 2:
         _input_annotations(root, interface, fmi)
+        _parameter_annotations(root, interface, fmi)
     _variables(root, interface, fmi)
     _structure(root, unknowns(interface) if structure is None else structure, fmi)
     if fmi == 3:
         _input_annotations(root, interface, fmi)
+        _parameter_annotations(root, interface, fmi)
     return xml_text(root)
 
 
@@ -165,15 +168,37 @@ def _input_annotations(root: Element, interface: Interface, fmi: int) -> None:
     optional = [(v.name, v.quantity.optional) for v in interface.inputs if v.quantity.optional]
     if not rates and not optional:
         return
-    if fmi == 2:
-        tool = etree.SubElement(etree.SubElement(root, "VendorAnnotations"), "Tool", name=TOOL)
-    else:
-        tool = etree.SubElement(etree.SubElement(root, "Annotations"), "Annotation", type=TOOL)
-    container = etree.SubElement(tool, "Inputs")  # the schema of FMI 2.0 allows one child of Tool
+    container = _annotation(root, fmi, TOOL, "Inputs")
     for name, rate in rates:
         etree.SubElement(container, "InputDerivative", input=name, derivative=rate)
     for name, meaning in optional:
         etree.SubElement(container, "OptionalInput", input=name, without=meaning)
+
+
+def _parameter_annotations(root: Element, interface: Interface, fmi: int) -> None:
+    """A vendor annotation of the parameters with other values than the shipped FMU, and of their file."""
+    by_file: dict[tuple[str, str], dict[str, float]] = {}
+    for name, number in interface.not_shipped.items():
+        if number.shipped is not None:
+            by_file.setdefault(number.file, {})[name] = number.shipped
+    if not by_file:
+        return
+    container = _annotation(root, fmi, PARAMETERS, "ParameterSets")
+    for (file, sha256), shipped in by_file.items():
+        element = etree.SubElement(container, "ParameterSet", file=file, sha256=sha256)
+        for name, value in shipped.items():
+            etree.SubElement(element, "Parameter", name=name, shipped=shortest_decimal(value))
+
+
+def _annotation(root: Element, fmi: int, name: str, content: str) -> Element:
+    """An element in an annotation of this project; the schema of FMI 2.0 allows one child of Tool."""
+    parent, tag, key = (
+        ("VendorAnnotations", "Tool", "name") if fmi == 2 else ("Annotations", "Annotation", "type")
+    )
+    annotations = root.find(parent)
+    if annotations is None:
+        annotations = etree.SubElement(root, parent)
+    return etree.SubElement(etree.SubElement(annotations, tag, {key: name}), content)
 
 
 def _variables(root: Element, interface: Interface, fmi: int) -> None:

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from fmus import parameters
 from fmus.contract import Subsystem
 from fmus.export.c_code import main_source, printed_equations, sources
-from fmus.export.documentation import page, project_file
+from fmus.export.documentation import page
 from fmus.export.interface import Interface, interface_of
 from fmus.export.ls_ref import ls_ref_files
 from fmus.export.model_description import build_description, model_description, terminals, unknowns
+from fmus.package_files import project_file
 from fmus.parameters import Values
 
 PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"  # replaced by the GUID

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from shutil import copyfile
 
@@ -12,28 +13,22 @@ from fmus.contract import Subsystem
 from fmus.controller import CONTROLLER, controller
 from fmus.controller.values import GAINS
 from fmus.export.build import build_all
-from fmus.export.documentation import project_file
 from fmus.machine.one_block import composed_machine
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
-from fmus.machine.ssp import write_control, write_system
+from fmus.machine.ssp import NAME, write_control, write_system
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
+from fmus.package_files import data, shipped_folder
 from fmus.parameters import ParameterSet, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
 
+__all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
+
 STEP = 1e-3  # default communication step [s]
 SUBFOLDERS = {2: "", 3: "fmi3"}  # version of FMI -> folder of the FMUs
 VARIANTS = "variants"  # sub-folder with every variant of every part, as part_variant.fmu
-
-
-def data(name: str) -> Path:
-    """A file in the folder data of the project."""
-    path = project_file(f"data/{name}")
-    if path is None:
-        raise Problem(f"data/{name} is missing, expected next to or inside the package fmus")
-    return path
 
 
 def build_machine(
@@ -41,31 +36,54 @@ def build_machine(
     versions: Sequence[int] = (2,),
     platforms: Sequence[str] | None = None,
     parameters: Path | None = None,
+    only: Sequence[str] = ("*",),
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Write the FMUs of parts, operator, controller and composed machine, and both systems; their files.
 
     versions    versions of FMI; FMUs of version 2 go to `folder`, those of version 3 to its sub-folder fmi3
-    platforms   names of `fmus.export.compile`; default: the platform of this computer
+    platforms   names of `fmus.export.compile`; default: the platform of this computer. The composed machine
+                in FMI 3.0 always has the WebAssembly module, too: pages need it
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
+    only        patterns of the names of FMUs; systems are written if all of their FMUs are
     progress    called with what is done now
     """
     parts, others = parts_with_parameters(parameters)
     steering = controller_of(parts, parameters)
-    subs = [*parts.values(), steering, composed_machine({name: parts[name] for name in SUBSYSTEMS}), *others]
+    # load-sensing supply, the largest, is the last variant: compiled first, it does not keep one core waiting
+    whole = composed_machine({name: parts[name] for name in SUBSYSTEMS})
+    subs = [*reversed(others), steering, whole, *parts.values()]
+    names = [sub.name for sub in subs]
+    subs = [sub for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
+    if not subs:
+        raise Problem(f"--only {only[0]}: expected the name of an FMU; there are {', '.join(names)}")
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     subfolders = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
-    built_fmus = build_all(subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders, progress)
+    built_fmus = build_all(
+        subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders, wasm=[NAME], progress=progress
+    )
     for fmi, built in built_fmus.items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
-        default = [_copied(fmus[part], next(iter(variants))) for part, variants in FAMILIES.items()]
+        default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]
-        systems = (
-            write_system(folders[fmi], fmus, STEP, manipulator),
-            write_control(folders[fmi], fmus, STEP, manipulator, boom_stick),
-        )
+        systems = []
+        if fmus.keys() >= ALL.keys():
+            systems.append(write_system(folders[fmi], fmus, STEP, manipulator))
+            if steering.name in fmus:
+                systems.append(write_control(folders[fmi], fmus, STEP, manipulator, boom_stick))
         paths += [*built, *systems, *default]
+    return paths
+
+
+def copy_shipped(folder: Path, versions: Sequence[int] = (2,)) -> list[Path]:
+    """Copy the FMUs and systems that the package contains, for all platforms; the copies."""
+    built, paths = shipped_folder(fmi3=3 in versions), []
+    for fmi in versions:
+        for sub in (SUBFOLDERS[fmi], f"{SUBFOLDERS[fmi]}/{VARIANTS}".strip("/")):
+            for source in sorted(p for p in (built / sub).iterdir() if p.is_file()):
+                paths.append(Path(folder) / sub / source.name)
+                _copy(source, paths[-1])
     return paths
 
 
@@ -95,12 +113,18 @@ def controller_of(parts: Mapping[str, Subsystem], parameters: Path | None = None
 
 
 def _copied(fmu: Path, variant: str) -> Path:
-    """Copy the FMU of a part to the folder of variants; replaces an existing file in one step."""
+    """Copy the FMU of a part to the folder of variants."""
     path = fmu.parent / VARIANTS / f"{fmu.stem}_{variant}.fmu"
+    _copy(fmu, path)
+    return path
+
+
+def _copy(source: Path, path: Path) -> None:
+    """Copy a file; replaces an existing file in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        copyfile(fmu, temporary)
+        copyfile(source, temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-    return path

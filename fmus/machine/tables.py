@@ -9,15 +9,20 @@ from __future__ import annotations
 import shutil
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
-from fmus.parameters import SOURCES, Number, complete, row_text, row_value, rows
+from fmus.parameters import SOURCES, Number, complete, numbers, padded, read, row_text, row_value, rows
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
+from orchestrator.fmi.description import read_interface
 
 Costs = Mapping[tuple[str, str], float]  # (part, variant) -> time per step [us]
+VARIANTS = "variants"  # sub-folder of the variants of a part, next to the default one
 CALL_COST = 0.1  # us: cost of the call itself; ratios to a lower cost are not printed
 LEGEND = "\n".join(f"{source:<11} {meaning}" for source, meaning in SOURCES.items())
 
@@ -46,10 +51,12 @@ def variant_lines(costs: Costs) -> Iterator[str]:
         yield ""
 
 
-def print_parameters(name: str | None = None, source: str | None = None) -> None:
+def print_parameters(name: str | None = None, source: str | None = None, folder: Path | None = None) -> None:
     """Print the parameters of a subsystem (default: all of the machine), optionally of one source only.
 
     The program of the operator is not part of the machine; its table is that of `operator_input`.
+
+    folder   of built FMUs; values that were built into them are printed, with the shipped ones
     """
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
     by_name = {**ALL, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
@@ -58,6 +65,8 @@ def print_parameters(name: str | None = None, source: str | None = None) -> None
     if source is not None and source not in SOURCES:
         raise Problem(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
     subs = [by_name[name]] if name else list(SUBSYSTEMS.values())
+    if folder is not None:
+        subs = [_as_built(sub, folder) for sub in subs]
     for table in filter(None, ("\n".join(_parameter_lines(sub, source)) for sub in subs)):
         print(f"{table}\n")
     print(f"{LEGEND}\n\n{_count(subs, source)}")
@@ -78,8 +87,34 @@ def _parameter_lines(sub: Subsystem, source: str | None) -> Iterator[str]:
     yield f"{sub.name}: {sub.text}"
     for label, name, row in shown:
         n, value = row[0], row_value(name, row, _value)
-        yield f"\n{label:<{width}}  {value:>12} {n.unit:<13} {n.source}"
+        yield f"\n{label:<{width}}  {value:>12} {n.unit:<13} {n.source}{_not_shipped(name, row)}"
         yield from (_indented(text, 100) for text in (row_text(name, declared), n.note))
+
+
+def _as_built(sub: Subsystem, folder: Path) -> Subsystem:
+    """The subsystem with the values of its FMU in a folder, if that was built with other values."""
+    files = [folder / f"{sub.name}.fmu", folder / VARIANTS / f"{sub.name}.fmu"]
+    file = next((Location(f) for f in files if f.is_file()), None)
+    sets = read_interface(file).parameter_sets if file else ()
+    if file is None or not sets:
+        return sub
+    content = file.member("resources/parameters.toml").read()
+    tables = numbers(sub)
+    shipped = tables["parameters"]
+    built = padded(read(Path(str(file)), content)["parameters"], shipped)
+    replaced = {}
+    for s in sets:
+        lists = {shipped[n].listed for n in s.shipped if n in shipped} - {""}  # shown in one row
+        for n in (n for n in shipped if n in built and (n in s.shipped or shipped[n].listed in lists)):
+            replaced[n] = replace(built[n], shipped=shipped[n].value, file=(s.file, s.sha256))
+    return replace(sub, numbers={**tables, "parameters": {**tables["parameters"], **replaced}})
+
+
+def _not_shipped(name: str, row: Sequence[Number]) -> str:
+    """The file that a built value comes from, and the shipped value; empty for shipped values."""
+    file = next((n.file[0] for n in row if n.shipped is not None), "")
+    shipped = [replace(n, value=n.value if n.shipped is None else n.shipped, sd=None) for n in row]
+    return f"; built with {file}, shipped: {row_value(name, shipped, _value)}" if file else ""
 
 
 def _value(n: Number) -> str:

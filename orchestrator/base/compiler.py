@@ -1,5 +1,9 @@
 """Compiles C files to a shared library with `zig cc` (package `ziglang`) and keeps it in the user's cache.
 
+The wheel of harvester-cosim contains the libraries that its commands need (`tools/release.py`), for all
+platforms. A library is taken from there if its sources and arguments are the same, so those commands need no
+compiler.
+
 The key of a library in the cache is a hash of its sources, its arguments and the version of the compiler.
 The compiler's own cache identifies a source file by its path, which is of no use for temporary folders.
 
@@ -12,6 +16,7 @@ import atexit
 import hashlib
 import logging
 import os
+import platform
 import shutil
 import stat
 import subprocess
@@ -19,14 +24,62 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import install
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # permission to write for others than the owner
+COMPILED = Path(__file__).parents[1] / "compiled"  # libraries in the wheel; a checkout has none
+
+
+@dataclass(frozen=True)
+class Platform:
+    """Processor and operating system.
+
+    name      platform tuple of FMI 3.0
+    folders   folders of FMI 2.0; the platform tuple if FMI 2.0 defines none (FMI 2.0.5, section 2.3)
+    target    target of the compiler, with the oldest supported C library
+    suffix    suffix of shared libraries
+    """
+
+    name: str
+    folders: tuple[str, ...]
+    target: str
+    suffix: str
+
+
+_ALL = (
+    Platform("x86_64-linux", ("linux64",), "x86_64-linux-gnu.2.17", ".so"),
+    Platform("aarch64-linux", ("aarch64-linux",), "aarch64-linux-gnu.2.17", ".so"),
+    Platform("x86_64-windows", ("win64",), "x86_64-windows-gnu", ".dll"),
+    Platform("x86_64-darwin", ("darwin64",), "x86_64-macos.11.0", ".dylib"),
+    # the standard defines aarch64-darwin, but tools look in darwin64 for any processor
+    Platform("aarch64-darwin", ("darwin64", "aarch64-darwin"), "aarch64-macos.11.0", ".dylib"),
+)
+PLATFORMS: Mapping[str, Platform] = {p.name: p for p in _ALL}
+_SYSTEMS = {"Linux": "linux", "Windows": "windows", "Darwin": "darwin"}
+_PROCESSORS = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
+
+
+def host() -> str:
+    """Name of the platform that this program runs on."""
+    system, processor = platform.system(), platform.machine()
+    name = f"{_PROCESSORS.get(processor.lower())}-{_SYSTEMS.get(system)}"
+    if name not in PLATFORMS:
+        raise Problem(f"{system} on {processor} is not supported, expected one of {', '.join(PLATFORMS)}")
+    return name
+
+
+def linker_arguments(library: str, target: Platform, libraries: Sequence[str] = ()) -> tuple[str, ...]:
+    """Arguments for the linker of a platform; `libraries` are of the system, except on Windows and macOS."""
+    if target.suffix == ".dylib":
+        return ("-install_name", f"@rpath/{library}")  # else the path in the build folder is stored
+    return tuple(libraries) if target.suffix == ".so" else ()
 
 
 class CompilerError(Problem):
@@ -38,22 +91,27 @@ class CompilerError(Problem):
 def shared_library(
     name: str, code: Mapping[str, bytes], arguments: Sequence[str], dependencies: Iterable[bytes] = ()
 ) -> Path:
-    """Path of the library `name` made by `zig cc ARGUMENTS` from C files; compiled unless in the cache.
+    """Path of the library `name` made by `zig cc ARGUMENTS` from C files.
+
+    It is compiled unless it is in the wheel or in the cache.
 
     code           file name -> content; all files are in the working directory of the compiler
     dependencies   contents that the library depends on besides `code`, such as headers in other folders
 
     Each compilation has a new temporary folder, so that no build path can get into the library.
     """
-    digest = hashlib.sha256()
-    sources = (part for file in sorted(code) for part in (file.encode(), code[file]))
-    for part in (_compiler_version().encode(), *(a.encode() for a in arguments), *sources, *dependencies):
-        digest.update(len(part).to_bytes(8, "big") + part)
-    file = f"{digest.hexdigest()[:32]}-{name}"
-    with suppress(OSError):  # the cache is not writable
-        if folder := _private_folder():
+    dependencies = list(dependencies)
+    shipped = shipped_file(name, code, arguments, dependencies)
+    if shipped.is_file():
+        return shipped
+    file = _file_name(name, _compiler_version(), code, arguments, dependencies)
+    try:
+        folder = private_cache()
+        if folder is not None:
             return _compile(folder / file, name, code, arguments)
-    own = _process_folder()
+    except OSError:  # the cache is not writable
+        pass
+    own = process_folder()
     zig = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(own / "zig")}  # of the compiler, next to ours
     return _compile(own / file, name, code, arguments, zig)
 
@@ -63,12 +121,9 @@ def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) ->
 
     name   end of the name of the file in the cache
     """
-    digest = hashlib.sha256()
-    for part in dependencies:
-        digest.update(len(part).to_bytes(8, "big") + part)
     with suppress(OSError):  # the cache is not writable
-        if folder := _private_folder():
-            file = folder / f"{digest.hexdigest()[:32]}-{name}"
+        if folder := private_cache():
+            file = folder / _file_name(name, "", {}, (), dependencies)
             if _is_private(file):
                 return file.read_bytes()
             content = make()
@@ -80,8 +135,34 @@ def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) ->
     return make()
 
 
-def _private_folder() -> Path | None:
-    """The cache, which is made if needed; None if another user can change it."""
+def shipped_file(
+    name: str, code: Mapping[str, bytes], arguments: Sequence[str], dependencies: Iterable[bytes] = ()
+) -> Path:
+    """Where the wheel contains a library, if it does; any version of the compiler may have made it.
+
+    Absolute paths among the arguments differ between computers; what they lead to is in `dependencies`.
+    """
+    arguments = [argument for argument in arguments if not os.path.isabs(argument)]
+    return COMPILED / _file_name(name, "", code, arguments, dependencies)
+
+
+def _file_name(
+    name: str,
+    compiler: str,
+    code: Mapping[str, bytes],
+    arguments: Sequence[str],
+    dependencies: Iterable[bytes],
+) -> str:
+    """A hash of what a library is made from and by, and its name."""
+    digest = hashlib.sha256()
+    sources = (part for file in sorted(code) for part in (file.encode(), code[file]))
+    for part in (compiler.encode(), *(a.encode() for a in arguments), *sources, *dependencies):
+        digest.update(len(part).to_bytes(8, "big") + part)
+    return f"{digest.hexdigest()[:32]}-{name}"
+
+
+def private_cache() -> Path | None:
+    """The user's cache, which nobody else can change then; None, and a warning, if it is another user's."""
     folder = cache_folder().resolve()  # what is checked is what is used, also behind a symbolic link
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if not _owned(folder):
@@ -127,7 +208,9 @@ def _compiler_version() -> str:
     try:
         return version("ziglang")
     except PackageNotFoundError:
-        raise CompilerError("no C compiler: the package ziglang is not installed") from None
+        raise CompilerError(
+            f"no C compiler: the package ziglang is not installed; install with: {install('build')}"
+        ) from None
 
 
 def _compile(
@@ -167,7 +250,7 @@ def _compiler_error(run: subprocess.CompletedProcess[str]) -> CompilerError:
 
 
 @cache
-def _process_folder() -> Path:
+def process_folder() -> Path:
     """A temporary folder that is removed when this process ends."""
     folder = Path(tempfile.mkdtemp(prefix="harvester-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

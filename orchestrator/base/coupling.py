@@ -21,7 +21,8 @@ MAX_PASSES = 8  # default of hermite
 # of 2.4e-6 in 1.7 passes with 1e-5.
 PASS_TOLERANCE = 1e-5
 PASS_TOLERANCE_RATIO = 0.3  # tolerance of the passes over the tolerance of an adaptive step
-# Estimated error above which an equal step is divided. No step of the work cycle up to 20 ms reaches it.
+# Estimated error above which an equal step is divided. On the work cycle up to 20 ms only steep changes of a
+# load-sensing pressure reach it.
 GUARD_TOLERANCE = 1e-2
 GUARDED_MASTERS = ("hermite", "interface-jacobian")
 SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s], defaults of adaptive runs

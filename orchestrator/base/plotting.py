@@ -27,7 +27,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from orchestrator.base.text import MINUS, typeset
-from orchestrator.base.units import convert, pretty, reader_unit, superscript
+from orchestrator.base.units import convert, pretty, quantity, reader_unit, superscript
 
 Array = NDArray[np.float64]
 Style = Mapping[str, Any]
@@ -103,11 +103,18 @@ def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
     return x[indices], y[indices]
 
 
+class ShownFigure(Figure):
+    """A figure that notebooks show, although it does not belong to pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return png(self, 100)
+
+
 def new_figure(width: float, height: float, **padding: Any) -> Figure:
     """An empty figure of this size [in]; `padding`: options of matplotlib's constrained layout."""
     layout = ConstrainedLayoutEngine()
     layout.set(**padding)
-    figure = Figure(figsize=(width, height), layout=layout)
+    figure = ShownFigure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -208,6 +215,7 @@ class TracePanel:
     error_unit   of the errors
     bounds       limits of the errors: symmetric bands, drawn if they are inside the axes
     remarks      (text, colour) on the right of the panel
+    key_beside   legend on the right of the panel, not above it
     heights      of panel and error strip, in units of `ROW_HEIGHT`
     """
 
@@ -221,6 +229,7 @@ class TracePanel:
     bounds: Collection[float] = ()
     remarks: Sequence[tuple[str, str]] = ()
     heights: tuple[float, float] = (2.5, 1.0)
+    key_beside: bool = False
 
 
 def draw_traces(
@@ -264,7 +273,9 @@ def _draw_panel(axes: Axes, panel: TracePanel) -> None:
     if panel.title:
         axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
     if any(line.name for line in panel.lines):
-        legend(axes, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        beside: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "ncols": 1}
+        above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
+        legend(axes, **(beside if panel.key_beside else above))
     for row, (text, colour) in enumerate(panel.remarks):
         position = (1.01, 0.98 - 0.4 * row)
         style: dict[str, Any] = {"color": colour, "fontsize": 8, "va": "top", "ha": "left"}
@@ -286,26 +297,139 @@ def _draw_errors(axes: Axes, panel: TracePanel) -> None:
             axes.axhspan(-bound, bound, color=PALETTE.good, alpha=0.13, linewidth=0)
 
 
-def plot_signals(
-    time: Array, signals: Mapping[str, Array], units: Mapping[str, str], title: str = ""
-) -> Figure:
-    """Signals over time [s], one panel per display unit, in the order of the signals."""
-    panels: dict[str, list[TraceLine]] = {}
+# ---- signals of runs
+
+MAX_PANELS, MAX_LINES = 4, 6  # of a figure without chosen signals: one page, one colour for each line
+MAX_DASHES = 3  # line styles that can be told apart in curves that change fast
+FIRST_QUANTITIES = ("voltage", "angle", "speed", "pressure", "position", "velocity", "flow", "force", "power")
+SAME = 1e-3  # of its range: a curve that is closer to an earlier one cannot be seen beside it
+CONSTANT = 1e-9  # range relative to the largest value: a line without information
+LEGEND_ROW = 0.16  # [in] of an entry
+
+
+def default_signals(signals: Mapping[str, Array], units: Mapping[str, str]) -> list[str]:
+    """The signals of a figure on one page: at most `MAX_LINES` of each of `MAX_PANELS` quantities.
+
+    Quantities of `FIRST_QUANTITIES` come first, others in the order of the signals. Left out are constant
+    signals, and signals that repeat an earlier one, such as an input that is connected to an output.
+    """
+    groups: dict[str, list[str]] = {}
     for name, values in signals.items():
-        unit = units.get(name, "")
-        lines = panels.setdefault(reader_unit(unit), [])
-        dashes = LINE_STYLES[len(lines) % len(LINE_STYLES)]
-        style = {"color": PALETTE.colour(len(lines)), "linewidth": 1.3, "linestyle": dashes}
-        lines.append(TraceLine(time, convert(values, unit, reader_unit(unit), name), style, name))
-    trace_panels = [TracePanel(unit, lines, heights=(4.5, 0.0)) for unit, lines in panels.items()]
-    return draw_traces(trace_panels, (float(time[0]), float(time[-1])), title)
+        group = groups.setdefault(reader_unit(units.get(name, "")), [])
+        if len(group) < MAX_LINES and _informative(values, [signals[n] for n in group]):
+            group.append(name)
+    moving = [group for group in groups.values() if group]
+    rank = {q: i for i, q in enumerate(FIRST_QUANTITIES)}
+    moving.sort(key=lambda group: rank.get(quantity(units.get(group[0], "")), len(rank)))
+    return [name for group in moving[:MAX_PANELS] for name in group] or list(signals)[:MAX_LINES]
 
 
-def svg(figure: Figure) -> str:
+def _informative(values: Array, others: Sequence[Array]) -> bool:
+    """Does a curve change, and differ from the others?"""
+    finite = values[np.isfinite(values)]
+    if not finite.size or (span := float(np.ptp(finite))) <= CONSTANT * float(np.abs(finite).max()):
+        return False
+    return not any(np.nanmax(np.abs(values - other)) < SAME * span for other in others)
+
+
+def plot_signals(
+    runs: Mapping[str, tuple[Array, Mapping[str, Array]]],
+    units: Mapping[str, str],
+    title: str = "",
+    below: str = "",
+) -> Figure:
+    """Signals over time, one panel per display unit, in the order of the signals of the first run.
+
+    runs    label -> times [s] and signals; the line style distinguishes several runs, and the colour if
+            each panel has one signal
+    below   a short line below the figure
+    """
+    first = next(iter(runs.values()))[1]
+    panels: dict[str, list[str]] = {}
+    for name in first:
+        panels.setdefault(reader_unit(units.get(name, "")), []).append(name)
+    labels = _labels(list(first))
+    styles = _styles(list(panels.values()), labels) if len(runs) == 1 else {}
+    # then colours distinguish runs, too, and the signal is the title of its panel
+    single = len(runs) > 1 and max(map(len, panels.values()), default=0) == 1
+    drawn = []
+    for unit, names in panels.items():
+        lines = []
+        for k, name in enumerate(names):
+            for i, (time, signals) in enumerate(runs.values()):
+                if name in signals:
+                    values = convert(signals[name], units.get(name, ""), unit, name)
+                    dashes = i if len(runs) > 1 else k // len(PALETTE.series)
+                    style = styles.get(name) or _style(i if single else k, dashes)
+                    lines.append(TraceLine(time, values, style, "" if i or single else labels[name]))
+        height = max(3.8, (LEGEND_ROW * len(names) + 0.25) / ROW_HEIGHT)
+        label = "" if (word := quantity(units.get(names[0], ""))).startswith(("[", "without")) else word
+        name = labels[names[0]] if single else ""
+        drawn.append(TracePanel(unit, lines, label, name, heights=(height, 0.0), key_beside=True))
+    ends = [t for time, _ in runs.values() for t in (float(time[0]), float(time[-1]))]
+    colours = {} if single else {"color": PALETTE.ink}
+    key = [legend_entry(n, **{**_style(i, i), **colours}) for i, n in enumerate(runs)]
+    return draw_traces(drawn, (min(ends), max(ends)), title, below, key if len(runs) > 1 else ())
+
+
+def _labels(names: Sequence[str]) -> dict[str, str]:
+    """Names without component where that is unambiguous, for the legend."""
+    bare = [name.rpartition(".")[2] for name in names]
+    return {name: short if bare.count(short) == 1 else name for name, short in zip(names, bare, strict=True)}
+
+
+def _style(colour: int, dashes: int) -> Style:
+    pattern = LINE_STYLES[dashes % len(LINE_STYLES)]
+    return {"color": PALETTE.colour(colour), "linewidth": 1.3, "linestyle": pattern}
+
+
+def _styles(panels: Sequence[Sequence[str]], labels: Mapping[str, str]) -> dict[str, Style]:
+    """One colour for each first word of the names (swing, boom, stick) in all panels, if that suffices.
+
+    Line styles distinguish the curves of one colour in a panel. Empty if there are too many of them.
+    """
+    words = {name: label.rpartition(".")[2].partition("_")[0] for name, label in labels.items()}
+    order = list(dict.fromkeys(words.values()))
+    largest = max(sum(words[n] == word for n in panel) for panel in panels for word in order)
+    if not 1 < len(order) <= len(PALETTE.series) or largest > MAX_DASHES:
+        return {}
+    styles = {}
+    for panel in panels:
+        used: dict[str, int] = {}
+        for name in panel:
+            word = words[name]
+            styles[name] = _style(order.index(word), used.get(word, 0))
+            used[word] = used.get(word, 0) + 1
+    return styles
+
+
+def show(figure: Figure, title: str) -> bool:
+    """Show a figure in a window until the user closes it; False without a display or without Tk."""
+    try:
+        import tkinter
+        from tkinter import TclError
+
+        from matplotlib.backends import backend_tkagg as tk
+    except ImportError:
+        return False
+    try:
+        window = tkinter.Tk()
+    except TclError:
+        return False
+    window.title(title)
+    backend: Any = tk
+    canvas = backend.FigureCanvasTkAgg(figure, master=window)
+    backend.NavigationToolbar2Tk(canvas, window)
+    canvas.get_tk_widget().pack(fill="both", expand=True)
+    window.mainloop()
+    return True
+
+
+def svg(figure: Figure, transparent: bool = True) -> str:
     """The figure as reproducible SVG; texts are stored as text, not as paths."""
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "harvester", "path.simplify_threshold": 0.2}):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+        figure.savefig(buffer, format="svg", transparent=transparent, metadata={"Date": None})
     return buffer.getvalue()
 
 

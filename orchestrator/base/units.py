@@ -85,6 +85,13 @@ DISPLAY: Mapping[str, str] = MappingProxyType(
     }
 )  # fmt: skip
 
+# Quantity -> its SI unit.
+QUANTITIES = {
+    "speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m",
+    "acceleration": "m/s2", "angular acceleration": "rad/s2", "force": "N", "torque": "N.m",
+    "flow": "m3/s", "power": "W", "voltage": "V",
+}  # fmt: skip
+
 _SPELLING = str.maketrans({"²": "2", "³": "3", "·": ".", "*": ".", "µ": "u", "μ": "u", "^": None})
 # A symbol with its power, or 1, or an operator: product, quotient, brackets.
 _TOKEN = re.compile(r"(?P<name>[A-Za-z%]+)(?:(?P<power>-?\d{1,2})(?!\d))?|1(?!\d)|[./()]")
@@ -170,11 +177,32 @@ def reader_unit(unit: str) -> str:
         return unit
 
 
+def in_reader_unit(value: float, unit: str) -> float:
+    """A value in the unit that `reader_unit` gives; unchanged if the unit is unknown."""
+    shown = reader_unit(unit)
+    factor, offset = (1.0, 0.0) if shown == unit else factor_and_offset(unit, shown, "value")
+    return factor * value + offset
+
+
 def display_conversion(unit: str) -> tuple[str, float] | None:
     """The display unit of an SI unit and its factor (displayed = factor * value); None if there is none."""
     if unit not in DISPLAY:
         return None
     return DISPLAY[unit], parse_unit(unit).factor / parse_unit(DISPLAY[unit]).factor
+
+
+def quantity(unit: str) -> str:
+    """The quantity of a unit; the unit in brackets if it has no name here."""
+    names: dict[tuple[int, ...], str] = {parse_unit(u).exponents: name for name, u in QUANTITIES.items()}
+    try:
+        name = names.get(parse_unit(unit).exponents, "")
+    except Problem:
+        name = ""
+    if name == "torque" and unit.endswith("J"):
+        return "energy"
+    if name == "power" and not unit.endswith("W"):
+        name = ""  # N.m/s is the rate of a torque
+    return name or (f"[{unit}]" if unit else "without unit")
 
 
 def pretty(unit: str) -> str:
@@ -358,6 +386,38 @@ def conversion(
     if source.exponents != target.exponents:
         return linear, f"{where}: {source} and {target} differ in the radian only; taken as equal"
     return linear, None
+
+
+_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d++)?+)\s*([^\W\d_].*|[%°].*)")
+
+
+def number_and_unit(text: str) -> tuple[str, str]:
+    """A number and its unit: "180bar" or "180 bar" gives ("180", "bar"); (text, "") for any other text."""
+    match = _NUMBER_WITH_UNIT.fullmatch(text.strip())
+    return (match[1], match[2].strip()) if match else (text, "")
+
+
+def from_user_unit(unit: str, target: DeclaredUnit | None, where: str) -> LinearTransformation:
+    """The transformation of a value that a user gave in `unit` to the unit of a variable.
+
+    The radian counts, unlike in `conversion`: 60 rpm is no number of Hz. Raises Problem, beginning with
+    `where`, for an unknown unit or another dimension.
+    """
+    given = parse_unit(unit, where)
+    declared = None if target is None else _with_definition(target)
+    expected = "a number without unit"
+    if target is not None and target.name not in ("", "1"):
+        shown = reader_unit(target.name)
+        expected = f"a unit like {target.name}" + (f" or {shown}" if shown != target.name else "")
+    if declared is None or declared.exponents is None or declared.fault:
+        raise Problem(
+            f"{where}: expected a number without unit: the FMU does not define a unit, got {unit!r}"
+        )
+    same_name = _with_definition(DeclaredUnit(declared.name)).exponents  # rad, declared without base unit
+    if given.exponents not in (declared.exponents, same_name):
+        raise Problem(f"{where}: expected {expected}, got {unit!r}")
+    factor = given.factor / declared.factor
+    return LinearTransformation(factor, (given.offset - declared.offset) / declared.factor)
 
 
 def _conversion_problem(unit: DeclaredUnit) -> str:

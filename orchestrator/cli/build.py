@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.cli.options import BUILD, app
 
 
@@ -36,7 +37,8 @@ def build(
         typer.Option(
             metavar="NAME",
             help="Platform of the binaries: host (this computer, the default), x86_64-linux, aarch64-linux,"
-            " x86_64-windows, x86_64-darwin, aarch64-darwin or all; repeatable.",
+            " x86_64-windows, x86_64-darwin, aarch64-darwin, all (these), or wasm (a WebAssembly module"
+            " for browsers in addition; harvester.fmu of FMI 3.0 always has one); repeatable.",
         ),
     ] = None,
     parameters: Annotated[
@@ -47,6 +49,21 @@ def build(
             " none.",
         ),
     ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Build only the FMUs whose names match, such as 'swing*'; repeatable; default: all.",
+        ),
+    ] = None,
+    shipped: Annotated[
+        bool,
+        typer.Option(
+            "--shipped",
+            help="Copy the FMUs and systems in the installed package, which are for all platforms, instead of"
+            " building them; needs no compiler.",
+        ),
+    ] = False,
 ) -> None:
     """Build the FMUs of the machine, or one FMU from a model in Python.
 
@@ -54,13 +71,18 @@ def build(
     connect them.
     """
     from fmus.export.compile import select
+    from fmus.package_files import BUILT
+    from orchestrator.base.files import make_folder
 
     versions = {"2": (2,), "3": (3,), "both": (2, 3)}
     if fmi not in versions:
         raise Problem(f"--fmi {fmi}: expected {', '.join(versions)}")
     platforms = select(platform or ["host"])
-    from orchestrator.base.files import make_folder
-
+    if shipped and (model or platform or parameters or only):
+        raise Problem("--shipped: expected no MODEL, --platform, --parameters or --only, which need a build")
+    if model is None and not shipped:
+        copying = "; harvester build --shipped copies the FMUs in the package" if BUILT.is_file() else ""
+        require("build", "harvester build", advice=copying)
     make_folder(out)
     if model is not None:
         from fmus.export.python.build import build_model
@@ -71,10 +93,14 @@ def build(
             raise Problem(f"--parameters {parameters}: expected none with MODEL, which has its own values")
         print(build_model(model, out, platforms))
         return
-    from fmus.machine.build import build_machine
+    from fmus.machine.build import build_machine, copy_shipped
     from orchestrator.base.progress import doing
 
-    with doing("building FMUs") as line:
-        paths = build_machine(out, versions[fmi], platforms, parameters, line.update)
+    if shipped:
+        paths = copy_shipped(out, versions[fmi])
+    else:
+        chosen = only or ("*",)
+        with doing("building FMUs") as line:
+            paths = build_machine(out, versions[fmi], platforms, parameters, chosen, line.update)
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

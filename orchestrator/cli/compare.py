@@ -13,13 +13,11 @@ from orchestrator.cli.options import BUILD, app, seconds
 @app.command()
 def compare(
     traces: Annotated[
-        list[Path], typer.Argument(metavar="TRACE...", help="Two or more traces (.csv, .parquet) of runs.")
+        list[Path], typer.Argument(metavar="TRACE...", help="Two or more traces (.csv, .parquet, .mat).")
     ],
     against: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Trace to compare with (.csv, .parquet); default: the first TRACE."
-        ),
+        typer.Option(metavar="FILE", help="Trace to compare with; default: the first TRACE."),
     ] = None,
     signals: Annotated[
         list[str] | None,

@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, RunOptions, System, app, with_option_groups
+from orchestrator.cli.options import (
+    BUILD,
+    RunOptions,
+    System,
+    app,
+    system_file,
+    tell_built,
+    with_option_groups,
+)
 
 STUDY = BUILD / "convergence"
 
@@ -16,7 +24,7 @@ STUDY = BUILD / "convergence"
 @with_option_groups
 def convergence(
     *,
-    system: System = SYSTEM,
+    system: System = None,
     reference: Annotated[
         Path | None,
         typer.Option(
@@ -58,9 +66,11 @@ def convergence(
 
     Prints tables, and writes them as CSV with figures.
     """
-    from fmus.machine.build import data
+    from fmus.package_files import data
     from orchestrator.studies.convergence.convergence_study import convergence as study
 
+    system = system_file(system)
+    tell_built(system, {})
     work_cycle = data("reference/work_cycle.csv")
     options = case.options() | {"scenario": case.scenario, "default_reference": work_cycle}
     study(system, reference, out, steps, masters, signals or (), repeats, **options)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from orchestrator.base.extras import require
 from orchestrator.cli.options import BUILD, app
 
 
@@ -58,6 +59,7 @@ def identify(
     warning; 1: estimates and a report are written, but a warning says why they are doubtful, such as
     residuals far above the noise of the sensors; 2: a mistake, nothing is written.
     """
+    require("identify", "harvester identify")
     from fmus.identification.command import run as run_identify
     from fmus.identification.machine import FREE
     from orchestrator.base.files import make_folder

@@ -11,7 +11,6 @@ import typer
 from orchestrator.base.errors import Problem
 from orchestrator.cli.options import (
     BUILD,
-    SYSTEM,
     Parameters,
     Set,
     Swap,
@@ -20,12 +19,13 @@ from orchestrator.cli.options import (
     assignments,
     seconds,
     swaps,
+    system_file,
 )
 
 
 @app.command()
 def linearize(
-    system: System = SYSTEM,
+    system: System = None,
     pose: Parameters = None,
     input_: Annotated[
         list[str] | None,
@@ -114,7 +114,7 @@ def linearize(
     speeds = _speeds(speed or [])
     make_folder(out.parent)
     linear = run_linearize(
-        require_system(system),
+        require_system(system_file(system)),
         parameters=pose or (),
         inputs=input_ or (),
         outputs=output or (),

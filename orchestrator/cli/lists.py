@@ -7,14 +7,19 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, Swap, System, app, swaps
+from orchestrator.cli.options import BUILD, Swap, System, app, swaps, system_file
 
 
 @app.command()
 def variants(
     system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM", help="System in which the cost of the variants is measured.")
-    ] = SYSTEM,
+        Path | None,
+        typer.Argument(
+            metavar="SYSTEM",
+            help="System in which the cost of the variants is measured; default: build/harvester.ssp, else"
+            " the one in the installed package.",
+        ),
+    ] = None,
     combinations: Annotated[
         bool,
         typer.Option("--combinations", help="Run the work cycle with every combination of variants instead."),
@@ -31,6 +36,7 @@ def variants(
     from fmus.machine.tables import variant_lines, variant_names
     from orchestrator.studies.variants import costs, table
 
+    system = system_file(system)
     if combinations:
         joints = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
         if not table(system, {part: list(family) for part, family in FAMILIES.items()}, joints, out):
@@ -58,15 +64,18 @@ def parameters(
         ),
     ] = None,
 ) -> None:
-    """Print the parameters of the model with value, unit and source."""
+    """Print the parameters of the model with value, unit and source.
+
+    Values that were built into the FMUs in the folder build stand in place of the shipped ones, with both.
+    """
     from fmus.machine.tables import print_parameters
 
-    print_parameters(subsystem, source)
+    print_parameters(subsystem, source, BUILD)
 
 
 @app.command()
 def signals(
-    system: System = SYSTEM,
+    system: System = None,
     kind: Annotated[
         str | None,
         typer.Option(metavar="KIND", help="Only this kind: input, output or parameter; default: all."),
@@ -79,4 +88,4 @@ def signals(
     from orchestrator.ssp.load import load
     from orchestrator.ssp.swap import with_swaps
 
-    print("\n".join(lines(with_swaps(load(require_system(system)), swaps(swap or [])), kind)))
+    print("\n".join(lines(with_swaps(load(require_system(system_file(system))), swaps(swap or [])), kind)))

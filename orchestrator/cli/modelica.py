@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, app
+from orchestrator.cli.options import BUILD, app, system_file
 
 
 @app.command()
@@ -17,7 +17,7 @@ def modelica(
         typer.Argument(
             metavar="FILE...",
             help="FMUs of FMI 2.0 and systems (.fmu, .ssp); default: build/harvester.ssp,"
-            " build/harvester.fmu and build/variants/*.fmu.",
+            " build/harvester.fmu and build/variants/*.fmu, else those in the installed package.",
         ),
     ] = None,
     out: Annotated[
@@ -40,5 +40,7 @@ def modelica(
     from orchestrator.modelica import write_package
 
     constants = ("supply_pressure", "tank_pressure", "payload_mass") if constant is None else constant
-    default = [SYSTEM, BUILD / "harvester.fmu", *sorted((BUILD / "variants").glob("*.fmu"))]
-    print(write_package(files or default, out, name, constants))
+    if not files:
+        system = system_file(None)
+        files = [system, system.with_suffix(".fmu"), *sorted((system.parent / "variants").glob("*.fmu"))]
+    print(write_package(files, out, name, constants))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -24,8 +25,23 @@ app = typer.Typer(
 )
 
 
+def _print_version(requested: bool) -> None:
+    if requested:
+        from fmus.package_files import version_text
+
+        print(version_text(BUILD))
+        raise typer.Exit
+
+
 @app.callback()
-def _main() -> None:  # the docstring is the text of `harvester --help`
+def _main(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print versions and where the FMUs are."
+        ),
+    ] = False,
+) -> None:  # the docstring is the text of `harvester --help`
     """An electrohydraulic harvester as FMUs: build, co-simulate, validate."""
 
 
@@ -119,7 +135,44 @@ def assignments(
     return values
 
 
-System = Annotated[Path, typer.Argument(metavar="SYSTEM", help="An .ssp, .ssd or .fmu file.")]
+def tell_built(system: Path, swapped: Mapping[str, str]) -> None:
+    """Print which file of parameters the FMUs of a system were built with, if they were."""
+    from orchestrator.base.files import require_system
+    from orchestrator.ssp.load import load
+    from orchestrator.ssp.provenance import built_notes
+    from orchestrator.ssp.swap import with_swaps
+
+    for note in built_notes(with_swaps(load(require_system(system)), swapped)):
+        print(note, flush=True)
+
+
+System = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="SYSTEM",
+        help="An .ssp, .ssd or .fmu file; default: build/harvester.ssp, else the one in the"
+        " installed package.",
+    ),
+]
+
+
+def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
+    """The system that the user names, else build/NAME, else the one in the package, with a line about that.
+
+    If there is none, build/NAME, which the caller then reports as missing.
+    """
+    file = BUILD / name
+    if chosen is not None or file.exists():
+        return chosen or file
+    from fmus.package_files import shipped
+
+    found = shipped(name)
+    if found is None:
+        return file
+    print(f"{file} does not exist; using the one in the package: {found}", file=sys.stderr)
+    return found
+
+
 Swap = Annotated[
     list[str] | None,
     typer.Option(
@@ -147,7 +200,7 @@ Set = Annotated[
         metavar="NAME=VALUE",
         help="Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs with"
         " this name (supply_pressure sets both drives), or of a parameter that components share (boom_stroke)"
-        ", in the unit that `harvester signals` shows;"
+        ", in the unit that `harvester signals` shows or with a unit, supply.pressure_setting=180bar;"
         " repeatable.",
     ),
 ]
@@ -161,8 +214,9 @@ class RunOptions:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Inputs over time (.csv, .parquet); default: none, the inputs are those of the system (the"
-            " harvester contains the work cycle); validate with --reference: the commands of the reference.",
+            help="Inputs over time (.csv, .parquet, .mat); default: none, the inputs are those of the system"
+            " (the harvester contains the work cycle);"
+            " validate with --reference: the commands of the reference.",
         ),
     ] = None
     start: Annotated[

@@ -9,7 +9,6 @@ import typer
 
 from orchestrator.cli.options import (
     BUILD,
-    SYSTEM,
     CouplingOptions,
     RunOptions,
     StepOptions,
@@ -17,6 +16,7 @@ from orchestrator.cli.options import (
     app,
     number,
     seconds,
+    system_file,
     with_option_groups,
 )
 
@@ -25,11 +25,12 @@ from orchestrator.cli.options import (
 @with_option_groups
 def run(
     *,
-    system: System = SYSTEM,
+    system: System = None,
     case: RunOptions,
     steps: StepOptions,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the trace (.csv or .parquet).")] = BUILD
-    / "trace.csv",
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="File for the trace (.csv, .parquet, .mat).")
+    ] = BUILD / "trace.csv",
     error_estimate: Annotated[
         bool,
         typer.Option(
@@ -57,6 +58,7 @@ def run(
     """Co-simulate a system and record its signals."""
     from orchestrator.engine.isolated import start_process
 
+    system = system_file(system)
     start_process()  # before the slow imports
     from orchestrator.engine.run import run_to_file
 

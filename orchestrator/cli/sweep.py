@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import app, positive_integer
+from orchestrator.base.extras import require
+from orchestrator.cli.options import app, positive_integer, tell_built
 
 
 @app.command()
@@ -44,8 +45,12 @@ def sweep(
 
     An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
     """
+    require("sweep", "harvester sweep")
+    from orchestrator.studies import read_study
     from orchestrator.studies.parameter_study import run
 
+    chosen = read_study(study)
+    tell_built(Path(chosen.folder) / chosen.system, {})
     if workers and scheduler:
         raise Problem(
             "--workers: expected none with --scheduler, whose cluster determines the number of workers"

@@ -9,9 +9,18 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import BUILD, Set, Swap, app, assignments, number, swaps
+from orchestrator.cli.options import (
+    BUILD,
+    Set,
+    Swap,
+    app,
+    assignments,
+    number,
+    swaps,
+    system_file,
+    tell_built,
+)
 
-CONTROLLED = BUILD / "harvester_control.ssp"
 MACHINES = {
     "lumped": dict[str, str](),
     "detailed": {
@@ -27,8 +36,13 @@ PATHS = ("line", "square")
 @app.command()
 def track(
     system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM", help="The machine with its controller (.ssp).")
-    ] = CONTROLLED,
+        Path | None,
+        typer.Argument(
+            metavar="SYSTEM",
+            help="The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one"
+            " in the installed package.",
+        ),
+    ] = None,
     path: Annotated[
         list[str] | None,
         typer.Option(
@@ -92,6 +106,8 @@ def track(
         paths = [(file, partial(start_angles, str(file), first_point(file))) for file in files]
     machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
     modes = (True, False) if compare else (True,)
+    system = system_file(system, "harvester_control.ssp")
+    tell_built(system, {})
     allowed = None if limit is None else limit / 1e3
     if not run_study(system, paths, machines, out, modes, allowed, set=assignments(set_ or [])):
         raise typer.Exit(1)
@@ -99,7 +115,7 @@ def track(
 
 def _file(name: str) -> Path:
     """The scenario of a path."""
-    from fmus.machine.build import data
+    from fmus.package_files import data
 
     if name in PATHS:
         return data(f"scenarios/{name}.csv")

@@ -9,12 +9,12 @@ import typer
 
 from orchestrator.cli.options import (
     BUILD,
-    SYSTEM,
     CouplingOptions,
     RunOptions,
     StepOptions,
     System,
     app,
+    system_file,
     with_option_groups,
 )
 
@@ -23,7 +23,7 @@ from orchestrator.cli.options import (
 @with_option_groups
 def validate(
     *,
-    system: System = SYSTEM,
+    system: System = None,
     reference: Annotated[
         Path | None,
         typer.Option(
@@ -57,10 +57,12 @@ def validate(
 
     Writes a report. The exit status is 1 if a limit is exceeded.
     """
-    from fmus.machine.build import data
+    from fmus.package_files import data
     from orchestrator.results.validate_system import validate_system
 
+    file = system_file(system)
     defaults = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
-    if not validate_system(system, case.scenario, reference, layout, out, default=defaults, **options):
+    options |= {"default_system": file} if system is None else {}
+    if not validate_system(file, case.scenario, reference, layout, out, default=defaults, **options):
         raise typer.Exit(1)

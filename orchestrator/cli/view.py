@@ -9,7 +9,18 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import BUILD, SYSTEM, Set, Swap, app, assignments, swaps
+from orchestrator.base.extras import require
+from orchestrator.cli.options import (
+    BUILD,
+    SYSTEM,
+    Set,
+    Swap,
+    app,
+    assignments,
+    swaps,
+    system_file,
+    tell_built,
+)
 
 CONTROL = BUILD / "harvester_control.ssp"
 
@@ -21,13 +32,14 @@ def view(
         typer.Argument(
             metavar="SYSTEM",
             help="An .ssp or .fmu file; default: build/harvester_control.ssp, which also drives the tip,"
-            " else build/harvester.ssp.",
+            " else build/harvester.ssp, else the one in the installed package.",
         ),
     ] = None,
     replay: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Start with the replay of this result file (.csv, .parquet); default: none."
+            metavar="FILE",
+            help="Start with the replay of this result file (.csv, .parquet, .mat); default: none.",
         ),
     ] = None,
     pose: Annotated[
@@ -67,11 +79,14 @@ def view(
     ] = BUILD,
 ) -> None:
     """Watch and drive the machine in a browser, in real time, or replay a result file."""
+    require("view", "harvester view")
     from orchestrator.view.server import serve
 
     swapped = swaps(swap or [])
+    chosen = system or _default_system(swapped)
+    tell_built(chosen, swapped)
     serve(
-        system or _default_system(swapped),
+        chosen,
         replay,
         pose,
         swapped,
@@ -85,26 +100,30 @@ def view(
 
 
 def _default_system(swapped: Mapping[str, str]) -> Path:
-    """The system with the controller if it exists, else the one without.
+    """The system with the controller if it exists in `build`, else the one without, else as in the package.
 
     Raises `Problem` for a swap that only the system without controller accepts.
     """
-    if not CONTROL.exists():
+    if not CONTROL.exists() and SYSTEM.exists():
         return SYSTEM
+    control = system_file(None, CONTROL.name)
+    if not control.exists():
+        return SYSTEM
+    other = control.with_name(SYSTEM.name)
     from orchestrator.ssp.load import load
     from orchestrator.ssp.swap import with_swaps
 
     if swapped:
         try:
-            with_swaps(load(CONTROL), swapped)
+            with_swaps(load(control), swapped)
         except Problem as problem:
-            if SYSTEM.exists() and _accepts(SYSTEM, swapped):
-                message = f"{problem}; {SYSTEM} has no controller and accepts it: harvester view {SYSTEM}"
+            if other.exists() and _accepts(other, swapped):
+                message = f"{problem}; {other} has no controller and accepts it: harvester view {other}"
                 raise Problem(
                     f"{message} {' '.join(f'--swap {n}={f}' for n, f in swapped.items())}"
                 ) from None
             raise
-    return CONTROL
+    return control
 
 
 def _accepts(system: Path, swapped: Mapping[str, str]) -> bool:

@@ -1,8 +1,7 @@
 """The TOML file that describes sampled data: columns, instruments, experiment, limits of a comparison.
 
 `harvester identify` reads recordings of a test rig or a machine in this format, `harvester validate` reads
-reference traces. The dataclasses below are the tables of the file. docs/recordings.md and
-docs/reference-traces.md describe the keys.
+reference traces. The dataclasses below are the tables of the file. docs/recordings.md describes the keys.
 """
 
 from __future__ import annotations

@@ -8,17 +8,20 @@ elements and the depth of structs in its compiled code, so that a flipped bit ca
 from __future__ import annotations
 
 import math
+import os
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.base.files import Location
 
 MAX_BYTES = 8 << 30  # of a file or its numbers: 100 signals at 200 Hz for ten hours are 5.8 GB
@@ -52,6 +55,7 @@ OTHERS = {
 }
 COMPLEX = 0x800
 HEADER = 128  # bytes
+HDF5 = b"\x89HDF\r\n\x1a\n"  # signature of version 7.3
 
 
 @dataclass(frozen=True)
@@ -63,10 +67,11 @@ class NotNumbers:
 
 def read_variables(file: Location) -> dict[str, Any]:
     """Arrays and texts by name, scalar structs as dictionaries, anything else as `NotNumbers`."""
-    import h5py
-
     try:
-        if not file.members and h5py.is_hdf5(file.path):
+        if not file.members and _is_version_7_3(file.path):
+            require("files", f"{file}: a MATLAB file of version 7.3", "h5py")
+            import h5py
+
             with h5py.File(file.path, "r") as opened:
                 return _Hdf5(file).group(opened)
         data = file.read(MAX_BYTES)
@@ -75,6 +80,22 @@ def read_variables(file: Location) -> dict[str, Any]:
         return _version_5(data)
     except (*ERRORS, struct.error, zlib.error) as error:
         raise Problem(f"{file}: expected a MATLAB file, got {first_line(error)}") from None
+
+
+def _is_version_7_3(path: Path) -> bool:
+    """True if a file has the signature of HDF5 at byte 0, or after a header of 512, 1024, 2048, ... bytes."""
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            start = 0
+            while start < size:
+                file.seek(start)
+                if file.read(len(HDF5)) == HDF5:
+                    return True
+                start = max(512, 2 * start)
+    except OSError:  # the reader says why it cannot be read
+        pass
+    return False
 
 
 def check_size(file: Location, size: int, what: str) -> None:

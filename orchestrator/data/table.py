@@ -9,6 +9,7 @@ matrix with many columns ("data(2,:)").
 from __future__ import annotations
 
 import csv
+import json
 import math
 import re
 from collections import Counter
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.extras import require
 from orchestrator.base.files import Location
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
@@ -300,6 +302,7 @@ def _number(cell: str) -> float | None:
 
 def _read_parquet(file: Location, names: Collection[str] | None) -> Columns:
     """Columns of a Parquet file, or of a folder of them, with units from the fields. A null is a gap."""
+    require("files", f"{file}: a Parquet file", "pyarrow")
     import pyarrow
     import pyarrow.parquet
 
@@ -344,8 +347,10 @@ def _arrow_values(column: Any, where: str, name: str) -> Array:
 
 
 def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
-    """Columns of a MATLAB file, which must have the same length."""
-    candidates, values = dict(_flat_columns("", read_variables(file))), {}
+    """Columns of a MATLAB file, which must have the same length; with units if it is a trace of a run."""
+    variables = read_variables(file)
+    units, original = _of_trace(variables) if names is None else ({}, {})
+    candidates, values = dict(_flat_columns("", variables)), {}
     for key, other in [c for c in candidates.items() if isinstance(c[1], NotNumbers)]:
         for name in names or ():
             if name == key or name.startswith((f"{key}.", f"{key}(")):
@@ -356,12 +361,28 @@ def _read_mat(file: Location, names: Collection[str] | None) -> Columns:
         if isinstance(column, str) or column.dtype.kind not in "fiub":
             got = repr(shortened(column)) if isinstance(column, str) else f"{column.dtype}"
             raise Problem(f"{file}: row 1: column {name!r}: expected numbers, got {got}")
-        values[name] = column.astype(np.float64)
+        values[original.get(name, name)] = column.astype(np.float64)
     lengths = {name: len(column) for name, column in values.items()}
     if len(set(lengths.values())) > 1:
         got = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise Problem(f"{file}: expected columns of one length, got {got}")
-    return Columns(str(file), values, range(1, 1 + min(lengths.values(), default=0)))
+    values = {n: values[n] for n in dict.fromkeys([*original.values(), *values]) if n in values}  # in order
+    return Columns(str(file), values, range(1, 1 + min(lengths.values(), default=0)), units=units)
+
+
+def _of_trace(variables: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
+    """Take `units` and `run` out of a trace: units by signal, and names in the file -> signals."""
+    run, units = variables.get("run"), variables.get("units")
+    if not isinstance(run, str) or not isinstance(units, dict):
+        return {}, {}
+    del variables["run"], variables["units"]
+    try:
+        renamed = json.loads(run).get("names", {})
+        original = {str(written): str(name) for name, written in renamed.items()}
+    except (ValueError, AttributeError):  # of another tool
+        original = {}
+    texts = {name: text for name, text in _flat_columns("", units) if isinstance(text, str)}
+    return {original.get(name, name): text for name, text in texts.items()}, original
 
 
 def _flat_columns(prefix: str, struct: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

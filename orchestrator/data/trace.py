@@ -1,25 +1,28 @@
-"""Traces: signals over one time axis, recorded by a run or used as a scenario, in CSV and Parquet files.
+"""Traces: signals over one time axis, of a run or for a scenario, in CSV, Parquet and MATLAB files.
 
 CSV: a row of column names (time first), then rows of numbers with a decimal point, separated by commas.
 Parquet: the same columns as float64, with units in the metadata of the fields.
+MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struct `units`, too.
 """
 
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location
-from orchestrator.data.table import Columns, read_columns
+from orchestrator.base.text import first_names
+from orchestrator.data.table import SUFFIXES, Columns, read_columns
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 TIME = "time"
@@ -48,18 +51,64 @@ class Trace:
         times = np.asarray(time, dtype=np.float64)
         return Trace(times, {n: np.interp(times, self.time, v) for n, v in self.signals.items()}, self.units)
 
-    def plot(self, *patterns: str, title: str = "") -> Figure:
+    def plot(
+        self,
+        *patterns: str,
+        title: str = "",
+        start: float | None = None,
+        stop: float | None = None,
+        others: Mapping[str, Trace] | None = None,
+        label: str = "",
+    ) -> Figure:
         """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
 
-        patterns   names of signals, or patterns such as `*.swing_pressure_*`; default: all signals
+        patterns      names of signals with or without component, or patterns such as `*.swing_pressure_*`;
+                      default: `plotting.default_signals`, up to six signals of each of four quantities
+        start, stop   time window [s]; default: all
+        others        label -> further traces, drawn with other line styles; `label`: that of this trace
         """
         from orchestrator.base.plotting import plot_signals
 
+        runs = {label or "1": self, **(others or {})}
+        units = {n: u for trace in reversed(runs.values()) for n, u in trace.units.items()}
+        windows = {name: trace.window(start, stop) for name, trace in runs.items()}
+        names = windows[label or "1"].chosen(patterns)
+        left_out = not patterns and len(names) < len(self.signals)
+        below = f"{len(names)} of {len(self.signals)} signals" if left_out else ""
+        curves = {
+            run: (trace.time, {n: trace[n] for n in names if n in trace.signals})
+            for run, trace in windows.items()
+        }
+        return plot_signals(curves, units, title, below)
+
+    def chosen(self, patterns: Sequence[str] = ()) -> list[str]:
+        """The signals that patterns name, with or without component; default: those of a figure.
+
+        Raises Problem if a pattern names none.
+        """
+        from orchestrator.base.plotting import default_signals
+
+        if not patterns:
+            return default_signals(self.signals, self.units)
         names: dict[str, None] = {}
-        for pattern in patterns or self.signals:
-            matches = [pattern] if pattern in self.signals else fnmatch.filter(self.signals, pattern)
-            names |= dict.fromkeys(matches or [pattern])
-        return plot_signals(self.time, self.select(names).signals, self.units, title)
+        for pattern in patterns:
+            bare = [name for name in self.signals if fnmatch.fnmatchcase(name.rpartition(".")[2], pattern)]
+            matches = [pattern] if pattern in self.signals else fnmatch.filter(self.signals, pattern) or bare
+            if not matches:
+                raise UnknownSignal(pattern, self.signals)
+            names |= dict.fromkeys(matches)
+        return list(names)
+
+    def window(self, start: float | None = None, stop: float | None = None) -> Trace:
+        """The samples from `start` to `stop` [s], at least two; default: all."""
+        first, last = (-np.inf if start is None else start), (np.inf if stop is None else stop)
+        inside = (self.time >= first) & (self.time <= last)
+        if len(self.time) and (start is not None or stop is not None) and inside.sum() < 2:
+            got = f"got {inside.sum()}; the samples cover {self.time[0]:g} to {self.time[-1]:g} s"
+            raise Problem(f"time window {first:g} to {last:g} s: expected two or more samples, {got}")
+        if inside.all():
+            return self
+        return Trace(self.time[inside], {n: v[inside] for n, v in self.signals.items()}, self.units)
 
     def select(self, names: Iterable[str]) -> Trace:
         """The trace with only these signals, in this order."""
@@ -67,14 +116,53 @@ class Trace:
         return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
 
 
+Data: TypeAlias = "Trace | Mapping[str, ArrayLike] | pd.DataFrame"  # signals over time in memory
+
+
+def as_trace(data: Data, name: str = "data") -> Trace:
+    """A trace from columns: a mapping or a pandas DataFrame with a column `time` [s].
+
+    The index of a DataFrame can be the time instead, if it is named `time`. Raises Problem, beginning with
+    `name`, for columns of different lengths, times that do not increase, and values that are no numbers.
+    """
+    if isinstance(data, Trace):
+        return data
+    table: Any = data
+    if TIME not in table and getattr(getattr(table, "index", None), "name", None) == TIME:
+        table = table.reset_index()
+    if TIME not in table:
+        raise Problem(f"{name}: expected a column {TIME!r} [s], got {first_names(map(str, table)) or 'none'}")
+    values = {}
+    for column in [TIME, *(c for c in table if c != TIME)]:
+        try:
+            values[str(column)] = np.atleast_1d(np.asarray(table[column], dtype=np.float64))
+        except (TypeError, ValueError) as error:
+            raise Problem(f"{name}: column {column!r}: expected numbers, got {error}") from None
+    for column, samples in values.items():
+        for k in np.flatnonzero(np.isinf(samples))[:1]:
+            raise Problem(
+                f"{name}: row {k + 1}: column {column!r}: expected a finite number, got {samples[k]:g}"
+            )
+        if samples.shape != (expected := values[TIME].shape) or samples.ndim != 1:
+            got = f"shape {samples.shape}, and {expected} of the time"
+            raise Problem(
+                f"{name}: column {column!r}: expected a vector of one number for each time, got {got}"
+            )
+    _check_samples(Columns(name, values, range(1, 1 + len(values[TIME]))))
+    return Trace(values.pop(TIME), values)
+
+
 def read_trace(path: str | Path | Location) -> Trace:
-    """Read a trace from a .csv or .parquet file, on disk or inside an archive."""
+    """Read a trace from a .csv, .parquet or .mat file, on disk or inside an archive."""
     file = path if isinstance(path, Location) else Location(Path(path))
     check_suffix(str(file))
     columns = read_columns(file, None)
     first = next(iter(columns.values))
+    if str(file).lower().endswith(".mat"):  # its variables have no order
+        first = TIME if TIME in columns.values else first
     if first != TIME:
-        raise Problem(f"{file}: line 1: expected the first column to be named {TIME!r}, got {first!r}")
+        where = "line 1: " if columns.row_word == "line" else ""
+        raise Problem(f"{file}: {where}expected the first column to be named {TIME!r}, got {first!r}")
     _check_samples(columns)
     signals = {name: values for name, values in columns.values.items() if name != TIME}
     return Trace(columns.values[TIME], signals, {n: u for n, u in columns.units.items() if n in signals})
@@ -102,8 +190,8 @@ def _check_samples(columns: Columns) -> None:
 
 def check_suffix(path: str | Path) -> None:
     """Refuse a file name with an unknown suffix, before the computation starts."""
-    if Path(path).suffix.lower() not in (".csv", ".parquet"):
-        raise Problem(f"{path}: expected a file name ending in .csv or .parquet")
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise Problem(f"{path}: expected a file name ending in .csv, .parquet or .mat")
 
 
 def _gap(steps: NDArray[np.float64]) -> int | None:

@@ -1,16 +1,20 @@
 """Writes traces row by row: into memory, or into a file that gets its name when it is complete.
 
-While a run goes on, its rows are in NAME.partial.csv, or in a folder NAME.partial.parquet with Parquet files
-that tools read as one table. `TraceFile.publish` gives a complete file its name in one operation. If the run
-fails, or if the process is killed, the partial file stays, and so does an earlier file NAME.
+While a run goes on, its rows are in NAME.partial.csv, also those of a MATLAB file, or in a folder
+NAME.partial.parquet with Parquet files that tools read as one table. `TraceFile.publish` gives a complete
+file its name in one operation. If the run fails, or if the process is killed, the partial file stays, and so
+does an earlier file NAME.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
+import re
 import secrets
 import shutil
+import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -23,10 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import csv_header
+from orchestrator.base.extras import require
+from orchestrator.base.files import Location, csv_header
+from orchestrator.data.matlab import read_variables
+from orchestrator.data.table import read_columns
 from orchestrator.data.trace import TIME, Trace, check_suffix, read_trace
 
 Array = NDArray[np.float64]
+ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a Parquet file
 METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
@@ -191,14 +199,15 @@ class TraceOnDisk(Trace):
 
 
 class TraceFile(TraceSink):
-    """A trace in a .csv or .parquet file, under a partial name until `publish`.
+    """A trace in a .csv, .parquet or .mat file, under a partial name until `publish`.
 
     path      name of the complete file
-    partial   name until then; a folder for Parquet
+    partial   name until then; a folder for Parquet, a .csv for MATLAB
+    origin    JSON text about the run, stored in Parquet and MATLAB files, see `read_origin`
     accept    called with the signals before the first row; a Problem that it raises ends the run
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, origin: str = "") -> None:
         check_suffix(path)
         named = Path(path)
         self.path = named.resolve() if named.is_symlink() else named  # the link stays
@@ -207,7 +216,9 @@ class TraceFile(TraceSink):
             raise Problem(f"{path}: expected the name of a file, got a folder")
         if self.path.stem.endswith(".partial"):
             raise Problem(f"{path}: expected another name: NAME.partial.* is for unfinished results")
-        self.partial = self.path.with_name(f"{self.path.stem}.partial{self.path.suffix}")
+        suffix = ".csv" if self.path.suffix.lower() == ".mat" else self.path.suffix
+        self.partial = self.path.with_name(f"{self.path.stem}.partial{suffix}")
+        self.origin = origin
         self._format: _Format | None = None
         self.accept: Callable[[RowLayout], None] = lambda _: None
 
@@ -220,7 +231,7 @@ class TraceFile(TraceSink):
         with _naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             remove_partial(self.partial)
-            make: type[_Format] = _Csv if self.path.suffix.lower() == ".csv" else _Parquet
+            make = FORMATS[self.path.suffix.lower()]
             self._format = make(self.partial, layout.names, layout.units)
 
     def append(self, times: Array, values: Array) -> None:
@@ -254,7 +265,7 @@ class TraceFile(TraceSink):
         """
         assert self._format is not None
         with _naming(self.partial):
-            return self._format.finish(check)
+            return self._format.finish(check, self.origin)
 
     @property
     def sha256(self) -> str:
@@ -299,7 +310,7 @@ class _Format(Protocol):
     def sha256(self) -> str: ...
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None: ...
     def append(self, times: Array, values: Array) -> None: ...
-    def finish(self, check: Callable[[], None]) -> tuple[Path, str]: ...
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]: ...
     def close(self) -> None: ...
     def check_alone(self) -> None: ...
 
@@ -338,8 +349,8 @@ class _Csv:
     def sha256(self) -> str:
         return self._digest.hexdigest()
 
-    def finish(self, check: Callable[[], None]) -> tuple[Path, str]:
-        del check
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
+        del check, origin
         self._file.close()
         return self._path, self.sha256
 
@@ -361,6 +372,7 @@ class _Parquet:
     sha256 = ""
 
     def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
+        require("files", f"{path}: a Parquet file", "pyarrow")
         import pyarrow as pa
 
         self._folder, self._blocks = path, list[Array]()
@@ -403,14 +415,14 @@ class _Parquet:
         if not self._mark.exists():
             raise Problem(f"{self._folder}: expected one run that writes this folder, got two")
 
-    def finish(self, check: Callable[[], None]) -> tuple[Path, str]:
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         self.check_alone()
         whole, waiting = self._folder / "_whole", list[Any]()
         try:
-            with pq.ParquetWriter(whole, self._schema) as writer:
+            with pq.ParquetWriter(whole, self._schema.with_metadata({ORIGIN: origin})) as writer:
                 for part in range(self._parts):
                     check()
                     waiting.append(pq.read_table(self._folder / f"part-{part + 1:06}.parquet"))
@@ -435,6 +447,99 @@ class _Parquet:
         rows = np.concatenate([np.zeros((0, len(self._schema))), *self._blocks])
         arrays = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
         return pa.Table.from_arrays(arrays, schema=self._schema)
+
+
+class _Mat(_Csv):
+    """MATLAB, version 5: `time`, and the signals as structs of components, such as `swing.swing_angle`.
+
+    The struct `units` has the same fields, with texts. The text `run` is JSON: the origin, and `names`, the
+    signals in their order -> their names in the file, which differ for what is no name in MATLAB.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str], units: Mapping[str, str]) -> None:
+        super().__init__(path, names, units)
+        self._names, self._units = names, units
+
+    def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
+        import scipy.io
+
+        super().finish(check, origin)
+        rows = read_columns(Location(self._path), None).values if self.end == self.end else {}
+        written, units = matlab_names(self._names), dict[str, Any]({TIME: "s"})
+        content = dict[str, Any]({TIME: rows.get(TIME, np.zeros(0))})
+        for name in self._names:
+            _put(content, written[name], rows.get(name, np.zeros(0)))
+        for name, unit in self._units.items():
+            _put(units, written[name], unit)
+        about = json.loads(origin) if origin else {}
+        run = json.dumps({**about, "names": {name: ".".join(path) for name, path in written.items()}})
+        content |= {"units": units, "run": run}
+        whole = self._path.with_suffix(".mat")
+        try:
+            scipy.io.savemat(whole, content, long_field_names=True, do_compression=True, oned_as="column")
+        except (ValueError, OverflowError, struct.error) as error:  # more than 4 GB
+            whole.unlink(missing_ok=True)
+            raise Problem(f"{whole}: expected at most 4 GB in a MATLAB file: {error}") from None
+        with whole.open("rb") as file:
+            return whole, hashlib.file_digest(file, "sha256").hexdigest()
+
+
+FORMATS: Mapping[str, type[_Format]] = {".csv": _Csv, ".parquet": _Parquet, ".mat": _Mat}
+LONGEST_NAME = 63  # characters of a name in MATLAB
+RESERVED = (TIME, "units", "run")  # variables of a MATLAB file that are no components
+KEYWORDS = (  # of MATLAB
+    *("break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global"),
+    *("if", "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while"),
+)
+
+
+def matlab_names(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Signal -> fields of structs in a MATLAB file, such as ("swing", "swing_angle"); all differ."""
+    paths: dict[str, tuple[str, ...]] = {}
+    leaves, structs = set[tuple[str, ...]](), set[tuple[str, ...]]()
+    for name in names:
+        path = tuple(_matlab_name(part) for part in name.split("."))
+        if path[0] in RESERVED:
+            path = (f"{path[0]}_", *path[1:])
+        stem, number = path, 1
+        above = [path[:k] for k in range(1, len(path))]
+        while path in leaves | structs or leaves & set(above):
+            number += 1  # of a flat name
+            path = (f"{'_'.join(stem)[: LONGEST_NAME - 5]}_{number}",)
+            above = []
+        leaves.add(path)
+        structs |= set(above)
+        paths[name] = path
+    return paths
+
+
+def _matlab_name(text: str) -> str:
+    """A text as a name of MATLAB: ASCII letters, digits and underscores, beginning with a letter."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    if not name[:1].isalpha() or name in KEYWORDS:
+        name = f"x{name}"
+    return name[:LONGEST_NAME]
+
+
+def _put(struct_: dict[str, Any], path: Sequence[str], value: Any) -> None:
+    """Put a value into nested structs."""
+    for field_ in path[:-1]:
+        struct_ = struct_.setdefault(field_, {})
+    struct_[path[-1]] = value
+
+
+def read_origin(path: Path) -> str:
+    """The JSON text about the run in a Parquet or MATLAB file; empty if there is none."""
+    suffix = path.suffix.lower()
+    if suffix == ".mat":
+        run = read_variables(Location(path)).get("run")
+        return run if isinstance(run, str) and '"master"' in run else ""
+    if suffix != ".parquet" or not path.is_file():
+        return ""
+    import pyarrow.parquet as pq
+
+    metadata = pq.read_schema(path).metadata or {}
+    return str(metadata.get(ORIGIN.encode(), b"").decode())
 
 
 class _naming:
@@ -463,9 +568,12 @@ def remove_partial(partial: Path) -> None:
     shutil.rmtree(partial)
 
 
-def write_trace(trace: Trace, path: str | Path) -> Path:
-    """Write a trace as .csv or .parquet; reading the file gives bit-identical values."""
-    file = TraceFile(path)
+def write_trace(trace: Trace, path: str | Path, origin: str = "") -> Path:
+    """Write a trace as .csv, .parquet or .mat; reading the file gives bit-identical values.
+
+    origin   JSON text about the run, stored in Parquet and MATLAB files
+    """
+    file = TraceFile(path, origin)
     for name, values in trace.signals.items():
         if len(values) != len(trace.time):
             raise Problem(f"{path}: {name}: expected {len(trace.time)} values, got {len(values)}")

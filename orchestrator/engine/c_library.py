@@ -1,6 +1,7 @@
 """Binding of the C engine: the compiled library, its structures from native/engine.h, and callbacks.
 
-The library is compiled on first use, by the compiler of the package `ziglang`, and kept in the user's cache.
+The library is in the wheel. In a checkout it is compiled on first use, by the compiler of the package
+`ziglang`, and kept in the user's cache.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.compiler import SUFFIX, shared_library
+from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
 from orchestrator.base.errors import Discarded, Problem
 from orchestrator.fmi.calls import Access, Call, DirectionalDerivative
 
 FOLDER = Path(__file__).parent / "native"
 FLAGS = (
-    *("-std=gnu11", "-O2", "-g0", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
+    *("-std=gnu11", "-O2", "-g0", "-s", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden"),
     *("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror"),
     "-ffp-contract=off",  # bit-identical results on each processor
     "-mcpu=baseline",  # the cache may be shared by machines with different instruction sets
@@ -41,15 +42,22 @@ def sources() -> list[str]:
     return sorted(path.name for path in FOLDER.glob("*.c"))
 
 
+def recipe(platform: str) -> tuple[str, dict[str, bytes], list[str]]:
+    """The library for one of `PLATFORMS`, as arguments of `compiler.shared_library`."""
+    target = PLATFORMS[platform]
+    name = f"engine{target.suffix}"
+    code = {path.name: path.read_bytes() for path in FOLDER.glob("*.[ch]")}
+    linking = linker_arguments(name, target)
+    return name, code, ["-target", target.target, *FLAGS, *sources(), *linking]
+
+
 @cache
 def library() -> ctypes.CDLL:
     """The compiled library; raises Problem if it cannot be compiled or loaded."""
-    code = {path.name: path.read_bytes() for path in FOLDER.glob("*.[ch]")}
     try:
-        engine = ctypes.CDLL(str(shared_library(f"engine{SUFFIX}", code, [*FLAGS, *sources()])))
+        engine = ctypes.CDLL(str(shared_library(*recipe(host()))))
     except (OSError, Problem) as error:
-        advice = "install the Python package ziglang, whose compiler makes it (pip install ziglang)"
-        raise Problem(f"the engine is not compiled: {error}; {advice}") from None
+        raise Problem(f"the engine is not compiled: {error}") from None
     for name in re.findall(r"EXPORT double (\w+)\(", _header()):
         getattr(engine, name).restype = ctypes.c_double
     return engine

@@ -27,6 +27,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.messages import Log
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
+from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
 
 FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
@@ -142,13 +143,14 @@ class RunEnd:
 
 @dataclass
 class Job:
-    """A system and all choices for a run except the time grid."""
+    """A system and all choices for a run except the time grid; provenance: of its files and values."""
 
     system: System
     scenario: Scenario | None
     coupling: Coupling
     record: Record = Record()
     execution: Execution = Execution()
+    provenance: Provenance = field(default_factory=Provenance)
 
     def run(
         self,

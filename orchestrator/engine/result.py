@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.base.text import TextTable
-from orchestrator.data.trace import Trace
-from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout
+from orchestrator.data.table import SUFFIXES
+from orchestrator.data.trace import Trace, read_trace
+from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout, read_origin, write_trace
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
+from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import System
 
 if TYPE_CHECKING:
@@ -41,6 +44,7 @@ class Result:
     coupling   all choices about the coupling
     complete   False if the run ended early; the trace then ends there. A run that an FMU asked to end is
                complete, and has a note about it
+    provenance checksums of the FMUs, and values that differ from the shipped ones, with their origin
     """
 
     system: System
@@ -49,10 +53,17 @@ class Result:
     messages: tuple[LogMessage, ...] = ()
     complete: bool = True
     coupling: Coupling = field(default_factory=Coupling)
+    provenance: Provenance = field(default_factory=Provenance)
 
-    def plot(self, *patterns: str, title: str = "") -> Figure:
-        """Recorded signals over time as a matplotlib figure, see `Trace.plot`."""
-        return self.trace.plot(*patterns, title=title or self.system.name)
+    def write(self, path: str | Path) -> Path:
+        """Write the trace as .csv, .parquet or .mat, and the metadata of the run next to it."""
+        file = write_trace(self.trace, path, metadata_text(self, ""))
+        write_metadata(self, file)
+        return file
+
+    def plot(self, *patterns: str, title: str = "", **options: Any) -> Figure:
+        """Recorded signals over time as a matplotlib figure; arguments of `Trace.plot`."""
+        return self.trace.plot(*patterns, title=title or self.system.name, **options)
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """The values of a recorded signal, in its unit, shape (n,); the times are `trace.time`."""
@@ -60,6 +71,7 @@ class Result:
 
     def to_pandas(self) -> pd.DataFrame:
         """A data frame with one column for each recorded signal; the index is the time [s]."""
+        require("files", "to_pandas()", "pandas")
         import pandas as pd
 
         return pd.DataFrame(dict(self.trace.signals), index=pd.Index(self.trace.time, name="time"))
@@ -292,6 +304,7 @@ class RunMetadata:
     swapped                              component -> file of the FMU that replaces the one of the system
     given                                the user's options that differ from the defaults
     units                                units of the signals; `inputs`: signals that are inputs of components
+    provenance                           files with checksums, values that differ from the shipped ones
     """
 
     system: str
@@ -311,6 +324,7 @@ class RunMetadata:
     passes: int = 0
     repeated: int = 0
     lengths: tuple[float, float] = (0.0, 0.0)
+    provenance: Provenance = field(default_factory=Provenance)
 
     @property
     def adaptive(self) -> bool:
@@ -342,6 +356,7 @@ def metadata(
         passes=card.passes,
         repeated=card.repeated,
         lengths=card.lengths,
+        provenance=result.provenance,
     )
 
 
@@ -374,14 +389,45 @@ def _digest(trace: Path) -> str:
 
 
 def read_metadata(path: Path) -> RunMetadata | None:
-    """The metadata of the run that made a trace; None if there are none, or those of another trace."""
+    """The metadata of the run that made a trace, next to it, else inside; None if there are none.
+
+    Metadata next to a trace with another checksum are those of another trace.
+    """
     file = metadata_file(path)
-    if not file.is_file():
-        return None
+    if file.is_file():
+        loaded, digest = _parsed(file, file.read_text(encoding="utf-8"))
+        if digest == _digest(path):
+            return loaded
+    inside = read_origin(path)
+    return _parsed(path, inside)[0] if inside else None
+
+
+def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
+    """Metadata in a JSON text, and the checksum of their trace."""
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(text)
         digest = data.pop("sha256")
-        loaded = RunMetadata(**{**data, "inputs": tuple(data["inputs"])})
+        data.pop("names", None)  # of a MATLAB file
+        values = {"inputs": tuple(data["inputs"]), "provenance": Provenance.of(data.get("provenance", {}))}
+        return RunMetadata(**{**data, **values}), digest
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None
-    return loaded if digest == _digest(path) else None
+
+
+def read_run(path: Path) -> tuple[Trace, RunMetadata | None]:
+    """The trace in a file, with the units of its run, and the metadata of the run if there are any."""
+    trace, run_metadata = read_trace(path), read_metadata(path)
+    stored = run_metadata.units if run_metadata else {}
+    units = {name: unit for name, unit in stored.items() if name in trace.signals}
+    return replace(trace, units={**trace.units, **units}), run_metadata
+
+
+def newest_trace(folder: Path) -> Path | None:
+    """The trace in a folder that a run wrote last, known by the metadata next to it; None without one."""
+    traces = [
+        file.with_name(file.name.removesuffix(METADATA_SUFFIX) + suffix)
+        for file in folder.glob(f"*{METADATA_SUFFIX}")
+        for suffix in SUFFIXES
+    ]
+    complete = [t for t in traces if t.is_file() and not t.stem.endswith(".partial")]
+    return max(complete, key=lambda trace: trace.stat().st_mtime, default=None)

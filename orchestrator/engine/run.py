@@ -13,13 +13,13 @@ from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeAlias
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.data.trace import Trace, read_trace
+from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import Execution, Job, Record, RunEnd, guarded, open_slave
@@ -44,9 +44,12 @@ from orchestrator.engine.time_grid import (
 )
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
-from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.parameter_sets import SUFFIX, with_sets
+from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
+
+ScenarioSource: TypeAlias = "Data | str | Path | Location | None"
 
 __all__ = [
     "Execution", "Interrupted", "Record", "Result", "RunFailed", "open_slave", "run",
@@ -55,7 +58,7 @@ __all__ = [
 
 def run(
     system: System | str | Path,
-    scenario: Trace | str | Path | Location | None = None,
+    scenario: ScenarioSource = None,
     master: str | Coupling | None = None,
     step: float | None = None,
     start: float | None = None,
@@ -70,8 +73,9 @@ def run(
     """Co-simulate a system.
 
     system       a System, or the path of an .ssp, .ssd or .fmu file
-    scenario     inputs over time: a Trace, or a .csv or .parquet file; a column has the name of an input of
-                 the system, of component.variable, or of all component inputs with this name; it replaces
+    scenario     inputs over time: a .csv, .parquet or .mat file, a Trace, a pandas DataFrame, or a mapping
+                 such as {"time": [0, 1, 1.3], "boom_command": [0, 0, 5]}; a column has the name of an input
+                 of the system, of component.variable, or of all component inputs with this name; it replaces
                  the connection to its input
     master       a name, such as "hermite", or a Coupling, such as Coupling("hermite", passes=2); default:
                  what the system suggests, see `System.coupling`, else "gauss-seidel"
@@ -80,7 +84,8 @@ def run(
     start, stop  [s]; default stop: end of the scenario, else the suggestion of the system or the FMUs
     swap         replaced FMUs {component: name of a variant, or path of an .fmu file}; ports are checked
     parameters   parameter sets: names of sets in the SSP's resources, or .ssv files; later ones override
-    set          start values {name: value}; units are those of the FMU before a swap, names as in a scenario
+    set          start values {name: value}, such as 600.0 in the unit of the FMU before a swap, or "600 kg";
+                 names as in a scenario
     record       names of the signals to record, or a `Record`, also with step and power bonds
     execution    tolerance of the FMUs, error estimate, progress bar, other component classes: see
                  `Execution`
@@ -99,7 +104,7 @@ def run(
 
 def prepare(
     system: System | str | Path,
-    scenario: Trace | str | Path | Location | None = None,
+    scenario: ScenarioSource = None,
     master: str | Coupling | None = None,
     step: float | None = None,
     start: float | None = None,
@@ -121,6 +126,7 @@ def prepare(
         system = system.coupled(master if isinstance(master, Coupling) else Coupling(master))
     system = replace(system, notes=system.notes + system.suggestion.notes(step is not None))
     system = with_sets(system, parameters).with_start(set or {})
+    system = replace(system, notes=system.notes + built_notes(system))
     trace, driving = _scenario(system, scenario)
     if driving:
         system = driving.released(system)
@@ -134,7 +140,9 @@ def prepare(
     else:
         corners = driving.table.corners() if driving else ()
         times = free_grid(system, trace, step, start, stop, record.step, corners)
-    return Job(system, driving, coupling, record, execution), times
+    ssv = [s for s in parameters if str(s).endswith(SUFFIX)]
+    files = [*ssv, *([scenario] if isinstance(scenario, str | Path | Location) else [])]
+    return Job(system, driving, coupling, record, execution, provenance(system, files)), times
 
 
 def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
@@ -148,7 +156,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
     """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(times, outcome, sink)
-    result = Result(job.system, trace, card, tuple(messages), outcome.complete, job.coupling)
+    result = Result(job.system, trace, card, tuple(messages), outcome.complete, job.coupling, job.provenance)
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
     if outcome.problem:
@@ -173,14 +181,14 @@ def _with_options(
     return replace(record, **record_options), replace(execution or Execution(), **others)
 
 
-def _scenario(
-    system: System, scenario: Trace | str | Path | Location | None
-) -> tuple[Trace | None, Scenario | None]:
+def _scenario(system: System, scenario: ScenarioSource) -> tuple[Trace | None, Scenario | None]:
     if scenario is None:
         return None, None
-    trace = scenario if isinstance(scenario, Trace) else read_trace(scenario)
-    label = "scenario" if isinstance(scenario, Trace) else str(scenario)
-    return trace, drive(system, trace, label)
+    if isinstance(scenario, str | Path | Location):
+        trace = read_trace(scenario)
+        return trace, drive(system, trace, str(scenario))
+    trace = as_trace(scenario, "scenario")
+    return trace, drive(system, trace)
 
 
 def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
@@ -347,6 +355,7 @@ def _published(
         summary = _summary(ended.result.card, file, file.partial)
         print(f"{ended.result.card.text()}\n\nthe run ended early; its record{end} is in {summary}")
         raise
+    file.origin = metadata_text(result, "", given, file.layout)
     complete, digest = file.finish(check)
     file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file.layout)})
     return result, _summary(result.card, file, file.path)

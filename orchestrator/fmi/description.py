@@ -22,6 +22,7 @@ from orchestrator.fmi.raw_description import (
     DeclaredVariable,
     Entry,
     ModelDescription,
+    ParameterSetFile,
     UnitDefinition,
     Unknown,
     parse_int,
@@ -112,6 +113,7 @@ class FmuInterface:
     categories             log categories
     start, step, stop, tolerance   default experiment; times in [s]
     version, tool, description     attributes of the FMU
+    parameter_sets         files with other parameter values than the shipped FMU has, which it was built with
     """
 
     variables: Mapping[str, FmuVariable]
@@ -144,6 +146,7 @@ class FmuInterface:
     version: str = ""
     tool: str = ""
     description: str = ""
+    parameter_sets: tuple[ParameterSetFile, ...] = ()
 
     def of(self, causality: str) -> list[FmuVariable]:
         """All variables of one causality, in declaration order."""
@@ -264,6 +267,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         version=attributes.get("version", ""),
         tool=attributes.get("generationTool", ""),
         description=attributes.get("description", ""),
+        parameter_sets=description.parameter_sets,
     )
 
 

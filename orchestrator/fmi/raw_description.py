@@ -190,6 +190,18 @@ class TypeDefinition(Entry):
 
 
 @dataclass(frozen=True)
+class ParameterSetFile:
+    """A file of parameter values that an FMU was built with: its name, and its SHA-256.
+
+    shipped   parameter -> text of the value in the shipped FMU, for those that differ from it
+    """
+
+    file: str
+    sha256: str
+    shipped: Mapping[str, str]
+
+
+@dataclass(frozen=True)
 class ModelDescription:
     """The content of modelDescription.xml, in the order of the file.
 
@@ -201,6 +213,7 @@ class ModelDescription:
     categories      log categories
     input_rates     input -> input that is its time derivative, from this project's annotation in FMI 2.0
     optional_inputs input -> what it means if nothing feeds it, from this project's annotation
+    parameter_sets  files of parameters that the FMU was built with, from this project's annotation
     """
 
     major: int = 0
@@ -215,6 +228,7 @@ class ModelDescription:
     categories: tuple[str, ...] = ()
     input_rates: Mapping[str, str] = field(default_factory=dict)
     optional_inputs: Mapping[str, str] = field(default_factory=dict)
+    parameter_sets: tuple[ParameterSetFile, ...] = ()
 
     @cached_property
     def by_name(self) -> Mapping[str, DeclaredVariable]:

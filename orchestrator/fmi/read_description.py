@@ -13,6 +13,7 @@ from orchestrator.fmi.raw_description import (
     DeclaredVariable,
     Entry,
     ModelDescription,
+    ParameterSetFile,
     TypeDefinition,
     UnitDefinition,
     Unknown,
@@ -26,10 +27,14 @@ SECTIONS = {  # section of ModelStructure -> its path in FMI 2.0 and in FMI 3.0
     "clocked": ((), ("ClockedState",)),
     "indicators": ((), ("EventIndicator",)),
 }
-# annotation of this project, in FMI 2.0 and in FMI 3.0
+# annotations of this project, in FMI 2.0 and in FMI 3.0
 OWN_ANNOTATION = (
     "VendorAnnotations/Tool[@name='harvester-cosim']",
     "Annotations/Annotation[@type='harvester-cosim']",
+)
+PARAMETERS = (
+    "VendorAnnotations/Tool[@name='harvester-cosim.parameters']//ParameterSet",
+    "Annotations/Annotation[@type='harvester-cosim.parameters']//ParameterSet",
 )
 
 
@@ -68,7 +73,13 @@ def read_description(root: Element | None, major: int) -> ModelDescription:
         categories=tuple(c.get("name", "") for c in children(root, "LogCategories", "Category")),
         input_rates={e.get("input"): e.get("derivative") for e in rates},
         optional_inputs={e.get("input"): e.get("without", "") for e in optional},
+        parameter_sets=tuple(map(_parameter_set, root.iterfind(PARAMETERS[major - 2]))),
     )
+
+
+def _parameter_set(element: Element) -> ParameterSetFile:
+    shipped = {e.get("name", ""): e.get("shipped", "") for e in element.iterfind("Parameter")}
+    return ParameterSetFile(element.get("file", ""), element.get("sha256", ""), shipped)
 
 
 def _entry(element: Element) -> Entry:

@@ -19,6 +19,7 @@ from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import find_steady_state
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.provenance import built_notes
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System
 
@@ -136,7 +137,7 @@ def linearize(
     plant = Plant(cut)
     try:
         plant.start((start, start + EXPERIMENT_LENGTH))
-        notes = full.warnings + cut.notes + plant.notes
+        notes = built_notes(full) + full.warnings + cut.notes + plant.notes
         if time is None:
             plant.settle(plant.x.copy(), plant.u)
         else:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.extras import require
 from orchestrator.base.text import TextTable
 from orchestrator.linear.modes import LinearVariable, Mode, modes
 
@@ -68,10 +69,9 @@ class LinearModel:
 
     def to_control(self) -> Any:
         """Convert to a StateSpace of the package python-control; dots in names become underscores."""
-        try:
-            import control
-        except ImportError:
-            raise Problem("python-control is not installed; install it with: pip install control") from None
+        require("control", "to_control()")
+        import control
+
         groups = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
         names = {group: [v.name.replace(".", "_") for v in groups[group]] for group in groups}
         return control.StateSpace(self.a, self.b, self.c, self.d, name=self.name, **names)

@@ -35,7 +35,7 @@ class Replay:
         speed: float = 1.0,
         frame: float = FRAME,
     ) -> None:
-        """file: a .csv or .parquet trace; signals: default: all."""
+        """file: a .csv, .parquet or .mat trace; signals: default: all."""
         whole = file if isinstance(file, Trace) else read_trace(file)
         self._trace = whole if signals is None else whole.select(signals)
         if not len(whole.time):

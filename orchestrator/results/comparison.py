@@ -11,11 +11,12 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.text import first_names
-from orchestrator.base.units import factor_and_offset, parse_unit
+from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, read_trace
-from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_metadata
+from orchestrator.data.trace import Trace
+from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
+from orchestrator.fmi.description import Value
 from orchestrator.results.metrics import constant
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
@@ -51,6 +52,11 @@ def gather(sources: Sequence[str | Path] | Mapping[str, Source], more: str | Pat
     return _with_units([_run(label, source) for label, source in labelled.items()])
 
 
+def read_runs(files: Sequence[Path]) -> list[Run]:
+    """The runs of one or more files, with units and short labels."""
+    return _with_units([_run(label, source) for label, source in _labelled(files).items()])
+
+
 def _labelled(files: Sequence[Path]) -> dict[str, Source]:
     """Files by their stems, or by their paths if stems are equal."""
     stems = [f.stem for f in dict.fromkeys(files)]
@@ -63,13 +69,10 @@ def _run(label: str, source: Source) -> Run:
     if isinstance(source, Trace):
         return Run(label, source)
     path = Path(source)
-    if path.suffix.lower() == ".csv" and path.with_suffix(".toml").is_file():
+    if path.suffix.lower() != ".parquet" and path.with_suffix(".toml").is_file():
         return Run(label, read_recording(path).trace(), None, str(path))
-    trace = read_trace(path)
-    run_metadata = read_metadata(path)
-    stored = run_metadata.units if run_metadata else {}
-    units = {name: unit for name, unit in stored.items() if name in trace.signals}
-    return Run(label, replace(trace, units={**trace.units, **units}), run_metadata, str(path))
+    trace, run_metadata = read_run(path)
+    return Run(label, trace, run_metadata, str(path))
 
 
 def _with_units(runs: list[Run]) -> list[Run]:
@@ -84,12 +87,6 @@ def _with_units(runs: list[Run]) -> list[Run]:
     return complete
 
 
-# Quantity -> its SI unit.
-QUANTITIES = {
-    "speed": "rad/s", "angle": "rad", "pressure": "Pa", "velocity": "m/s", "position": "m",
-    "acceleration": "m/s2", "angular acceleration": "rad/s2", "force": "N", "torque": "N.m",
-    "flow": "m3/s", "power": "W", "voltage": "V",
-}  # fmt: skip
 DEFAULT_QUANTITIES = ("speed", "pressure", "angle")  # shown if the user names no signals
 # Range of a signal over the widest range of its quantity; below it the signal is at rest and has no NRMSE.
 AT_REST = 1e-3
@@ -173,6 +170,49 @@ def compare(
     )
 
 
+Cell = tuple[Value, str]  # value and its origin; "" for the shipped value
+
+
+def different_values(runs: Sequence[Run]) -> dict[tuple[str, str], list[Cell | None]]:
+    """(name, unit) of each start value in which runs differ -> value and origin in each run.
+
+    None for a run whose FMU may not have the variable, or without metadata.
+    """
+    listed = [{v.name: v for v in run.metadata.provenance.values} if run.metadata else {} for run in runs]
+    first = {name: value for values in reversed(listed) for name, value in values.items()}
+    result: dict[tuple[str, str], list[Cell | None]] = {}
+    for name, other in first.items():
+        cells: list[Cell | None] = []
+        for run, values in zip(runs, listed, strict=True):
+            if name in values:
+                cells.append((values[name].value, values[name].origin))
+            elif other.shipped is not None and run.metadata and _has(run.metadata, runs, listed, name):
+                cells.append((other.shipped, ""))
+            else:
+                cells.append(None)
+        if len({cell and cell[0] for cell in cells}) > 1:
+            result[name, other.unit] = cells
+    return result
+
+
+def _has(meta: RunMetadata, runs: Sequence[Run], listed: Sequence[Mapping[str, object]], name: str) -> bool:
+    """Has a run the FMU of a run that lists the variable?"""
+    owner = next((c for c in sorted(meta.fmus, key=len, reverse=True) if name.startswith(f"{c}.")), None)
+    models = (
+        {r.metadata.fmus.get(owner) for r, v in zip(runs, listed, strict=True) if r.metadata and name in v}
+        if owner
+        else set()
+    )
+    return owner is not None and meta.fmus[owner] in models
+
+
+def different_fmus(runs: Sequence[Run]) -> list[str]:
+    """Components whose FMU files have different checksums."""
+    known = [run.metadata.provenance.fmus for run in runs if run.metadata and run.metadata.provenance.fmus]
+    names = dict.fromkeys(name for fmus in known for name in fmus)
+    return [n for n in names if len({fmus[n]["sha256"] for fmus in known if n in fmus}) > 1]
+
+
 def _range(values: Array) -> float:
     return 0.0 if constant(values) else float(np.ptp(values))
 
@@ -191,20 +231,6 @@ def _validate(recording: Recording, run: Run) -> Validation:
         return validate(run.trace, recording, rate=False)
     except Problem as problem:
         raise Problem(f"compare {run.label} with {problem}") from None
-
-
-def quantity(unit: str) -> str:
-    """The quantity of a unit; the unit in brackets if it has no name here."""
-    names: dict[tuple[int, ...], str] = {parse_unit(u).exponents: name for name, u in QUANTITIES.items()}
-    try:
-        name = names.get(parse_unit(unit).exponents, "")
-    except Problem:
-        name = ""
-    if name == "torque" and unit.endswith("J"):
-        return "energy"
-    if name == "power" and not unit.endswith("W"):
-        name = ""  # N.m/s is the rate of a torque
-    return name or (f"[{unit}]" if unit else "without unit")
 
 
 def _as_recording(run: Run, names: Sequence[str], start: float | None, stop: float | None) -> Recording:

@@ -22,14 +22,24 @@ from orchestrator.base.plotting import (
     legend_entry,
     png,
 )
-from orchestrator.base.text import NO_VALUE, TextTable, error_display_unit, number, percentage
+from orchestrator.base.text import NO_VALUE, TextTable, error_display_unit, join_words, number, percentage
 from orchestrator.base.units import convert, factor_and_offset, reader_unit
 from orchestrator.engine.result import RunMetadata
-from orchestrator.results.comparison import CONSTANT, DEFAULT_QUANTITIES, Comparison, Run
+from orchestrator.results.comparison import (
+    CONSTANT,
+    DEFAULT_QUANTITIES,
+    Cell,
+    Comparison,
+    Run,
+    different_fmus,
+    different_values,
+)
 from orchestrator.results.validation import ValidatedSignal
+from orchestrator.ssp.provenance import value_text
 
 MOST_PANELS = 6  # of a figure on one page
 MOST_OF_QUANTITY = 3  # panels
+MOST_VALUES = 15  # rows of parameters in which runs differ
 SAME_CURVE = 0.01  # relative to the range: curves that are closer cannot be distinguished in the figure
 
 
@@ -106,10 +116,33 @@ def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name
 
 def text(comparison: Comparison) -> str:
     """Cost of each run, the worst signal of each quantity, the chosen signals, and notes."""
-    parts = [_costs(comparison)]
+    parts = [_costs(comparison), _different_values(comparison)]
     parts += [_worst(comparison, label) for label in comparison.against]
     parts += [_signals(comparison), [f"note: {note}" for note in _notes(comparison)]]
     return "\n\n".join("\n".join(part) for part in parts if part)
+
+
+def _different_values(comparison: Comparison) -> list[str]:
+    """Table of the parameters in which the runs differ, with their origins; and FMUs that differ."""
+    runs, values = comparison.runs, different_values(comparison.runs)
+    rows = [
+        [name, reader_unit(unit), *(_value_cell(cell, unit) for cell in cells)]
+        for (name, unit), cells in list(values.items())[:MOST_VALUES]
+    ]
+    head = ["parameters that differ", "unit", *(run.label for run in runs)]
+    lines = list(TextTable(head, rows, left=(0, 1)).lines()) if rows else []
+    if len(values) > MOST_VALUES:
+        lines.append(f"and {len(values) - MOST_VALUES} more, all of them in comparison.json")
+    if others := different_fmus(runs):
+        lines.append(f"the FMU files of {join_words(others)} differ")
+    return lines
+
+
+def _value_cell(cell: Cell | None, unit: str) -> str:
+    if cell is None:
+        return NO_VALUE
+    value, origin = cell
+    return f"{value_text(value, unit)} ({origin})" if origin else value_text(value, unit)
 
 
 def _notes(comparison: Comparison) -> Iterator[str]:
@@ -250,6 +283,7 @@ def _run_data(run: Run) -> dict[str, Any]:
         "fmus": dict(meta.fmus),
         "swapped": dict(meta.swapped),
         "given": dict(meta.given),
+        "provenance": meta.provenance.as_dict(),
         "master": meta.master,
         "coupling": dict(meta.coupling),
         "step [s]": meta.step,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from rich.console import Console
 
 from orchestrator.base import toml
@@ -37,8 +38,11 @@ from orchestrator.results.validation import (
     validate,
     without_repetitions,
 )
+from orchestrator.scene.live_page import Replayed, fragment
 from orchestrator.ssp.load import load
-from orchestrator.ssp.swap import missing_after_swap
+from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.provenance import built_notes, checksum, chosen_note, other_values
+from orchestrator.ssp.swap import missing_after_swap, with_swaps
 from orchestrator.ssp.system import Component, Port, System, coerce
 
 POSITIONS = ("rad", "m")
@@ -107,11 +111,13 @@ def judge(
     out: Path,
     facts: Mapping[str, Any],
     rate: bool = True,
+    machine: Markup = Markup(),  # noqa: B008  immutable
 ) -> tuple[Validation, Path, Path]:
     """Compare a run with a reference and write report.html and report.json into the folder `out`.
 
     facts   settings of the run, in the order of the report
     rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
+    machine the machine that replays the run, as HTML
     """
     with doing(f"comparing {len(reference.signals)} signals"):
         validation = validate(result.trace, reference, rate=rate)
@@ -127,6 +133,7 @@ def judge(
         card=card(result),
         motion=layout.motion(result.trace),
         ghost=layout.motion(reference.trace()),
+        machine=machine,
         warnings=result.card.warnings,
         notes=result.card.notes,
         caution=another_model(result.system, reference),
@@ -144,6 +151,22 @@ def another_model(system: System, reference: Recording) -> str:
     return f"{', '.join(swapped)} {verb} swapped: the reference is of another model, expect a difference"
 
 
+def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str, Any]) -> str:
+    """What differs in the numbers of a system from those of the shipped one; empty if nothing does.
+
+    shipped   the reference that comes with the system, which was computed with the shipped numbers
+    options   parameters and start values of the run
+    """
+    loaded = with_swaps(load(require_system(system)), options.get("swap") or {})
+    chosen = with_sets(loaded, options.get("parameters") or ()).with_start(options.get("set") or {})
+    built, own = built_notes(loaded), chosen_note(chosen)
+    if shipped is None:
+        return "\n".join(built)
+    reason = "; ".join([*built, *([own] if own else [])])
+    consequence = f"{shipped.heading} was computed with the shipped numbers: expect differences"
+    return f"{reason}\n{consequence}" if reason else ""
+
+
 def describe(component: Component) -> reporting.ReportedComponent:
     """Data of one FMU for the report."""
     source = component.source
@@ -157,11 +180,13 @@ def describe(component: Component) -> reporting.ReportedComponent:
         f"{interface.fmi}.0 CS",
         interface.tool,
         interface.description,
+        checksum(source) if source else "",
     )
 
 
 def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
     """All parameters of a run, with their sources if the FMU contains `resources/parameters.toml`."""
+    others = {v.name: v for v in other_values(system)}
     for component in system.components.values():
         sources = _provenance(component)
         for v in component.interface.of("parameter"):
@@ -170,6 +195,7 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
             if isinstance(of_list.get("value"), list) and value == 0:
                 continue  # an entry of a list that is not used
             provenance = sources.get(v.name, of_list)
+            other = others.get(f"{component.name}.{v.name}")
             yield reporting.ReportedParameter(
                 component=component.name,
                 name=v.name,
@@ -179,6 +205,8 @@ def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
                 source=str(provenance.get("source", "")),
                 note=str(provenance.get("note", "")),
                 changed=_changed(v, component),
+                shipped=None if other is None else other.shipped,
+                origin=other.origin if other else "",
             )
 
 
@@ -234,6 +262,7 @@ def validate_system(
     default: tuple[Path, Path],
     rate: bool = True,
     play: Sequence[str] = (),
+    default_system: Path = DEFAULT_SYSTEM,
     **options: Any,
 ) -> bool:
     """Co-simulate, compare, write the trace and the report, print the table; True if no limit is exceeded.
@@ -242,11 +271,12 @@ def validate_system(
     default  reference and layout if none is given; this layout may contain signals that the run lacks
     rate     whether to compute the ISO/TS 18571 rating
     play     patterns of signals of the reference that are played with its commands, without a scenario
+    default_system   system to which the default layout belongs, also with another reference
     """
     if play and (scenario or not reference):
         raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
     against = read_recording(reference or default[0])
-    chosen = layout or (default[1] if reference is None or system == DEFAULT_SYSTEM else None)
+    chosen = layout or (default[1] if reference is None or system == default_system else None)
     page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
@@ -260,6 +290,8 @@ def validate_system(
         if layout:
             page.check(renamed)
 
+    if other := other_numbers(system, against if reference is None else None, options):
+        print(f"{other}\n", flush=True)
     result, file = run_to_file(
         system, scenario or commands, trace, **options, every_point=False, accept=accept
     )
@@ -280,7 +312,10 @@ def validate_system(
         title = default_title or f"{(scenario or system).stem} against {against.heading}"
         page = replace(page.within(recorded), title=title)
     facts = _facts(system, scenario, against.heading, card, **options)
-    validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate)
+    machine, reason = _machine(system, result, against)
+    if reason:
+        result = replace(result, card=replace(result.card, notes=(*result.card.notes, reason)))
+    validation, html, data = judge(replace(result, trace=recorded), against, page, out, facts, rate, machine)
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
     return validation.passed
@@ -310,6 +345,14 @@ def _times_ahead(times: Grid, reference: Recording) -> Array:
         return np.linspace(times.start, times.stop, times.rows)
     inside = (reference.time > times.start) & (reference.time < times.stop)
     return np.concatenate(([times.start], reference.time[inside], [times.stop]))
+
+
+def _machine(system: Path, result: Result, reference: Recording) -> tuple[Markup, str]:
+    """The machine that replays a run, empty for a system without a scene; or the reason why there is none."""
+    try:
+        return fragment(system, Replayed(result.trace, reference.trace()), shown=result.system), ""
+    except Problem as problem:
+        return Markup(), f"no machine in the report: {problem}"
 
 
 def _input_note(commands: Trace | None) -> str:

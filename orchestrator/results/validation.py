@@ -21,8 +21,8 @@ from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
-from orchestrator.data.trace import Trace, read_trace
-from orchestrator.engine.result import Result
+from orchestrator.data.trace import Data, Trace, as_trace
+from orchestrator.engine.result import Result, read_run
 from orchestrator.results.metrics import Metrics, measure
 
 
@@ -144,18 +144,26 @@ class Validation:
 
 
 def validate(
-    run: Result | Trace | str | Path, reference: Recording | str | Path, *, rate: bool = True
+    run: Result | Data | str | Path, reference: Recording | Data | str | Path, *, rate: bool = True
 ) -> Validation:
     """Compare every signal of the reference with the run.
 
-    run         a result, a trace, or its .csv or .parquet file
-    reference   a recording, or its data file with a .toml next to it
+    run         a result, a trace, a pandas DataFrame or a mapping with a column `time`, or a .csv, .parquet
+                or .mat file
+    reference   a recording, or its data file with a .toml next to it; a trace, a DataFrame or a mapping with
+                signals in the units of the run
     rate        whether to compute the ISO/TS 18571 rating, which takes most of the time
 
     Raises a Problem if the run lacks a signal, if units do not match, or without a common window.
     """
-    trace = run if isinstance(run, Trace) else run.trace if isinstance(run, Result) else read_trace(run)
-    reference = reference if isinstance(reference, Recording) else read_recording(reference)
+    if isinstance(run, str | Path):
+        trace, _ = read_run(Path(run))
+    else:
+        trace = run.trace if isinstance(run, Result) else as_trace(run, "run")
+    if isinstance(reference, str | Path):
+        reference = read_recording(reference)
+    elif not isinstance(reference, Recording):
+        reference = _recording_of(as_trace(reference, "reference"), trace)
     check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
     return Validation(
@@ -180,6 +188,12 @@ def check_comparable(run: Trace, reference: Recording) -> None:
             unit_of_file = reference.file_units.get(name, reference.units[name])
             factor_and_offset(unit_of_file, unit, f"{reference.source}: {name}")
     common_grid(run.time, reference)
+
+
+def _recording_of(reference: Trace, run: Trace) -> Recording:
+    """A trace as a reference; its signals without unit are in the units of the run."""
+    units = {name: reference.units.get(name, run.units.get(name, "")) for name in reference.signals}
+    return Recording(Path("reference"), reference.time, reference.signals, units, title="reference")
 
 
 def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...]]:

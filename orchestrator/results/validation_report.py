@@ -49,11 +49,15 @@ class ReportedComponent:
     fmi: str = ""
     tool: str = ""
     text: str = ""
+    sha256: str = ""
 
 
 @dataclass(frozen=True)
 class ReportedParameter:
-    """One parameter of the run; `changed` if it was set for this run."""
+    """One parameter of the run; `changed` if it was set for this run.
+
+    shipped, origin   shipped value of a parameter that differs from it, and where its value comes from
+    """
 
     component: str
     name: str
@@ -63,6 +67,8 @@ class ReportedParameter:
     source: str = ""
     note: str = ""
     changed: bool = False
+    shipped: float | int | bool | str | None = None
+    origin: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,7 @@ class Report:
     card            accuracy card of the run: name -> number, text or a mapping of those
     trace           the run, for figures of signals that were not compared, such as commands
     motion, ghost   motion of the machine in the run and in the reference
+    machine         the machine that replays the run and can be driven, as HTML, in place of the animation
     warnings        warnings of the run, one line each
     notes           remarks on the run
     caution         remark before the verdict
@@ -88,6 +95,7 @@ class Report:
     card: Mapping[str, Any] = field(default_factory=dict)
     motion: MachineMotion | None = None
     ghost: MachineMotion | None = None
+    machine: Markup = Markup()  # noqa: RUF009  immutable
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
     caution: str = ""
@@ -154,7 +162,7 @@ def render(report: Report) -> str:
             (spec, embed(draw(spec, validation, report.trace), f"f{k}-", spec.title))
             for k, spec in enumerate(report.figures)
         ],
-        motion=motion and html_page.script_data(frames(motion, report.ghost)),
+        motion=motion and not report.machine and html_page.script_data(frames(motion, report.ghost)),
         still=motion and embed(strobe(motion), "m-", "motion"),
         script=Markup((TEMPLATES / "motion.js").read_text(encoding="utf-8")),
     )

@@ -60,7 +60,7 @@ def assemble(
         suggestion=suggestion,
         notes=tuple(notes),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
-    ).with_start(start or {})
+    ).with_start(start or {}, origin="")
     system.check_sharing()
     return system
 

@@ -161,13 +161,13 @@ def with_sets(system: System, sets: Sequence[str | Path]) -> System:
     for chosen in sets:
         file, notes = _file(system, chosen), list[str]()
         missing = missing_after_swap(system)
-        start = {name: dict(c.start) for name, c in system.components.items()}
+        start: dict[str, dict[str, Value]] = {name: {} for name in system.components}
         for value in read_parameter_set(read_xml(file, "ParameterSet"), {}):
             if value.name in missing:
                 notes.append(f"{file}: {value.name} is left out: {missing[value.name]}")
             else:
                 notes += _set_value(system, file, value, start)
-        components = {n: replace(c, start=start[n]) for n, c in system.components.items()}
+        components = {n: c.chosen(start[n], str(chosen)) for n, c in system.components.items()}
         system = replace(system, components=components, notes=(*system.notes, *notes))
     return system
 

@@ -96,7 +96,9 @@ def _swap(system: System, name: str, file: Location) -> tuple[System, tuple[Lost
     fit = _fit(system, old, new)
     start, notes = _start_values(old, new)
     interface = replace(new.interface, variables={**new.interface.variables, **fit.assumed})
-    component = replace(new, interface=interface, start=start, replaced=old.replaced or old.interface)
+    origins = {n: origin for n, origin in old.origins.items() if n in start}
+    replaced = old.replaced or old.interface
+    component = replace(new, interface=interface, start=start, replaced=replaced, origins=origins)
     connections = (
         replace(c, map=fit.from_port(c.source).then(c.map).then(fit.to_port(c.target)))
         for c in system.connections

@@ -11,7 +11,14 @@ from typing import Any, NamedTuple
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
-from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
+from orchestrator.base.units import (
+    IDENTITY,
+    DeclaredUnit,
+    LinearTransformation,
+    conversion,
+    from_user_unit,
+    number_and_unit,
+)
 from orchestrator.base.xml import integer, real
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
 
@@ -31,12 +38,20 @@ class Port(NamedTuple):
         return f"{self.component}.{self.variable}"
 
 
+class Chosen(NamedTuple):
+    """Where a start value that a user chose comes from, such as --set, and the value of the system."""
+
+    origin: str
+    before: Value
+
+
 @dataclass(frozen=True)
 class Component:
     """One FMU in the system.
 
     start      start values that the system sets before initialisation
     replaced   interface of the FMU that was replaced by a swap
+    origins    variable -> origin of its start value, for those that a user chose
     """
 
     name: str
@@ -44,6 +59,15 @@ class Component:
     source: Location | None = None
     start: Mapping[str, Value] = field(default_factory=dict)
     replaced: FmuInterface | None = None
+    origins: Mapping[str, Chosen] = field(default_factory=dict)
+
+    def chosen(self, values: Mapping[str, Value], origin: str) -> Component:
+        """The component with other start values; origin: where they come from, if a user chose them."""
+        if not origin:
+            return replace(self, start={**self.start, **values})
+        before = {n: self.origins[n].before if n in self.origins else self.value(n) for n in values}
+        origins = {name: Chosen(origin, value) for name, value in before.items()}
+        return replace(self, start={**self.start, **values}, origins={**self.origins, **origins})
 
     def value(self, variable: str) -> Value:
         """The start value of a variable: that of the system, else that of the FMU; NaN without one."""
@@ -271,20 +295,26 @@ class System:
         """From the unit of values that a user gives to the unit of the FMU."""
         return conversion(self.unit(port), self.variable(port).unit, str(port))[0]
 
-    def with_start(self, values: Mapping[str, Value | str]) -> System:
-        """The system with other start values; names are those that `targets` accepts."""
+    def with_start(self, values: Mapping[str, Value | str], origin: str = "--set") -> System:
+        """The system with other start values; names are those that `targets` accepts.
+
+        A text may contain a unit: "180bar". Otherwise a value is in the unit of the variable.
+
+        origin   where the values come from, for `Component.origins`
+        """
         connected = {c.target: c for c in self.connections}
-        start = {name: dict(c.start) for name, c in self.components.items()}
-        for name, value in values.items():
+        start: dict[str, dict[str, Value]] = {name: {} for name in self.components}
+        for name, given in values.items():
             for port, linear in self.targets(name):
                 if port in connected:
                     reason = f"it is fed by {connected[port]}"
                     raise Problem(f"{name} cannot be set: {reason}; to set it, cut that wire: --cut {port}")
                 check_settable(port, self.components[port.component].interface)
-                converted = coerce(str(port), self.variable(port), value, linear)
+                value, to_unit = self._without_unit(name, port, given)
+                converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
                 check_bounds(str(port), self.variable(port), converted)
                 start[port.component][port.variable] = converted
-        components = {n: replace(c, start=start[n]) for n, c in self.components.items()}
+        components = {n: c.chosen(start[n], origin) for n, c in self.components.items()}
         system = replace(self, components=components)
         for component in components.values():
             for name, value in component.start.items():
@@ -292,6 +322,16 @@ class System:
                 check_bounds(where, component.interface.variables[name], value)
         system.check_shared()
         return system
+
+    def _without_unit(
+        self, name: str, port: Port, given: Value | str
+    ) -> tuple[Value | str, LinearTransformation]:
+        """A value without its unit, and the map to the unit of values that a user gives for a port."""
+        number, unit = number_and_unit(str(given)) if self.variable(port).is_real else ("", "")
+        if not unit:
+            return given, IDENTITY
+        target = self.inputs[name].unit if name in self.inputs else self.unit(port)
+        return number, from_user_unit(unit, target, f"{name}={given}")
 
     def check_shared(self) -> None:
         """Raise Problem if a parameter that components share has two values."""

@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Literal, get_args
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.toml import Table, is_number, quote_key
+from orchestrator.base.units import number_and_unit
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]
@@ -357,8 +358,12 @@ def _choice(table: Table, name: str) -> Choice:
 
 
 def _start(table: Table, name: str) -> float | tuple[float, str]:
-    """Read a number, or a table with `value` and `unit`."""
+    """Read a number, a text such as "180bar", or a table with `value` and `unit`."""
     value = table.data[name]
+    if isinstance(value, str):
+        number_text, unit_text = number_and_unit(value)
+        if unit_text:
+            return float(number_text), unit_text
     if isinstance(value, dict):
         inner = Table(f"{table.where}.{name}", value).allow_only(("value", "unit"))
         inner.require("value", "a number")
@@ -366,7 +371,7 @@ def _start(table: Table, name: str) -> float | tuple[float, str]:
         assert number is not None
         return (number, unit) if unit else number
     if not is_number(value):
-        raise table.problem(name, "a number, or a table of value and unit")
+        raise table.problem(name, 'a number, a text such as "180bar", or a table of value and unit')
     return float(value)
 
 

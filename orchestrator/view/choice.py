@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.realtime.setup import Setup
+from orchestrator.realtime.setup import Axis, Setup
+from orchestrator.scene.geometry import Geometry, Start, geometry, pose_names, start
+from orchestrator.scene.view_description import ViewDescription, view_description
 from orchestrator.ssp import parameter_sets
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps
-from orchestrator.view.scene.pose import Geometry, Start, geometry, start
-from orchestrator.view.view_description import ViewDescription, view_description
 
 USUAL = "usual"  # label of the FMU in the system
 VARIANTS = "variants"  # folder next to the file of the system
@@ -60,7 +60,10 @@ def plan(choice: MachineChoice) -> ViewPlan:
     scene = description.scene
     setup = Setup(
         system=str(choice.system),
-        axes=description.driven(system),
+        axes=tuple(
+            Axis(name, a.limit, a.rate, a.rest, a.rest_delay)
+            for name, a in description.driven(system).items()
+        ),
         signals=description.watched(system),
         swap=dict(choice.swap),
         parameters=(choice.pose,) if choice.pose else (),
@@ -74,9 +77,7 @@ def poses(system: Path) -> tuple[str, ...]:
     """Names of the parameter sets that set the initial angles of the joints."""
     loaded = load(system)
     scene = view_description(loaded).scene
-    angles = [name.encode() for name in scene.initial] if scene else []
-    texts = {name: file.read() for name, file in parameter_sets.parameter_sets(loaded).items()}
-    return tuple(name for name, text in texts.items() if angles and all(angle in text for angle in angles))
+    return pose_names(loaded, scene.initial if scene else ())
 
 
 def variants(system: Path) -> Mapping[str, Mapping[str, str]]:

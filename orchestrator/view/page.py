@@ -18,17 +18,16 @@ from typing import Any, Protocol
 from nicegui import ui
 
 from orchestrator.realtime.setup import Frame
+from orchestrator.scene.drawing import colour, rings
 from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
 from orchestrator.view.driving.endpoint import mount
 from orchestrator.view.panels.bar import Bar
 from orchestrator.view.panels.charts import Charts, History
 from orchestrator.view.panels.gauges import Gauges, RealTimeFactor, StatusLine, tip_limit
-from orchestrator.view.scene.canvas import Canvas, colour, rings
-from orchestrator.view.scene.pose import Angles, pose
-from orchestrator.view.session import Session
+from orchestrator.view.scene.canvas import Canvas
+from orchestrator.view.session import Session, SignalIndex
 from orchestrator.view.task.training import Training
 from orchestrator.view.task.training import mount as task
-from orchestrator.view.view_description import SignalIndex
 
 
 class SharedFigures:
@@ -239,7 +238,7 @@ class Page:
             v if math.isfinite(v) else u for v, u in zip(map(value, scene.joints), initial, strict=True)
         ]
         colours = {part: colour(value(name), full) for part, name in scene.pressures.items()}
-        return self._canvas.show(number, pose(Angles(*angles), plan.geometry), colours, again)
+        return self._canvas.show(number, angles, colours, again)
 
     def figures(self, frame: Frame, shared: SharedFigures) -> None:
         """Update all but the drawing. For another geometry the page is loaded again.

@@ -86,14 +86,24 @@ def _quoted(name: object) -> str:
 
 def columns_of(path: Path) -> list[str]:
     """Names of the columns; empty if the file cannot be read."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:
         if path.suffix.lower() == ".parquet":
-            return list(pq.read_schema(path).names)
+            return _columns_of_parquet(path)
         with path.open(encoding="utf-8-sig", newline="") as file:
             header = file.readline(LONGEST)
-    except (OSError, ValueError, pa.ArrowException):
+    except (OSError, ValueError):
         return []
     return [name.strip() for name in next(csv.reader([header]), [])]
+
+
+def _columns_of_parquet(path: Path) -> list[str]:
+    """Names of the columns; empty if the package that reads the file is not installed."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ModuleNotFoundError:
+        return []
+    try:
+        return list(pq.read_schema(path).names)
+    except pa.ArrowException:
+        return []

@@ -1,4 +1,7 @@
-"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved."""
+"""The session that all pages show: a live machine or a replayed file, which can be exchanged and saved.
+
+`SignalIndex` finds the values of bare names in the frames of any machine.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,40 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.setup import Array, Frame, Machine, Setup
+from orchestrator.scene.view_description import by_bare_name
 from orchestrator.view.choice import MachineChoice, ViewPlan, plan
 from orchestrator.view.result_files import columns_of, find_result, list_results
-from orchestrator.view.view_description import SignalIndex, by_bare_name
+
+
+def columns(names: Sequence[str]) -> Mapping[str, int]:
+    """Bare name -> index among the names."""
+    index = {name: k for k, name in enumerate(names)}
+    return {bare: index[full] for bare, full in by_bare_name(names).items()}
+
+
+class SignalIndex:
+    """Finds values in the frames of one machine by bare name."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._signals, self._axes = columns(machine.signals), columns(machine.axes)
+
+    def contains(self, name: str) -> bool:
+        """Is there a signal or axis of this name?"""
+        return name in self._signals or name in self._axes
+
+    def value(self, frame: Frame, name: str) -> float:
+        """Value of the axis or signal of this name; NaN if there is none."""
+        if name in self._axes:
+            return float(frame.axes[self._axes[name]])
+        if name in self._signals:
+            return float(frame.values[self._signals[name]])
+        return math.nan
+
+    def column(self, name: str) -> tuple[str, int] | None:
+        """Array ("axes" or "values") and index of a name; None if there is none."""
+        if name in self._axes:
+            return "axes", self._axes[name]
+        return ("values", self._signals[name]) if name in self._signals else None
 
 
 class ExchangeableMachine:

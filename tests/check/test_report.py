@@ -1,8 +1,9 @@
-"""Report of the check: order, counts, tools, the command, and the table of rules in the docs."""
+"""Report of the check: order, counts, tools, the command, and the counts in the docs."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -112,11 +113,16 @@ def test_the_exit_status_depends_on_the_findings(
         assert capsys.readouterr().err.startswith("harvester: ")
 
 
-def test_the_docs_hold_the_table_of_rules(capsys: pytest.CaptureFixture[str]) -> None:
-    """docs/check.md shows what `harvester check --rules` prints."""
+def test_the_docs_count_the_rules_and_verdicts(capsys: pytest.CaptureFixture[str]) -> None:
+    """docs/check.md states how many rules `--rules` prints, and each tool with its verdicts."""
     assert main(["check", "--rules"]) == 0
     printed = capsys.readouterr().out.strip()
     assert printed == table(all_rules())
-    assert printed in DOCS.read_text("utf-8"), (
-        "put the output of `harvester check --rules` into docs/check.md"
-    )
+    running = sum(rule.id.startswith(("run.", "reference.")) for rule in all_rules())
+    text, total = DOCS.read_text("utf-8"), len(all_rules())
+    assert f"[{total} rules](reference/check-rules.md) {total - running} only read the FMU" in text
+    assert f"which {sum(bool(rule.threads) for rule in all_rules())} rules name" in text
+    for tool in TOOLS.values():
+        assert f"| `{tool.id}` | {tool.name} | {tool.basis} | {len(tool.verdicts)} |" in text
+    for name in re.findall(r"`(run\.\w+)`", text):
+        assert name in printed, name

@@ -5,21 +5,28 @@ from __future__ import annotations
 import re
 import struct
 import tomllib
+from pathlib import Path
 
 import pytest
 from lxml import etree, html
+from markdown_it import MarkdownIt
 
 from fmus.components.opening_curve import POINTS
 from fmus.contract import quantities
 from fmus.controller import CONTROLLER
-from fmus.export.documentation import printed, project_file, prose, slug
+from fmus.export.documentation import formulas, mathml, printed, project_file, prose, slug
 from fmus.export.interface import interface_of
 from fmus.export.package import packages
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL, FAMILIES
 from fmus.parameters import numbers, values
+from orchestrator.base.errors import Problem
 from orchestrator.base.units import pretty
 
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = sorted(
+    p for p in ROOT.rglob("*.md") if not {".venv", "build", "node_modules"} & set(p.relative_to(ROOT).parts)
+)
 OTHERS = [sub for variants in FAMILIES.values() for sub in variants.values() if sub.name not in ALL]
 SUBSYSTEMS = {sub.name: sub for sub in (*ALL.values(), *OTHERS, CONTROLLER, HARVESTER)}
 ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
@@ -195,3 +202,69 @@ def test_numbers_read_as_in_a_data_sheet(value, text):
 def test_slugs_are_those_of_forges():
     """The anchors in the READMEs are also those of the documents on the web."""
     assert slug("4. Swing, eq. (9a) with E1, E2, E5, E7") == "4-swing-eq-9a-with-e1-e2-e5-e7"
+
+
+# ---- formulas ----------------------------------------------------------------------------------------
+
+
+def parsed(document: Path) -> tuple[html.HtmlElement, list[str]]:
+    """A document with its formulas in MathML and without code; the formulas with their dollar signs."""
+    page, source = (
+        MarkdownIt("commonmark").enable("table").use(formulas),
+        document.read_text(encoding="utf-8"),
+    )
+    tree = html.fromstring(f"<div>{page.render(source, {'file': document.name})}</div>")
+    for code in tree.xpath("//code"):
+        code.text = ""
+    found = [t for block in page.parse(source) for t in block.children or [] if t.type == "formula"]
+    return tree, [f"$${t.content}$$" if t.block else f"${t.content}$" for t in found]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_formula_becomes_mathml(document):
+    """No dollar sign is left over, and every formula converts without an unknown command."""
+    tree, found = parsed(document)
+    assert "$" not in tree.text_content()
+    assert len(list(tree.iter("math"))) == len(found)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_formulas_survive_a_reader_of_markdown_that_does_not_know_them(document):
+    """Git servers let Markdown pass first: no emphasis, escape or tag of Markdown is inside a formula."""
+    plain = MarkdownIt("commonmark").enable("table").render(document.read_text(encoding="utf-8"))
+    text = html.fromstring(f"<div>{plain}</div>").text_content()
+    assert [formula for formula in parsed(document)[1] if formula not in text] == []
+
+
+@pytest.mark.parametrize(
+    ("latex", "elements"),
+    [
+        (r"\frac{a_1}{b^2}", {"mfrac", "msub", "msup"}),
+        (r"\begin{bmatrix}a&b\cr c&d\end{bmatrix}", {"mtable", "mtr", "mtd"}),
+        (r"\begin{aligned}a&=b\\c&=d\end{aligned}", {"mtable", "mtr", "mtd"}),
+        (r"\begin{cases}a&b\cr c&d\end{cases}", {"mtable", "mtr", "mtd"}),
+        (r"\dot P_h\sqrt{x}", {"msub", "mover", "msqrt"}),
+    ],
+)
+def test_parts_of_a_formula_are_those_of_mathml(latex, elements):
+    """Fractions, indices, matrices, cases and aligned lines become elements of MathML."""
+    made = html.fromstring(mathml(latex, display=True))
+    assert elements <= {element.tag for element in made.iter()}
+    assert made.get("display") == "block"
+
+
+@pytest.mark.parametrize("latex", [r"\undefined x", r"\frac{a}", "a & b", "a_1_2", r"\left(x"])
+def test_a_formula_that_does_not_convert_is_named(latex):
+    """The message has the file and the formula."""
+    with pytest.raises(Problem) as problem:
+        mathml(latex, file="page.md")
+    assert str(problem.value).startswith(f"page.md: formula {latex}: expected ")
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_equations_are_typeset_in_the_page(page, name):
+    """The page of a part with equations has MathML, no dollar sign and no LaTeX."""
+    tree = page(name)
+    shown = [e for e in tree.iter("math")]
+    assert bool(shown) == (name != "operator_input")
+    assert not re.search(r"\$|\\[a-z]", tree.xpath("string(//main)"))

@@ -18,6 +18,7 @@ from fmus.export.compile import HEADERS, PLATFORMS, host, select, universal
 from fmus.machine.one_block import HARVESTER
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
+from orchestrator.check import check
 
 lief.logging.disable()
 
@@ -105,8 +106,28 @@ def test_words_of_the_user_become_platforms():
     assert select(["all"]) == tuple(PLATFORMS)
     assert select(["host"]) == (host(),)
     assert select(["x86_64-windows", "x86_64-linux", "x86_64-windows"]) == ("x86_64-linux", "x86_64-windows")
-    with pytest.raises(Problem, match=r"'linux64' is unknown, expected host, all or x86_64-linux, .*darwin$"):
+    with pytest.raises(Problem, match=r"'linux64' is unknown, expected host, all or x86_64-linux, .*wasm$"):
         select(["linux64"])
+
+
+def test_wasm_is_asked_for_by_name():
+    """wasm is not part of all; alone it is added to the host, whose binary `harvester run` needs."""
+    assert select(["wasm"]) == (host(), "wasm")
+    assert select(["all", "wasm"]) == (*PLATFORMS, "wasm")
+    assert select(["x86_64-windows", "wasm"]) == ("x86_64-windows", "wasm")
+
+
+@pytest.mark.parametrize("fmi", FMUS)
+def test_wasm_module(fmi, tmp_path):
+    """Each version of FMI gets a module next to its library; the checker finds nothing wrong with it."""
+    path = build(FMUS[fmi], tmp_path, fmi=fmi, platforms=select(["wasm"]))
+    name = f"binaries/wasm32-wasip1/{FMUS[fmi].name}.wasm"
+    with zipfile.ZipFile(path) as archive:
+        module = archive.read(name)
+    assert module[:8] == b"\0asm\1\0\0\0"
+    exported = (b"malloc", b"free", f"fmi{fmi}DoStep".encode(), f"fmi{fmi}GetDirectionalDerivative".encode())
+    assert all(function in module for function in exported)
+    assert [f.text for f in check(path, run=False).findings if "wasm" in f.text] == []
 
 
 # ---- layout ----------------------------------------------------------------------------------------

@@ -236,7 +236,10 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         ),
         (["run", "--set", "g.fctor=1"], "harvester: unknown variable 'g.fctor'; did you mean g.factor"),
         (["run", "--scenario", "none.csv"], "harvester: none.csv: no such file"),
-        (["run", "--out", "run.xls"], "harvester: run.xls: expected a file name ending in .csv or .parquet"),
+        (
+            ["run", "--out", "run.xls"],
+            "harvester: run.xls: expected a file name ending in .csv, .parquet or .mat",
+        ),
         (
             ["run", "--out", "cycle.csv/run.csv"],
             "harvester: cycle.csv: expected a folder, which cannot be made",

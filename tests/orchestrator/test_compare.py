@@ -262,7 +262,7 @@ def test_a_reference_with_its_own_units_is_compared_too():
         (["a.csv"], "harvester: compare: expected two or more traces, got a"),
         (["a.csv", "a.csv"], "harvester: compare: expected two or more traces, got a"),
         (["a.csv", "none.csv"], "harvester: none.csv: no such file"),
-        (["a.csv", "gain.fmu"], "harvester: gain.fmu: expected a file name ending in .csv or .parquet"),
+        (["a.csv", "gain.fmu"], "harvester: gain.fmu: expected a file name ending in .csv, .parquet or .mat"),
         (
             ["a.csv", "u.csv"],
             "harvester: compare: expected signals that all runs have, got none: a.csv has gain.",

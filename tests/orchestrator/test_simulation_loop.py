@@ -223,17 +223,15 @@ def no_compiler(monkeypatch):
         raise PackageNotFoundError(name)
 
     monkeypatch.setattr(compiler, "version", missing)
-    return "ziglang"
+    return 'the package ziglang is not installed; install with: pip install "harvester-cosim[build]"'
 
 
 @pytest.mark.usefixtures("fresh")
 @pytest.mark.parametrize("trouble", [broken_compiler, no_compiler])
-def test_a_missing_compiler_is_one_line_with_the_package_to_install(monkeypatch, oscillator, trouble):
-    """The message has the reason and the package to install."""
+def test_a_missing_compiler_is_one_line(monkeypatch, oscillator, trouble):
+    """The message has the reason; without a compiler also what to install."""
     reason = trouble(monkeypatch)
-    with pytest.raises(
-        Problem, match=r"^the engine is not compiled: .*; install the Python package ziglang"
-    ) as told:
+    with pytest.raises(Problem, match=r"^the engine is not compiled: ") as told:
         run(oscillator, step=1e-2, stop=0.5, isolate=False)
     assert type(told.value) is Problem  # no run was begun
     assert reason in str(told.value)

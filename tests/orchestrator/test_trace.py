@@ -14,20 +14,20 @@ def trace():
     return Trace(np.arange(50) * 0.1, {"a.y": values, "b.x, odd": -values}, {"a.y": "Pa"})
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
 def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
     """What is read equals what was written, names and order included."""
     back = read_trace(write_trace(trace, tmp_path / f"new/trace{suffix}"))
     assert list(back.signals) == ["a.y", "b.x, odd"]
     np.testing.assert_array_equal(back.time, trace.time)
     np.testing.assert_array_equal(back["a.y"], trace["a.y"])
-    assert back.units == ({"a.y": "Pa"} if suffix == ".parquet" else {})
+    assert back.units == ({"a.y": "Pa"} if suffix != ".csv" else {})
 
 
 NAME = st.text(st.characters(exclude_categories=["Cs"]) | st.sampled_from(" ,;\"'\n\r\t.#"), min_size=1)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
 @given(names=st.lists(NAME, min_size=1, max_size=5, unique=True), unit=NAME)
 def test_any_names_survive(tmp_path_factory, suffix, names, unit):
     """Names with line breaks, commas, quotes and white space, and any unit, are read as they were written."""
@@ -38,7 +38,7 @@ def test_any_names_survive(tmp_path_factory, suffix, names, unit):
     back = read_trace(write_trace(Trace(time, signals, {names[0]: unit}), path))
     assert list(back.signals) == list(signals)
     assert all((back[name] == values).all() for name, values in signals.items())
-    assert back.units == ({names[0]: unit} if suffix == ".parquet" else {})
+    assert back.units == ({names[0]: unit} if suffix != ".csv" else {})
 
 
 def test_lines_after_a_name_with_line_breaks_are_counted_as_in_an_editor(tmp_path):
@@ -108,7 +108,7 @@ def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
 
 def test_unknown_formats_and_missing_files_are_told(tmp_path, trace):
     """The file name is in the message."""
-    with pytest.raises(Problem, match=r"a.txt: expected a file name ending in .csv or .parquet"):
+    with pytest.raises(Problem, match=r"a.txt: expected a file name ending in .csv, .parquet or .mat"):
         write_trace(trace, tmp_path / "a.txt")
     with pytest.raises(Problem, match=r"none.csv: no such file"):
         read_trace(tmp_path / "none.csv")
@@ -131,8 +131,8 @@ def test_signals_are_plotted_in_a_panel_for_each_unit(trace):
     """In display units, by name or pattern, each line with its name; what no pattern fits is refused."""
     more = Trace(trace.time, {**trace.signals, "a.z": trace["a.y"]}, {**trace.units, "a.z": "Pa"})
     pressures, others = more.plot("a.*", "b.x, odd", title="Pump").axes
-    assert (pressures.get_ylabel(), others.get_ylabel()) == ("[bar]", "[1]")
-    assert [line.get_label() for line in pressures.lines] == ["a.y", "a.z"]
+    assert (pressures.get_ylabel(), others.get_ylabel()) == ("pressure\n[bar]", "[1]")
+    assert [line.get_label() for line in pressures.lines] == ["y", "z"]
     # exact identity: rounding only
     np.testing.assert_allclose(pressures.lines[0].get_ydata(), trace["a.y"] / 1e5, rtol=1e-14)
     assert len(more.plot().axes) == 2

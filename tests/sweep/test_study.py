@@ -143,7 +143,7 @@ def test_a_scenario_and_a_variant_are_choices(workshop, tmp_path, one):
         ("minimum = 1", "minimum = 1\nrelative = 1", "relative: expected true or false, got 1"),
         ('"gain.factor"', '"gain.facto"', "unknown variable 'gain.facto'; did you mean gain.factor"),
         ('"gain.factor"', '"gain.y"', "gain.y cannot be set"),
-        ('"gain.u" = 2', '"gain.u" = "2"', "fixed: gain.u: expected a number, or a table of value and unit"),
+        ('"gain.u" = 2', '"gain.u" = "2"', "fixed: gain.u: expected a number, a text such as"),
         ('"gain.u" = 2', '"gain.w" = 2', "unknown variable 'gain.w'"),
         ('signal = "gain.y"', 'signal = "gain.z"', "outputs.end: signal: unknown variable 'gain.z'"),
         ('signal = "gain.y"', 'signal = "gain.factor"', "expected a signal, got a Real parameter"),

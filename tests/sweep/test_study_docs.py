@@ -56,7 +56,7 @@ def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
     """docs/sweep.md shows a complete file; it can be read as it is, next to a build."""
     file = tmp_path / "study.toml"
     file.write_text(_block("toml", 1), encoding="utf-8")
-    (tmp_path / "levers.csv").write_text("time,swing_command\n0,0\n1,3\n")
+    (tmp_path / "commands.csv").write_text("time,swing_command\n0,0\n1,3\n")
     file.write_text(file.read_text().replace("../build", fmu_dir.as_posix()))
     found = resolve(read(file))[0]
     assert [f.distribution for f in found.factors] == ["uniform", "normal", "values"]

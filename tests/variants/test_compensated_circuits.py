@@ -125,7 +125,7 @@ def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_
     expected = asked[0] / asked[1] * math.sqrt(droop[0] / droop[1])
     assert flows[0] / flows[1] == pytest.approx(expected, rel=5e-3)
     assert flows[0] / flows[1] == pytest.approx(asked[0] / asked[1], rel=0.015)  # the droop alone
-    shared = P["compensator_sharing"] * (margin + 1e8 / margin)  # m(z) of docs/equations.md, section 4.6
+    shared = P["compensator_sharing"] * (margin + 1e8 / margin)  # m(z) of docs/equations.md, Symbols
     assert np.array(drops) / droop == pytest.approx(np.full(2, shared), rel=5e-3)
 
 

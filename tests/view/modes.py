@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fmus.machine.ssp import VIEW
 from orchestrator.base.toml import read, read_dataclass
-from orchestrator.view.view_description import ViewDescription
+from orchestrator.scene.view_description import ViewDescription
 
 DESCRIPTION = read_dataclass(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
 MODES = DESCRIPTION.modes

@@ -9,9 +9,10 @@ import pytest
 from view.modes import DESCRIPTION
 
 from orchestrator.realtime.setup import Frame, Timing
+from orchestrator.scene.view_description import Chart
 from orchestrator.view.panels.charts import options
 from orchestrator.view.panels.gauges import RealTimeFactor, cells, tip_limit
-from orchestrator.view.view_description import Chart, SignalIndex
+from orchestrator.view.session import SignalIndex
 
 PULSE = Timing()
 NAMES = ("engaged", "reference_share", "stroke_use", "speed_use")

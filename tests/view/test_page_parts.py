@@ -21,6 +21,7 @@ from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
+from orchestrator.scene.view_description import Gauge, by_bare_name, view_description
 from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.load import load
 from orchestrator.ssp.write import write_ssp
@@ -30,8 +31,7 @@ from orchestrator.view.page import AHEAD, LOST, Credit
 from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes
 from orchestrator.view.panels.gauges import figure as figure_of
 from orchestrator.view.server import bound
-from orchestrator.view.session import Session
-from orchestrator.view.view_description import Gauge, SignalIndex, by_bare_name, view_description
+from orchestrator.view.session import Session, SignalIndex
 
 
 @given(

@@ -4,39 +4,43 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
 
 from fmus.contract import quantities, symbolic
 from fmus.manipulator import MANIPULATOR, VARIANTS
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
+from orchestrator.scene import bodies, live_page
+from orchestrator.scene.drawing import SCALE, UNKNOWN, colour, rings
+from orchestrator.scene.geometry import NODES, Geometry, geometry
 from orchestrator.ssp.load import load
 from orchestrator.ssp.system import System
 from orchestrator.view.choice import MachineChoice, plan
-from orchestrator.view.scene import bodies
-from orchestrator.view.scene.canvas import SCALE, UNKNOWN, colour, rings
-from orchestrator.view.scene.pose import NODES, Angles, Geometry, NodePose, ScenePose, geometry, pose
 
 PENDULUM = VARIANTS["pendulum"]
 OWN = values(PENDULUM).p
 SIZES = Geometry(**{name: OWN[name] for name in Geometry.__dataclass_fields__})
 # exact identities: only rounding of numbers of some metres
 ROUNDING = 1e-12
-ANGLES = st.builds(
-    Angles,
-    swing=st.floats(-math.pi, math.pi),
-    boom=st.floats(-0.45, 1.0),  # the work space of the mechanics
-    stick=st.floats(-2.15, -0.6),
-    head=st.floats(-1.0, 1.0),
-    side=st.floats(-1.0, 1.0),
-)
+# swing, boom and stick in the work space of the mechanics; head in the plane of the arm, and out of it [rad]
+LOW, HIGH = (-math.pi, -0.45, -2.15, -1.0, -1.0), (math.pi, 1.0, -0.6, 1.0, 1.0)
+
+
+class Angles(NamedTuple):
+    """Angles of the joints [rad]."""
+
+    swing: float
+    boom: float
+    stick: float
+    head: float
+    side: float
 
 
 @functools.cache
@@ -55,64 +59,61 @@ def told(q: Angles) -> dict[str, float]:
     return dict(zip(quantities(PENDULUM.outputs), map(float, outputs), strict=True))
 
 
-def drawn(found: ScenePose, node: str, point: tuple[float, float, float]) -> np.ndarray:
+@pytest.fixture(scope="module")
+def found(chromium: Any) -> list[tuple[Angles, dict[str, Any]]]:
+    """Poses as the browser computes them, at random angles of the work space: angles -> tip, and nodes."""
+    modules = live_page.scene_modules()
+    rng = np.random.default_rng(1)
+    angles = [Angles(*row) for row in rng.uniform(LOW, HIGH, (60, 5)).tolist()]
+    page = chromium.new_page()
+    ask = f"(data) => {{ const THREE = {{}}; {modules} return data.map(([q, g]) => Rig.pose(q, g)); }}"
+    poses = page.evaluate(ask, [[list(q), asdict(SIZES)] for q in angles])
+    page.close()
+    return list(zip(angles, poses, strict=True))
+
+
+def drawn(pose: Any, node: str, point: tuple[float, float, float]) -> np.ndarray:
     """A point of a node in space, by rotation matrices: turned as the browser does it."""
-    place = found.nodes[node]
-    cos, sin = math.cos(place.roll), math.sin(place.roll)
+    x, z, angle, side = pose["nodes"][node]
+    cos, sin = math.cos(side), math.sin(side)
     roll = np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]])
-    cos, sin = math.cos(-place.pitch), math.sin(-place.pitch)
+    cos, sin = math.cos(-angle), math.sin(-angle)
     pitch = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
-    cos, sin = math.cos(found.swing), math.sin(found.swing)
+    cos, sin = math.cos(pose["swing"]), math.sin(pose["swing"])
     swing = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
-    return swing @ (np.array([place.x, 0.0, place.z]) + pitch @ roll @ np.array(point))
+    return np.asarray(swing @ (np.array([x, 0.0, z]) + pitch @ roll @ np.array(point)))
 
 
-@examples(40)
-@given(q=ANGLES)
-def test_tip_and_cylinders(q: Angles) -> None:
+def test_tip_and_cylinders(found: Any) -> None:
     """Tip and elbow are those of the mechanics, each cylinder is as long as closed length and position."""
-    found, y = pose(q, SIZES), told(q)
-    tip = (y["tip_x"], y["tip_y"], y["tip_height"])
-    assert found.tip == pytest.approx(tip, abs=ROUNDING)
-    assert drawn(found, "stick", (SIZES.stick_length, 0, 0)) == pytest.approx(tip, abs=ROUNDING)
-    for name, closed in (("boom", SIZES.boom_closed_length), ("stick", SIZES.stick_closed_length)):
-        barrel, rod = found.nodes[f"{name}_barrel"], found.nodes[f"{name}_rod"]
-        apart = math.hypot(rod.x - barrel.x, rod.z - barrel.z)
-        assert apart == pytest.approx(closed + y[f"{name}_position"], abs=ROUNDING)
-        assert barrel.to(apart) == pytest.approx((rod.x, rod.z), abs=ROUNDING), "the barrel points to the rod"
+    for q, pose in found:
+        y = told(q)
+        tip = (y["tip_x"], y["tip_y"], y["tip_height"])
+        assert pose["tip"] == pytest.approx(tip, abs=ROUNDING)
+        assert drawn(pose, "stick", (SIZES.stick_length, 0, 0)) == pytest.approx(tip, abs=ROUNDING)
+        for name, closed in (("boom", SIZES.boom_closed_length), ("stick", SIZES.stick_closed_length)):
+            barrel, rod = (np.array(pose["nodes"][f"{name}_{part}"]) for part in ("barrel", "rod"))
+            apart = math.hypot(*(rod - barrel)[:2])
+            assert apart == pytest.approx(closed + y[f"{name}_position"], abs=ROUNDING)
+            end = barrel[:2] + apart * np.array([math.cos(barrel[2]), math.sin(barrel[2])])
+            assert end == pytest.approx(rod[:2], abs=ROUNDING), "the barrel points to the rod"
 
 
-@examples(40)
-@given(q=ANGLES)
-def test_head(q: Angles) -> None:
+def test_head(found: Any) -> None:
     """The middle of the head hangs where the mechanics of the swinging head say."""
-    y = told(q)
-    middle = drawn(pose(q, SIZES), "head", (0.0, 0.0, -SIZES.head_length))
-    assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
+    for q, pose in found:
+        y = told(q)
+        middle = drawn(pose, "head", (0.0, 0.0, -SIZES.head_length))
+        assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
 
 
-@examples(40)
-@given(q=ANGLES)
-def test_rod_pins_on_their_links(q: Angles) -> None:
+def test_rod_pins_on_their_links(found: Any) -> None:
     """The rods end at the pins of boom and stick, however the machine stands."""
-    found = pose(q, SIZES)
-    for link, rod, pin in (
-        ("boom", "boom_rod", (SIZES.boom_pin_x, SIZES.boom_pin_z)),
-        ("stick", "stick_rod", (SIZES.stick_pin_x, SIZES.stick_pin_z)),
-    ):
-        place = found.nodes[rod]
-        assert found.nodes[link].to(*pin) == pytest.approx((place.x, place.z), abs=ROUNDING)
-
-
-def test_numbers_for_the_browser() -> None:
-    """Swing, tip and four numbers of each node, in the order of the nodes, as finely as a picture needs."""
-    found = pose(Angles(0.3, 0.2, -1.4, 0.1, -0.2), SIZES)
-    flat = found.flat()
-    assert len(flat) == 4 + 4 * len(NODES)
-    assert flat[:4] == pytest.approx([0.3, *found.tip], abs=5.1e-5)  # half of the last digit
-    head_at = 4 + 4 * NODES.index("head")
-    place = found.nodes["head"]
-    assert flat[head_at : head_at + 4] == pytest.approx([place.x, place.z, 0.1, -0.2], abs=5.1e-5)
+    pins = (("boom", SIZES.boom_pin_x, SIZES.boom_pin_z), ("stick", SIZES.stick_pin_x, SIZES.stick_pin_z))
+    for _, pose in found:
+        for link, *pin in pins:
+            rod = drawn(pose, f"{link}_rod", (0.0, 0.0, 0.0))
+            assert drawn(pose, link, (pin[0], 0.0, pin[1])) == pytest.approx(rod, abs=ROUNDING)
 
 
 def test_geometry_of_a_system(fmu_dir: Path) -> None:
@@ -178,10 +179,3 @@ def test_rings() -> None:
     assert [ring["strong"] for ring in rings(targets, 0.3, 1)] == [True, False]
     assert rings(targets, 0.3, 1)[0]["at"] == [3.0, 0.0, 1.0]
     assert rings(targets, 0.3, 3) == []
-
-
-def test_place_turns_upwards() -> None:
-    """A node at 90 degrees has its x-axis up and its z-axis back."""
-    place = NodePose(1.0, 2.0, math.pi / 2)
-    assert place.to(1.0) == pytest.approx((1.0, 3.0), abs=ROUNDING)
-    assert place.to(0.0, 1.0) == pytest.approx((0.0, 2.0), abs=ROUNDING)

@@ -12,11 +12,12 @@ from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from fmus import parameters
 from fmus.contract import Subsystem
 from fmus.export.c_code import string
-from fmus.export.compile import binaries, host, shared_library
+from fmus.export.compile import WASM, binaries, shared_library
 from fmus.export.interface import Interface, interface_of
 from fmus.export.model_description import CAPABILITIES, Unknowns, model_description
 from fmus.export.package import PLACEHOLDER, common_files, guid_of
@@ -25,6 +26,7 @@ from fmus.export.python.subsystem_model import fingerprint, import_subsystem, or
 from fmus.export.python.user_file import checked, declared_files, in_file, refuse_neighbours, structure
 from fmus.export.python.user_model import UserModel
 from fmus.parameters import Values
+from orchestrator.base.compiler import host
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_zip
 from orchestrator.base.xml import package_version
@@ -70,6 +72,10 @@ def build_model(model: str, folder: Path, platforms: Sequence[str]) -> Path:
 
     The FMU is written to a subfolder, so that no FMU with C code of the same name is overwritten.
     """
+    if WASM in platforms:
+        raise Problem(
+            f"--platform {WASM}: expected another one with MODEL: a browser has no Python for {model}"
+        )
     folder = folder / SUBFOLDER
     if model.endswith(".py"):
         return build_user(Path(model), folder, platforms=platforms)
@@ -232,4 +238,15 @@ def library_code() -> dict[str, bytes]:
 
 def library(platform: str) -> bytes:
     """The shared library for a platform, which is the same for all models."""
-    return shared_library("python_fmu", library_code(), [MAIN], platform, ("-ldl",))
+    return shared_library(**library_source(platform))
+
+
+def library_source(platform: str) -> dict[str, Any]:
+    """What the library is made from: arguments of `fmus.export.compile.shared_library`."""
+    return {
+        "model": "python_fmu",
+        "code": library_code(),
+        "compiled": [MAIN],
+        "platform": platform,
+        "libraries": ("-ldl",),
+    }

@@ -345,13 +345,13 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
         for covariance in (solution.noise_covariance, solution.residual_covariance)
     )
     conclusion = (
-        "Noise does not explain the residuals: the model is incomplete, and the interval covers the error."
+        "The model is incomplete, and the interval covers the error."
         if solution.misfit
         else "Noise explains the residuals, and the interval is that of the noise."
     )
     yield (
-        f"the noise of the sensors gives a standard deviation of {noise:.3g} {unit}, the residuals one of "
-        f"{residual:.3g}. {conclusion}"
+        f"the standard deviation is {residual:.3g} {unit} by the residuals and {noise:.3g} by the noise of "
+        f"the sensors. {conclusion}"
     )
     bias = float(solution.bias[0])
     if abs(bias) >= NEGLIGIBLE * joint.sd:  # errors in variables
@@ -363,7 +363,7 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     percent = 100 * (first.value / first.corrected - 1)
     yield (
         f"(13) as printed, with a derivative over {first.window * 1e3:.3g} ms, gives {first.value:.4g} "
-        f"{unit}. The encoders' noise biases it by {percent:+.2g} %; corrected it is {first.corrected:.4g}."
+        f"{unit}; {first.corrected:.4g} without the bias by the encoders' noise, {percent:+.2g} %."
     )
     yield from joint.known_effect.remarks(joint.value, unit)
     dry = joint.dry
@@ -371,15 +371,14 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
         return
     if dry.value < 0:
         yield (
-            "the resistance grows more than in proportion to the speed: a dry friction next to B would be "
-            "negative, which is impossible. Another effect is in the residual, such as a wrong value of a "
-            "known parameter."
+            "the resistance grows more than in proportion to the speed: a dry friction would have to be "
+            "negative, which is impossible. Another cause is likely, such as a wrong known parameter."
         )
     else:
         yield (
             f"the residual has the sign of the speed. A dry friction of {dry.value:.3g} +- {dry.sd:.2g} "
-            f"{joint.contact.resistance_unit} next to a damping of {dry.damping:.4g} {unit} fits better; "
-            "B of the viscous law includes it, at the speeds of these recordings."
+            f"{joint.contact.resistance_unit} and a damping of {dry.damping:.4g} {unit} fit better; "
+            "B includes the dry friction at the speeds of these recordings."
         )
 
 

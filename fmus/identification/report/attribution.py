@@ -286,12 +286,12 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
     if first.alone < LEAST:
         text = (
             f"None of the effects below explains the residual: the largest share is {_percent(first.alone)} "
-            f"({first.effect}), all of them together explain {_percent(together)}."
+            f"({first.effect}), and all effects together explain {_percent(together)}."
         )
     else:
         text = (
-            f"The residual shows one effect most: {first.effect}, {_percent(first.alone)} of it, "
-            f"{first.coefficient:.2g} times as strong as in the variant. "
+            f"The largest part of the residual comes from one effect: {first.effect}, "
+            f"{_percent(first.alone)}, {first.coefficient:.2g} times as strong as in the variant. "
             f"All effects together explain {_percent(together)}."
         )
         close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
@@ -300,13 +300,13 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
     unexplained = 1 - together - parameters - noise
     if parameters > LEAST / 2:
         text += (
-            f" {_percent(parameters)} would disappear with slightly different values of the identified "
-            "parameters: this part is their uncertainty, or an effect that resembles it."
+            f" Slightly different values of the identified parameters would remove {_percent(parameters)}: "
+            "this part is their uncertainty, or an effect that resembles it."
         )
     if noise > LEAST / 2:
         text += f" {_percent(noise)} is noise of the sensors."
     if unexplained > LEAST / 2:
-        text += f" The other {_percent(unexplained)} has a cause that is not in the list."
+        text += f" {_percent(unexplained)} has a cause that is not in the list."
     return text
 
 

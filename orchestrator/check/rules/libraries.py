@@ -243,6 +243,7 @@ NAMES = {tuple_: name for name, tuple_ in TUPLES.items()}
 TUPLE = re.compile(
     r"(aarch32|aarch64|riscv32|riscv64|x86|x86_64|ppc32|ppc64)-(darwin|linux|windows)(-[a-z][a-z0-9_]*)?"
 )
+WASM = re.compile(r"wasm(32|64)-(unknown|wasip?[0-9]*)")  # folders of modules; fmi-ls-wasm has wasm32-wasip2
 FORMATS = {"linux": "ELF", "windows": "PE", "darwin": "Mach-O"}
 THREADS = "PyFMI#61 PythonFMU#106 FMPy#51 FMPy#322 FMPy#576 FMI.jl#47"
 
@@ -302,7 +303,7 @@ def macos_folder(subject: Subject) -> Iterator[Finding]:
 @PLATFORMS.rule("platform.folder", "Platform folders have the names of the FMI version", "FMPy#671")
 def folder(subject: Subject) -> Iterator[Finding]:
     for name in folders(subject) if subject.major else ():
-        if _legal(name, subject.major):
+        if _legal(name, subject.major) or WASM.fullmatch(name):
             continue
         other = TUPLES.get(name) if subject.major == 3 else NAMES.get(name)
         if other:
@@ -351,6 +352,23 @@ def name(subject: Subject) -> Iterator[Finding]:
             if present or not static:
                 got = ", ".join(present[:4]) or "no library"
                 yield error(f"binaries/{folder_}: expected {expected} for {kind}, got {got}")
+
+
+@PLATFORMS.rule("platform.wasm", "Folders of WebAssembly have a module with the name of the model identifier")
+def wasm(subject: Subject) -> Iterator[Finding]:
+    kinds = {b"\x01\0\0\0": "module", b"\r\0\x01\0": "component"}  # bytes 4 to 7: version and layer
+    for folder_ in (f for f in folders(subject) if WASM.fullmatch(f)):
+        for identifier in {e.get("modelIdentifier") for e in subject.model.interfaces.values()}:
+            file = f"binaries/{folder_}/{identifier}.wasm"
+            if file not in subject.files:
+                yield error(f"binaries/{folder_}: expected {identifier}.wasm, found no such file")
+                continue
+            with (subject.folder / file).open("rb") as opened:
+                head = opened.read(8)
+            got = kinds.get(head[4:], "") if head[:4] == b"\0asm" else ""
+            expected = "component" if folder_.endswith("p2") else "module"
+            if got != expected:
+                yield error(f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}")
 
 
 PYTHON = RuleTable()

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
-from orchestrator.base.units import factor_and_offset
+from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
-from orchestrator.results.comparison import AT_REST, QUANTITIES, quantity
+from orchestrator.results.comparison import AT_REST
 from orchestrator.results.metrics import constant
 from orchestrator.ssp.system import System
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field
 
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.setup import Frame, Machine
+from orchestrator.scene.view_description import DriveMode, FunctionLabels
 from orchestrator.view.driving.sticks import (
     Message,
     ResponseCurve,
@@ -39,7 +40,6 @@ from orchestrator.view.driving.sticks import (
     pattern,
     uncommanded,
 )
-from orchestrator.view.view_description import DriveMode, FunctionLabels
 
 Modes = Callable[[], Mapping[str, DriveMode]]
 Loads = Callable[[], Mapping[str, float]]

@@ -38,7 +38,7 @@ from types import MappingProxyType
 from typing import Any
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.view.view_description import DriveMode, FunctionLabels
+from orchestrator.scene.view_description import DriveMode, FunctionLabels
 
 
 @dataclass(frozen=True)

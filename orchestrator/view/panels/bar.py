@@ -11,10 +11,11 @@ from nicegui.element import Element
 
 from orchestrator.base.errors import Problem
 from orchestrator.realtime.setup import Frame
+from orchestrator.scene.drawing import VIEWS
 from orchestrator.view.choice import USUAL, MachineChoice, poses, variants
 from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.driving.endpoint import KEYS
-from orchestrator.view.scene.canvas import TIP, VIEWS, Canvas
+from orchestrator.view.scene.canvas import TIP, Canvas
 from orchestrator.view.session import Session
 
 Do = Callable[..., Awaitable[bool]]

@@ -10,7 +10,8 @@ from nicegui import ui
 from numpy.typing import NDArray
 
 from orchestrator.realtime.setup import Machine
-from orchestrator.view.view_description import Chart, ChartCurve, SignalIndex
+from orchestrator.scene.view_description import Chart, ChartCurve
+from orchestrator.view.session import SignalIndex
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,9 @@ from nicegui.element import Element
 
 from orchestrator.base.units import parse_unit
 from orchestrator.realtime.setup import Frame
-from orchestrator.view.scene.canvas import SCALE, colour
-from orchestrator.view.view_description import Gauge, GaugeGroup, SignalIndex, ViewDescription
+from orchestrator.scene.drawing import SCALE, colour
+from orchestrator.scene.view_description import Gauge, GaugeGroup, ViewDescription
+from orchestrator.view.session import SignalIndex
 
 CAVITATION = -5e4  # Pa, gauge pressure; below it the gauge shows "cavitates"
 

@@ -1,1 +1,1 @@
-"""The drawing of the machine: geometry, pose, bodies and colours; `canvas` sends them to the browser."""
+"""The drawing of the machine in the page of `view`: `canvas` sends it to the browser."""

@@ -6,6 +6,7 @@ The page calls `update` a few times a second, shows `status` and `table`, which 
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -121,13 +122,15 @@ class Training:
 
     def write(self, path: Path) -> Path:
         """Write the table as CSV."""
-        import pandas as pd
-
         if not self.attempts:
             raise Problem(f"{path}: expected a finished attempt, found none")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            pd.DataFrame(self.table()).to_csv(path, index=False)
+            rows = self.table()
+            with path.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.DictWriter(file, [*rows[0]], lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(rows)
         except OSError as error:
             raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
         return path

@@ -3,13 +3,12 @@
 It declares the inputs that an operator drives and how the functions of the sticks act on them, the signals of
 gauges and charts, and the joints and pressures of the drawing. Names are bare, without their component. Names
 that a system does not have are ignored. A system without the file can be watched: its outputs become gauges
-and charts. `SignalIndex` finds the values of bare names in the frames of any machine.
+and charts.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +17,6 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.toml import MAX_BYTES, Rule, read_dataclass
 from orchestrator.base.toml import read as read_toml
 from orchestrator.base.units import parse_unit, reader_unit
-from orchestrator.realtime.setup import Axis, Frame, Machine
 from orchestrator.ssp.system import System
 
 FILE = "view.toml"
@@ -30,7 +28,13 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#5
 
 @dataclass(frozen=True)
 class DrivenInput:
-    """An `Axis`. Its name is the first of `name` that is an input of the system."""
+    """An input that takes commands. Its name is the first of `name` that is an input of the system.
+
+    limit        largest magnitude, in the unit of the FMU
+    rate         largest change per second, in that unit, also towards rest
+    rest         value without a command
+    rest_delay   time for which it keeps its value before it goes to rest [s]
+    """
 
     name: Annotated[tuple[str, ...], SOME]
     limit: float
@@ -144,6 +148,28 @@ class Chart:
 
 
 @dataclass(frozen=True)
+class Slider:
+    """A slider of the machine on a page: an input, or a tunable parameter, in SI units.
+
+    unit         displayed unit; low, high and step are in this unit
+    rate         largest change of an input per second [SI unit/s]
+    """
+
+    name: str
+    text: str
+    unit: str
+    low: float
+    high: float
+    step: float
+    rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        parse_unit(self.unit, f"slider {self.name}")
+        if not self.high > self.low:
+            raise Problem(f"slider {self.name}: expected an end above {self.low:g}, got {self.high:g}")
+
+
+@dataclass(frozen=True)
 class SceneSignals:
     """Signals that move and colour the drawing.
 
@@ -168,6 +194,7 @@ class ViewDescription:
     axes: tuple[DrivenInput, ...] = ()
     modes: Mapping[str, DriveMode] = field(default_factory=dict)
     scene: SceneSignals | None = None
+    sliders: tuple[Slider, ...] = ()
 
     @property
     def curves(self) -> tuple[str, ...]:
@@ -182,11 +209,11 @@ class ViewDescription:
         gauges = (line.name for group in self.gauges for line in group.lines)
         return tuple(dict.fromkeys((*drawn, *gauges, *self.curves, *self.signals)))
 
-    def driven(self, system: System) -> tuple[Axis, ...]:
-        """Inputs that an operator drives. Raises `Problem` if the system has none of those in the file."""
+    def driven(self, system: System) -> Mapping[str, DrivenInput]:
+        """Inputs that an operator drives, by name. Raises `Problem` if none of those in the file exists."""
         inputs = {port.variable for port in system.ports("input")}
         named = [(next((n for n in a.name if n in inputs), None), a) for a in self.axes]
-        axes = tuple(Axis(n, a.limit, a.rate, a.rest, a.rest_delay) for n, a in named if n)
+        axes = {name: driven for name, driven in named if name}
         if self.axes and not axes:
             raise Problem(
                 f"{system.source or system.name}: expected an input to drive, such as"
@@ -199,7 +226,7 @@ class ViewDescription:
 
         Outputs with the name of a driven input, such as those of a lever program, are left out.
         """
-        driven = {axis.name for axis in self.driven(system)}
+        driven = self.driven(system)
         outputs = by_bare_name(str(port) for port in system.ports("output"))
         return tuple(dict.fromkeys(outputs[n] for n in self.shown if n in outputs and n not in driven))
 
@@ -260,34 +287,3 @@ def by_bare_name(names: Iterable[str]) -> Mapping[str, str]:
         if bare not in full or (component and bare.startswith(component.rpartition(".")[2])):
             full[bare] = name
     return full
-
-
-def columns(names: Sequence[str]) -> Mapping[str, int]:
-    """Bare name -> index among the names."""
-    index = {name: k for k, name in enumerate(names)}
-    return {bare: index[full] for bare, full in by_bare_name(names).items()}
-
-
-class SignalIndex:
-    """Finds values in the frames of one machine by bare name."""
-
-    def __init__(self, machine: Machine) -> None:
-        self._signals, self._axes = columns(machine.signals), columns(machine.axes)
-
-    def contains(self, name: str) -> bool:
-        """Is there a signal or axis of this name?"""
-        return name in self._signals or name in self._axes
-
-    def value(self, frame: Frame, name: str) -> float:
-        """Value of the axis or signal of this name; NaN if there is none."""
-        if name in self._axes:
-            return float(frame.axes[self._axes[name]])
-        if name in self._signals:
-            return float(frame.values[self._signals[name]])
-        return math.nan
-
-    def column(self, name: str) -> tuple[str, int] | None:
-        """Array ("axes" or "values") and index of a name; None if there is none."""
-        if name in self._axes:
-            return "axes", self._axes[name]
-        return ("values", self._signals[name]) if name in self._signals else None

@@ -50,7 +50,33 @@ function flattening(ground, sun) {
   return new THREE.Matrix4().set(1, 0, -u, ground * u, 0, 1, -v, ground * v, 0, 0, 0, low, 0, 0, 0, 1);
 }
 
+// Position x, z [m], pitch and roll [rad] of each node in the frame of the column, and the end of the stick in space.
+// angles: swing, boom, stick, head in the plane of the arm and out of it [rad]; g: `geometry.Geometry` [m]
+function pose([swing, boom, stick, head, side], g) {
+  const to = ([x, z, pitch], along, across = 0) => {
+    const [cos, sin] = [Math.cos(pitch), Math.sin(pitch)];
+    return [x + along * cos - across * sin, z + along * sin + across * cos];
+  };
+  const cylinder = (base, pin) => {
+    const along = Math.atan2(pin[1] - base[1], pin[0] - base[0]);
+    return [[...base, along, 0], [...pin, along, 0]];
+  };
+  const first = [g.boom_pivot_x, g.boom_pivot_z, boom, 0];
+  const elbow = to(first, g.stick_pivot_x, g.stick_pivot_z);
+  const second = [...elbow, boom + stick, 0];
+  const tip = to(second, g.stick_length);
+  const foot = to([g.boom_pivot_x, g.boom_pivot_z, 0], g.boom_base_x, g.boom_base_z);
+  const [boom_barrel, boom_rod] = cylinder(foot, to(first, g.boom_pin_x, g.boom_pin_z));
+  const base = to([...elbow, boom], g.stick_base_x, g.stick_base_z);
+  const [stick_barrel, stick_rod] = cylinder(base, to(second, g.stick_pin_x, g.stick_pin_z));
+  const links = { boom: first, stick: second, yoke: [...tip, head, 0], head: [...tip, head, side] };
+  const point = [tip[0] * Math.cos(swing), tip[0] * Math.sin(swing), tip[1]];
+  return { swing, tip: point, nodes: { ...links, boom_barrel, boom_rod, stick_barrel, stick_rod } };
+}
+
 export default class Rig {
+  static pose = pose; // for tests
+
   create_mesh(view, data) {
     this.view = view;
     this.data = data;
@@ -135,19 +161,19 @@ export default class Rig {
     controls.update();
   }
 
-  // numbers: of the pose; colours: channel -> colour, of those that changed; again: begin a new trail
-  show(number, numbers, colours, again) {
-    const [swing, tx, ty, tz] = numbers;
+  // angles: as for `pose`; colours: channel -> colour, of those that changed; again: begin a new trail
+  show(number, angles, colours, again) {
+    const { swing, tip, nodes } = pose(angles, this.data.sizes);
     for (const one of this.nodes.get("column")) one.rotation.z = swing;
-    this.data.nodes.forEach((name, k) => {
-      const [x, z, pitch, roll] = numbers.slice(4 + 4 * k, 8 + 4 * k);
+    for (const name of this.data.nodes) {
+      const [x, z, pitch, roll] = nodes[name];
       for (const one of this.nodes.get(name)) {
         one.position.set(x, 0, z);
         one.rotation.set(roll, -pitch, 0);
       }
-    });
+    }
     for (const [name, colour] of Object.entries(colours)) this.materials.get(name)?.color.set(colour);
-    this.tip = [tx, ty, tz];
+    this.tip = tip;
     this.follow(this.tip, again);
     const stage = getElement(this.view);
     if (this.tracked) this.shift(stage);

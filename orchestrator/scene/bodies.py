@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from orchestrator.view.scene.pose import GROUND, Geometry
+from orchestrator.scene.geometry import GROUND, Geometry
 
 Point = tuple[float, float]
 Point3 = tuple[float, float, float]
@@ -22,7 +22,7 @@ Point3 = tuple[float, float, float]
 class Part:
     """One body, fixed to a node.
 
-    node     a node of `pose.NODES`, "column", or "site" (fixed)
+    node     a node of `geometry.NODES`, "column", or "site" (fixed)
     kind     box, plate, round or tube
     size     box: lengths along x, y, z; plate: thickness; round: radii at both ends, length; tube: radius [m]
     at       centre of a box, begin of a round, origin of the outline of a plate [m]

@@ -1,0 +1,56 @@
+"""Packages that only some commands need: the extras of harvester-cosim, such as `harvester-cosim[view]`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+
+from orchestrator.base.errors import Problem
+
+# extra -> modules that it brings, as they are imported; the same packages are in pyproject.toml
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "build": ("ziglang",),
+    "view": ("fastapi", "nicegui", "uvicorn", "websockets"),
+    "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow"),
+    "identify": ("lmfit", "statsmodels", "ziglang"),
+    "files": ("h5py", "pandas", "pyarrow"),
+    "control": ("control",),
+}
+
+
+class MissingExtra(Problem):
+    """Packages of an extra are not installed."""
+
+
+def install(extra: str) -> str:
+    """The command that installs an extra."""
+    return f'pip install "harvester-cosim[{extra}]"'
+
+
+def require(extra: str, purpose: str, *modules: str, advice: str = "") -> None:
+    """Raise MissingExtra unless the modules of an extra are installed; by default all of its modules.
+
+    purpose   what needs them, such as "harvester view", for the message
+    advice    end of the message, such as what works without them
+    """
+    missing = [name for name in modules or EXTRAS[extra] if not _installed(name)]
+    if missing:
+        raise MissingExtra(f"{purpose} needs {_listed(missing)}; install with: {install(extra)}{advice}")
+
+
+def extra_of(module: str) -> str | None:
+    """The first extra that brings a module, such as "view" for nicegui.elements."""
+    top = module.partition(".")[0]
+    return next((extra for extra, names in EXTRAS.items() if top in names), None)
+
+
+def _installed(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except (ImportError, ValueError):  # ValueError: a module without a specification is in sys.modules
+        return False
+
+
+def _listed(names: list[str]) -> str:
+    plural = "s" if len(names) > 1 else ""
+    return f"the package{plural} {', '.join(names)}"

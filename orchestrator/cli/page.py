@@ -1,0 +1,29 @@
+"""`harvester page`: the machine of a system as an HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.cli.options import BUILD, SYSTEM, app
+
+
+@app.command()
+def page(
+    system: Annotated[
+        Path, typer.Argument(metavar="SYSTEM", help="An .ssp or .fmu file.", show_default=str(SYSTEM))
+    ] = SYSTEM,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="HTML file to write.")] = BUILD / "machine.html",
+    title: Annotated[str, typer.Option(metavar="TEXT", help="Title of the page.")] = "Drive the harvester",
+) -> None:
+    """Write a page on which the machine can be driven, without a server.
+
+    The page contains the whole machine (build/fmi3/harvester.fmu) as WebAssembly. It opens from disk.
+    """
+    from orchestrator.base.files import require_system
+    from orchestrator.scene.live_page import write_page
+
+    path = write_page(out, require_system(system), title)
+    print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

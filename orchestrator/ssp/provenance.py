@@ -1,0 +1,165 @@
+"""What ran: checksums of the files, and the values that differ from the shipped ones, with their origin.
+
+An FMU knows the file of parameters that it was built with (`harvester build --parameters`) from an annotation
+in its modelDescription.xml, see `ParameterSetFile`. A system knows the values that a user chose from
+`Component.origins`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
+from orchestrator.base.units import in_reader_unit, reader_unit
+from orchestrator.fmi.description import Value
+from orchestrator.ssp.system import Component, Port, System, coerce
+
+
+@dataclass(frozen=True)
+class OtherValue:
+    """A start value that differs from the shipped one.
+
+    name      component.variable
+    shipped   value of the shipped FMU or system; None if it has none
+    origin    the file of parameters, the parameter set, or --set
+    """
+
+    name: str
+    value: Value
+    unit: str = ""
+    shipped: Value | None = None
+    origin: str = ""
+
+    def __str__(self) -> str:
+        """In words: "supply.pressure_setting is 190 bar"."""
+        unit = reader_unit(self.unit)
+        return f"{self.name} is {value_text(self.value, self.unit)} {'' if unit == '1' else unit}".rstrip()
+
+
+def value_text(value: Value, unit: str) -> str:
+    """A value in the unit of readers, six digits."""
+    plain = isinstance(value, str | bool | int)
+    return str(value) if plain else f"{in_reader_unit(float(value), unit):.6g}"
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Files and values of a run.
+
+    fmus     component -> file of its FMU, and SHA-256 of that file
+    files    the other files: system, parameters, scenario -> SHA-256
+    values   start values that differ from the shipped ones
+    """
+
+    fmus: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    values: tuple[OtherValue, ...] = ()
+
+    @staticmethod
+    def of(data: Mapping[str, Any]) -> Provenance:
+        """From the JSON that `asdict` gives."""
+        values = tuple(OtherValue(**value) for value in data.get("values", ()))
+        return Provenance(data.get("fmus", {}), data.get("files", {}), values)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def provenance(system: System, files: Sequence[str | Path | Location] = ()) -> Provenance:
+    """The provenance of a run of a system; files: others that the run read, such as that of the scenario."""
+    fmus = {
+        name: {"file": str(c.source), "sha256": checksum(c.source)}
+        for name, c in system.components.items()
+        if c.source is not None
+    }
+    own = [Location(system.source.path)] if system.source else []
+    others = [file if isinstance(file, Location) else Location(Path(file)) for file in files]
+    built = {s.file: s.sha256 for c in system.components.values() for s in c.interface.parameter_sets}
+    return Provenance(
+        fmus, {str(f): checksum(f) for f in [*own, *others]} | built, tuple(other_values(system))
+    )
+
+
+def other_values(system: System) -> Iterator[OtherValue]:
+    """The start values that differ from the shipped ones: built into the FMU, or chosen by the user.
+
+    Connected inputs are left out, because their start values have no effect after the initialisation.
+    """
+    connected = {c.target for c in system.connections}
+    for component in system.components.values():
+        variables = component.interface.variables
+        built = _built(component)
+        for name in dict.fromkeys([*built, *component.origins]):
+            if name not in variables or Port(component.name, name) in connected:
+                continue
+            shipped: Value | None = built[name][0] if name in built else component.origins[name].before
+            value = component.value(name)
+            if value == shipped or value != value:
+                continue
+            origin = component.origins[name].origin if name in component.origins else built[name][1]
+            unit = variables[name].unit
+            shipped = None if shipped != shipped else shipped
+            yield OtherValue(f"{component.name}.{name}", value, unit.name if unit else "", shipped, origin)
+
+
+def _built(component: Component) -> dict[str, tuple[Value, str]]:
+    """Parameter -> value in the shipped FMU and file of the value that replaces it."""
+    result: dict[str, tuple[Value, str]] = {}
+    for parameter_set in component.interface.parameter_sets:
+        for name, text in parameter_set.shipped.items():
+            variable = component.interface.variables.get(name)
+            if variable is None:
+                continue
+            try:
+                result[name] = coerce(name, variable, text), parameter_set.file
+            except Problem:  # an annotation that another tool has changed
+                continue
+    return result
+
+
+def built_notes(system: System) -> tuple[str, ...]:
+    """A line for each file of parameters that FMUs of the system were built with."""
+    counts: dict[str, int] = {}
+    for component in system.components.values():
+        for _, file in _built(component).values():
+            counts[file] = counts.get(file, 0) + 1
+    home = system.source.path if system.source else system.name
+    verb = f"{home} was" if len(system.components) == 1 else f"the FMUs in {home} were"
+    return tuple(
+        f"{verb} built with {file}: {count} parameter{'s differ' if count > 1 else ' differs'} from the"
+        " shipped ones; harvester parameters shows them"
+        for file, count in counts.items()
+    )
+
+
+def chosen_note(system: System, limit: int = 3) -> str:
+    """The first values that a user chose, in words; empty if there are none."""
+    built = {f"{c.name}.{name}" for c in system.components.values() for name in _built(c)}
+    chosen = [v for v in other_values(system) if v.name not in built]
+    more = f" and {len(chosen) - limit} more" if len(chosen) > limit else ""
+    return ", ".join(map(str, chosen[:limit])) + more
+
+
+def checksum(file: Location) -> str:
+    """The SHA-256 of a file or a member of an archive; of a folder that of the checksums of its files."""
+    try:
+        status = file.path.stat()
+        return _checksum(file, status.st_mtime_ns, status.st_size)
+    except (OSError, Problem):
+        return ""  # what cannot be read is told by the run itself
+
+
+@lru_cache(maxsize=256)
+def _checksum(file: Location, modified: int, size: int) -> str:
+    del modified, size  # of the key
+    if file.is_folder:
+        lines = (f"{name} {hashlib.sha256(file.member(name).read()).hexdigest()}\n" for name in file.names())
+        return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
+    return hashlib.sha256(file.read()).hexdigest()

@@ -1,0 +1,249 @@
+"""Figures of a run, and values and inputs as users write them: units, mappings, data frames, MATLAB files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+
+from orchestrator import Problem, Trace, assemble, read_trace, run, validate, write_trace
+from orchestrator.__main__ import main
+from orchestrator.base import plotting
+from orchestrator.engine.result import newest_trace
+
+TIME = np.linspace(0.0, 1.0, 101)
+
+
+def waves(**units: str) -> Trace:
+    """Sine waves of different frequency: name with __ for a dot -> unit."""
+    names = [name.replace("__", ".") for name in units]
+    signals = {name: np.sin((2 + i) * TIME) for i, name in enumerate(names)}
+    return Trace(TIME, signals, dict(zip(names, units.values(), strict=True)))
+
+
+def legends(figure) -> list[list[str]]:
+    """Texts of the legend of each panel."""
+    return [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]
+
+
+def test_a_figure_without_chosen_signals_fits_on_a_page():
+    """Six signals of each of four quantities at most, commands first, in units that people use."""
+    units = {f"a__p{i}": "Pa" for i in range(9)} | {"a__q": "m3/s", "a__x": "m", "a__w": "rad/s", "b__u": "V"}
+    figure = waves(**units, a__phi="rad").plot()
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["voltage\n[V]", "angle\n[deg]", "speed\n[deg/s]", "pressure\n[bar]"]
+    assert legends(figure)[3] == [f"p{i}" for i in range(6)]
+    assert "9 of 14 signals" in [text.get_text() for text in figure.texts]
+
+
+def test_what_shows_nothing_is_left_out_unless_it_is_chosen():
+    """A constant, and an input that repeats the output to which it is connected."""
+    trace = waves(a__y="m", b__z="m")
+    more = {"a.const": np.full(101, 3.0), "b.u": trace["a.y"] + 1e-9}
+    whole = Trace(TIME, {**trace.signals, **more}, {**trace.units, "a.const": "m", "b.u": "m"})
+    assert whole.chosen() == ["a.y", "b.z"]
+    assert whole.chosen(["a.*", "u"]) == ["a.y", "a.const", "b.u"]
+    with pytest.raises(Problem, match=r"^no signal v in the run"):
+        whole.chosen(["v"])
+
+
+def test_a_joint_has_its_colour_in_each_panel():
+    """The first word of a name gives the colour, whatever the order; line styles tell its curves apart."""
+    trace = waves(a__boom_u="V", a__stick_u="V", m__stick_q="rad", m__boom_q="rad", m__boom_r="rad")
+    first, second = (axes.lines for axes in trace.plot().axes)
+    assert first[0].get_color() == second[1].get_color() == second[2].get_color() != first[1].get_color()
+    assert first[1].get_color() == second[0].get_color()
+    assert second[1].get_linestyle() != second[2].get_linestyle()
+
+
+def test_equal_names_keep_their_components():
+    """The legend shortens names only where no other signal of the figure has the name."""
+    assert legends(waves(a__x="m", b__x="m", b__y="m").plot()) == [["a.x", "b.x", "y"]]
+
+
+def test_a_window_shows_its_samples_only():
+    """Samples from start to stop; a window without samples is refused with what there is."""
+    (axes,) = waves(a__x="m").plot(start=0.25, stop=0.5).axes
+    assert (axes.lines[0].get_xdata()[0], axes.lines[0].get_xdata()[-1]) == (0.25, 0.5)
+    with pytest.raises(Problem, match="expected two or more samples, got 0; the samples cover 0 to 1 s"):
+        waves(a__x="m").plot(start=2)
+
+
+def test_runs_in_one_figure_have_the_colours_of_their_signals():
+    """A second run has another line style; its samples may be at other times."""
+    other = waves(a__x="m", a__y="m").at(np.linspace(0, 2, 30))
+    (axes,) = waves(a__x="m", a__y="m").plot(label="first", others={"second": other}).axes
+    x, x_other, y, _ = axes.lines
+    assert x.get_color() == x_other.get_color() != y.get_color()
+    assert x.get_linestyle() != x_other.get_linestyle()
+    assert legends(axes.figure) == [["x", "y"]]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty working directory without a display."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    return tmp_path
+
+
+def test_plot_draws_the_newest_trace_to_a_file(here, fmus, capsys):
+    """Without a display the picture goes to build/plot.png, and a line says so."""
+    assert main(["plot"]) == 2
+    assert "build: expected the trace of a run, got none" in capsys.readouterr().err
+    for name in ("old", "new"):
+        assert main(["run", str(fmus["mass_b"]), "--stop", "0.1", "--out", f"build/{name}.mat"]) == 0
+    assert newest_trace(Path("build")) == Path("build/new.mat")
+    capsys.readouterr()
+    assert main(["plot"]) == 0
+    told = capsys.readouterr().out
+    assert "signals of build/new.mat; choose others with --signals PATTERN" in told
+    assert "no display for a window; picture: build/plot.png" in told
+    assert (here / "build/plot.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["plot", "build/new.mat", "build/old.mat", "--out", "a/b.svg"]) == 0
+    picture = Path("a/b.svg").read_text(encoding="utf-8")
+    assert picture.startswith("<?xml")
+    assert all(word in picture for word in ("new", "old", "time [s]"))
+    assert main(["plot", "--out", "a.jpg"]) == 2
+    assert "a.jpg: expected a file name ending in .png or .svg" in capsys.readouterr().err
+
+
+def test_with_a_display_a_window_opens(here, monkeypatch, capsys):
+    """Then no file is written."""
+    write_trace(waves(a__x="m"), "t.parquet")
+    shown = []
+    monkeypatch.setattr(plotting, "show", lambda figure, title: shown.append((figure, title)) or True)
+    assert main(["plot", "t.parquet"]) == 0
+    assert [title for _, title in shown] == ["t"]
+    assert "picture" not in capsys.readouterr().out
+    assert list(here.iterdir()) == [here / "t.parquet"]
+
+
+# ---- MATLAB
+
+
+def test_a_matlab_file_has_structs_of_components_and_units(tmp_path):
+    """Names that MATLAB does not know are replaced, long and reserved ones too; our reader restores them."""
+    names = ["time_2", "arm.x", "arm.der(v)", "arm", "end.1st", "units.a", "a.b.c", "z" * 70]
+    trace = Trace(TIME, {n: TIME + i for i, n in enumerate(names)}, {"arm.x": "m", "arm.der(v)": "m/s"})
+    path = write_trace(trace, tmp_path / "t.mat")
+    loaded = scipy.io.loadmat(path, simplify_cells=True)
+    np.testing.assert_array_equal(loaded["arm"]["x"], trace["arm.x"])
+    assert loaded["units"]["arm"] == {"x": "m", "der_v_": "m/s"}
+    assert {"xend", "units_", "arm_2", "a", "time"} <= set(loaded)
+    back = read_trace(path)
+    assert list(back.signals) == names
+    assert back.units == trace.units
+    assert not list(tmp_path.glob("*.partial*"))
+
+
+def test_a_matlab_file_of_another_tool_is_a_scenario(tmp_path):
+    """Vectors beside a vector `time`, in any order and form."""
+    scipy.io.savemat(tmp_path / "s.mat", {"command": np.arange(3.0), "time": np.arange(3.0)[:, None]})
+    assert list(read_trace(tmp_path / "s.mat")["command"]) == [0, 1, 2]
+    scipy.io.savemat(tmp_path / "t.mat", {"command": np.arange(3.0)})
+    with pytest.raises(Problem, match=r"t.mat: expected the first column to be named 'time', got 'command'"):
+        read_trace(tmp_path / "t.mat")
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".parquet"])
+@pytest.mark.usefixtures("here")
+def test_exported_runs_are_compared(fmus, suffix, capsys):
+    """`compare` reads what `run --out` wrote, with its units."""
+    for name in ("a", "b"):
+        assert main(["run", str(fmus["mass_b"]), "--stop", "0.1", "--out", f"{name}{suffix}"]) == 0
+    assert main(["compare", f"a{suffix}", f"b{suffix}"]) == 0
+    assert read_trace(f"a{suffix}").units == json.loads(Path("a.run.json").read_text())["units"]
+    assert "no units" not in capsys.readouterr().out
+
+
+# ---- units of values
+
+
+@pytest.fixture
+def body(fmus):
+    """A system of one FMU: parameter mass [kg], input force [N], output x [m]."""
+    return assemble({"body": fmus["mass_b"]})
+
+
+@pytest.mark.parametrize(
+    ("text", "kilograms"),
+    [
+        ("600kg", 600.0),
+        ("0.6 t", 600.0),
+        ("6e5 g", 600.0),
+        ("2lb", 0.90718474),
+        ("2e-1 t", 200.0),
+        ("1e2", 100.0),
+    ],
+)
+def test_values_have_units(body, text, kilograms):
+    """A text may end with any unit of the same dimension; without one the unit is that of the FMU."""
+    # 1e-15: one rounding of a product
+    assert body.with_start({"body.mass": text}).components["body"].start["mass"] == pytest.approx(
+        kilograms, rel=1e-15
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("180bar", r"body.mass=180bar: expected a unit like kg, got 'bar'"),
+        ("3 quux", r"body.mass=3 quux: unit 'quux' is unknown, expected one like bar"),
+        ("1,5kg", r"body.mass: expected a value of type Real, got '1,5kg'"),
+    ],
+)
+def test_a_wrong_unit_is_told_with_the_expected_one(body, text, message):
+    """In one line with the name, what was given and what the variable has."""
+    with pytest.raises(Problem, match=message):
+        body.with_start({"body.mass": text})
+
+
+# ---- data in memory
+
+RAMP = {"time": [0.0, 0.5, 1.0], "force": [0.0, 0.0, 5.0]}
+
+
+def test_a_scenario_can_be_a_mapping_or_a_data_frame(body, tmp_path):
+    """The same run as with the file; the time may be the index of a data frame."""
+    frame = pd.DataFrame(RAMP)
+    frame.to_csv(tmp_path / "s.csv", index=False)
+    runs = [run(body, s, stop=1.0) for s in (RAMP, frame, frame.set_index("time"), tmp_path / "s.csv")]
+    for other in runs[1:]:
+        np.testing.assert_array_equal(other["body.x"], runs[0]["body.x"])
+    assert np.ptp(runs[0]["body.x"]) > 0
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"t": [0, 1]}, r"scenario: expected a column 'time' \[s\], got t"),
+        (
+            {**RAMP, "force": [0, 1]},
+            r"scenario: column 'force': expected a vector .* got shape \(2,\), and \(3,\)",
+        ),
+        ({**RAMP, "force": ["x", 0, 1]}, r"scenario: column 'force': expected numbers, got"),
+        ({**RAMP, "time": [0, 0, 1]}, r"scenario: row 2: expected a time after 0.0 s, got 0.0"),
+        ({**RAMP, "force": [0, np.nan, 1]}, r"scenario: row 2: column 'force': expected a number, got none"),
+        ({**RAMP, "force": [0, np.inf, 1]}, r"scenario: row 2: column 'force': expected a finite number"),
+    ],
+)
+def test_mistakes_in_a_mapping_are_told_in_one_line(body, data, message):
+    """With column and row, before anything runs."""
+    with pytest.raises(Problem, match=message):
+        run(body, data)
+
+
+def test_validate_takes_data_frames(body):
+    """Reference and run, in the units of the run."""
+    result = run(body, RAMP, stop=1.0)
+    frame = result.to_pandas()[["body.x"]]
+    (row,) = validate(result, frame, rate=False).rows
+    assert (row.unit, row.metrics.rmse) == (result.trace.units["body.x"], 0.0)
+    (row,) = validate(frame, frame + 2, rate=False).rows
+    # 1e-12: rounding of a mean of 1001 equal numbers
+    assert row.metrics.rmse == pytest.approx(2.0, rel=1e-12)

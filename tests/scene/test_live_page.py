@@ -1,0 +1,322 @@
+"""The machine on a page: from disk it moves as `harvester run` moves it, and asks nobody for anything."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orchestrator.view.driving as driving
+from fmus.machine.build import data
+from orchestrator.base.errors import Problem
+from orchestrator.data.recording import read_recording
+from orchestrator.data.trace import Trace, read_trace
+from orchestrator.engine.run import run
+from orchestrator.results.validate_system import validate_system
+from orchestrator.scene import live_page
+from orchestrator.scene.live_page import Replayed, find_fmu, fragment, write_page
+from orchestrator.view.driving.sticks import ResponseCurve, response
+
+READY = ".harvester-machine[data-ready]"
+LONG = 120.0  # s; only bounds a failure
+SECTION = "document.querySelector('.harvester-machine').machine"
+SCHEMES = ("light", "dark")
+OWN = ("file", "blob", "data")  # schemes of addresses that no network sees
+
+
+@pytest.fixture(scope="module")
+def files(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The page of the machine, and a page that also replays the work cycle next to a run that lags by 1 s."""
+    folder = tmp_path_factory.mktemp("pages")
+    cycle = read_recording(data("reference/work_cycle.csv")).trace()
+    late = Trace(cycle.time, {n: np.interp(cycle.time - 1, cycle.time, v) for n, v in cycle.signals.items()})
+    replayed = folder / "replay.html"
+    section = fragment(fmu_dir / "harvester.ssp", Replayed(late, cycle))
+    head = '<!doctype html><html lang="en" style="color-scheme: light dark"><title>replay</title>'
+    replayed.write_text(f"{head}<main><h1>Replay</h1>{section}</main>", encoding="utf-8")
+    return {
+        "drive": write_page(folder / "drive.html", fmu_dir / "harvester.ssp", "Drive"),
+        "replay": replayed,
+    }
+
+
+class Opened:
+    """A page from disk. requests: schemes of the addresses asked for; complaints: errors in the console."""
+
+    def __init__(self, chromium: Any, file: Path, **settings: Any) -> None:
+        self.context = chromium.new_context(viewport={"width": 1100, "height": 900}, **settings)
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(1e3 * LONG)
+        self.requests, self.complaints = set[str](), list[str]()
+        self.context.on("request", lambda request: self.requests.add(request.url.partition(":")[0]))
+        self.page.on("console", lambda m: self.complaints.append(m.text) if m.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.goto(file.as_uri())
+        self.page.wait_for_selector(READY)
+
+    def ask(self, expression: str) -> Any:
+        """What an expression of the section has as its value."""
+        return self.page.evaluate(f"() => {SECTION}.{expression}")
+
+    def until(self, condition: str) -> None:
+        """Wait until a condition on the section s holds."""
+        self.page.wait_for_function(f"() => {{ const s = {SECTION}; return {condition}; }}")
+
+
+@pytest.fixture
+def opened(chromium: Any, files: dict[str, Path]) -> Iterator[Any]:
+    """Opens pages: name and settings of the browser -> `Opened`."""
+    pages: list[Opened] = []
+
+    def make(name: str, **settings: Any) -> Opened:
+        pages.append(Opened(chromium, files[name], **settings))
+        return pages[-1]
+
+    yield make
+    for page in pages:
+        page.context.close()
+
+
+def drive(page: Opened) -> None:
+    """Swing, boom and stick by keys, payload and pressure by sliders, until 6 s of simulated time."""
+    page.page.get_by_role("button", name="Drive", exact=True).click()
+    page.page.get_by_role("button", name="Start again").click()
+    page.page.get_by_label("Payload").fill("200")
+    page.page.locator(".hm-stage").focus()
+    keyboard = page.page.keyboard
+    keyboard.down("a")
+    keyboard.down("ArrowDown")
+    page.until("s.simulation.time > 1")
+    keyboard.up("ArrowDown")
+    keyboard.down("KeyW")
+    page.until("s.simulation.time > 2")
+    keyboard.up("KeyW")
+    page.page.get_by_label("Supply pressure").fill("15")
+    page.page.locator(".hm-stage").focus()
+    keyboard.down("s")
+    page.until("s.simulation.time > 3.5")
+    keyboard.up("s")
+    page.until("s.simulation.time > 6")
+    page.page.locator(".hm-stage").focus()
+    keyboard.press("p")
+
+
+def test_same_motion_as_run(opened: Any, fmi3_dir: Path, tmp_path: Path) -> None:
+    """Driven by hand for 6 s, the machine is where `harvester run` has it with the saved commands."""
+    page = opened("drive")
+    drive(page)
+    seen = page.ask("points.map(p => [p.t, p.values.boom_angle, p.values.swing_angle, p.values.stick_angle])")
+    with page.page.expect_download() as download:
+        page.page.get_by_role("button", name="Save the commands").click()
+    download.value.save_as(tmp_path / "drive.csv")
+    scenario = read_trace(tmp_path / "drive.csv")
+    assert np.ptp(scenario["boom_command"]) > 1, "the key did nothing"
+    assert np.ptp(scenario["supply_pressure"]) == pytest.approx(20.684e6 - 15e6)
+    result = run(fmi3_dir / "harvester.fmu", scenario, stop=float(scenario.time[-1]), step=1e-3)
+    time, *angles = np.array(seen).T
+    at = int(np.argmin(np.abs(time - 5.0)))
+    assert time[at] == pytest.approx(5.0, abs=0.02)
+    for name, values in zip(("boom_angle", "swing_angle", "stick_angle"), angles, strict=True):
+        same = result.trace.at(time)[f"harvester.{name}"]
+        assert np.ptp(values) > 0.05, f"{name} did not move"
+        # the bar of the page; the same C code with another libm differs by some 1e-15
+        assert values[at] == pytest.approx(same[at], abs=1e-9)
+        np.testing.assert_allclose(values, same, atol=1e-9)
+    assert page.complaints == []
+    assert page.requests <= set(OWN), "a request left the page"
+
+
+def test_fast_enough(opened: Any) -> None:
+    """The FMU in the page is at least twenty times faster than real time."""
+    page = opened("drive")
+    page.page.locator(".hm-speed").select_option("5")
+    page.until("s.simulation.time > 7")
+    time, cost = page.ask("simulation.time"), page.ask("simulation.cost")
+    assert 1e3 * time / cost > 20, f"{time} s took {cost} ms"
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", ["drive", "replay"])
+def test_accessible(opened: Any, name: str, scheme: str) -> None:
+    """axe-core finds no violation, while it moves and while it is paused, in light and dark."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    page = opened(name, color_scheme=scheme)
+    page.page.evaluate(f"() => {SECTION}.run(false)")
+    for moving in (False, True):
+        page.page.evaluate(f"(on) => {SECTION}.run(on)", moving)
+        found = axe.run(page.page).response["violations"]
+        assert [(v["id"], [n["target"] for n in v["nodes"]]) for v in found] == []
+
+
+def test_keyboard_alone(opened: Any) -> None:
+    """Tab reaches the machine, keys drive it, Escape leaves it; Tab reaches every control."""
+    page = opened("drive", reduced_motion="reduce")
+    page.page.keyboard.press("Tab")
+    assert "hm-stage" in page.page.evaluate("() => document.activeElement.className")
+    page.page.keyboard.down("d")
+    page.until("s.simulation.now[0] < -1")
+    page.page.keyboard.up("d")
+    page.page.keyboard.press("Escape")
+    assert page.page.evaluate("() => document.activeElement.tagName") == "BODY"
+    reached = set()
+    for _ in range(24):
+        page.page.keyboard.press("Tab")
+        reached.add(page.page.evaluate("() => document.activeElement.textContent.trim().split('\\n')[0]"))
+    assert {"Demonstration", "Drive", "Start again", "Save the commands"} <= reached
+
+
+def test_waits(opened: Any) -> None:
+    """It starts by itself, but not where less motion is preferred, and pauses while the tab is hidden."""
+    still = opened("drive", reduced_motion="reduce")
+    still.page.wait_for_timeout(500)
+    assert not still.ask("running")
+    assert still.ask("simulation.frames") == 0
+    page = opened("drive")
+    page.until("s.running && s.simulation.frames > 3")
+    hide = "(v) => { Object.defineProperty(document, 'visibilityState', { value: v, configurable: true });"
+    hide += " document.dispatchEvent(new Event('visibilitychange')); }"
+    page.page.evaluate(hide, "hidden")
+    assert not page.ask("running")
+    page.page.evaluate(hide, "visible")
+    page.until("s.running")
+
+
+def test_parameters_and_poses(opened: Any) -> None:
+    """A pose, a heavier head and a lower pressure act: the machine starts there, and the pressures follow."""
+    page = opened("drive")
+    page.page.locator(".hm-pose").select_option("raised")
+    halt(page, 2)
+    assert page.ask("values.boom_angle") == pytest.approx(0.95, abs=0.01)  # of fmus.machine.poses
+    light = page.ask("values.boom_head_pressure")
+    page.page.locator(".hm-speed").select_option("5")
+    page.page.get_by_label("Head mass").fill("800")
+    page.page.get_by_label("Supply pressure").fill("10")
+    page.page.get_by_role("button", name="Continue").click()
+    halt(page, 12)
+    assert page.ask("values.supply_pressure") == pytest.approx(10e6)
+    # 450 kg more at 3 m: 13 kN.m over a lever of some 0.4 m and 113 cm2 are some 3 MPa, after the oscillation
+    assert page.ask("values.boom_head_pressure") > light + 1e6
+    assert page.page.get_by_role("button", name="Save the commands").is_disabled(), (
+        "a scenario has no head mass"
+    )
+
+
+def halt(page: Opened, time: float) -> None:
+    """Pause a driven machine after this simulated time [s]."""
+    page.until(f"s.mode === 'drive' && s.simulation.time > {time}")
+    page.page.evaluate(f"() => {SECTION}.run(false)")
+
+
+def test_follows_the_switch_of_a_site(opened: Any) -> None:
+    """A page that is switched to dark changes colours and ground, whatever the browser prefers."""
+    page = opened("drive", color_scheme="light", reduced_motion="reduce")
+    assert page.ask("scene.scheme") == "light"
+    page.page.evaluate("() => { document.body.dataset.theme = 'dark'; }")
+    page.until("s.scene.scheme === 'dark'")
+
+
+def test_replay_then_drive(opened: Any) -> None:
+    """The run is replayed next to the reference; a key takes over from where the machine is."""
+    page = opened("replay")
+    assert page.ask("mode") == "replay"
+    page.page.locator(".hm-seek").fill("250")  # of 25 pictures per second
+    assert page.ask("moment") == pytest.approx(10.0)
+    cycle = read_recording(data("reference/work_cycle.csv")).trace().at([9.0, 10.0])
+    # pictures between samples of 20 ms, five digits
+    assert page.ask("values.boom_angle") == pytest.approx(cycle["manipulator.boom_angle"][0], abs=1e-3)
+    ghost = page.ask(f"replayed({SECTION}.data.replay.ghost).boom_angle")
+    assert ghost == pytest.approx(cycle["manipulator.boom_angle"][1], abs=1e-3)
+    assert page.ask("scene.ghost.root.visible")
+    before = page.ask("values.swing_angle")
+    page.page.locator(".hm-stage").focus()
+    page.page.keyboard.down("a")
+    page.until("s.mode === 'drive' && s.simulation.frames > 100")
+    assert not page.ask("scene.ghost.root.visible")
+    assert 0.05 < page.ask("values.swing_angle") - before < 1.5
+    assert page.complaints == []
+
+
+def test_a_failure_is_said(opened: Any) -> None:
+    """A call that the FMU refuses stops the machine with the FMU's own words."""
+    page = opened("drive")
+    page.page.evaluate(f"() => {{ {SECTION}.simulation.axes[0].limit = null; {SECTION}.choose('drive'); }}")
+    page.page.evaluate(
+        f"() => {{ {SECTION}.commanded = () => ({{ swing_command: NaN }}); {SECTION}.run(true); }}"
+    )
+    page.page.wait_for_selector(".hm-failed")
+    assert re.search("swing_command cannot be set to -?nan", page.page.locator(".hm-said").inner_text())
+
+
+def test_levers_as_in_view(opened: Any) -> None:
+    """Keys and response curve are those of `harvester view`."""
+    other = Path(driving.__file__).parent / "assets" / "lib" / "keyboard.js"
+    own = Path(live_page.__file__).with_name("machine.js")
+    tables = [re.search(r"const AXES = \{.*?\};", f.read_text(encoding="utf-8"), re.S) for f in (other, own)]
+    assert [found and found.group() for found in tables] == 2 * [tables[0] and tables[0].group()]
+    page = opened("drive", reduced_motion="reduce")
+    for deflection in (-1.0, -0.5, 0.05, 0.3, 1.0):
+        page.page.evaluate(f"(x) => {{ {SECTION}.levers.hands.left = [x, 0]; }}", deflection)
+        swing = page.ask("levers.functions(0.01).swing")
+        assert swing == pytest.approx(-response(deflection, ResponseCurve()), abs=1e-15)  # rounding
+
+
+def test_which_fmu(fmu_dir: Path, fmi3_dir: Path, tmp_path: Path) -> None:
+    """That of FMI 3.0 next to the SSP or FMU; a system without one is refused with what is missing."""
+    for system in (fmu_dir / "harvester.ssp", fmu_dir / "harvester.fmu", fmi3_dir / "harvester.fmu"):
+        assert find_fmu(system) == fmi3_dir / "harvester.fmu"
+    lonely = tmp_path / "harvester.ssp"
+    lonely.write_bytes((fmu_dir / "harvester.ssp").read_bytes())
+    assert find_fmu(lonely) is None
+    assert fragment(lonely) == ""
+    with pytest.raises(Problem, match=r"expected harvester\.fmu of FMI 3\.0 with a WebAssembly module"):
+        write_page(tmp_path / "machine.html", lonely, "")
+    cycle = read_recording(data("reference/work_cycle.csv")).trace()
+    alone = fragment(lonely, Replayed(cycle))
+    assert 'data-part="module"' not in alone, "without the module it only replays"
+    assert "Replay the run" in alone
+    assert fragment(lonely, Replayed(cycle.select(["swing.swing_command"]))) == ""
+
+
+def test_module_needs_nothing(fmi3_dir: Path) -> None:
+    """The module has no section of imports (WebAssembly 1.0, section 5.5.5): nothing to provide."""
+    with zipfile.ZipFile(fmi3_dir / "harvester.fmu") as archive:
+        module = archive.read("binaries/wasm32-wasip1/harvester.wasm")
+    assert module[:8] == b"\0asm\1\0\0\0"
+    at, sections = 8, []
+    while at < len(module):
+        sections.append(module[at])
+        size, shift, at = 0, 0, at + 1
+        while True:  # LEB128
+            byte, at = module[at], at + 1
+            size |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                break
+        at += size
+    assert 2 not in sections
+
+
+def test_library_is_as_built() -> None:
+    """three.js is what its folder makes of the pinned version: the hash in entry.js is its own."""
+    folder = Path(live_page.__file__).with_name("three")
+    digest = hashlib.sha256((folder / "three.min.js").read_bytes()).hexdigest()
+    assert digest in (folder / "entry.js").read_text(encoding="utf-8")
+    assert '"three": "0.180.0"' in (folder / "package.json").read_text(encoding="utf-8")
+
+
+def test_report_has_the_machine(fmu_dir: Path, tmp_path: Path) -> None:
+    """The report of a validation contains the machine with its module, in place of the animation of lines."""
+    default = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
+    options = {"default": default, "rate": False, "stop": 1.0}
+    validate_system(fmu_dir / "harvester.ssp", None, None, None, tmp_path, **options)
+    report = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'data-part="module"' in report
+    assert "Replay the run" in report
+    assert 'id="motion-data"' not in report
+    assert "no machine in the report" not in report

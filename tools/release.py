@@ -1,0 +1,156 @@
+"""Makes the files of a release in dist/: wheel, sdist, and a zip for people without Python.
+
+    python tools/release.py            all platforms; the first time 10 minutes on two cores
+    python tools/release.py host       a try, for this computer only
+
+1. The files of the last commit are copied to build/release, so that nothing else gets into the release.
+2. `harvester build --platform all` writes FMUs and systems, which go to fmus/built.tar.xz there.
+3. The libraries that commands load, or put into FMUs whose code is Python, go to orchestrator/compiled.
+4. Hatchling packs wheel and sdist. The sdist contains no built files.
+5. The zip contains the FMUs and systems, and the documentation page of each FMU.
+
+Equal commits, compilers and packages give equal bytes: members are sorted, times are that of the commit or
+fixed, and FMUs and libraries contain neither times nor paths. `SHA256SUMS` has the hashes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import time
+import tomllib
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+STAGE, BUILT, DIST = ROOT / "build" / "release", ROOT / "build" / "release-fmus", ROOT / "dist"
+READ_ME = """harvester-cosim {version}: an electrohydraulic forestry harvester as FMUs
+
+fmi2/    FMUs of FMI 2.0 (Co-Simulation and Model Exchange) and systems (.ssp, SSP 1.0)
+fmi3/    the same as FMI 3.0 and SSP 2.0
+         variants/ in both: the parts at other levels of detail, with the same ports
+
+documentation/   a page for each FMU: equations, ports, parameters with sources; the FMUs contain it, too
+
+Each FMU runs on Linux (x86-64, ARM), Windows (x86-64) and macOS (x86-64, ARM) without other software.
+harvester.fmu is the whole machine; harvester.ssp connects its parts; harvester_control.ssp has a controller.
+"""
+
+
+def main() -> int:
+    """Make the release; PLATFORM... as in `harvester build`."""
+    platforms = sys.argv[1:] or ["all"]
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    if (installed := version("harvester-cosim")) != declared:  # the FMUs say by which version they were made
+        print(
+            f"pyproject.toml: version {declared}: expected the installed one, {installed}; pip install -e ."
+        )
+        return 2
+    epoch = _output("git", "log", "-1", "--format=%ct").strip()
+    os.environ.setdefault("SOURCE_DATE_EPOCH", epoch)
+    if _output("git", "status", "--porcelain", "--untracked-files=no"):
+        print("note: the release has the files of the last commit, without the changes since then")
+    _timed("copy the files of the last commit", _stage)
+    sys.path.insert(0, str(STAGE))  # the release is built by its own code
+    os.environ["PYTHONPATH"] = str(STAGE)
+    _timed(f"build the FMUs, platform {', '.join(platforms)}", partial(_build, platforms))
+    _timed("compress the FMUs for the wheel", _archive)
+    _timed("compile the libraries for all platforms", _compile)
+    shutil.rmtree(DIST, ignore_errors=True)
+    DIST.mkdir()
+    _timed("pack wheel and sdist", _pack)
+    _timed("pack the zip", _zip)
+    sums = [f"{hashlib.sha256(p.read_bytes()).hexdigest()}  {p.name}" for p in sorted(DIST.iterdir())]
+    (DIST / "SHA256SUMS").write_text("\n".join([*sums, ""]), encoding="utf-8")
+    for path in sorted(DIST.iterdir()):
+        print(f"dist/{path.name}  {path.stat().st_size / 1e6:.1f} MB")
+    print(*sums, sep="\n")
+    return 0
+
+
+def _output(*command: str) -> str:
+    return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+
+
+def _timed(what: str, step: Callable[[], None]) -> None:
+    began = time.monotonic()
+    print(f"{what} ...", flush=True)
+    step()
+    print(f"  {time.monotonic() - began:.0f} s", flush=True)
+
+
+def _stage() -> None:
+    shutil.rmtree(STAGE, ignore_errors=True)
+    STAGE.mkdir(parents=True)
+    data = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
+    with tarfile.open(fileobj=io.BytesIO(data)) as archive:
+        archive.extractall(STAGE, filter="data")
+
+
+def _build(platforms: Sequence[str]) -> None:
+    """In a process of its own, which imports the copy and not what this one has imported."""
+    command = [sys.executable, "-m", "orchestrator", "build", "--out", str(BUILT)]
+    command += [word for name in platforms for word in ("--platform", name)]
+    shutil.rmtree(BUILT, ignore_errors=True)
+    subprocess.run(command, cwd=STAGE, check=True, stdout=subprocess.DEVNULL)
+
+
+def _archive() -> None:
+    from fmus.package_files import pack
+
+    pack(BUILT, STAGE / "fmus" / "built.tar.xz")
+
+
+def _compile() -> None:
+    """Libraries under the names by which `orchestrator.base.compiler` looks for them."""
+    from fmus.export.compile import recipe as recipe_of_fmu
+    from fmus.export.python.build import library_source
+    from orchestrator.base.compiler import COMPILED, PLATFORMS, shared_library, shipped_file
+    from orchestrator.engine.c_library import recipe as recipe_of_engine
+
+    COMPILED.mkdir()
+    for platform in PLATFORMS:
+        for recipe in (recipe_of_engine(platform), recipe_of_fmu(**library_source(platform))):
+            shutil.copyfile(shared_library(*recipe), shipped_file(*recipe))
+
+
+def _pack() -> None:
+    from hatchling.builders.sdist import SdistBuilder
+    from hatchling.builders.wheel import WheelBuilder
+
+    for builder in (WheelBuilder, SdistBuilder):
+        list(builder(str(STAGE)).build(directory=str(DIST), versions=["standard"]))
+
+
+def _zip() -> None:
+    from orchestrator.base.files import write_zip
+
+    (wheel,) = DIST.glob("*.whl")
+    release = wheel.name.split("-")[1]
+    top = f"harvester-fmus-{release}"
+    members = {f"{top}/{name}": data for name, data in _members(release)}
+    write_zip(DIST / f"{top}.zip", members)
+
+
+def _members(release: str) -> Iterator[tuple[str, bytes]]:
+    yield "README.txt", READ_ME.format(version=release).encode()
+    yield "LICENSE.txt", (STAGE / "LICENSE").read_bytes()
+    for path in sorted(p for p in BUILT.rglob("*") if p.is_file()):
+        relative = path.relative_to(BUILT)
+        folder = "" if relative.parts[0] == "fmi3" else "fmi2/"
+        yield f"{folder}{relative.as_posix()}", path.read_bytes()
+        if path.suffix == ".fmu" and folder:
+            with zipfile.ZipFile(path) as fmu:
+                yield f"documentation/{path.stem}.html", fmu.read("documentation/index.html")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
