@@ -429,7 +429,7 @@ def test_what_cannot_be_compared_is_told_before_the_run(capsys):
     for options, told in (
         (["--reference", "own.csv"], "own.csv: no signal manipulator.speed in the run"),
         (["--start", "50", "--stop", "50.1"], "expected two or more samples in a common window"),
-        (["--layout", "own.layout.toml"], "own.layout.toml: figure 'A': 'swing.nothing'"),
+        (["--layout", "own.layout.toml"], "own.layout.toml: figure 'A': no signal swing.nothing in the run"),
     ):
         assert main(["validate", "--stop", "0.1", *options]) == 2
         assert told in capsys.readouterr().err
