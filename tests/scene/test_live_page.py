@@ -158,6 +158,8 @@ def test_keyboard_alone(opened: Any) -> None:
     """Tab reaches the machine, keys drive it, Escape leaves it; Tab reaches every control."""
     page = opened("drive", reduced_motion="reduce")
     page.page.keyboard.press("Tab")
+    assert page.page.evaluate("() => document.activeElement.className") == "skip"
+    page.page.keyboard.press("Tab")
     assert "hm-stage" in page.page.evaluate("() => document.activeElement.className")
     page.page.keyboard.down("d")
     page.until("s.simulation.now[0] < -1")

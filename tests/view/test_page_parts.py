@@ -155,7 +155,7 @@ def test_choice_with_a_controller(fmu_dir: Path) -> None:
     system = load(fmu_dir / "harvester_control.ssp")
     description = view_description(system)
     found = description.driven(system)
-    names = {axis.name for axis in found}
+    names = set(found)
     assert {"boom_lever", "radial_velocity", "vertical_velocity", "swing_velocity", "engaged"} <= names
     assert "boom_command" not in names
     seen = description.watched(system)
