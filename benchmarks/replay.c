@@ -10,7 +10,7 @@
 #include <time.h>
 
 #include "fmi2Functions.h"
-#include "sizes.h"
+#include "start.h"
 
 enum { RUNS = 5 };
 static const double STEP = 1e-3;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,30 +40,43 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
+Once = Callable[[str, Callable[[Path], object]], Path]
+
+
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+def once(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Once:
+    """once(name, make): a folder that `make` fills, in the first test process that asks for it."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if hasattr(request.config, "workerinput") else base
+
+    def folder_of(name: str, make: Callable[[Path], object]) -> Path:
+        folder, ready, failed = shared / name, shared / f"{name}.ready", shared / f"{name}.failed"
+        try:
+            folder.mkdir()
+        except FileExistsError:  # another process fills it, or this one has
+            end = time.monotonic() + LONG
+            while not ready.exists():
+                assert not failed.exists(), f"{name} failed in another test process"
+                assert time.monotonic() < end, f"{name} is not ready after {LONG} s"
+                time.sleep(0.1)
+            return folder
+        try:
+            make(folder)
+        except BaseException:
+            failed.touch()
+            raise
+        ready.touch()
+        return folder
+
+    return folder_of
+
+
+@pytest.fixture(scope="session")
+def built(once: Once) -> Path:
     """Folder of the machine in both versions of FMI, built once for all test processes."""
     from fmus.machine.build import build_machine
 
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if hasattr(request.config, "workerinput") else base) / "machine"
-    ready, failed = folder / "ready", folder / "failed"
-    try:
-        folder.mkdir()
-    except FileExistsError:  # another process builds it
-        end = time.monotonic() + LONG
-        while not ready.exists():
-            assert not failed.exists(), "the build of the machine failed in another test process"
-            assert time.monotonic() < end, f"the machine is not built after {LONG} s"
-            time.sleep(0.1)
-        return folder
-    try:
-        build_machine(folder, versions=(2, 3))
-    except BaseException:
-        failed.touch()
-        raise
-    ready.touch()
-    return folder
+    return once("machine", lambda folder: build_machine(folder, versions=(2, 3)))
 
 
 @pytest.fixture(scope="session")

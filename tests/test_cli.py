@@ -406,11 +406,34 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
     ],
 )
 def test_a_bad_reference_is_told(capsys, old, new, told):
-    """File, signal, expected and found."""
+    """File, signal, expected and found, before anything is simulated."""
     assert main(["validate", "--stop", "0.1", "--reference", own_reference(old, new)]) == 2
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1
     assert told in printed
+    assert not list(Path("build").glob("run*"))
+
+
+@pytest.mark.usefixtures("here")
+def test_what_cannot_be_compared_is_told_before_the_run(capsys):
+    """A signal that the machine lacks, times that the run does not reach, a figure of an unknown signal."""
+    own_reference()
+    Path("own.csv").write_text(
+        Path("own.csv").read_text("utf-8").replace("manipulator.boom_speed", "manipulator.speed", 1), "utf-8"
+    )
+    text = Path("own.toml").read_text("utf-8")
+    Path("own.toml").write_text(text.replace("manipulator.boom_speed", "manipulator.speed"), "utf-8")
+    Path("own.layout.toml").write_text(
+        '[[figure]]\ntitle = "A"\npanels = [{ label = "B", signals = ["swing.nothing"] }]\n', "utf-8"
+    )
+    for options, told in (
+        (["--reference", "own.csv"], "own.csv: no signal manipulator.speed in the run"),
+        (["--start", "50", "--stop", "50.1"], "expected two or more samples in a common window"),
+        (["--layout", "own.layout.toml"], "own.layout.toml: figure 'A': 'swing.nothing'"),
+    ):
+        assert main(["validate", "--stop", "0.1", *options]) == 2
+        assert told in capsys.readouterr().err
+        assert not list(Path("build").glob("run*"))
 
 
 @pytest.mark.parametrize("command", ["run", "validate"])

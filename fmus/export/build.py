@@ -6,14 +6,15 @@ Equal subsystems with equal values give equal bytes.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from fmus.contract import Subsystem
-from fmus.export.compile import WASM, binaries, host, shared_library
+from fmus.export.compile import WASM, binaries, shared_library
 from fmus.export.package import Package, packages
 from fmus.parameters import Values
+from orchestrator.base.compiler import host
 from orchestrator.base.files import write_zip
 
 
@@ -33,8 +34,9 @@ def build(
     fmi          2 or 3
     platforms    names of `compile.TARGETS`; default: the platform that this program runs on
     """
-    names = tuple(platforms or (host(),))
-    return _write([(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi], names)])[0]
+    with _Compilers() as compilers:
+        compilers.add(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi], platforms or (host(),))
+        return compilers.write()[0]
 
 
 def build_all(
@@ -44,6 +46,7 @@ def build_all(
     stop: float = 10.0,
     platforms: Sequence[str] | None = None,
     subfolders: Mapping[str, str] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
     wasm: Sequence[str] = (),
 ) -> dict[int, list[Path]]:
     """Build several FMUs of one or both FMI versions; returns version -> paths, in the order of `subs`.
@@ -52,34 +55,53 @@ def build_all(
 
     folders      FMI version -> output folder
     subfolders   name of a subsystem -> folder inside the output folder
+    progress     called with what is done now, such as "generating C code, 3 of 17: supply"
     wasm         names of subsystems whose FMU of FMI 3.0 gets a WebAssembly module in addition
     """
     names = tuple(platforms or (host(),))
-    made = [packages(sub, step, stop, versions=list(folders)) for sub in subs]
-    targets = [
-        (
-            Path(folder) / (subfolders or {}).get(sub.name, ""),
-            files[fmi],
-            names if fmi != 3 or sub.name not in wasm else tuple(dict.fromkeys((*names, WASM))),
-        )
-        for fmi, folder in folders.items()
-        for sub, files in zip(subs, made, strict=True)
-    ]
-    paths = iter(_write(targets))
-    return {fmi: [next(paths) for _ in subs] for fmi in folders}
+    with _Compilers() as compilers:
+        for number, sub in enumerate(subs, 1):
+            progress(f"generating C code, {number} of {len(subs)}: {sub.name}")
+            for fmi, package in packages(sub, step, stop, versions=list(folders)).items():
+                folder = Path(folders[fmi]) / (subfolders or {}).get(sub.name, "")
+                module = (WASM,) if fmi == 3 and sub.name in wasm else ()
+                compilers.add(folder, package, tuple(dict.fromkeys((*names, *module))))
+        paths = compilers.write(progress)
+    return {fmi: paths[n :: len(folders)] for n, fmi in enumerate(folders)}
 
 
-def _write(targets: Sequence[tuple[Path, Package, Sequence[str]]]) -> list[Path]:
-    """Compile each package for its platforms, then write all to their folders, or none if one fails."""
-    jobs = [(p, name) for _, p, names in targets for name in names]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        libraries = iter(list(pool.map(lambda job: _library(*job), jobs)))
-    paths = []
-    for folder, p, names in targets:
-        by_platform = {name: next(libraries) for name in names}
-        paths.append(folder / f"{p.name}.fmu")
-        write_zip(paths[-1], {**p.files, **binaries(p.name, p.fmi, by_platform)})
-    return paths
+class _Compilers:
+    """Compiles packages for their platforms while code of others is generated, and writes the FMUs."""
+
+    def __init__(self) -> None:
+        self._targets: list[tuple[Path, Package, dict[str, Future[bytes]]]] = []
+        self._pool = ThreadPoolExecutor(os.cpu_count())
+
+    def __enter__(self) -> _Compilers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def add(self, folder: Path, package: Package, platforms: Sequence[str]) -> None:
+        """Begin to compile a package that goes to `folder`."""
+        libraries = {name: self._pool.submit(_library, package, name) for name in platforms}
+        self._targets.append((folder, package, libraries))
+
+    def write(self, progress: Callable[[str], None] = lambda _: None) -> list[Path]:
+        """Write all FMUs; no file is written if one cannot be compiled."""
+        libraries = [library for *_, compiled in self._targets for library in compiled.values()]
+        for number, library in enumerate(libraries, 1):
+            progress(f"compiling, {number} of {len(libraries)}")
+            library.result()
+        return [self._written(*target) for target in self._targets]
+
+    @staticmethod
+    def _written(folder: Path, package: Package, libraries: Mapping[str, Future[bytes]]) -> Path:
+        by_platform = {name: library.result() for name, library in libraries.items()}
+        path = folder / f"{package.name}.fmu"
+        write_zip(path, {**package.files, **binaries(package.name, package.fmi, by_platform)})
+        return path
 
 
 def _library(p: Package, platform: str) -> bytes:

@@ -1,4 +1,6 @@
-"""Generated C code of a model: sizes.h, model.c, adjoint.c (FMI 3), and one file that includes all C files.
+"""Generated C code of a model, and one file that includes all C files.
+
+sizes.h, model.c and adjoint.c (FMI 3) hold the equations, start.h and start.c the GUID and the start values.
 
 The equations become the C functions of native/model.h: values, directional and adjoint derivatives.
 `fmus.export.c_functions` prints them.
@@ -10,15 +12,20 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
+from pathlib import Path
 
 import casadi as ca
 
+from fmus import called_functions
 from fmus.called_functions import without_zero_calls
 from fmus.contract import Symbolic
+from fmus.export import c_functions, elimination
 from fmus.export.c_functions import Routine, c_function, hoist, number, split
 from fmus.export.elimination import eliminate
 from fmus.export.interface import Interface, Variable
+from orchestrator.base import compiler
 
 
 @dataclass(frozen=True)
@@ -125,7 +132,18 @@ DEFAULT_TOLERANCE = 1e-6  # relative, of the solver
 
 
 # order in which the C files are included; all others follow in alphabetical order
-_ORDER = ["model", "adjoint", "inputs", "rosenbrock", "kutta", "solver", "core", "snapshot", "instance"]
+_ORDER = [
+    "start",
+    "model",
+    "adjoint",
+    "inputs",
+    "rosenbrock",
+    "kutta",
+    "solver",
+    "core",
+    "snapshot",
+    "instance",
+]
 
 
 def native_sources(fmi: int) -> dict[str, str]:
@@ -139,9 +157,14 @@ def native_sources(fmi: int) -> dict[str, str]:
     }
 
 
-def sources(interface: Interface, guid: str, fmi: int) -> dict[str, str]:
-    """All C files of an FMU, name -> content; only `main_source` is to be compiled."""
-    code = native_sources(fmi) | generated(interface, guid, fmi)
+def sources(
+    interface: Interface, guid: str, fmi: int, printed: PrintedEquations | None = None
+) -> dict[str, str]:
+    """All C files of an FMU, name -> content; only `main_source` is to be compiled.
+
+    printed   the equations in C, if they are known
+    """
+    code = native_sources(fmi) | generated(interface, guid, fmi, printed)
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
     head = [
@@ -150,6 +173,7 @@ def sources(interface: Interface, guid: str, fmi: int) -> dict[str, str]:
         "",
     ]
     includes = [f'#include "{name}"' for name in names]
+    includes[0] = f"#ifndef START_APART\n{includes[0]}\n#endif"
     return code | {main_source(interface.name): "\n".join([*head, *includes, ""])}
 
 
@@ -158,27 +182,105 @@ def main_source(model: str) -> str:
     return f"{model}_fmu.c"
 
 
-def generated(interface: Interface, guid: str, fmi: int) -> dict[str, str]:
-    """The generated files by name: sizes.h, model.c, and adjoint.c for FMI 3."""
-    equations = model_equations(interface)
+@dataclass(frozen=True)
+class PrintedEquations:
+    """The equations in C, the same for all values: those of model.c and adjoint.c, and lengths of vectors."""
+
+    model: str
+    adjoint: str
+    lengths: Mapping[str, int]
+
+
+def printed_equations(interface: Interface) -> PrintedEquations:
+    """The equations in C, from the cache of the user if they were printed before, see `compiler.kept`."""
+    sym = interface.equations
+    results = [sym.dx, interface.y, sym.start, sym.require, sym.next_event]
+    function = ca.Function("model", [sym.x, sym.u, sym.p], results)
     names = {
         "x": [v.name for v in interface.states],
         "u": [v.name for v in interface.inputs],
         "p": [v.name for v in interface.parameters],
     }
-    model = "\n".join(c_function(r, names) for r in equations.routines)
+    parts = [ca.CasadiMeta.version().encode(), function.serialize().encode(), json.dumps(names).encode()]
+    kept = compiler.kept(
+        f"{interface.name}.json", lambda: _print(interface, names), [*parts, *generator_sources()]
+    )
+    return PrintedEquations(**json.loads(kept))
+
+
+def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
+    """The fields of `PrintedEquations` as JSON."""
+    equations = model_equations(interface)
+    model, adjoint = (
+        "\n".join(c_function(r, names) for r in routines)
+        for routines in (equations.routines, equations.adjoint)
+    )
+    return json.dumps({"model": model, "adjoint": adjoint, "lengths": equations.lengths}).encode()
+
+
+@cache
+def generator_sources() -> list[bytes]:
+    """The Python code that prints equations: another version of it may print them in another way."""
+    modules = (called_functions, c_functions, elimination)
+    return [Path(file).read_bytes() for file in (__file__, *(str(module.__file__) for module in modules))]
+
+
+def generated(
+    interface: Interface, guid: str, fmi: int, printed: PrintedEquations | None = None
+) -> dict[str, str]:
+    """The generated files by name: sizes.h, model.c, start.h, start.c, and adjoint.c for FMI 3."""
+    printed = printed or printed_equations(interface)
     code = {
-        "sizes.h": _sizes(interface, equations.lengths, guid),
-        "model.c": f"{_tables(interface)}\n{model}",
+        "sizes.h": _sizes(interface, printed.lengths),
+        "model.c": f"{_tables(interface)}\n{printed.model}",
+        "start.h": _start_header(interface, guid),
+        "start.c": _start_values(interface),
     }
     if fmi == 3:
         head = f"/* {interface.name}: adjoint derivatives. Generated. */\n\n#include <math.h>\n"
-        head += '\n#include "model.h"\n'
-        code["adjoint.c"] = "\n".join([head, *(c_function(r, names) for r in equations.adjoint)])
+        code["adjoint.c"] = f'{head}\n#include "model.h"\n\n{printed.adjoint}'
     return code
 
 
-def _sizes(interface: Interface, lengths: Mapping[str, int], guid: str) -> str:
+def _start_header(interface: Interface, guid: str) -> str:
+    return f"""/* {interface.name}: the GUID. Generated. */
+
+#ifndef START_H
+#define START_H
+
+#define MODEL_GUID {json.dumps(guid)}
+
+#endif
+"""
+
+
+def _start_values(interface: Interface) -> str:
+    """start.c: what a build with other values changes."""
+    rows = [f"    {number(v.start or 0.0)}, /* {v.name} */" for v in interface.variables] or ["    0.0,"]
+    lines = [
+        f"/* {interface.name}: start values and GUID. Generated. */",
+        "",
+        '#include "start.h"',
+        "",
+        "#ifdef START_APART",
+        "#define START",
+        "#else",
+        "#define START static",
+        "#endif",
+        "",
+        f"START const double model_start_values[{len(rows)}] = {{",
+        *rows,
+        "};",
+        "",
+        "START const char model_guid[48] = MODEL_GUID;",
+        'START const char model_other_guid[144] = "the GUID differs, expected \\"" MODEL_GUID',
+        '    "\\" (modelDescription.xml and binary are of different builds)";',
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _sizes(interface: Interface, lengths: Mapping[str, int]) -> str:
     sizes = {
         "NP": (len(interface.parameters), "parameters"),
         "NU": (len(interface.inputs), "inputs"),
@@ -197,7 +299,6 @@ def _sizes(interface: Interface, lengths: Mapping[str, int], guid: str) -> str:
         "#ifndef SIZES_H",
         "#define SIZES_H",
         "",
-        f"#define MODEL_GUID {json.dumps(guid)}",
         f"#define DEFAULT_TOLERANCE {DEFAULT_TOLERANCE!r}",
         "",
         "enum {",
@@ -237,7 +338,7 @@ def _tables(interface: Interface) -> str:
             "",
             '#include "model.h"',
             "",
-            "/* name, unit, kind, start, minimum, maximum, nominal, absolute_scale, warn_above, rate */",
+            "/* name, unit, kind, minimum, maximum, nominal, absolute_scale, warn_above, rate */",
             "static const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
             *rows,
             "};",
@@ -270,7 +371,7 @@ def _row(v: Variable, inputs: Sequence[str]) -> str:
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    values = (v.start or 0.0, low, high, q.nominal, q.absolute_scale, _limit(v))
+    values = (low, high, q.nominal, q.absolute_scale, _limit(v))
     literals = ", ".join(number(value) for value in values)
     return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}}},"
 

@@ -98,10 +98,32 @@ def shared_library(
     libraries   linker options for system libraries, except on Windows and macOS
     """
     try:
+        if START in code and platform != WASM:
+            code, compiled = _start_apart(model, code, compiled, platform)
         made = compiler.shared_library(*recipe(model, code, compiled, platform, libraries))
     except CompilerError as error:
         raise Problem(f"{model}, {platform}: {error}") from None
     return made.read_bytes()
+
+
+START, START_HEADER, APART = "start.c", "start.h", "-DSTART_APART"
+
+
+def _start_apart(
+    model: str, code: Mapping[str, bytes], compiled: Sequence[str], platform: str
+) -> tuple[dict[str, bytes], list[str]]:
+    """The code with all but the start values compiled to an object file, and what is left to compile.
+
+    An FMU with other values has the same object file, which is then in the cache.
+    """
+    file, target = f"{model}.o", TARGETS[platform]
+    starts = {name: code[name] for name in (START, START_HEADER)}
+    rest = {name: content for name, content in code.items() if name not in starts}
+    flags = [flag for flag in (*FLAGS, *LIBRARY) if flag not in ("-s", "-shared")]
+    arguments = ["-target", target.target, *flags, APART, "-c", "-isystem", str(HEADERS), *compiled]
+    headers = [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]
+    made = compiler.shared_library(file, rest, arguments, headers).read_bytes()
+    return {file: made, **starts}, [APART, START, file]
 
 
 def recipe(

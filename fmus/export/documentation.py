@@ -11,6 +11,7 @@ import re
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -110,6 +111,7 @@ def slug(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 
+@cache
 def _html(text: str, file: Path | str) -> Markup:
     reader = MarkdownIt("commonmark").enable("table").use(formulas)
     return Markup(reader.render(text, {"file": str(file)}))
@@ -286,15 +288,20 @@ def _ports(sub: Subsystem, rows: Mapping[str, DocumentedVariable]) -> list[Varia
 # ---- page ------------------------------------------------------------------------------------------
 
 
-def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float, icon: bytes | None) -> str:
-    """One self-contained HTML page; step and stop are the default experiment [s]."""
-    environment = Environment(
+@cache
+def _environment() -> Environment:
+    return Environment(
         loader=PackageLoader("fmus.export"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
+
+
+def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float, icon: bytes | None) -> str:
+    """One self-contained HTML page; step and stop are the default experiment [s]."""
+    environment = _environment()
     text, sections = prose(sub.folder / "README.md", sub.variant)
     has_file = sub.numbers is not None or sub.values is None or sub.values.is_file()
     sources = {name: n for table in numbers(sub).values() for name, n in table.items()} if has_file else {}

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from fmus import parameters
 from fmus.contract import Subsystem
-from fmus.export.c_code import main_source, sources
+from fmus.export.c_code import main_source, printed_equations, sources
 from fmus.export.documentation import page
 from fmus.export.interface import Interface, interface_of
 from fmus.export.ls_ref import ls_ref_files
-from fmus.export.model_description import build_description, model_description, terminals
+from fmus.export.model_description import build_description, model_description, terminals, unknowns
 from fmus.package_files import project_file
 from fmus.parameters import Values
 
@@ -48,10 +48,13 @@ def packages(
     """The files of an FMU by version, 2 and 3; step and stop are the default experiment [s]."""
     interface = interface_of(sub, values or parameters.values(sub, derive=False))
     compiled = [main_source(sub.name)]
+    printed, structure = printed_equations(interface), unknowns(interface)
     drafts: dict[int, dict[str, str]] = {}  # both versions have one GUID, which depends on these files
     for version in VERSIONS:
-        code = sources(interface, PLACEHOLDER, version)
-        description = model_description(interface, version, PLACEHOLDER, step, stop, compiled)
+        code = sources(interface, PLACEHOLDER, version, printed)
+        description = model_description(
+            interface, version, PLACEHOLDER, step, stop, compiled, structure=structure
+        )
         drafts[version] = {f"sources/{name}": text for name, text in code.items()}
         drafts[version]["modelDescription.xml"] = description.decode()
     guid = guid_of(drafts.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
@@ -17,6 +18,7 @@ from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import faults, quality, write_page
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
+from orchestrator.base.progress import doing
 from orchestrator.base.units import display_conversion
 
 
@@ -51,7 +53,14 @@ def run(
     recordings = [resample_uniformly(r) for r in recordings]
     recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
     identified = identify(
-        recordings, joint=joint, inertial=inertial, names=names, starts=starts, report=print, show=_show
+        recordings,
+        joint=joint,
+        inertial=inertial,
+        names=names,
+        starts=starts,
+        report=print,
+        show=_show,
+        activity=doing,
     )
     parameters = {name: e.number() for name, (e, _) in sorted(identified.estimates.items())}
     count = len(parameters)
@@ -65,8 +74,9 @@ def run(
     curves = len({n.listed for n in identified.listed.values()}) // 2
     tables = f" and the opening curves of {curves} edges" if curves else ""
     print(f"{out}: {count} parameters with their 95 % intervals{tables}")
-    comparison = prediction(identified)
-    contents = page_content(folder, out, identified, comparison, qualities)
+    with doing("simulating what the model predicts, and the effects that it lacks"):
+        comparison = prediction(identified)
+        contents = page_content(folder, out, identified, comparison, qualities, os.cpu_count() or 1)
     if comparison:
         use = "held out" if comparison.recording.use == "test" else "used for fitting"
         print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")
@@ -76,7 +86,8 @@ def run(
         print(contents.explanation.verdict)
     for line in contents.warnings:
         print(f"warning: {line}")
-    html, data = write_page(page, contents)
+    with doing("drawing the figures of the page"):
+        html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
     return not contents.warnings
 

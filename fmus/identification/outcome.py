@@ -55,12 +55,17 @@ def worst_signals(comparison: RecordingComparison) -> dict[str, tuple[str, float
     return {q: max(e.items(), key=lambda item: item[1]) for q, e in by_quantity.items() if e}
 
 
-def explanation(comparison: RecordingComparison, identified: Identified) -> Explanation | None:
-    """Which effect the residual shows, apart from errors of the refined parameters."""
+def explanation(
+    comparison: RecordingComparison, identified: Identified, processes: int = 1
+) -> Explanation | None:
+    """Which effect the residual shows, apart from errors of the refined parameters.
+
+    processes   number of processes that simulate the machine, which take most of the time
+    """
     if identified.refined is None:
         return None
     refined = [name for name, (_, procedure) in identified.estimates.items() if procedure == MACHINE]
-    return attribute(comparison, _of_default_parts(identified.parameters), refined)
+    return attribute(comparison, _of_default_parts(identified.parameters), refined, processes)
 
 
 def page_content(
@@ -69,12 +74,14 @@ def page_content(
     identified: Identified,
     comparison: RecordingComparison | None,
     qualities: Sequence[Mapping[str, Any]] = (),
+    processes: int = 1,
 ) -> IdentificationPage:
     """The content of the report.
 
     folder       folder of the recordings
     out          file of the estimated parameters
     comparison   result of `prediction`
+    processes    see `explanation`
     """
     names, signals, refined = parameter_names(), signal_names(), identified.refined
     figures: list[CaptionedFigure] = []
@@ -90,7 +97,7 @@ def page_content(
         parameters=tuple(_parameter(e, procedure) for e, procedure in identified.estimates.values()),
         qualities=tuple(qualities),
         refinement=refinement(refined, names, signals, starts=identified.starts) if refined else None,
-        explanation=explanation(comparison, identified) if comparison else None,
+        explanation=explanation(comparison, identified, processes) if comparison else None,
         figures=tuple(figures),
         commands=_next_commands(folder, out, identified),
         remarks=(

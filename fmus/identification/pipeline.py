@@ -6,6 +6,7 @@ Each procedure uses the estimates of those before it. No file is written.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from types import ModuleType
 
@@ -22,10 +23,10 @@ from fmus.identification.procedures import (
     valve,
     weighing,
 )
-from fmus.identification.recording_names import MACHINE, name_remarks
+from fmus.identification.recording_names import MACHINE, check_units, name_remarks
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.multistart import SPREAD, MultistartResult, multistart
-from fmus.identification.refinement.refine import RefinementResult, advice, refine
+from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -43,6 +44,11 @@ INERTIA = "inertia"
 DEAD_BAND = "valve_dead_band"
 
 Report = Callable[[str], None]  # prints a line about the progress
+Activity = Callable[[str], AbstractContextManager[object]]  # shows what is done inside its block
+
+
+def _silent(_: str) -> AbstractContextManager[object]:
+    return nullcontext()
 
 
 @dataclass
@@ -99,6 +105,7 @@ def identify(
     starts: int = 0,
     report: Report = lambda _: None,
     show: Callable[[ProcedureResult], None] = lambda _: None,
+    activity: Activity = _silent,
 ) -> Identified:
     """Estimate all parameters that the recordings determine.
 
@@ -109,6 +116,7 @@ def identify(
     starts       number of random start points from which the refinement is repeated
     report       called with each line about the progress
     show         called with the result of each procedure
+    activity     context manager around what takes long, called with a text
     """
     procedures = {r.procedure for r in recordings if r.use == "train"}
     unknown = sorted(procedures - {*PROCEDURES, MACHINE})
@@ -116,13 +124,15 @@ def identify(
         expected = ", ".join((*PROCEDURES, MACHINE))
         raise Problem(f"[experiment] procedure: expected one of {expected}, got {unknown[0]!r}")
     machine.check_free(names)
-    for remark in name_remarks(recordings, {name: module.SIGNALS for name, module in PROCEDURES.items()}):
+    signals = {name: module.SIGNALS for name, module in PROCEDURES.items()}
+    check_units([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
+    for remark in name_remarks(recordings, signals):
         report(remark)
     identified = Identified(recordings, dict(parameters or nominal()))
     try:
-        _run_procedures(identified, procedures, inertial, report, show)
+        _run_procedures(identified, procedures, inertial, report, show, activity)
         if joint and MACHINE in procedures:
-            _run_joint(identified, names, starts, report)
+            _run_joint(identified, names, starts, report, activity)
     except KeyboardInterrupt:  # estimates until the interrupt are kept
         if not identified.results and identified.refined is None:
             raise
@@ -147,6 +157,7 @@ def _run_procedures(
     inertial: bool,
     report: Report,
     show: Callable[[ProcedureResult], None],
+    activity: Activity,
 ) -> None:
     """The paper's procedures in its order; a procedure that fails does not stop the others."""
     for name, procedure in {**PROCEDURES, **({INERTIA: inertia} if inertial else {})}.items():
@@ -154,7 +165,8 @@ def _run_procedures(
             identified.skipped[name] = "no recording"
             continue
         try:
-            result = procedure.identify(identified.recordings, identified.parameters)
+            with activity(f"procedure {name}"):
+                result = procedure.identify(identified.recordings, identified.parameters)
         except Problem as error:
             identified.skip(name, error, report)
             continue
@@ -163,14 +175,16 @@ def _run_procedures(
         show(result)
 
 
-def _run_joint(identified: Identified, names: Sequence[str], starts: int, report: Report) -> None:
+def _run_joint(
+    identified: Identified, names: Sequence[str], starts: int, report: Report, activity: Activity
+) -> None:
     """The joint refinement, and its repetition from other start points."""
     recordings = [r for r in identified.recordings if r.procedure == MACHINE]
     if DEAD_BAND in names and _all_tables(identified.parameters):
         report(f"{DEAD_BAND}: not refined, because tables replace it; they stay as they are")
         names = [name for name in names if name != DEAD_BAND]
     try:
-        identified.refined = refine_together(recordings, identified.parameters, names, report)
+        identified.refined = refine_together(recordings, identified.parameters, names, report, activity)
     except Problem as error:
         if not identified.results:
             raise
@@ -181,7 +195,8 @@ def _run_joint(identified: Identified, names: Sequence[str], starts: int, report
     identified.recordings = machine.without_zeros(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
     if starts and not identified.interrupted:
-        identified.starts = refine_from_other_starts(refined, starts, report)
+        with activity(f"refinement from {starts} random starts"):
+            identified.starts = refine_from_other_starts(refined, starts, report)
         identified.interrupted = identified.starts.interrupted
 
 
@@ -192,10 +207,16 @@ def _all_tables(parameters: Parameters) -> bool:
 
 
 def refine_together(
-    recordings: Sequence[Recording], parameters: Parameters, names: Sequence[str], report: Report
+    recordings: Sequence[Recording],
+    parameters: Parameters,
+    names: Sequence[str],
+    report: Report,
+    activity: Activity = _silent,
 ) -> RefinementResult:
     """Output-error estimate of all parameters from all recordings of the machine."""
-    problem = machine.problem(recordings, parameters, names)
+    with activity("compiling the model for the joint refinement"):
+        problem = machine.problem(recordings, parameters, names)
+        simulator = compiled(problem)
     seconds = sum(float(run.time[-1] - run.time[0]) for run in problem.training)
     size = f"{len(problem.free)} parameters, {len(problem.outputs)} signals, {seconds:.0f} s"
     report(f"joint refinement: {size}")
@@ -204,6 +225,7 @@ def refine_together(
     report("  predictions over half a second first, then whole recordings, then their weights")
     refined = refine(
         problem,
+        simulator,
         progress=lambda p: report(f"  iteration {p.iteration}: {p.remaining:.2g} standard deviations to go"),
     )
     residual = refined.history[-1].residual if refined.history else float("nan")

@@ -1,6 +1,7 @@
 """Names in a recording that no procedure reads: misspelt ones are refused, others are reported.
 
-Without this check a misspelt signal or condition would be ignored silently.
+Without this check a misspelt signal or condition would be ignored silently. Wrong units are refused as well,
+before the procedures run for minutes.
 """
 
 from __future__ import annotations
@@ -9,11 +10,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 
 from fmus.composition import declared
+from fmus.identification.recordings.reading import require
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 MACHINE = "machine"
+GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorded
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
@@ -44,8 +47,19 @@ def name_remarks(recordings: Sequence[Recording], signals: Mapping[str, Collecti
             yield from _unknown_to_bench(recording, signals[recording.procedure])
 
 
+def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[str, str]]) -> None:
+    """Raise Problem if a recording gives a signal in a unit of another dimension than its procedure reads.
+
+    signals   procedure on a bench -> its signals with their SI units
+    """
+    declared_units = {n: q.unit for group in GROUPS for n, q in declared(SUBSYSTEMS, group).items()}
+    for recording in recordings:
+        known = declared_units if recording.procedure in MACHINE_SIGNALS else signals[recording.procedure]
+        require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
+
+
 def _unknown_to_machine(recording: Recording) -> Iterator[str]:
-    expected = {*declared(SUBSYSTEMS, "inputs"), *declared(SUBSYSTEMS, "outputs")}
+    expected = {name for group in GROUPS for name in declared(SUBSYSTEMS, group)}
     unknown = [name for name in recording.signals if name not in expected]
     for name in unknown:
         if similar := _similar(name, expected, SIMILAR_ON_MACHINE):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from shutil import copyfile
@@ -37,6 +37,7 @@ def build_machine(
     platforms: Sequence[str] | None = None,
     parameters: Path | None = None,
     only: Sequence[str] = ("*",),
+    progress: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Write the FMUs of parts, operator, controller and composed machine, and both systems; their files.
 
@@ -45,6 +46,7 @@ def build_machine(
                 in FMI 3.0 always has the WebAssembly module, too: pages need it
     parameters  file of a parameter set (`fmus.parameters`) that replaces values of the parts
     only        patterns of the names of FMUs; systems are written if all of their FMUs are
+    progress    called with what is done now
     """
     parts, others = parts_with_parameters(parameters)
     steering = controller_of(parts, parameters)
@@ -58,9 +60,10 @@ def build_machine(
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}
     subfolders = {sub.name: VARIANTS for sub in others}
     paths: list[Path] = []
-    for fmi, built in build_all(
-        subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders, wasm=[NAME]
-    ).items():
+    built_fmus = build_all(
+        subs, folders, STEP, WORK_CYCLE_STOP, platforms, subfolders, wasm=[NAME], progress=progress
+    )
+    for fmi, built in built_fmus.items():
         fmus = dict(zip((sub.name for sub in subs), built, strict=True))
         default = [_copied(fmus[part], next(iter(v))) for part, v in FAMILIES.items() if part in fmus]
         manipulator, boom_stick = parts[MANIPULATOR.name], parts[BOOM_STICK.name]

@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Literal
@@ -19,10 +20,11 @@ import numpy as np
 
 from fmus.rig import instruments
 from fmus.rig.benches import TOLERANCE
-from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiments
+from fmus.rig.experiments import EXPERIMENTS, MACHINES, experiment
 from fmus.rig.instruments import Experiment, Instrument, record
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
+from orchestrator.base.processes import mapping
 from orchestrator.data.description import (
     Description,
     Origin,
@@ -37,6 +39,7 @@ CHANGE = "first version"  # reason of that change
 LIMITS = {"angle": 0.01, "pressure": 0.1}  # NRMSE by group, for `harvester validate` on test recordings
 # signal -> other signals with the same sensor: one line supplies both drives
 SHARED = {"swing.supply_pressure": ("boom_stick.supply_pressure",)}
+MANY = 4  # experiments that are worth the start of a process
 README = "README.md"
 HEADING = "# Recordings of the virtual test rig"
 
@@ -75,8 +78,13 @@ zones have sharp ends, and the clock is exact. Real instruments are worse.
 """
 
 
-def write_all(out: Path, machine: str, seed: int, report: Callable[[str], None] = print) -> None:
-    """Simulate the experiments on a machine and write their recordings; `report` gets a line for each."""
+def write_all(
+    out: Path, machine: str, seed: int, report: Callable[[str], None] = print, processes: int = 1
+) -> None:
+    """Simulate the experiments on a machine and write their recordings; `report` gets a line for each.
+
+    processes   number of processes that simulate; the files are the same with any number
+    """
     if machine not in MACHINES:
         raise Problem(f"--machine {machine}: expected {' or '.join(MACHINES)}")
     if seed < 0:
@@ -85,10 +93,17 @@ def write_all(out: Path, machine: str, seed: int, report: Callable[[str], None] 
     start = perf_counter()
     report(f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}")
     (out / README).write_text(readme(machine, seed), encoding="utf-8", newline="\n")
-    for experiment in experiments(machine):
-        csv, _ = write(out, experiment, seed)
-        report(f"{csv}  {experiment.time[-1]:.1f} s, {len(experiment.signals)} signals: {experiment.title}")
+    with mapping(min(processes, len(EXPERIMENTS) // MANY)) as each:
+        for line in each(partial(_write_named, out, machine, seed), EXPERIMENTS):
+            report(line)
     report(f"{len(EXPERIMENTS)} recordings with their descriptions in {out}, {perf_counter() - start:.0f} s")
+
+
+def _write_named(out: Path, machine: str, seed: int, name: str) -> str:
+    """Simulate and write one experiment; a line about it."""
+    done = experiment(name, machine)
+    csv, _ = write(out, done, seed)
+    return f"{csv}  {done.time[-1]:.1f} s, {len(done.signals)} signals: {done.title}"
 
 
 def _check_folder(out: Path) -> None:

@@ -22,7 +22,8 @@ import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -113,6 +114,25 @@ def shared_library(
     own = process_folder()
     zig = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(own / "zig")}  # of the compiler, next to ours
     return _compile(own / file, name, code, arguments, zig)
+
+
+def kept(name: str, make: Callable[[], bytes], dependencies: Iterable[bytes]) -> bytes:
+    """The bytes that `make` returns, from the cache if they were made before from equal `dependencies`.
+
+    name   end of the name of the file in the cache
+    """
+    with suppress(OSError):  # the cache is not writable
+        if folder := private_cache():
+            file = folder / _file_name(name, "", {}, (), dependencies)
+            if _is_private(file):
+                return file.read_bytes()
+            content = make()
+            with tempfile.TemporaryDirectory(dir=folder) as temporary:
+                (Path(temporary) / name).write_bytes(content)
+                (Path(temporary) / name).chmod(0o600)
+                (Path(temporary) / name).replace(file)
+            return content
+    return make()
 
 
 def shipped_file(

@@ -17,13 +17,13 @@ class Doing:
     """The line of one activity, on standard error.
 
     `update` replaces its text. On a terminal the line is replaced at once and erased at the end. Elsewhere,
-    such as in a log, the present text is printed every `LONG` seconds.
+    such as in a log, the text is looked at every `LONG` seconds and printed if it is not yet.
     """
 
     def __init__(self, text: str, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
         self._text, self._lock, self._timer = text, Lock(), None if self._stream.isatty() else _timer(self)
-        self._ended = False
+        self._ended, self._told = False, ""
         self.update(text)
 
     def update(self, text: str) -> None:
@@ -43,11 +43,14 @@ class Doing:
             self._timer.cancel()
 
     def tell(self) -> None:
-        """Print the present text, and again after `LONG` seconds; called by the timer."""
+        """Print the text unless it was printed last, and look again after `LONG` seconds; for the timer."""
         with self._lock:
-            if not self._ended:
+            if self._ended:
+                return
+            if self._text != self._told:
+                self._told = self._text
                 self._write(f"{self._text} ...\n")
-                self._timer = _timer(self)
+            self._timer = _timer(self)
 
     def _write(self, text: str) -> None:
         self._stream.write(text)

@@ -94,11 +94,13 @@ def build(
         print(build_model(model, out, platforms))
         return
     from fmus.machine.build import build_machine, copy_shipped
+    from orchestrator.base.progress import doing
 
-    paths = (
-        copy_shipped(out, versions[fmi])
-        if shipped
-        else build_machine(out, versions[fmi], platforms, parameters, only=only or ("*",))
-    )
+    if shipped:
+        paths = copy_shipped(out, versions[fmi])
+    else:
+        chosen = only or ("*",)
+        with doing("building FMUs") as line:
+            paths = build_machine(out, versions[fmi], platforms, parameters, chosen, line.update)
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

@@ -32,6 +32,8 @@ def rig(
 
     Writes CSV files like those of a real test rig, from simulations.
     """
+    import os
+
     from fmus.rig import write_all
 
-    write_all(out, machine, seed)
+    write_all(out, machine, seed, processes=os.cpu_count() or 1)

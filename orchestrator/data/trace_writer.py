@@ -204,6 +204,7 @@ class TraceFile(TraceSink):
     path      name of the complete file
     partial   name until then; a folder for Parquet, a .csv for MATLAB
     origin    JSON text about the run, stored in Parquet and MATLAB files, see `read_origin`
+    accept    called with the signals before the first row; a Problem that it raises ends the run
     """
 
     def __init__(self, path: str | Path, origin: str = "") -> None:
@@ -219,9 +220,11 @@ class TraceFile(TraceSink):
         self.partial = self.path.with_name(f"{self.path.stem}.partial{suffix}")
         self.origin = origin
         self._format: _Format | None = None
+        self.accept: Callable[[RowLayout], None] = lambda _: None
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
-        """Make the partial file; that of an earlier run is removed."""
+        """Make the partial file; that of an earlier run is removed, unless `accept` refuses the signals."""
+        self.accept(layout)
         super().begin(layout, rows)
         self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))
         self._kept.begin(RowLayout(layout.names, layout.units))  # of rows, not of points

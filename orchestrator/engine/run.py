@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeAlias
@@ -19,7 +20,7 @@ from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
-from orchestrator.data.trace_writer import TraceFile, TraceInMemory, TraceSink
+from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import Execution, Job, Record, RunEnd, guarded, open_slave
 from orchestrator.engine.result import (
@@ -277,6 +278,7 @@ def run_to_file(
     every_point: bool = True,
     cut: Sequence[str] = (),
     swap: Mapping[str, str] | None = None,
+    accept: Callable[[System, Grid, RowLayout], None] | None = None,
     **options: Any,
 ) -> tuple[Result, str]:
     """Co-simulate with a progress bar, and write the rows to the file `out` while they are made.
@@ -289,6 +291,8 @@ def run_to_file(
     every_point   without a record step an adaptive run records every communication point, else every 5 ms
     cut           patterns of inputs whose connections are removed before anything else
     swap          replaced FMUs: component -> name of a variant, or path
+    accept        called before the first step with the system, the times and the signals that the file will
+                  have; a Problem that it raises ends the run
     """
     start_process()
     file = TraceFile(out)
@@ -310,6 +314,8 @@ def run_to_file(
     }
     given["scenario"] = None if isinstance(scenario, Trace) else scenario
     job, times = prepare(loaded, scenario, step=step, record_step=interval, progress=True, **options)
+    if accept is not None:
+        file.accept = partial(accept, job.system, times)
     result, summary = None, ""
     try:
         outcome = simulate(job, times, file)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.data.table import Array
 
@@ -80,20 +81,38 @@ def _derivative(y: Array) -> Array:
 
 
 def _warped(c: Array, t: Array) -> tuple[Array, Array]:
-    """Both curves along the path of least squared distance [dynamic time warping, Sakoe and Chiba 1978]."""
+    """Both curves along the path of least squared distance [dynamic time warping, Sakoe and Chiba 1978].
+
+    cost[i + j, i] is that of the best path to samples i - 1 and j - 1: a row is a diagonal i + j, which
+    follows from the two rows before in a few operations on adjacent numbers.
+    """
     n = len(c)
     band = int(np.ceil(WINDOW * n)) - 1
-    cost = np.full((n + 1, n + 1), np.inf)  # cost[i, j] of the best path to samples i - 1 and j - 1
+    backwards = t[::-1]
+    cost = np.full((2 * n + 1, n + 1), np.inf)
     cost[0, 0] = 0.0
-    for k in range(2, 2 * n + 1):  # all cells with i + j = k follow from cells before
-        i = np.arange(max(1, k - n, (k - band + 1) // 2), min(n, k - 1, (k + band) // 2) + 1)
-        j = k - i
-        cheapest = np.minimum(np.minimum(cost[i - 1, j], cost[i, j - 1]), cost[i - 1, j - 1])
-        cost[i, j] = cheapest + (c[i - 1] - t[j - 1]) ** 2
+    for k in range(2, 2 * n + 1):
+        first, last = max(1, k - n, (k - band + 1) // 2), min(n, k - 1, (k + band) // 2)
+        row, before, skipped = cost[k, first : last + 1], cost[k - 1], cost[k - 2]
+        np.subtract(c[first - 1 : last], backwards[n - k + first : n - k + last + 1], out=row)
+        row *= row
+        shorter = np.minimum(before[first - 1 : last], before[first : last + 1])
+        row += np.minimum(shorter, skipped[first - 1 : last], out=shorter)
+    rows, columns = _path(cost, n)
+    return c[rows - 1], t[columns - 1]
+
+
+def _path(cost: Array, n: int) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Rows i and columns j of the cheapest path from (n, n) to (1, 1); of equal ones the diagonal step."""
+    at = cost.item  # as Python numbers, which compare faster
+    k, i = 2 * n, n
     path = [(n, n)]
-    while path[-1] != (1, 1):
-        row, column = path[-1]
-        predecessors = ((row - 1, column - 1), (row - 1, column), (row, column - 1))
-        path.append(min(predecessors, key=lambda cell: cost[cell]))
-    rows, columns = np.array(path).T - 1
-    return c[rows], t[columns]
+    while k > 2:
+        diagonal, up, left = at(k - 2, i - 1), at(k - 1, i - 1), at(k - 1, i)
+        if diagonal <= up and diagonal <= left:
+            k, i = k - 2, i - 1
+        else:
+            k, i = k - 1, i - (up <= left)
+        path.append((i, k - i))
+    rows, columns = np.array(path).T
+    return rows, columns

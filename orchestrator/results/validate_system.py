@@ -18,16 +18,26 @@ from rich.console import Console
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
+from orchestrator.base.progress import doing
 from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, fill_gaps, read_recording
+from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
+from orchestrator.data.trace_writer import RowLayout
 from orchestrator.engine.result import Card, Result
 from orchestrator.engine.run import run_to_file
+from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 from orchestrator.results.summary import summary
-from orchestrator.results.validation import Validation, by_variable, validate, without_repetitions
+from orchestrator.results.validation import (
+    Validation,
+    by_variable,
+    check_comparable,
+    validate,
+    without_repetitions,
+)
 from orchestrator.scene.live_page import Replayed, fragment
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
@@ -109,7 +119,8 @@ def judge(
     rate    whether to compute the ISO/TS 18571 rating, which takes most of the time
     machine the machine that replays the run, as HTML
     """
-    validation = validate(result.trace, reference, rate=rate)
+    with doing(f"comparing {len(reference.signals)} signals"):
+        validation = validate(result.trace, reference, rate=rate)
     layout.check(result.trace)
     report = reporting.Report(
         title=layout.title or f"Validation of {result.system.name}",
@@ -127,7 +138,8 @@ def judge(
         notes=result.card.notes,
         caution=another_model(result.system, reference),
     )
-    return validation, *reporting.write_report(out / "report.html", report)
+    with doing(f"drawing {len(report.figures)} figures"):
+        return validation, *reporting.write_report(out / "report.html", report)
 
 
 def another_model(system: System, reference: Recording) -> str:
@@ -271,16 +283,24 @@ def validate_system(
     page = read_layout(chosen) if chosen else Layout()
     trace = out / "run.csv"
     commands = played(load(require_system(system)), against, play) if reference and not scenario else None
+
+    def accept(system: System, times: Grid, signals: RowLayout) -> None:
+        """Refuse what cannot be compared, before the first step."""
+        ahead = _times_ahead(times, against)
+        blank = Trace(ahead, dict.fromkeys(signals.names, np.zeros_like(ahead)), signals.units)
+        selected, renamed = _comparable(system, blank, against, page)
+        check_comparable(renamed, selected)
+        if layout:
+            page.check(renamed)
+
     if other := other_numbers(system, against if reference is None else None, options):
         print(f"{other}\n", flush=True)
-    result, file = run_to_file(system, scenario or commands, trace, **options, every_point=False)
-    # A reference of the default system contains signals that a swapped FMU lacks.
-    missing = missing_after_swap(result.system).keys() & against.signals.keys() - result.trace.signals.keys()
-    against = against.select([name for name in against.signals if name not in missing])
-    recorded = result.trace.select(result.trace.signals)  # in memory, also if the run is long
-    if len(result.system.components) == 1:
-        against = without_repetitions(against)
-        recorded = by_variable(recorded, [*against.signals, *(signal for _, signal in page.signals)])
+    result, file = run_to_file(
+        system, scenario or commands, trace, **options, every_point=False, accept=accept
+    )
+    missing = _lost(result.system, against, result.trace)
+    # in memory, also if the run is long
+    against, recorded = _comparable(result.system, result.trace.select(result.trace.signals), against, page)
     notes = [
         _input_note(commands) if reference and not scenario else "",
         _default_reference_note(scenario, against) if scenario and not reference else "",
@@ -302,6 +322,32 @@ def validate_system(
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
     return validation.passed
+
+
+def _comparable(system: System, trace: Trace, reference: Recording, page: Layout) -> tuple[Recording, Trace]:
+    """Reference and run with the names under which they are compared.
+
+    A reference of the default system contains signals that a swapped FMU lacks. They are left out.
+    """
+    lost = _lost(system, reference, trace)
+    reference = reference.select([name for name in reference.signals if name not in lost])
+    if len(system.components) > 1:
+        return reference, trace
+    reference = without_repetitions(reference)
+    return reference, by_variable(trace, [*reference.signals, *(signal for _, signal in page.signals)])
+
+
+def _lost(system: System, reference: Recording, trace: Trace) -> set[str]:
+    """Signals of the reference that are lost in a swap."""
+    return missing_after_swap(system).keys() & reference.signals.keys() - trace.signals.keys()
+
+
+def _times_ahead(times: Grid, reference: Recording) -> Array:
+    """The times that a run will record [s]; of an adaptive run, which may record any, those of interest."""
+    if not times.free:
+        return np.linspace(times.start, times.stop, times.rows)
+    inside = (reference.time > times.start) & (reference.time < times.stop)
+    return np.concatenate(([times.start], reference.time[inside], [times.stop]))
 
 
 def _machine(system: Path, result: Result, reference: Recording) -> tuple[Markup, str]:

@@ -164,9 +164,7 @@ def validate(
         reference = read_recording(reference)
     elif not isinstance(reference, Recording):
         reference = _recording_of(as_trace(reference, "reference"), trace)
-    for name in reference.signals:
-        if name not in trace.signals:
-            raise UnknownSignal(name, trace.signals, f"{reference.source}: ")
+    check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
     return Validation(
         rows=tuple(_row(name, trace, reference, grid, rate) for name in reference.signals),
@@ -176,6 +174,20 @@ def validate(
         about=reference.metadata,
         notes=notes,
     )
+
+
+def check_comparable(run: Trace, reference: Recording) -> None:
+    """Raise Problem if the run lacks a signal, if units do not match, or without a common window.
+
+    The values of the run are not read, so the check is possible before they are known.
+    """
+    for name in reference.signals:
+        if name not in run.signals:
+            raise UnknownSignal(name, run.signals, f"{reference.source}: ")
+        if unit := run.units.get(name, ""):  # a refusal contains the unit that the user wrote
+            unit_of_file = reference.file_units.get(name, reference.units[name])
+            factor_and_offset(unit_of_file, unit, f"{reference.source}: {name}")
+    common_grid(run.time, reference)
 
 
 def _recording_of(reference: Trace, run: Trace) -> Recording:
@@ -234,7 +246,6 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
     if not unit:
         unit = unit_of_file
         notes.append(f"the run has no unit, {unit!r} of the reference is assumed")
-    factor_and_offset(unit_of_file, unit, where)  # a refusal contains the unit that the user wrote
     factor, offset = factor_and_offset(reference.units[name], unit, where)
     recorded = factor * reference[name] + offset
     valid = np.isfinite(recorded)

@@ -123,7 +123,7 @@ def test_command_builds_what_is_asked_for(tmp_path, monkeypatch, options, versio
     asked = []
     monkeypatch.setattr("fmus.machine.build.build_machine", lambda *arguments: asked.append(arguments) or [])
     assert main(["build", "--out", str(tmp_path), *options]) == 0
-    assert [(folder, fmi, set(names), own) for folder, fmi, names, own in asked] == [
+    assert [(folder, fmi, set(names), own) for folder, fmi, names, own, *_ in asked] == [
         (tmp_path, versions, set(platforms), numbers)
     ]
 

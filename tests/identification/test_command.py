@@ -18,11 +18,9 @@ from orchestrator.__main__ import main
 
 
 @pytest.fixture(scope="session")
-def recordings(tmp_path_factory):
-    """All recordings of the lumped machine, seed 0."""
-    folder = tmp_path_factory.mktemp("rig") / "recordings"
-    write_all(folder, "lumped", 0, lambda _: None)
-    return folder
+def recordings(once):
+    """All recordings of the lumped machine, seed 0, simulated once for all test processes."""
+    return once("recordings", lambda folder: write_all(folder, "lumped", 0, lambda _: None))
 
 
 @pytest.fixture
@@ -67,7 +65,7 @@ def test_the_joint_refinement_returns_the_machine(capsys):
     for file in Path("mine").glob("*.toml"):
         if not file.stem.startswith("machine"):
             file.unlink()
-    assert main(["identify", "mine", "--out", "joint.toml", "--starts", "1"]) == 0
+    assert main(["identify", "mine", "--out", "joint.toml", "--starts", "0"]) == 0
     tables = found("joint.toml")
     assert set(tables) == {short_name(name, nominal()) for name in FREE}
     assert len(tables) >= 15
@@ -95,8 +93,9 @@ def test_swapped_levers_are_warned_of(capsys):
     for own, other in ((boom, stick), (stick, boom)):
         text = text.replace(f'[signals."{own}"]', f'[signals."{own}"]\ncolumn = "{other}"')
     toml.write_text(text, encoding="utf-8")
-    assert main(["identify", "mine", "--starts", "0", "--free", "valve_area"]) == 1
+    assert main(["identify", "mine", "--starts", "1", "--free", "valve_area"]) == 1
     printed = capsys.readouterr().out
+    assert "random starts, up to 25 % away or twice the prior standard deviation: " in printed
     assert "warning: " in printed
     assert "times as large as the noise of the sensors (" in printed
     assert "which lever moves which joint" in printed
@@ -116,6 +115,25 @@ def test_a_failed_procedure_does_not_stop_the_others(capsys):
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("motor_leakage:")]
     assert "motor_leakage_1.csv" in told
     assert "drain_flow" in told
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("file", "old", "new", "told"),
+    [
+        ("machine_test", "deg", "V", "signal manipulator.swing_angle is in V, expected rad"),
+        ("hose_resistance", "bar", "L/min", "signal pressure_in is in L/min (m3/s), expected Pa"),
+    ],
+)
+def test_a_wrong_unit_is_told_before_the_first_procedure(capsys, file, old, new, told):
+    """Also one that only the last step would read, after minutes."""
+    toml = Path(f"mine/{file}.toml")
+    text = toml.read_text(encoding="utf-8")
+    toml.write_text(text.replace(f'unit = "{old}"', f'unit = "{new}"', 1), encoding="utf-8")
+    assert main(["identify", "mine"]) == 2
+    printed = capsys.readouterr()
+    assert printed.err == f"harvester: mine/{file}.csv: {told}\n"
+    assert "valve:" not in printed.out
 
 
 @pytest.mark.parametrize(

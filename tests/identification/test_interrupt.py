@@ -6,6 +6,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ WITHOUT_ZEROS = SimpleNamespace(outputs=())
 class Procedure:
     """Estimates one parameter, or is interrupted."""
 
-    SIGNALS = ()
+    SIGNALS: ClassVar[dict[str, str]] = {}
 
     def __init__(self, interrupted: bool) -> None:
         self.interrupted = interrupted

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from fmus.rig import recordings
-from fmus.rig.experiments import experiment
 from orchestrator.__main__ import main
 
 SHORT = ("motor_leakage_1", "hose_dynamics_1")
@@ -14,9 +13,8 @@ SHORT = ("motor_leakage_1", "hose_dynamics_1")
 @pytest.fixture(autouse=True)
 def _few(monkeypatch):
     """Restricts the rig to some experiments, to save time."""
-    monkeypatch.setattr(
-        recordings, "experiments", lambda machine: (experiment(name, machine) for name in SHORT)
-    )
+    few = {name: made for name, made in recordings.EXPERIMENTS.items() if name in SHORT}
+    monkeypatch.setattr(recordings, "EXPERIMENTS", few)
 
 
 def test_writes_recordings_and_a_readme(tmp_path, capsys):
@@ -30,6 +28,18 @@ def test_writes_recordings_and_a_readme(tmp_path, capsys):
     assert "harvester rig --machine lumped --seed 7" in text
     told = capsys.readouterr().out
     assert all(name in told for name in SHORT)
+
+
+def test_the_number_of_processes_changes_no_byte(tmp_path, monkeypatch):
+    """The files and lines of two processes are those of one, in the same order."""
+    monkeypatch.setattr(recordings, "MANY", 1)
+    lines = {count: list[str]() for count in (1, 2)}
+    for count, told in lines.items():
+        recordings.write_all(tmp_path / str(count), "lumped", 3, told.append, processes=count)
+    one, two = ([*map(str.split, told[1:-1])] for told in lines.values())
+    assert [line[1:] for line in one] == [line[1:] for line in two] != []
+    for file in (tmp_path / "1").iterdir():
+        assert file.read_bytes() == (tmp_path / "2" / file.name).read_bytes()
 
 
 def test_writes_over_its_own_files_only(tmp_path, capsys):

@@ -28,9 +28,9 @@ LOCAL void core_reset(Core *core) {
     memset(s, 0, sizeof *s);
     s->stop_time = INFINITY;
     s->tolerance = DEFAULT_TOLERANCE;
-    for (int i = 0; i < NP; i++) s->p[i] = model_variables[FIRST_PARAMETER + i].start;
-    for (int i = 0; i < NU; i++) s->u[i] = s->last_set[i] = model_variables[FIRST_INPUT + i].start;
-    for (int i = 0; i < NX; i++) s->x[i] = model_variables[FIRST_STATE + i].start;
+    for (int i = 0; i < NP; i++) s->p[i] = model_start_values[FIRST_PARAMETER + i];
+    for (int i = 0; i < NU; i++) s->u[i] = s->last_set[i] = model_start_values[FIRST_INPUT + i];
+    for (int i = 0; i < NX; i++) s->x[i] = model_start_values[FIRST_STATE + i];
     s->initial = 1;
     core_invalidate(core);
 }

@@ -101,10 +101,7 @@ Status instance_set_log(Instance *self, int on, size_t n, const char *const cate
 
 const char *instance_problem(const char *name, const char *guid) {
     if (!name || strspn(name, " \t\r\n") == strlen(name)) return "the instance name is empty";
-    if (!guid || strcmp(guid, MODEL_GUID) != 0)
-        return "the GUID differs, expected \"" MODEL_GUID
-               "\" (modelDescription.xml and binary are of different builds)";
-    return NULL;
+    return guid && strcmp(guid, model_guid) == 0 ? NULL : model_other_guid;
 }
 
 static void initialise(Instance *self, int type) {

@@ -2,10 +2,10 @@
 
        dx/dt = f(x, u, p)        y = g(x, u, p)        x(0) = s(x_start, u, p)
 
-   sizes.h, model.c and adjoint.c are generated; all other files are the same for every model. model.c also
-   defines three tables: model_variables (by value reference), model_watched (value references of the variables
-   with a warning limit) and model_statements (descriptions of the requirements; model_observe computes the values
-   that must be positive).
+   sizes.h, model.c, adjoint.c, start.h and start.c are generated; all other files are the same for every model.
+   model.c also defines three tables: model_variables (by value reference), model_watched (value references of the
+   variables with a warning limit) and model_statements (descriptions of the requirements; model_observe computes
+   the values that must be positive). start.c holds all that another set of parameter values changes.
    Vectors: x states, u inputs, p parameters, c quantities that depend on p alone. */
 
 #ifndef MODEL_H
@@ -36,13 +36,18 @@ typedef struct {
     const char *name;
     const char *unit;
     Kind kind;
-    double start;
     double minimum, maximum; /* infinite if there is no bound */
     double nominal;
     double absolute_scale;   /* states: absolute tolerance / relative tolerance */
     double warn_above;       /* magnitude above which a warning is logged; infinite if there is no limit */
     int rate;                /* inputs: index of the input that is the time derivative of this one, or -1 */
 } Variable;
+
+/* With START_APART, start.c is compiled by itself: a build with other values compiles only that file. */
+#ifdef START_APART
+extern const double model_start_values[ROOM(NUMBER_OF_VARIABLES)];
+extern const char model_guid[48], model_other_guid[144];
+#endif
 
 /* Computes c from p. */
 LOCAL void model_prepare(const double *p, double *c);

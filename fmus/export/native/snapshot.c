@@ -20,7 +20,7 @@ static Header expected_header(void) {
     Header h;
     memset(&h, 0, sizeof h);
     memcpy(h.magic, "FMUstate", sizeof h.magic);
-    memcpy(h.guid, MODEL_GUID, sizeof MODEL_GUID);
+    memcpy(h.guid, model_guid, sizeof h.guid);
     h.version = VERSION;
     h.size = (unsigned)sizeof(State);
     h.byte_order = 1.0;

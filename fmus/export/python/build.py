@@ -17,7 +17,7 @@ from typing import Any
 from fmus import parameters
 from fmus.contract import Subsystem
 from fmus.export.c_code import string
-from fmus.export.compile import WASM, binaries, host, shared_library
+from fmus.export.compile import WASM, binaries, shared_library
 from fmus.export.interface import Interface, interface_of
 from fmus.export.model_description import CAPABILITIES, Unknowns, model_description
 from fmus.export.package import PLACEHOLDER, common_files, guid_of
@@ -26,6 +26,7 @@ from fmus.export.python.subsystem_model import fingerprint, import_subsystem, or
 from fmus.export.python.user_file import checked, declared_files, in_file, refuse_neighbours, structure
 from fmus.export.python.user_model import UserModel
 from fmus.parameters import Values
+from orchestrator.base.compiler import host
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_zip
 from orchestrator.base.xml import package_version

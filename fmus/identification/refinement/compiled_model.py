@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from fmus.contract import Quantity, Subsystem
-from fmus.export.c_code import generated, native_sources
+from fmus.export.c_code import generated, generator_sources, native_sources
 from fmus.export.c_functions import c_function
 from fmus.export.interface import Interface, Kind, Variable, make_interface
 from fmus.identification.refinement.model_reduction import ReducedModel, reduce_model
@@ -22,7 +23,7 @@ from fmus.identification.refinement.sensitivity_equations import sensitivity_cod
 from fmus.identification.refinement.simulation import SegmentSolution, SimulationFailed
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
-from orchestrator.base.compiler import SUFFIX, shared_library
+from orchestrator.base.compiler import SUFFIX, kept, shared_library
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -106,7 +107,7 @@ class CompiledModel:
         self._all_x = np.array(list(values.x.values()))
         eqs, start_p = model.equations, ca.densify(ca.jacobian(model.start, model.q))
         self._start = ca.Function("start", [model.all_x, eqs.u, eqs.p], [model.start, start_p])
-        self._simulate = library(sources(model)).simulate
+        self._simulate = library(kept_sources(model)).simulate
         self._simulate.restype = ctypes.c_int
         arrays = [_POINTER] * 4
         self._simulate.argtypes = [ctypes.c_int, *arrays, ctypes.c_double, ctypes.c_int, *arrays]
@@ -170,6 +171,19 @@ class CompiledModel:
         by_p = np.zeros((*columns.shape[:-1], len(self.free)))
         by_p[..., self._dynamic] = by_dynamic
         return by_states, by_p
+
+
+def kept_sources(model: ReducedModel) -> dict[str, str]:
+    """The files of `sources`, from the cache of the user if they were generated before."""
+    eqs = model.equations
+    function = ca.Function("model", [eqs.x, eqs.u, eqs.p], [eqs.dx, eqs.y, eqs.require])
+    names = (model.states, model.inputs, model.parameters, model.outputs, model.estimated, eqs.statements)
+    declared = [model.quantities[n] for n in (*model.states, *model.inputs, *model.parameters)]
+    described = (ca.CasadiMeta.version(), function.serialize(), repr((names, model.dynamic, declared)))
+    folder = files("fmus.identification.refinement")
+    code = [(folder / f"{name}.py").read_bytes() for name in ("compiled_model", "sensitivity_equations")]
+    dependencies = [*(text.encode() for text in described), *code, *generator_sources()]
+    return dict(json.loads(kept("refined.json", lambda: json.dumps(sources(model)).encode(), dependencies)))
 
 
 def sources(model: ReducedModel) -> dict[str, str]:

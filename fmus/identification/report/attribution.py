@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from math import factorial
 
@@ -27,6 +28,7 @@ from scipy.optimize import nnls
 from fmus.identification.estimate import CONFIDENCE
 from fmus.identification.report.prediction import Excitation, Signals, predict
 from orchestrator.base.errors import Problem
+from orchestrator.base.processes import mapping
 from orchestrator.data.table import Array
 
 # effect -> the variants that have it
@@ -51,29 +53,51 @@ def candidate_effects(excitation: Excitation) -> dict[str, Mapping[str, str]]:
     return {name: variants for name, variants in EFFECTS.items() if not (measured and "supply" in variants)}
 
 
-def effect_changes(excitation: Excitation, parameters: Mapping[str, float]) -> dict[str, dict[str, Array]]:
-    """Change of every signal of the machine by each effect."""
-    default = predict(excitation, parameters)
-    return {
-        name: _difference(predict(excitation, parameters, variants), default)
-        for name, variants in candidate_effects(excitation).items()
-    }
+def effect_changes(
+    excitation: Excitation,
+    parameters: Mapping[str, float],
+    default: Signals | None = None,
+    processes: int = 1,
+) -> dict[str, dict[str, Array]]:
+    """Change of every signal of the machine by each effect; `default`: its signals, if they are known."""
+    cases = {name: (parameters, variants) for name, variants in candidate_effects(excitation).items()}
+    return _changes(excitation, default or predict(excitation, parameters), cases, processes)
 
 
 def sensitivities(
-    excitation: Excitation, parameters: Mapping[str, float], names: Iterable[str]
+    excitation: Excitation,
+    parameters: Mapping[str, float],
+    names: Iterable[str],
+    default: Signals | None = None,
+    processes: int = 1,
 ) -> dict[str, dict[str, Array]]:
     """Change of every signal by a relative change `STEP` of each parameter.
 
     A name without its part refers to the parameters of all parts that have it.
     """
-    default, result = predict(excitation, parameters), {}
+    cases: dict[str, Case] = {}
     for name in names:
         changed = {k: (1 + STEP) * v for k, v in parameters.items() if name in (k, k.partition(".")[2])}
         if not changed:
             raise Problem(f"identified parameters: expected parameters of the machine, got {name}")
-        result[name] = _difference(predict(excitation, {**parameters, **changed}), default)
-    return result
+        cases[name] = {**parameters, **changed}, None
+    return _changes(excitation, default or predict(excitation, parameters), cases, processes)
+
+
+Case = tuple[Mapping[str, float], Mapping[str, str] | None]  # parameters and variants of a machine
+
+
+def _changes(
+    excitation: Excitation, default: Signals, cases: Mapping[str, Case], processes: int
+) -> dict[str, dict[str, Array]]:
+    """Change of every signal in each case, which are independent of each other."""
+    with mapping(min(processes, len(cases))) as each:
+        predicted = each(partial(_predicted, excitation), cases.values())
+        return {name: _difference(y, default) for name, y in zip(cases, predicted, strict=True)}
+
+
+def _predicted(excitation: Excitation, case: Case) -> Signals:
+    return predict(excitation, *case)
 
 
 def _difference(signals: Signals, reference: Signals) -> dict[str, Array]:

@@ -120,23 +120,28 @@ def compare_prediction(recording: Recording, parameters: Mapping[str, float]) ->
 
 
 def attribute(
-    comparison: RecordingComparison, parameters: Mapping[str, float], identified: Iterable[str]
+    comparison: RecordingComparison,
+    parameters: Mapping[str, float],
+    identified: Iterable[str],
+    processes: int = 1,
 ) -> Explanation:
     """Which effect the residual shows.
 
     parameters   values of the identified machine
     identified   names of the fitted parameters, whose errors may look like an effect
+    processes    number of processes that simulate the machine
     """
     recording, measured = comparison.recording, comparison.measured
     inputs = excitation(recording)
+    default = predict(inputs, parameters)
     ranges = {n: float(np.nanmax(y) - np.nanmin(y)) for n, y in measured.items() if np.isfinite(y).any()}
     return explain(
         comparison.residual(),
-        effect_changes(inputs, parameters),
+        effect_changes(inputs, parameters, default, processes),
         step=float(np.median(np.diff(inputs.time))),
         noise={name: recording.sensor(name).sd for name in recording.signals},
         small={name: SMALL * span for name, span in ranges.items()},
-        absorbed=sensitivities(inputs, parameters, identified),
+        absorbed=sensitivities(inputs, parameters, identified, default, processes),
     )
 
 

@@ -97,14 +97,14 @@ def payload(result):
 def test_payload_of_a_quasi_static_balance_comes_back(held):
     """Weighed within 0.3 % or 0.3 kg despite 2.5 kN of dry friction, in the interval in nearly all seeds."""
     inside = []
-    for seed in range(20):
+    for seed in range(10):
         result = identify([recording(held, seed), recording(0.0, 100 + seed, name="empty")], KNOWN)
         found = payload(result)
         # noise of 0.1 bar in some 1e3 samples is 0.01 kg, an encoder's step of 1e-4 rad 0.01 % of the moment
         assert found.value == pytest.approx(held, rel=3e-3, abs=0.3)
         inside.append(found.low < held < found.high)
         assert not result.warnings
-    assert sum(inside) >= 16  # measured: 91 % of 80 seeds
+    assert sum(inside) >= 8  # measured: 91 % of 80 seeds
 
 
 def test_tare_cancels_the_zero_of_a_pressure_sensor():

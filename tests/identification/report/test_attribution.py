@@ -133,6 +133,19 @@ def test_an_effect_is_identified_next_to_the_parameters(excitation, effects):
     assert explanation.shares[0].alone + explanation.parameters < 1.0
 
 
+def test_the_number_of_processes_changes_no_bit():
+    """Changes by parameters are those of one process, in the order of the names."""
+    time = np.linspace(0.0, 0.2, 41)
+    commands = {name: 2.0 * np.minimum(time / 0.1, 1.0) for name in COMMANDS}
+    moved = Excitation(time, commands, {"swing": 0.0, "boom": 0.2, "stick": -1.4})
+    names = [DAMPING, "valve_area"]
+    parameters = {DAMPING: 300.0, "valve_area": 4e-5}
+    one, two = (sensitivities(moved, parameters, names, processes=count) for count in (1, 2))
+    assert list(one) == list(two) == names
+    for name in names:
+        assert all(one[name][signal].tobytes() == values.tobytes() for signal, values in two[name].items())
+
+
 def test_gaps_do_not_count(effects):
     """Samples without a measurement are left out."""
     residual = noisy(effects["pump and engine"], 0.0)
