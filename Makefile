@@ -63,6 +63,7 @@ coverage: $(EVERYTHING)
 
 # the site, as build/site/index.html
 docs: $(DOCUMENTING)
+	test -f build/fmi3/harvester.fmu || $(BIN)/harvester build
 	$(BIN)/sphinx-build -q -W --keep-going -c docs . build/site
 
 clean:

@@ -26,6 +26,7 @@ from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.procedure_figures import draw_procedure
 from fmus.identification.report.recording_comparison import WINDOW, RecordingComparison, captioned_figure
 from fmus.rig import write_all
+from orchestrator.base import plotting
 from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable, typeset
 
@@ -66,7 +67,7 @@ def everything(folder: Path) -> None:
     assert seen is not None
     for joint, number in JOINTS.items():
         shown = captioned_figure(seen, joint)
-        (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(shown.figure))
+        (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(plotting.draw(shown.figure)))
     fill("figures 10 and 11", work_cycle(seen))
     fill("held out", held_out(seen))
     told = explanation(seen, found["detailed"])

@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
+from driven_page import Opened, assert_same_motion
 from lxml import html
 from markdown_it import MarkdownIt
 
@@ -23,10 +25,11 @@ FETCHING = "//script/@src | //img/@src | //iframe/@src | //source/@src | //link[
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
+def site(fmu_dir, tmp_path_factory):
     """The site, built as `make docs` does."""
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-c", "docs", ".", str(folder)]
+    command += ["-D", f"machine_system={fmu_dir / 'harvester.ssp'}"]
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -134,3 +137,22 @@ def test_the_search_works_in_a_page_opened_as_a_file(site, chromium):
     assert max(ranks["docs/equations"]) < min(ranks["/api/"])
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
     assert faults == []
+
+
+def test_the_machine_on_the_home_page(site, fmi3_dir, chromium, tmp_path):
+    """The home page opened from disk has the machine, which keys move as `harvester run` does."""
+    page = Opened(chromium, site / "docs" / "index.html")
+    assert_same_motion(page, fmi3_dir / "harvester.fmu", tmp_path)
+    page.context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["docs/index", "docs/equations", "docs/reference/api/running", "search"])
+def test_pages_are_accessible(site, chromium, name, scheme):
+    """axe-core finds no violation on the home page, among equations and signatures, in the search."""
+    context = chromium.new_context(color_scheme=scheme, reduced_motion="reduce")
+    page = context.new_page()
+    page.goto((site / f"{name}.html").as_uri())
+    found = Axe().run(page).response["violations"]
+    context.close()
+    assert [(v["id"], [n["target"] for n in v["nodes"]]) for v in found] == []

@@ -12,6 +12,7 @@ import tables
 from docutils import nodes
 from pygments.lexers import TextLexer
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 from sphinx.util.osutil import relative_uri
 
 from fmus.export.documentation import mathml
@@ -27,6 +28,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_lexer("csv", TextLexer)
     app.connect("source-read", read_source)
     app.connect("autodoc-process-docstring", process_docstring)
+    app.add_config_value("machine_system", "build/harvester.ssp", "html")
+    app.connect("html-page-context", insert_machine)
     app.connect("build-finished", finish_pages)
     renderer: Any = app.add_html_math_renderer
     renderer("mathml", (visit_math, None), (visit_math_block, None))
@@ -69,6 +72,21 @@ def documented(path: str) -> str:
         kind, heading = "class" if inspect.isclass(found) else "function" if callable(found) else "data", ""
         kind = "exception" if inspect.isclass(found) and issubclass(found, BaseException) else kind
     return f"{heading}```{{eval-rst}}\n.. auto{kind}:: {path}\n```\n"
+
+
+MACHINE = '<div id="machine"></div>'
+
+
+def insert_machine(app: Sphinx, page: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
+    """Put the machine itself on the page that has a place for it."""
+    if MACHINE not in context.get("body", ""):
+        return
+    from orchestrator.scene.live_page import fragment
+
+    system = ROOT / app.config.machine_system
+    if not system.is_file():
+        raise ExtensionError(f"{page}: {system} does not exist; run harvester build first")
+    context["body"] = context["body"].replace(MACHINE, fragment(system, autostart=True))
 
 
 # what the theme leaves out for screen readers and for the keyboard

@@ -12,19 +12,22 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from orchestrator.base.figures import plot_scripts
 from orchestrator.base.text import number, typeset
 from orchestrator.base.units import pretty
 
 TEMPLATES = Path(__file__).with_name("templates")
 
 
-def render(template: Path, *, title: str, **content: Any) -> str:
-    """Render a template that extends `page.html.j2`, with the CSS file of the same name.
+def render(template: Path, *, title: str, plots: bool = False, **content: Any) -> str:
+    """Render a template that extends `page.html.j2`, with the CSS file of the same name if there is one.
 
     template   path of the template
+    plots      whether the page has figures of `orchestrator.base.figures.plot`
     content    variables of the template, besides `title` and `style`
 
-    Templates can use the filters number, typeset, pretty (units) and upper_first.
+    Templates can use the macros of `parts.html.j2`, and the filters number, typeset, pretty (units),
+    upper_first and groupby_order.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -40,10 +43,20 @@ def render(template: Path, *, title: str, **content: Any) -> str:
         typeset=typeset,
         pretty=pretty,
         upper_first=lambda text: f"{text[:1].upper()}{text[1:]}",
+        groupby_order=_groups,
     )
     styles = (TEMPLATES / "page.css", template.with_name(template.name.replace(".html.j2", ".css")))
-    style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles))
-    return environment.get_template(template.name).render(title=title, style=style, **content)
+    style = Markup("\n".join(path.read_text(encoding="utf-8") for path in styles if path.is_file()))
+    scripts = plot_scripts() if plots else ""
+    return environment.get_template(template.name).render(title=title, style=style, plots=scripts, **content)
+
+
+def _groups(rows: Iterable[Any], name: str) -> list[tuple[Any, list[Any]]]:
+    """Rows by an attribute, groups in the order of their first row."""
+    groups: dict[Any, list[Any]] = {}
+    for row in rows:
+        groups.setdefault(getattr(row, name), []).append(row)
+    return list(groups.items())
 
 
 def script_data(data: Any) -> Markup:

@@ -1,17 +1,16 @@
-"""Common style of all figures, panels of signals over time with their errors, and export as PNG or SVG.
+"""Figures drawn by matplotlib: common style, panels of signals over time with their errors, PNG and SVG.
 
-Documents contain figures as PNG. HTML pages contain them as SVG, whose colours follow the theme of the page.
+Documents contain figures as PNG. HTML pages contain them as SVG, whose colours follow the theme of the page;
+signals over time are drawn there by `orchestrator.base.figures`.
 """
 
 from __future__ import annotations
 
 import base64
 import io
-import itertools
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,81 +25,21 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from orchestrator.base.figures import (
+    LINE_STYLES,
+    PALETTE,
+    Style,
+    TraceFigure,
+    TraceLine,
+    TracePanel,
+    decimate,
+)
 from orchestrator.base.text import MINUS, typeset
 from orchestrator.base.units import convert, pretty, quantity, reader_unit, superscript
 
 Array = NDArray[np.float64]
-Style = Mapping[str, Any]
 
 WIDTH = 9.6  # [in], 1000 pixels in a page
-DOTS: tuple[float, tuple[float, float]] = (0, (1, 1.4))
-DASHES: tuple[float, tuple[float, float]] = (0, (5, 2))
-# Line styles that differ without colour.
-LINE_STYLES: tuple[Any, ...] = (
-    "-",
-    (0, (4, 2)),
-    (0, (1, 1.2)),
-    (0, (6, 1.5, 1, 1.5)),
-    (0, (3, 1)),
-    (0, (8, 2)),
-)
-
-
-@dataclass(frozen=True)
-class Palette:
-    """Colours that differ in hue and in lightness, for colour-blind readers and for print (Okabe and Ito).
-
-    pairs    (light, dark) for reference and simulation, or for measurement and fit
-    series   colours of curves that are not shown in pairs
-    """
-
-    ink: str = "#1c2024"
-    faint: str = "#8a9099"
-    grid: str = "#dfe2e6"
-    good: str = "#2f7d4f"
-    bad: str = "#c2341d"
-    pairs: tuple[tuple[str, str], ...] = (
-        ("#7db7dc", "#06406b"),
-        ("#f0b35c", "#8c3b00"),
-        ("#8fd0b5", "#00513a"),
-        ("#d3a6cf", "#6b2a66"),
-    )
-    series: tuple[str, ...] = ("#0b5fa5", "#b34700", "#00735a", "#8f3f8f", "#7a6400", "#333333")
-
-    def pair(self, index: int) -> tuple[str, str]:
-        """Light and dark colour of pair `index`, in cyclic order."""
-        return self.pairs[index % len(self.pairs)]
-
-    def colour(self, index: int) -> str:
-        """Colour of curve `index`, in cyclic order."""
-        return self.series[index % len(self.series)]
-
-
-PALETTE = Palette()
-# Two samples per bucket are about the width of a screen in pixels: no visible peak is lost.
-BUCKETS = 600
-
-
-def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
-    """Reduce a curve to the smallest and the largest sample of each bucket, in their order.
-
-    x, y   shape (n,)
-
-    The result has at most 2 buckets + 2 samples, including the first and the last one. A bucket that
-    contains only NaN keeps its first sample, so that a gap remains visible.
-    """
-    if len(x) <= 2 * buckets:
-        return x, y
-    edges = np.linspace(0, len(x), buckets + 1).astype(int)
-    selected = {0, len(x) - 1}
-    for a, b in itertools.pairwise(edges):
-        finite = a + np.flatnonzero(np.isfinite(y[a:b]))
-        if finite.size:
-            selected |= {int(finite[y[finite].argmin()]), int(finite[y[finite].argmax()])}
-        else:
-            selected.add(int(a))
-    indices = np.array(sorted(selected))
-    return x[indices], y[indices]
 
 
 class ShownFigure(Figure):
@@ -175,7 +114,7 @@ def heading(figure: Figure, title: str, below: str = "") -> None:
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=12, color=PALETTE.ink, fontweight="bold")
     if below:
-        figure.supxlabel(below, x=0.99, ha="right", fontsize=8, color=PALETTE.faint)
+        figure.supxlabel(below, x=0.99, ha="right", fontsize=8, color=PALETTE.soft)
 
 
 def legend(parent: Figure | Axes, **options: Any) -> Any:
@@ -192,44 +131,7 @@ def legend_entry(label: str, **style: Any) -> Line2D:
     return Line2D([], [], label=label, **style)
 
 
-REFERENCE = {"color": PALETTE.faint, "linewidth": 2.6}
-SIMULATION = {"color": PALETTE.ink, "linewidth": 1.3, "linestyle": DOTS}
 ROW_HEIGHT = 0.46  # [in] per unit of `TracePanel.heights`
-
-
-@dataclass(frozen=True)
-class TraceLine:
-    """A curve: samples over time [s], in the unit of the panel."""
-
-    time: Array
-    values: Array
-    style: Style
-    name: str = ""
-
-
-@dataclass(frozen=True)
-class TracePanel:
-    """Signals of one quantity over time, and their errors in a strip below.
-
-    unit         of the curves
-    error_unit   of the errors
-    bounds       limits of the errors: symmetric bands, drawn if they are inside the axes
-    remarks      (text, colour) on the right of the panel
-    key_beside   legend on the right of the panel, not above it
-    heights      of panel and error strip, in units of `ROW_HEIGHT`
-    """
-
-    unit: str
-    lines: Sequence[TraceLine]
-    label: str = ""
-    title: str = ""
-    errors: Sequence[TraceLine] = ()
-    error_label: str = "error"
-    error_unit: str = ""
-    bounds: Collection[float] = ()
-    remarks: Sequence[tuple[str, str]] = ()
-    heights: tuple[float, float] = (2.5, 1.0)
-    key_beside: bool = False
 
 
 def draw_traces(
@@ -264,12 +166,24 @@ def draw_traces(
     return figure
 
 
+def draw(figure: TraceFigure) -> Figure:
+    """The figure, drawn by matplotlib."""
+    key = [legend_entry(label, **style) for label, style in figure.key]
+    return draw_traces(figure.panels, figure.window, figure.title, figure.below, key)
+
+
 def _draw_panel(axes: Axes, panel: TracePanel) -> None:
     unit = f"[{pretty(panel.unit) or '1'}]"
     style_axes(axes, y=f"{panel.label}\n{unit}" if panel.label else unit)
+    for area in panel.areas:
+        axes.fill_between(area.time, area.low, area.high, color=area.colour, alpha=0.4, linewidth=0)
+    named = set[str]()
     for line in panel.lines:
-        axes.plot(*decimate(line.time, line.values), label=line.name or None, **line.style)
+        label = line.name if line.name not in named else None  # a name has one entry in the legend
+        named.add(line.name)
+        axes.plot(*decimate(line.time, line.values), label=label or None, **line.style)
     axes.margins(y=0.12)
+    power_ticks(axes.yaxis)
     if panel.title:
         axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=3)
     if any(line.name for line in panel.lines):
@@ -459,9 +373,6 @@ def embed(figure: Figure, prefix: str, title: str) -> Markup:
     text = re.sub(r'(<svg [^>]*?)height="[^"]*"', lambda m: m[1] + role, text, count=1)
     text = re.sub(r'\bid="|href="#|url\(#', lambda m: m[0] + prefix, text)
     text = re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), text)
-    colours = {name: getattr(PALETTE, name) for name in ("ink", "faint", "grid", "good", "bad")}
-    for k, (light, dark) in enumerate(PALETTE.pairs):
-        colours |= {f"light{k}": light, f"dark{k}": dark}
-    for name, colour in colours.items():
+    for name, colour in PALETTE.variables().items():
         text = text.replace(colour, f"var(--fig-{name}, {colour})")
     return Markup(re.sub(r"\s*\n\s*", "\n", text))

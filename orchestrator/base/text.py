@@ -167,7 +167,9 @@ class TextTable:
         rows = [Markup("").join(self._cells("th", self.head))]
         rows += [Markup("").join(self._cells("td", row)) for row in self.rows]
         body = Markup("\n").join(Markup("<tr>{}</tr>").format(row) for row in rows)
-        return Markup('<div class="wide"><table>\n{}\n</table></div>').format(body)
+        name = self.title or self.head[0] or "numbers"
+        opening = Markup('<div class="wide" tabindex="0" role="group" aria-label="{}, table">').format(name)
+        return opening + Markup("<table>\n{}\n</table></div>").format(body)
 
     def _cells(self, tag: str, row: Sequence[str]) -> Iterable[Markup]:
         for i, cell in enumerate(row):

@@ -42,7 +42,8 @@ def compare(
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of comparison.png and comparison.json.")
+        Path,
+        typer.Option(metavar="DIR", help="Folder of comparison.html, .png and .json."),
     ] = BUILD,
 ) -> None:
     """Compare traces of runs.
@@ -55,5 +56,5 @@ def compare(
 
     comparison = compare_traces(traces, against=against, signals=signals or (), start=start, stop=stop)
     make_folder(out)
-    picture, numbers = write(comparison, out)
-    print(f"{text(comparison)}\n\npicture: {picture}\nnumbers: {numbers}")
+    page, picture, numbers = write(comparison, out)
+    print(f"{text(comparison)}\n\npage: {page}\npicture: {picture}\nnumbers: {numbers}")

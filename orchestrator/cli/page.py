@@ -7,14 +7,12 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli.options import BUILD, SYSTEM, app
+from orchestrator.cli.options import BUILD, System, app, system_file
 
 
 @app.command()
 def page(
-    system: Annotated[
-        Path, typer.Argument(metavar="SYSTEM", help="An .ssp or .fmu file.", show_default=str(SYSTEM))
-    ] = SYSTEM,
+    system: System = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="HTML file to write.")] = BUILD / "machine.html",
     title: Annotated[str, typer.Option(metavar="TEXT", help="Title of the page.")] = "Drive the harvester",
 ) -> None:
@@ -25,5 +23,5 @@ def page(
     from orchestrator.base.files import require_system
     from orchestrator.scene.live_page import write_page
 
-    path = write_page(out, require_system(system), title)
+    path = write_page(out, require_system(system_file(system)), title)
     print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

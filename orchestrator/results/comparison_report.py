@@ -1,29 +1,31 @@
-"""Report of a comparison of runs: text, comparison.json, and a figure.
+"""Report of a comparison of runs: text, comparison.html with plots, comparison.png and comparison.json.
 
 The figure shows each signal of all runs, and below it the differences from the reference.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from orchestrator.base.html_page import write_json
-from orchestrator.base.plotting import (
-    LINE_STYLES,
-    PALETTE,
-    TraceLine,
-    TracePanel,
-    draw_traces,
-    legend_entry,
-    png,
+from orchestrator.base import html_page
+from orchestrator.base.figures import LINE_STYLES, PALETTE, TraceFigure, TraceLine, TracePanel, plot
+from orchestrator.base.text import (
+    NO_VALUE,
+    TextTable,
+    error_display_unit,
+    first_names,
+    join_words,
+    number,
+    percentage,
+    typeset,
 )
-from orchestrator.base.text import NO_VALUE, TextTable, error_display_unit, join_words, number, percentage
-from orchestrator.base.units import convert, factor_and_offset, reader_unit
+from orchestrator.base.units import convert, factor_and_offset, pretty, reader_unit
 from orchestrator.engine.result import RunMetadata
 from orchestrator.results.comparison import (
     CONSTANT,
@@ -37,6 +39,12 @@ from orchestrator.results.comparison import (
 from orchestrator.results.validation import ValidatedSignal
 from orchestrator.ssp.provenance import value_text
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
+QUANTITY = re.compile(r"(?<![\w.])(-?\d[\d.e+-]*) ([A-Za-z][\w./]*)")  # a number and its unit
+WIDTH = 100  # characters of a line in a terminal
 MOST_PANELS = 6  # of a figure on one page
 MOST_OF_QUANTITY = 3  # panels
 MOST_VALUES = 15  # rows of parameters in which runs differ
@@ -75,6 +83,13 @@ def _same_curve(row: ValidatedSignal, other: ValidatedSignal) -> bool:
 
 
 def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure:
+    """The figure, drawn by matplotlib; default signals: those with the largest differences."""
+    from orchestrator.base import plotting
+
+    return plotting.draw(traces(comparison, signals))
+
+
+def traces(comparison: Comparison, signals: Sequence[str] | None = None) -> TraceFigure:
     """The figure; default signals: those of the comparison with the largest differences."""
     reference = comparison.reference
     styles = {reference.label: {"color": PALETTE.faint, "linewidth": 2.8, "alpha": 0.6}}
@@ -83,13 +98,17 @@ def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure
         styles[run.label] = {"color": PALETTE.colour(i), "linewidth": 1.2, "linestyle": dashes}
     names = list(signals) if signals is not None else chosen(comparison)
     key = [
-        legend_entry(f"{label} (reference)" if label == reference.label else label, **style)
+        (f"{label} (reference)" if label == reference.label else label, style)
         for label, style in styles.items()
     ]
-    return draw_traces([_panel(comparison, styles, name) for name in names], comparison.window, key=key)
+    labels = dict(zip(styles, (text for text, _ in key), strict=True))
+    panels = [_panel(comparison, styles, labels, name) for name in names]
+    return TraceFigure(panels, comparison.window, key=key)
 
 
-def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name: str) -> TracePanel:
+def _panel(
+    comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], labels: Mapping[str, str], name: str
+) -> TracePanel:
     """A signal of all runs, and below it its differences from the reference."""
     unit = comparison.reference.trace.units.get(name, "")
     runs = {run.label: run.trace for run in comparison.runs}
@@ -98,7 +117,7 @@ def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name
         trace = runs[label]
         in_window = (trace.time >= comparison.window[0]) & (trace.time <= comparison.window[1])
         values = convert(trace[name][in_window], trace.units.get(name, unit), reader_unit(unit), name)
-        lines.append(TraceLine(trace.time[in_window], values, style))
+        lines.append(TraceLine(trace.time[in_window], values, style, key=labels[label]))
     rows = {label: validation[name] for label, validation in comparison.against.items()}
     error_unit = error_display_unit(next(iter(rows.values())).unit).display if rows else ""
     errors = [
@@ -106,6 +125,7 @@ def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name
             row.time,
             factor_and_offset(row.unit, error_unit, name)[0] * (row.simulation - row.reference),
             styles[label],
+            key=labels[label],
         )
         for label, row in rows.items()
     ]
@@ -116,13 +136,22 @@ def _panel(comparison: Comparison, styles: Mapping[str, Mapping[str, Any]], name
 
 def text(comparison: Comparison) -> str:
     """Cost of each run, the worst signal of each quantity, the chosen signals, and notes."""
-    parts = [_costs(comparison), _different_values(comparison)]
-    parts += [_worst(comparison, label) for label in comparison.against]
-    parts += [_signals(comparison), [f"note: {note}" for note in _notes(comparison)]]
+    parts = [[*(table.lines() if table.rows else ()), *below] for table, below in tables(comparison)]
+    parts += [[f"note: {note}" for note in _notes(comparison)]]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
-def _different_values(comparison: Comparison) -> list[str]:
+def tables(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
+    """Each table with the lines below it."""
+    if any(run.metadata for run in comparison.runs):
+        yield from _costs(comparison)
+    yield from _different_values(comparison)
+    for label in comparison.against:
+        yield _worst(comparison, label), []
+    yield from ((table, []) for table in _signals(comparison))
+
+
+def _different_values(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
     """Table of the parameters in which the runs differ, with their origins; and FMUs that differ."""
     runs, values = comparison.runs, different_values(comparison.runs)
     rows = [
@@ -130,12 +159,13 @@ def _different_values(comparison: Comparison) -> list[str]:
         for (name, unit), cells in list(values.items())[:MOST_VALUES]
     ]
     head = ["parameters that differ", "unit", *(run.label for run in runs)]
-    lines = list(TextTable(head, rows, left=(0, 1)).lines()) if rows else []
+    below = []
     if len(values) > MOST_VALUES:
-        lines.append(f"and {len(values) - MOST_VALUES} more, all of them in comparison.json")
+        below.append(f"and {len(values) - MOST_VALUES} more, all of them in comparison.json")
     if others := different_fmus(runs):
-        lines.append(f"the FMU files of {join_words(others)} differ")
-    return lines
+        below.append(f"the FMU files of {join_words(others)} differ")
+    if rows or below:
+        yield TextTable(head, rows, left=(0, 1)), below
 
 
 def _value_cell(cell: Cell | None, unit: str) -> str:
@@ -159,36 +189,46 @@ def _notes(comparison: Comparison) -> Iterator[str]:
         yield note if len(labels) == len(comparison.against) else f"{', '.join(labels)}: {note}"
 
 
-def _costs(comparison: Comparison) -> list[str]:
-    """Table of masters, steps and times of the runs; empty without metadata."""
+def _costs(comparison: Comparison) -> Iterator[tuple[TextTable, list[str]]]:
+    """Table of masters, steps and times of the runs, and table of the times inside each FMU."""
     runs, reference = comparison.runs, comparison.reference
-    if not any(run.metadata for run in runs):
-        return []
-    times = ["times real time", "wall us/ms", "FMUs us/ms", f"x {reference.label}", "of them"]
+    head = [
+        "run",
+        "master",
+        "step",
+        "real-time factor",
+        "total [us/ms]",
+        "in FMUs [us/ms]",
+        "in FMUs, relative",
+    ]
     rows = [_cost(run, reference) for run in runs]
-    note = "us/ms: per simulated millisecond; FMUs: the steps of all FMUs, calls from Python included"
-    return [*TextTable(["run", "master", "step", *times], rows, left=(0, 1, 7)).lines(), note]
+    swaps = [
+        f"{run.label}: swapped {component} for {Path(file).stem}"
+        for run in runs
+        if run.metadata
+        for component, file in run.metadata.swapped.items()
+    ]
+    note = f"us/ms: computing time per simulated millisecond; relative: in FMUs, {reference.label} is 1"
+    yield TextTable(head, rows, left=(0, 1)), [*swaps, note]
+    inside = {run.label: _inside(run.metadata) for run in runs}
+    components = list(dict.fromkeys(name for times in inside.values() for name in times))
+    rows = [[label, *(number(times.get(name), 2) for name in components)] for label, times in inside.items()]
+    yield TextTable(["in each FMU [us/ms]", *components], rows), []
 
 
 def _cost(run: Run, reference: Run) -> list[str]:
     if run.metadata is None:
-        return [run.label, *[NO_VALUE] * 6, ""]
+        return [run.label, *[NO_VALUE] * 6]
     meta, length = run.metadata, run.metadata.simulated or float("nan")
-    inside, of_reference = _inside(meta), sum(_inside(reference.metadata).values())
-    ranked = sorted(inside.items(), key=lambda entry: -entry[1])
-    each = ", ".join(f"{name} {number(spent, 2)}" for name, spent in ranked)
-    factor = number(length / meta.wall if meta.wall else None)
-    wall, total = number(1e3 * meta.wall / length), sum(inside.values())
-    times = number(total / of_reference if of_reference else None, 2)
+    of_reference, total = sum(_inside(reference.metadata).values()), sum(_inside(meta).values())
     return [
-        _with_swaps(run.label, meta),
+        run.label,
         meta.master,
         f"{meta.step:.3g} s mean" if meta.adaptive else f"{meta.step:g} s",
-        factor,
-        wall,
+        number(length / meta.wall if meta.wall else None),
+        number(1e3 * meta.wall / length),
         number(total, 2),
-        times,
-        each,
+        number(total / of_reference if of_reference else None, 2),
     ]
 
 
@@ -198,43 +238,51 @@ def _inside(meta: RunMetadata | None) -> dict[str, float]:
     return {name: 1e3 * spent / length for name, spent in meta.inside.items()} if meta else {}
 
 
-def _with_swaps(label: str, meta: RunMetadata) -> str:
-    """Label of a run with its swapped FMUs."""
-    swaps = ", ".join(f"{component}={Path(file).stem}" for component, file in meta.swapped.items())
-    return f"{label} ({swaps})" if swaps else label
+def _worst(comparison: Comparison, label: str) -> TextTable:
+    """Table of the worst signal of each quantity; speeds, pressures and angles first.
 
-
-def _worst(comparison: Comparison, label: str) -> list[str]:
-    """Table of the worst signal of each quantity; speeds, pressures and angles first."""
+    It is the one with the largest NRMSE. Another one with a larger difference has a row of its own.
+    """
     groups = comparison.quantities()
-    order = [q for q in DEFAULT_QUANTITIES if q in groups] + [
-        q for q in groups if q not in DEFAULT_QUANTITIES
-    ]
+    order = [q for q in DEFAULT_QUANTITIES if q in groups]
+    order += [q for q in groups if q not in DEFAULT_QUANTITIES]
     rows = []
     for quantity in order:
         worst, largest = comparison.worst(label, quantity), comparison.largest(label, quantity)
-        most = largest.metrics.maximum_error
-        nrmse = percentage(worst.metrics.nrmse) if worst else NO_VALUE
-        same = "the same" if worst and largest.signal == worst.signal else largest.signal
-        rows.append([quantity, str(len(groups[quantity])), nrmse, _worst_signal(worst)])
-        rows[-1] += [error_display_unit(largest.unit).ascii(most), same if most else ""]
-    against = f"{label} against {comparison.reference.label}, all signals"
-    head = [against, "number", "largest NRMSE", "of", "largest difference", "of"]
-    return TextTable(head, rows, left=(0, 3, 5)).lines()
+        first = _worst_row(worst) if worst else ["all are at rest", NO_VALUE, _difference(largest)]
+        rows.append([quantity, str(len(groups[quantity])), *first])
+        if worst and largest.signal != worst.signal and largest.metrics.maximum_error:
+            rows.append(["", "", *_worst_row(largest)])
+    against = f"{label} against {comparison.reference.label}"
+    head = [against, "signals", "worst signal", "NRMSE", "largest difference"]
+    return TextTable(head, rows, left=(0, 2))
 
 
-def _worst_signal(worst: ValidatedSignal | None) -> str:
-    """Name of the signal with the largest NRMSE; empty if there is no difference."""
-    if worst is None:
-        return "all are at rest"
-    return (
-        f"{worst.signal}{f' ({CONSTANT})' if CONSTANT in worst.notes else ''}" if worst.metrics.rmse else ""
-    )
+def _worst_row(row: ValidatedSignal) -> list[str]:
+    """Name, NRMSE and largest difference; no name if there is no difference."""
+    mark = f" ({CONSTANT})" if CONSTANT in row.notes else ""
+    name = f"{row.signal}{mark}" if row.metrics.rmse else ""
+    return [name, percentage(row.metrics.nrmse), _difference(row)]
 
 
-def _signals(comparison: Comparison) -> list[str]:
-    """Table of NRMSE and largest difference of the shown signals, a column for each run."""
-    by_run = [{row.signal: row for row in v.rows} for v in comparison.against.values()]
+def _difference(row: ValidatedSignal) -> str:
+    return error_display_unit(row.unit).ascii(row.metrics.maximum_error)
+
+
+def _signals(comparison: Comparison) -> Iterator[TextTable]:
+    """Tables of NRMSE and largest difference of the shown signals, as many runs side by side as fit."""
+    left = list(comparison.against)
+    while left:
+        count = len(left)
+        while count > 1 and max(map(len, _signal_table(comparison, left[:count]).lines())) > WIDTH:
+            count -= 1
+        yield _signal_table(comparison, left[:count])
+        left = left[count:]
+
+
+def _signal_table(comparison: Comparison, labels: Sequence[str]) -> TextTable:
+    """A column for each run."""
+    by_run = [{row.signal: row for row in comparison.against[label].rows} for label in labels]
     rows, group = [], ""
     for signal in comparison.signals:
         row = by_run[0][signal]
@@ -242,7 +290,7 @@ def _signals(comparison: Comparison) -> list[str]:
             rows.append([f"{row.group}"] + [""] * len(by_run))
         group = row.group
         rows.append([f"  {signal}", *(", ".join(_cells(of_run[signal])) for of_run in by_run)])
-    return TextTable(["NRMSE, largest difference", *comparison.against], rows).lines()
+    return TextTable(["NRMSE, largest difference", *labels], rows)
 
 
 def _cells(row: ValidatedSignal) -> tuple[str, str]:
@@ -253,12 +301,37 @@ def _cells(row: ValidatedSignal) -> tuple[str, str]:
     return nrmse, error_display_unit(row.unit).ascii(m.maximum_error)
 
 
-def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path]:
-    """Write comparison.png and comparison.json to a folder; returns both."""
-    figure = Path(folder) / "comparison.png"
-    json = write_json(figure.with_suffix(".json"), as_dict(comparison))
-    figure.write_bytes(png(draw(comparison)))
-    return figure, json
+def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path, Path]:
+    """Write comparison.html, comparison.png and comparison.json to a folder; returns the three."""
+    from orchestrator.base.plotting import png
+
+    page = html_page.write_text(Path(folder) / "comparison.html", render(comparison))
+    numbers = html_page.write_json(page.with_suffix(".json"), as_dict(comparison))
+    picture = page.with_suffix(".png")
+    picture.write_bytes(png(draw(comparison)))
+    return page, picture, numbers
+
+
+def render(comparison: Comparison) -> str:
+    """The page as HTML."""
+    others = first_names(comparison.against)
+    return html_page.render(
+        TEMPLATE,
+        title=f"{others} against {comparison.reference.label}",
+        plots=True,
+        comparison=comparison,
+        figure=plot(traces(comparison), "Signals that differ most"),
+        tables=[(_typeset(table).html(), below) for table, below in tables(comparison)],
+        notes=list(_notes(comparison)),
+    )
+
+
+def _typeset(table: TextTable) -> TextTable:
+    """The table with numbers and units as on paper: 1.7e-05 m3 is 1.7·10⁻⁵ m³."""
+    rows = [
+        [re.sub(QUANTITY, lambda m: f"{m[1]} {pretty(m[2])}", cell) for cell in row] for row in table.rows
+    ]
+    return replace(table, rows=[[typeset(cell) for cell in row] for row in rows])
 
 
 def as_dict(comparison: Comparison) -> Mapping[str, Any]:

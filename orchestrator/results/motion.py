@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, Normalize
-from matplotlib.figure import Figure
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.plotting import PALETTE, WIDTH, heading, new_figure, style_axes
+from orchestrator.base.figures import PALETTE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -116,6 +116,12 @@ def frames(motion: MachineMotion, ghost: MachineMotion | None = None) -> dict[st
 
 def strobe(motion: MachineMotion, poses: int = 9, title: str = "") -> Figure:
     """The machine at `poses` instants, with equal distances on the path of its tip, coloured by time."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    from orchestrator.base.plotting import WIDTH, heading, new_figure
+
     figure = new_figure(WIDTH, 4.6)
     still = motion.at(_instants(motion, poses))
     panels = figure.subplots(1, len(motion.views), squeeze=False)[0]
@@ -135,8 +141,39 @@ def strobe(motion: MachineMotion, poses: int = 9, title: str = "") -> Figure:
     return figure
 
 
+def still(motion: MachineMotion, poses: int = 7) -> Markup:
+    """The machine at `poses` instants as SVG, the last one strongest, for a page on paper."""
+    shown, drawings = motion.at(_instants(motion, poses)), []
+    for name in motion.views:
+        left, right, low, high = _bounds([motion], name)
+        scale = min(520 / (right - left), 320 / (high - low))
+
+        def path(points: Array, left: float = left, high: float = high, scale: float = scale) -> str:
+            corners = np.round((points - (left, high)) * (scale, -scale), 1)
+            return " ".join(f"{x:g},{y:g}" for x, y in corners)
+
+        tip = getattr(motion.at(_instants(motion, 200)), name)(motion.tip_label)
+        lines = [f'<polyline points="{path(tip)}" stroke="{PALETTE.soft}" stroke-dasharray="4 3"/>']
+        for k in range(poses):
+            for line in shown.polylines:
+                points = np.array([getattr(shown, name)(label)[k] for label in line])
+                strength = 0.25 + 0.75 * k / max(poses - 1, 1)
+                lines.append(
+                    f'<polyline points="{path(points)}" stroke="{PALETTE.pair(0)[1]}" stroke-width="4"'
+                    f' opacity="{strength:.2f}"/>'
+                )
+        size = f"{(right - left) * scale:.0f} {(high - low) * scale:.0f}"
+        label = {"side": "Side view", "top": "From above"}[name]
+        drawings.append(
+            f'<svg viewBox="0 0 {size}" role="img" aria-label="{label}" fill="none">{"".join(lines)}</svg>'
+        )
+    return Markup("".join(drawings))
+
+
 def _draw_view(axes: Axes, motion: MachineMotion, view: str) -> None:
     """Draw the path of the tip, ground or axis of rotation, and labels; both axes have the same scale."""
+    from orchestrator.base.plotting import style_axes
+
     if view == "side":
         style_axes(axes, "along the arm [m]" if motion.turning else "x [m]", "height [m]", size=10)
         axes.axhline(motion.ground, color=PALETTE.faint, linewidth=1.2)

@@ -25,9 +25,19 @@ NAMES = {
 }
 
 
-def percent(value: float | None) -> str:
-    """Fit or VAF [%], rounded down, so that only a perfect one is shown as 100 %."""
-    return NO_VALUE if value is None else f"{math.floor(100 * value) / 100:.2f} %"
+ALMOST = 99.99  # [%]
+
+
+def percent(value: float | None, rmse: float = 0.0) -> str:
+    """Fit or VAF [%], rounded down. 100 % means that there is no error at all: otherwise it is `> 99.99 %`.
+
+    rmse   of the signal: the squares in VAF lose an error of 1e-9, which fit still shows
+    """
+    if value is None:
+        return NO_VALUE
+    if value >= ALMOST and (value < 100 or rmse > 0):
+        return f"> {ALMOST} %"
+    return f"{math.floor(100 * value) / 100:.2f} %"
 
 
 def judged_text(row: ValidatedSignal, value: float | None) -> str:
@@ -38,7 +48,15 @@ def judged_text(row: ValidatedSignal, value: float | None) -> str:
         return error_display_unit(row.unit).ascii(value)
     if row.tolerance.metric in ("nrmse", "maximum_relative"):
         return percentage(value)
-    return percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
+    return _exact_percent(value) if row.tolerance.metric in ("fit", "vaf") else number(value)
+
+
+def _exact_percent(value: float) -> str:
+    """Fit or VAF [%] beside its limit, rounded down: two decimals, near 100 % up to four."""
+    if value < 99:
+        return f"{math.floor(100 * value + 1e-6) / 100:.2f} %"
+    text = f"{math.floor(1e4 * value + 1e-6) / 1e4:.4f}"
+    return f"{text[:-2]}{text[-2:].rstrip('0')} %"
 
 
 def limit_text(row: ValidatedSignal) -> str:
@@ -150,7 +168,10 @@ def _remarks(validation: Validation) -> list[str]:
 
 def _cells(row: ValidatedSignal) -> tuple[str, ...]:
     m, unit = row.metrics, error_display_unit(row.unit)
-    fits = ("<-999" if v is not None and v < -999 else percent(v).removesuffix(" %") for v in (m.fit, m.vaf))
+    fits = (
+        "<-999" if v is not None and v < -999 else percent(v, m.rmse).removesuffix(" %").replace("> ", ">")
+        for v in (m.fit, m.vaf)
+    )
     return (
         unit.plain(m.maximum_error),
         unit.plain(m.rmse),

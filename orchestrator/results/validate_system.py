@@ -185,9 +185,12 @@ def describe(component: Component) -> reporting.ReportedComponent:
 
 
 def parameters(system: System) -> Iterable[reporting.ReportedParameter]:
-    """All parameters of a run, with their sources if the FMU contains `resources/parameters.toml`."""
+    """All parameters of a run, with their sources if the FMU contains `resources/parameters.toml`.
+
+    Components without inputs, such as a program of lever strokes, are last.
+    """
     others = {v.name: v for v in other_values(system)}
-    for component in system.components.values():
+    for component in sorted(system.components.values(), key=lambda c: not c.interface.of("input")):
         sources = _provenance(component)
         for v in component.interface.of("parameter"):
             value = component.start.get(v.name, v.start if v.start is not None else "")

@@ -7,33 +7,35 @@ its own scale.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from orchestrator.base import html_page
 from orchestrator.base.errors import Problem
-from orchestrator.base.plotting import (
+from orchestrator.base.figures import (
     PALETTE,
     REFERENCE,
     SIMULATION,
+    TraceFigure,
     TraceLine,
     TracePanel,
-    draw_traces,
-    embed,
-    legend_entry,
+    plot,
 )
 from orchestrator.base.text import NO_VALUE, display_unit, error_display_unit, number, percentage, typeset
 from orchestrator.base.units import convert, reader_unit
 from orchestrator.data.trace import Trace
 from orchestrator.results import summary
 from orchestrator.results.layout import FigureSpec, PanelSpec
-from orchestrator.results.motion import MachineMotion, frames, strobe
+from orchestrator.results.motion import MachineMotion, frames, still
 from orchestrator.results.validation import ValidatedSignal, Validation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -158,12 +160,10 @@ def render(report: Report) -> str:
         error=lambda value, row: error_display_unit(row.unit).text(value),
         share=percentage,
         value=_value,
-        figures=[
-            (spec, embed(draw(spec, validation, report.trace), f"f{k}-", spec.title))
-            for k, spec in enumerate(report.figures)
-        ],
+        figures=[(spec, plot(traces(spec, validation, report.trace), spec.title)) for spec in report.figures],
+        plots=bool(report.figures),
         motion=motion and not report.machine and html_page.script_data(frames(motion, report.ghost)),
-        still=motion and embed(strobe(motion), "m-", "motion"),
+        still=motion and still(motion),
         script=Markup((TEMPLATES / "motion.js").read_text(encoding="utf-8")),
     )
 
@@ -179,7 +179,18 @@ def _tile(name: str, rows: Sequence[ValidatedSignal]) -> dict[str, Any]:
         "judged": len(judged),
         "worst": worst,
         "use": min(use, 1.0),
+        "share": _share(use),
     }
+
+
+def _share(use: float) -> str:
+    """Use of a limit in percent, rounded up, so that only a kept limit is shown as at most 100 %."""
+    tenths = math.ceil(1000 * use - 1e-9)
+    if tenths <= 1 and use > 0:
+        return "< 0.1 %"
+    if tenths > 99_999:
+        return "over 100 times"
+    return f"{tenths / 10:.1f} %" if tenths < 100 else f"{-(-tenths // 10)} %"
 
 
 def _value(value: Any) -> str:
@@ -190,10 +201,16 @@ def _value(value: Any) -> str:
 
 
 def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Figure:
+    """The figure of a validation with its title, drawn by matplotlib."""
+    from orchestrator.base import plotting
+
+    return plotting.draw(replace(traces(spec, validation, trace), title=spec.title))
+
+
+def traces(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> TraceFigure:
     """Figure of a validation; signals that were not compared, such as commands, are from the trace."""
     panels = [_panel(spec, panel, validation, trace) for panel in spec.panels]
-    key = legend_entry("reference", **REFERENCE), legend_entry("simulation", **SIMULATION)
-    return draw_traces(panels, validation.window, spec.title, key=key)
+    return TraceFigure(panels, validation.window, key=(("reference", REFERENCE), ("simulation", SIMULATION)))
 
 
 def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Trace | None) -> TracePanel:
@@ -214,10 +231,13 @@ def _panel(spec: FigureSpec, panel: PanelSpec, validation: Validation, trace: Tr
             simulation, reference = (
                 convert(y, row.unit, reader_unit(row.unit), signal) for y in (row.simulation, row.reference)
             )
-            lines.append(TraceLine(row.time, reference, {"color": light, "linewidth": 2.6}, name))
-            lines.append(TraceLine(row.time, simulation, {**SIMULATION, "color": dark}))
+            lines.append(
+                TraceLine(row.time, reference, {"color": light, "linewidth": 2.6}, name, "reference")
+            )
+            style = {**SIMULATION, "color": dark}
+            lines.append(TraceLine(row.time, simulation, style, key="simulation"))
             if row.passed is not None or not validation.judged:
-                errors.append(TraceLine(row.time, simulation - reference, {"color": dark}))
+                errors.append(TraceLine(row.time, simulation - reference, {"color": dark}, name))
             compared.append((name, row))
         elif trace is not None and signal in trace.signals:
             unit = trace.units.get(signal, "")

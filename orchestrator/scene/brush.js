@@ -4,7 +4,8 @@ import { THREE } from "nicegui-scene";
 
 const LEVELS = [2, 1, 0.75, 0.55]; // pixels drawn per pixel of the page; the first up to those of the screen
 const SLOW = 40; // ms for a picture; above it fewer pixels
-const FAST = 14; // ms; below it more: the next level takes less than twice as long
+const SPARE = 0.8; // share of SLOW that the next finer level may take, by its number of pixels
+const CALM = 30000; // ms after which a page that let a message go late may draw everything again
 const LONGEST = 250; // ms of rest
 const FIRST = 4; // pictures that are slow in any case: programs of the graphics are made
 const MEAN = 3; // level, without trees and shadow, that a driver is given whose page let a message go late
@@ -42,15 +43,26 @@ export default class Brush {
     camera.updateProjectionMatrix();
   }
 
-  // for good: a driver needs the controls more than the trees
+  // a driver needs the controls more than the trees; they come back when the load has gone
   plain(scene) {
-    if (this.page.dataset.detail === "low") return;
-    this.page.dataset.detail = "low";
+    clearTimeout(this.calm);
+    this.calm = setTimeout(() => this.detail(scene, true), CALM);
+    if (this.page.dataset.detail !== "low") this.detail(scene, false);
+  }
+
+  detail(scene, full) {
+    this.page.dataset.detail = full ? "full" : "low";
     scene.traverse((one) => {
-      if (one.userData.extra) one.visible = false;
+      if (one.userData.extra) one.visible = full;
     });
-    this.least = MEAN;
-    if (this.level < MEAN) this.turn(MEAN);
+    this.least = full ? 0 : MEAN;
+    if (full) this.page.redraw();
+    else if (this.level < MEAN) this.turn(MEAN);
+  }
+
+  // ms that the next finer level will take
+  get finer() {
+    return this.level > 0 ? this.cost * (LEVELS[this.level - 1] / LEVELS[this.level]) ** 2 : Infinity;
   }
 
   paint(draw) {
@@ -74,14 +86,14 @@ export default class Brush {
     this.busy = false;
     this.page.dataset.drawn = ++this.drawn;
     const slower = this.cost > SLOW && this.level < LEVELS.length - 1;
-    const faster = this.cost < FAST && this.level > (this.least ?? 0);
+    const faster = this.finer < SPARE * SLOW && this.level > (this.least ?? 0);
     if (!slower && !faster) return;
     this.turn(this.level + (slower ? 1 : -1));
   }
 
   turn(level) {
+    this.cost *= (LEVELS[level] / LEVELS[this.level]) ** 2;
     this.level = level;
-    this.cost = (SLOW + FAST) / 2;
     this.renderer.setPixelRatio(this.level ? LEVELS[this.level] : Math.min(LEVELS[0], window.devicePixelRatio));
     this.rest = 0; // the canvas is empty now
     this.page.redraw();

@@ -184,6 +184,15 @@ class SceneSignals:
 
 
 @dataclass(frozen=True)
+class Notice:
+    """A text that is shown while the magnitude of a signal is above a value, in the unit of the FMU."""
+
+    name: str
+    above: float
+    text: str
+
+
+@dataclass(frozen=True)
 class ViewDescription:
     """Content of the file. full_pressure: end of the colour scale [Pa]; signals: also recorded."""
 
@@ -191,6 +200,7 @@ class ViewDescription:
     charts: tuple[Chart, ...]
     full_pressure: float = 25e6
     signals: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     axes: tuple[DrivenInput, ...] = ()
     modes: Mapping[str, DriveMode] = field(default_factory=dict)
     scene: SceneSignals | None = None
@@ -207,7 +217,9 @@ class ViewDescription:
         scene = self.scene
         drawn = (*scene.joints, *scene.pressures.values()) if scene else ()
         gauges = (line.name for group in self.gauges for line in group.lines)
-        return tuple(dict.fromkeys((*drawn, *gauges, *self.curves, *self.signals)))
+        return tuple(
+            dict.fromkeys((*drawn, *gauges, *self.curves, *(n.name for n in self.notices), *self.signals))
+        )
 
     def driven(self, system: System) -> Mapping[str, DrivenInput]:
         """Inputs that an operator drives, by name. Raises `Problem` if none of those in the file exists."""

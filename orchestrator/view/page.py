@@ -19,6 +19,7 @@ from nicegui import ui
 
 from orchestrator.realtime.setup import Frame
 from orchestrator.scene.drawing import colour, rings
+from orchestrator.scene.view_description import ViewDescription
 from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
 from orchestrator.view.driving.endpoint import mount
 from orchestrator.view.panels.bar import Bar
@@ -166,7 +167,7 @@ TABLE = "training.csv"
 HINT = (
     ("Space", "hold: dead-man"),
     ("W A S D", "left stick"),
-    ("arrows", "right stick"),
+    ("Arrows", "right stick"),
     ("P", "pause"),
     ("Home", "start again"),
 )
@@ -191,21 +192,23 @@ class Page:
         self._fitted: SignalIndex | None = None
         ui.add_css(STYLE)
         ui.colors(primary=GREEN)
-        ui.dark_mode(None)  # as set in the browser
+        ui.dark_mode(None)  # as set in the browser, the picture of the machine included
+        ui.run_javascript("document.documentElement.lang = 'en'")
         credit = stream.join(self)
-        with ui.element("main").classes("view"):
-            with ui.element("div").classes("stage"):
+        ui.html('<a class="skip" href="#drive">Skip to the controls</a>', sanitize=False)
+        with ui.element("div").classes("view"):
+            with ui.element("section").classes("stage").props('aria-label="Machine"'):
                 sizes = session.plan.geometry
                 self._canvas = Canvas(sizes, credit.shown, stream.refresh) if sizes else None
-                with ui.element("section").classes("task") as self._task:
+                with ui.element("section").classes("task").props('aria-label="Training task"') as self._task:
                     self._task.set_visibility(False)
                     table = session.folders[0] / TABLE if session.folders else None
                     self._opened = task(training, table, lambda: self._task.visible)
                 self._banner = ui.label().classes("banner").props("role=alert")
-            with ui.element("div").classes("hands"):
+            with ui.element("section").classes("hands").props('id=drive tabindex=-1 aria-label="Controls"'):
                 station = mount(session.machine, authority, self._reduce_load)
                 _hint()
-            with ui.element("aside"):
+            with ui.element("aside").props('tabindex=0 aria-label="Gauges and charts"'):
                 self._gauges, self._charts = Gauges(), Charts(session.plan.description.charts)
             with ui.element("header"):
                 self._bar = Bar(session, self._canvas, partial(_refusal, authority, station), authority)
@@ -254,9 +257,10 @@ class Page:
         if self._fitted is not shared.index:
             self._fitted = shared.index
             self._gauges.fit(shared.index, plan.description)
+            self._charts.fit(shared.index)
         self._gauges.show(frame, shared.index)
         self._bar.show(frame)
-        self._show_banner(frame)
+        self._show_banner(frame, shared.index)
         if self._canvas is not None:
             self._canvas.marks(self._rings() if self._task.visible else [])
         if shared.looks % 2 == 0:
@@ -268,9 +272,10 @@ class Page:
         """Update one chart at a time, for a slow browser: a driver needs the sticks more than charts."""
         self._slow = True
 
-    def _show_banner(self, frame: Frame) -> None:
+    def _show_banner(self, frame: Frame, index: SignalIndex) -> None:
         """Show over the drawing why the machine does not move."""
-        text = "; ".join(filter(None, (frame.message, STANDING.get(frame.state, ""))))
+        ends = notices(self._session.plan.description, index, frame)
+        text = "; ".join(filter(None, (frame.message, STANDING.get(frame.state, ""), *ends)))
         self._banner.set_text(text)
         self._banner.set_visibility(bool(text))
         self._banner.classes(**{"add" if frame.state == "failed" else "remove": "bad"})
@@ -285,6 +290,11 @@ class Page:
     def _toggle(self) -> None:
         self._task.set_visibility(not self._task.visible)
         self._opened()
+
+
+def notices(description: ViewDescription, index: SignalIndex, frame: Frame) -> list[str]:
+    """Texts of the notices whose signal is above its value; none if the machine lacks the signal."""
+    return [n.text for n in description.notices if abs(index.value(frame, n.name)) > n.above]
 
 
 def _hint() -> None:

@@ -11,7 +11,7 @@ from orchestrator import Problem, Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
 from orchestrator.engine.result import read_metadata
 from orchestrator.results.comparison import compare, quantity
-from orchestrator.results.comparison_report import chosen, draw, text
+from orchestrator.results.comparison_report import WIDTH, chosen, draw, text
 
 TIME = np.linspace(0.0, 10.0, 1001)
 SPEED, PRESSURE = np.sin(TIME), 1e7 + 1e6 * np.cos(TIME)
@@ -90,7 +90,7 @@ def test_the_largest_difference_is_that_of_all_signals():
     found = compare(runs)
     assert found.worst("other", "pressure").signal == "a"
     assert found.largest("other", "pressure").signal == "c"
-    assert re.search(r"^pressure +3 .*% +a +0.7 bar +c$", text(found), re.MULTILINE)
+    assert re.search(r"^pressure +3  a +\S+ % +0.1 bar\n +c +\S+ % +0.7 bar$", text(found), re.MULTILINE)
 
 
 def test_costs_tell_what_was_swapped_and_the_ratio(fmus):
@@ -100,8 +100,11 @@ def test_costs_tell_what_was_swapped_and_the_ratio(fmus):
         for name, swap in (("usual", {}), ("other", {"gain": fmus["gain"]}))
     }
     told = text(compare(results))
-    assert re.search(r"^usual +gauss-seidel +0.1 s +\S+ +\S+ +\S+ +1  gain \S+$", told, re.MULTILINE)
-    assert re.search(r"^other \(gain=gain\) +gauss-seidel +0.1 s", told, re.MULTILINE)
+    assert re.search(r"^usual +gauss-seidel +0.1 s +\S+ +\S+ +\S+ +1$", told, re.MULTILINE)
+    assert re.search(r"^other +gauss-seidel +0.1 s", told, re.MULTILINE)
+    assert "other: swapped gain for gain" in told
+    assert re.search(r"^in each FMU \[us/ms\] +gain$", told, re.MULTILINE)
+    assert max(map(len, told.splitlines())) <= WIDTH
 
 
 def test_against_names_the_reference():
@@ -233,7 +236,9 @@ def test_the_command_prints_and_writes(capsys):
     assert main(["compare", "a.csv", "b.csv", "c.parquet", "--out", "new/place"]) == 0
     printed = capsys.readouterr().out
     assert "b against a" in printed
-    assert re.search(r"^a +gauss-seidel +0.1 s .* gain [\d.e-]+$", printed, re.MULTILINE)
+    assert re.search(r"^a +gauss-seidel +0.1 s .* 1$", printed, re.MULTILINE)
+    assert "page: new/place/comparison.html" in printed
+    assert "Differences from <b>a</b>" in Path("new/place/comparison.html").read_text(encoding="utf-8")
     assert "picture: new/place/comparison.png" in printed
     assert Path("new/place/comparison.png").read_bytes().startswith(b"\x89PNG")
     data = json.loads(Path("new/place/comparison.json").read_text(encoding="utf-8"))

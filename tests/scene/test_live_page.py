@@ -11,23 +11,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from driven_page import SECTION, Opened, assert_same_motion
 
-import orchestrator.view.driving as driving
 from fmus.machine.build import data
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
-from orchestrator.data.trace import Trace, read_trace
-from orchestrator.engine.run import run
+from orchestrator.data.trace import Trace
 from orchestrator.results.validate_system import validate_system
 from orchestrator.scene import live_page
 from orchestrator.scene.live_page import Replayed, find_fmu, fragment, write_page
+from orchestrator.view import driving
 from orchestrator.view.driving.sticks import ResponseCurve, response
 
-READY = ".harvester-machine[data-ready]"
-LONG = 120.0  # s; only bounds a failure
-SECTION = "document.querySelector('.harvester-machine').machine"
 SCHEMES = ("light", "dark")
-OWN = ("file", "blob", "data")  # schemes of addresses that no network sees
 
 
 @pytest.fixture(scope="module")
@@ -41,32 +37,10 @@ def files(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     head = '<!doctype html><html lang="en" style="color-scheme: light dark"><title>replay</title>'
     replayed.write_text(f"{head}<main><h1>Replay</h1>{section}</main>", encoding="utf-8")
     return {
+        "report": report(fmu_dir, folder),
         "drive": write_page(folder / "drive.html", fmu_dir / "harvester.ssp", "Drive"),
         "replay": replayed,
     }
-
-
-class Opened:
-    """A page from disk. requests: schemes of the addresses asked for; complaints: errors in the console."""
-
-    def __init__(self, chromium: Any, file: Path, **settings: Any) -> None:
-        self.context = chromium.new_context(viewport={"width": 1100, "height": 900}, **settings)
-        self.page = self.context.new_page()
-        self.page.set_default_timeout(1e3 * LONG)
-        self.requests, self.complaints = set[str](), list[str]()
-        self.context.on("request", lambda request: self.requests.add(request.url.partition(":")[0]))
-        self.page.on("console", lambda m: self.complaints.append(m.text) if m.type == "error" else None)
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.goto(file.as_uri())
-        self.page.wait_for_selector(READY)
-
-    def ask(self, expression: str) -> Any:
-        """What an expression of the section has as its value."""
-        return self.page.evaluate(f"() => {SECTION}.{expression}")
-
-    def until(self, condition: str) -> None:
-        """Wait until a condition on the section s holds."""
-        self.page.wait_for_function(f"() => {{ const s = {SECTION}; return {condition}; }}")
 
 
 @pytest.fixture
@@ -83,53 +57,10 @@ def opened(chromium: Any, files: dict[str, Path]) -> Iterator[Any]:
         page.context.close()
 
 
-def drive(page: Opened) -> None:
-    """Swing, boom and stick by keys, payload and pressure by sliders, until 6 s of simulated time."""
-    page.page.get_by_role("button", name="Drive", exact=True).click()
-    page.page.get_by_role("button", name="Start again").click()
-    page.page.get_by_label("Payload").fill("200")
-    page.page.locator(".hm-stage").focus()
-    keyboard = page.page.keyboard
-    keyboard.down("a")
-    keyboard.down("ArrowDown")
-    page.until("s.simulation.time > 1")
-    keyboard.up("ArrowDown")
-    keyboard.down("KeyW")
-    page.until("s.simulation.time > 2")
-    keyboard.up("KeyW")
-    page.page.get_by_label("Supply pressure").fill("15")
-    page.page.locator(".hm-stage").focus()
-    keyboard.down("s")
-    page.until("s.simulation.time > 3.5")
-    keyboard.up("s")
-    page.until("s.simulation.time > 6")
-    page.page.locator(".hm-stage").focus()
-    keyboard.press("p")
-
-
-def test_same_motion_as_run(opened: Any, fmi3_dir: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["drive", "report"])
+def test_same_motion_as_run(opened: Any, name: str, fmi3_dir: Path, tmp_path: Path) -> None:
     """Driven by hand for 6 s, the machine is where `harvester run` has it with the saved commands."""
-    page = opened("drive")
-    drive(page)
-    seen = page.ask("points.map(p => [p.t, p.values.boom_angle, p.values.swing_angle, p.values.stick_angle])")
-    with page.page.expect_download() as download:
-        page.page.get_by_role("button", name="Save the commands").click()
-    download.value.save_as(tmp_path / "drive.csv")
-    scenario = read_trace(tmp_path / "drive.csv")
-    assert np.ptp(scenario["boom_command"]) > 1, "the key did nothing"
-    assert np.ptp(scenario["supply_pressure"]) == pytest.approx(20.684e6 - 15e6)
-    result = run(fmi3_dir / "harvester.fmu", scenario, stop=float(scenario.time[-1]), step=1e-3)
-    time, *angles = np.array(seen).T
-    at = int(np.argmin(np.abs(time - 5.0)))
-    assert time[at] == pytest.approx(5.0, abs=0.02)
-    for name, values in zip(("boom_angle", "swing_angle", "stick_angle"), angles, strict=True):
-        same = result.trace.at(time)[f"harvester.{name}"]
-        assert np.ptp(values) > 0.05, f"{name} did not move"
-        # the bar of the page; the same C code with another libm differs by some 1e-15
-        assert values[at] == pytest.approx(same[at], abs=1e-9)
-        np.testing.assert_allclose(values, same, atol=1e-9)
-    assert page.complaints == []
-    assert page.requests <= set(OWN), "a request left the page"
+    assert_same_motion(opened(name), fmi3_dir / "harvester.fmu", tmp_path)
 
 
 def test_fast_enough(opened: Any) -> None:
@@ -157,6 +88,8 @@ def test_accessible(opened: Any, name: str, scheme: str) -> None:
 def test_keyboard_alone(opened: Any) -> None:
     """Tab reaches the machine, keys drive it, Escape leaves it; Tab reaches every control."""
     page = opened("drive", reduced_motion="reduce")
+    page.page.keyboard.press("Tab")
+    assert page.page.evaluate("() => document.activeElement.className") == "skip"
     page.page.keyboard.press("Tab")
     assert "hm-stage" in page.page.evaluate("() => document.activeElement.className")
     page.page.keyboard.down("d")
@@ -310,13 +243,18 @@ def test_library_is_as_built() -> None:
     assert '"three": "0.180.0"' in (folder / "package.json").read_text(encoding="utf-8")
 
 
-def test_report_has_the_machine(fmu_dir: Path, tmp_path: Path) -> None:
+def test_report_has_the_machine(files: dict[str, Path]) -> None:
     """The report of a validation contains the machine with its module, in place of the animation of lines."""
+    text = files["report"].read_text(encoding="utf-8")
+    assert 'data-part="module"' in text
+    assert "Replay the run" in text
+    assert 'id="motion-data"' not in text
+    assert "no machine in the report" not in text
+
+
+def report(fmu_dir: Path, folder: Path) -> Path:
+    """The report of a validation of the first second."""
     default = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = {"default": default, "rate": False, "stop": 1.0}
-    validate_system(fmu_dir / "harvester.ssp", None, None, None, tmp_path, **options)
-    report = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert 'data-part="module"' in report
-    assert "Replay the run" in report
-    assert 'id="motion-data"' not in report
-    assert "no machine in the report" not in report
+    validate_system(fmu_dir / "harvester.ssp", None, None, None, folder, **options)
+    return folder / "report.html"

@@ -141,7 +141,7 @@ def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
     """Median, area and dashed lines in bar, over all runs and by option, where some runs failed."""
     found = results(ishigami, ISHIGAMI, "saltelli", 32, [TWO], failed=_some)
     assert found.bands is not None
-    axes = bands(found, "part.pressure", display_unit("Pa"), choice).axes[0]
+    (panel,) = bands(found, "part.pressure", display_unit("Pa"), choice).panels
     ended = found.bands.merge(found.table[found.table["status"] == "ok"], on="run")
     groups = [ended] if choice is None else [ended[ended[choice.column] == o] for o in choice.options]
     quantiles = [
@@ -150,13 +150,11 @@ def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
     ]
     columns = [0.5, 0.0, 1.0] if choice is None else [0.5]
     expected = [own[column] for own in quantiles for column in columns]
-    assert len(axes.lines) == len(expected)
-    for line, own in zip(axes.lines, expected, strict=True):
+    assert len(panel.lines) == len(expected)
+    for line, own in zip(panel.lines, expected, strict=True):
         # rounding only: of sums, of numbers near zero too
-        assert np.asarray(line.get_ydata()) == pytest.approx(own.to_numpy(), rel=1e-12, abs=1e-12)
-        assert np.asarray(line.get_xdata()) == pytest.approx(own.index.to_numpy(), rel=1e-12)
-    for area, own in zip(axes.collections, quantiles, strict=True):
-        corners = area.get_paths()[0].vertices
-        for time, low, high in zip(own.index, own[0.05], own[0.95], strict=True):
-            drawn = corners[np.isclose(corners[:, 0], time), 1]
-            assert (drawn.min(), drawn.max()) == pytest.approx((low, high), rel=1e-12, abs=1e-12)
+        assert line.values == pytest.approx(own.to_numpy(), rel=1e-12, abs=1e-12)
+        assert line.time == pytest.approx(own.index.to_numpy(), rel=1e-12)
+    for area, own in zip(panel.areas, quantiles, strict=True):
+        assert area.low == pytest.approx(own[0.05].to_numpy(), rel=1e-12, abs=1e-12)
+        assert area.high == pytest.approx(own[0.95].to_numpy(), rel=1e-12, abs=1e-12)

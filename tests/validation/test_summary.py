@@ -15,7 +15,7 @@ from orchestrator.base.text import number
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.trace import Trace
-from orchestrator.results.summary import percent, summary
+from orchestrator.results.summary import miss_text, percent, summary
 from orchestrator.results.validation import Validation, validate
 
 
@@ -53,7 +53,8 @@ def test_a_line_per_signal_below_its_group_and_limit(outcome: Validation) -> Non
     # range 20 (1 + exp(-pi / 20)) = 37.1 bar, standard deviation about 20 / sqrt(8) = 7.1 bar
     name, largest, rms, share, fit, *rest = lines[at + 1].split()
     assert (name, largest, rms, share, fit[:3]) == ("pressure", "1", "1", "2.7", "85.")
-    assert rest == ["100.00", "-", "pass"]
+    # VAF ignores the offset of 1 bar, but 100.00 would say that there is no error
+    assert rest == [">99.99", "-", "pass"]
     assert "compared at the 201 samples of the reference, 0 to 2 s" in lines
     assert lines[-1] == "pass: 2 of 2 signals within their limits"
 
@@ -139,8 +140,25 @@ def test_numbers_have_few_digits(value: float | None, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(100.0, "100.00 %"), (99.9999, "99.99 %"), (-12.345, "-12.35 %"), (None, "-")]
+    ("value", "rmse", "text"),
+    [
+        (100.0, 0.0, "100.00 %"),
+        (100.0, 1e-9, "> 99.99 %"),  # VAF of an error of 1e-9, whose square is below the rounding of 100
+        (99.9999999, 1e-9, "> 99.99 %"),  # its fit
+        (99.9999, 1e-4, "> 99.99 %"),
+        (99.987, 1e-2, "99.98 %"),
+        (-12.345, 1.0, "-12.35 %"),
+        (None, 1.0, "-"),
+    ],
 )
-def test_only_perfect_shows_hundred_percent(value: float | None, text: str) -> None:
-    """A fit is rounded down, so that nearly perfect is not called perfect."""
-    assert percent(value) == text
+def test_only_perfect_shows_hundred_percent(value: float | None, rmse: float, text: str) -> None:
+    """Fit and VAF of one error never contradict each other: neither is 100 % unless there is no error."""
+    assert percent(value, rmse) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(99.9912, "fit 99.9912 %"), (99.5, "fit 99.50 %")])
+def test_a_value_and_its_limit_near_hundred_percent_differ(value: float, text: str) -> None:
+    """A fit of 99.9912 % misses a limit of 99.995 %, and both are printed so that this is seen."""
+    row = made(a__x=Tolerance("fit", 99.995)).rows[0]
+    told = miss_text(replace(row, passed=False, metrics=replace(row.metrics, fit=value)))
+    assert told.startswith(f"{text}, limit 99.995 %")

@@ -258,7 +258,7 @@ def test_edges_are_left_rough_where_the_processor_draws(page: Any) -> None:
 def test_pose_and_fidelity(page: Any, server: Server) -> None:
     """Another pose and another variant, chosen on the page, start the machine anew as these."""
     page.get_by_role("button", name="Pose and fidelity").click()
-    for label, option in (("Pose", "reach"), ("manipulator", "pendulum")):
+    for label, option in (("Pose", "reach"), ("Manipulator", "pendulum")):
         page.get_by_role("combobox", name=label).click()
         page.get_by_role("option", name=option, exact=True).click()
     page.get_by_role("button", name="Start", exact=True).click()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,13 +22,13 @@ from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.realtime.replay import Replay
 from orchestrator.realtime.setup import Frame, Timing
-from orchestrator.scene.view_description import Gauge, by_bare_name, view_description
+from orchestrator.scene.view_description import Gauge, Notice, by_bare_name, view_description
 from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.load import load
 from orchestrator.ssp.write import write_ssp
 from orchestrator.view.choice import MachineChoice, plan, poses, variants
 from orchestrator.view.driving.sticks import modes
-from orchestrator.view.page import AHEAD, LOST, Credit
+from orchestrator.view.page import AHEAD, LOST, Credit, notices
 from orchestrator.view.panels.charts import BIN, WINDOW, History, extremes
 from orchestrator.view.panels.gauges import figure as figure_of
 from orchestrator.view.server import bound
@@ -154,7 +155,7 @@ def test_choice_with_a_controller(fmu_dir: Path) -> None:
     system = load(fmu_dir / "harvester_control.ssp")
     description = view_description(system)
     found = description.driven(system)
-    names = {axis.name for axis in found}
+    names = set(found)
     assert {"boom_lever", "radial_velocity", "vertical_velocity", "swing_velocity", "engaged"} <= names
     assert "boom_command" not in names
     seen = description.watched(system)
@@ -250,3 +251,12 @@ def test_port_in_use() -> None:
         port = taken.getsockname()[1]
         with pytest.raises(Problem, match=f"--port {port}: cannot listen: .*; --port 0 selects a free port"):
             bound("127.0.0.1", port)
+
+
+@pytest.mark.parametrize(("force", "shown"), [(0.0, []), (999.0, []), (-2e3, ["at an end"]), (math.nan, [])])
+def test_an_end_of_stroke_is_noticed(force: float, shown: list[str]) -> None:
+    """Above the value of the notice, of either sign; not without the signal."""
+    described = replace(DESCRIPTION, notices=(Notice("stop_force", 1e3, "at an end"), Notice("x", 0.0, "x")))
+    index = SignalIndex(SimpleNamespace(signals=("arm.stop_force",), axes=()))
+    frame = SimpleNamespace(axes=np.zeros(0), values=np.array([force]))
+    assert notices(described, index, frame) == shown

@@ -171,3 +171,11 @@ def test_server_that_halts(desk: Desk, halt: float) -> None:
         desk.say(station)
     assert not any(any(command.values()) for command in desk.machine.commands[count:])
     assert not desk.machine.moving
+
+
+def test_a_visitor_does_not_read_about_somebody_else(desk: Desk) -> None:
+    """Why a driver lost the controls is shown on the driver's page; on others nobody drives."""
+    driver, visitor = desk.driver(), desk.page()
+    desk.authority.disconnect(driver, driver.connection)
+    assert desk.authority.status(driver).why == "the connection to the driver was lost"
+    assert desk.authority.status(visitor).why == "nobody drives"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from fmus.identification.report.attribution import Explanation, rms
 from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure
 from fmus.identification.report.recording_comparison import CaptionedFigure
 from orchestrator.base import html_page
+from orchestrator.base.figures import plot
 from orchestrator.base.plotting import embed
 from orchestrator.data.recording import Recording
 
@@ -106,7 +107,8 @@ def render(page: IdentificationPage) -> str:
         origin=report_texts.origin(page.kinds),
         results=results,
         heatmap=heatmap,
-        figures=[(f, embed(f.figure, f"t{k}-", f.title)) for k, f in enumerate(page.figures)],
+        figures=[(f, plot(replace(f.figure, title=""), f.title)) for f in page.figures],
+        plots=bool(page.figures),
     )
 
 

@@ -25,12 +25,9 @@ from matplotlib.ticker import MaxNLocator
 
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.report_texts import footer
+from orchestrator.base.figures import DASHES, DOTS, PALETTE, decimate
 from orchestrator.base.plotting import (
-    DASHES,
-    DOTS,
-    PALETTE,
     WIDTH,
-    decimate,
     heading,
     legend,
     new_figure,

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from fmus.identification.machine import COMMANDS
 from fmus.identification.procedures.momentum_balance import JOINTS
@@ -26,14 +25,13 @@ from fmus.identification.report.attribution import (
 )
 from fmus.identification.report.prediction import Signals, excitation, predict
 from fmus.identification.report.report_texts import counterpart, footer, origin
-from orchestrator.base.plotting import (
+from orchestrator.base.figures import (
     PALETTE,
     REFERENCE,
     SIMULATION,
+    TraceFigure,
     TraceLine,
     TracePanel,
-    draw_traces,
-    legend_entry,
 )
 from orchestrator.base.text import display_unit, percentage, sentences
 from orchestrator.data.recording import Recording
@@ -147,7 +145,7 @@ def attribute(
     )
 
 
-def figure(comparison: RecordingComparison, joint: str) -> Figure:
+def figure(comparison: RecordingComparison, joint: str) -> TraceFigure:
     """Command, angle, speed, flow and pressures of a joint, if they were measured."""
     recording, time = comparison.recording, comparison.recording.time
     panels = [
@@ -155,12 +153,12 @@ def figure(comparison: RecordingComparison, joint: str) -> Figure:
         for label, curves in SIGNALS[joint].items()
         if (measured := {n: curve for n, curve in curves.items() if n in comparison.measured})
     ]
-    return draw_traces(
+    return TraceFigure(
         panels,
         (float(time[0]), float(time[-1])),
         f"{joint.capitalize()}: {recording.title}",
         footer(FIGURES[joint], [recording.kind]),
-        (legend_entry("measured", **REFERENCE), legend_entry("predicted", **SIMULATION)),
+        (("measured", REFERENCE), ("predicted", SIMULATION)),
     )
 
 
@@ -175,9 +173,10 @@ def _panel(label: str, curves: Mapping[str, str], comparison: RecordingCompariso
             lines.append(TraceLine(time, unit.factor * measured, {"color": dark, "linewidth": 1.2}))
             continue
         predicted = comparison.predicted[signal]
-        lines.append(TraceLine(time, unit.factor * measured, {"color": light, "linewidth": 2.6}))
-        lines.append(TraceLine(time, unit.factor * predicted, {**SIMULATION, "color": dark}))
-        residuals.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}))
+        broad, dotted = {"color": light, "linewidth": 2.6}, {**SIMULATION, "color": dark}
+        lines.append(TraceLine(time, unit.factor * measured, broad, curve, "measured"))
+        lines.append(TraceLine(time, unit.factor * predicted, dotted, curve, "predicted"))
+        residuals.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}, curve))
         if (error := nrmse(measured, predicted)) is not None:
             remarks.append((f"{curve}\nNRMSE {percentage(error, 2)}".strip(), dark))
     return TracePanel(
@@ -197,7 +196,7 @@ class CaptionedFigure:
     """A figure with title and caption."""
 
     title: str
-    figure: Figure
+    figure: TraceFigure
     caption: str
 
 

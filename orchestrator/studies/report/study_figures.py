@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from orchestrator.base.plotting import PALETTE, legend, legend_entry, limit_ticks, new_figure, style_axes
+from orchestrator.base.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
+from orchestrator.base.plotting import legend, legend_entry, limit_ticks, new_figure, style_axes
 from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
 from orchestrator.studies.analysis.results import (
     FIRST,
@@ -55,7 +56,7 @@ MOST_DOTS = 1500  # per panel; more would overlap
 LARGE_DOTS = 300  # number of runs up to which dots are larger
 BINS = 12
 # Between light and dark colours of the palette, as pixels do not follow the theme of the page.
-COLOURS = ("#3f7fb0", "#c47a1f", "#2f8f6f")
+COLOURS = ("#3f7fb0", "#bb7319", "#2f8f6f")
 
 
 def scatter(
@@ -160,32 +161,32 @@ def histogram(results: Results, output: Output, analysed: OutputAnalysis, choice
 
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+EXTREMES = "smallest and largest"
 
 
-def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | None) -> Figure:
+def bands(results: Results, signal: str, unit: DisplayUnit, choice: Choice | None) -> TraceFigure:
     """Median, 5 to 95 % and extremes over the runs at each time; a colour per option."""
-    figure = column_figure(2.7)
-    axes = figure.subplots()
-    style_axes(axes, "time [s]", label(signal, unit))
     runs = done(results)
     assert results.bands is not None  # called only if signals are stored
-    groups = _groups(runs, choice)[: len(DARK)]
-    for i, (name, rows) in enumerate(groups):
+    lines, areas = list[TraceLine](), list[TraceArea]()
+    key: dict[str, Mapping[str, Any]] = {}
+    for i, (name, rows) in enumerate(_groups(runs, choice)[: len(DARK)]):
         samples = results.bands[results.bands["run"].isin(runs["run"][rows])]
         if samples.empty:
             continue
         time, values = quantiles(samples, signal)
         low, five, median, ninety_five, high = unit.factor * values
-        axes.fill_between(time, five, ninety_five, color=LIGHT[i], alpha=0.55, linewidth=0)
-        axes.plot(time, median, color=DARK[i], linewidth=1.6, label=name or "median, 5 to 95 %")
+        solid = {"color": DARK[i], "linewidth": 1.6}
+        dashed = {"color": DARK[i], "linewidth": 0.9, "linestyle": (0, (2, 2))}
+        label = name or "median, 5 to 95 %"
+        areas.append(TraceArea(time, five, ninety_five, LIGHT[i], label))
+        lines.append(TraceLine(time, median, solid, key=label))
+        key[label] = solid
         if choice is None:
-            style = {"color": DARK[i], "linewidth": 0.9, "linestyle": (0, (2, 2))}
-            axes.plot(time, low, label="smallest and largest", **style)
-            axes.plot(time, high, **style)
-    limit_ticks(axes.yaxis)
-    axes.margins(x=0)
-    legend(axes)
-    return figure
+            lines += [TraceLine(time, values, dashed, key=EXTREMES) for values in (low, high)]
+            key[EXTREMES] = dashed
+    panel = TracePanel(unit.display, lines, signal, areas=areas, heights=(4.2, 0.0))
+    return TraceFigure([panel], key=tuple(key.items()))
 
 
 def quantiles(samples: pd.DataFrame, signal: str) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from orchestrator.base import html_page
+from orchestrator.base.figures import plot
 from orchestrator.base.html_page import json_values
 from orchestrator.base.plotting import embed
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
@@ -88,6 +89,7 @@ def render(results: Results, analysis: Analysis) -> str:
     """The page as HTML."""
     study = results.study
     outputs = {output.name: output for output in study.outputs}
+    over_time = _bands(results)
     return html_page.render(
         TEMPLATE,
         title=analysis.title,
@@ -100,7 +102,8 @@ def render(results: Results, analysis: Analysis) -> str:
         tiles=[_tile(analysed) for analysed in analysis.findings],
         varied=[(f, distribution_text(f), _bar_heights(results.table[f.column])) for f in study.factors],
         sections=[_section(results, outputs[f.name], f, k) for k, f in enumerate(analysis.findings)],
-        bands=_bands(results),
+        bands=over_time,
+        plots=bool(over_time),
         fixed=[_fixed(results, *item) for item in study.fixed.items()],
     )
 
@@ -177,7 +180,7 @@ def _spreads(analysed: OutputAnalysis) -> Markup | None:
         + [text(v, with_unit=False) for v in (s.mean, s.sd, s.minimum, s.low, s.median, s.high, s.maximum)]
         for name, s in spreads
     ]
-    head = ["", "runs", "mean", "sd", "least", "5 %", "median", "95 %", "largest"]
+    head = ["case", "runs", "mean", "sd", "least", "5 %", "median", "95 %", "largest"]
     return TextTable(head, rows).html() if rows else None
 
 
@@ -251,12 +254,11 @@ def _bands(results: Results) -> list[tuple[str, list[tuple[str, Markup]]]]:
     if results.bands is None or results.bands.empty or done(results).empty:
         return []
     figures_by_signal = []
-    for index, signal in enumerate(results.study.bands):
+    for signal in results.study.bands:
         unit = display_unit(results.units.get(signal, ""), float(results.bands[signal].abs().max()))
-        figures = [("all runs", embed(bands(results, signal, unit, None), f"b{index}-", signal))]
-        for k, choice in enumerate(results.study.compared):
+        figures = [("all runs", plot(bands(results, signal, unit, None), f"{signal}, all runs"))]
+        for choice in results.study.compared:
             title = f"by {choice.name}"
-            drawn = bands(results, signal, unit, choice)
-            figures.append((title, embed(drawn, f"b{index}-{k}-", f"{signal} {title}")))
+            figures.append((title, plot(bands(results, signal, unit, choice), f"{signal} {title}")))
         figures_by_signal.append((signal, figures))
     return figures_by_signal

@@ -247,6 +247,9 @@ class ControlAuthority:
         self._names = itertools.count(1)
         self._driver: OperatorStation | None = None
         self._asked: OperatorStation | None = None
+        self._last: OperatorStation | None = (
+            None  # the station that drove before; the reason concerns it alone
+        )
 
     def join(self) -> OperatorStation:
         """Add a station for a new page. If there are too many, unconnected stations are removed."""
@@ -292,7 +295,7 @@ class ControlAuthority:
         """Take the controls if they are free; else request them from the driver."""
         self.check()
         if self._driver is None and self.machine.drives and station in self._stations:
-            self._driver = station
+            self._driver, self._last = station, None
             station.heard = self._clock()
             self._rest(HOLD)
             if self._asked is station:
@@ -304,7 +307,7 @@ class ControlAuthority:
     def release(self, station: OperatorStation, why: str = "nobody drives") -> None:
         """Release the controls if this station is the driver."""
         if self._driver is station:
-            self._driver = None
+            self._driver, self._last = None, station
             self._rest(why)
 
     def choose(
@@ -368,6 +371,8 @@ class ControlAuthority:
         role = "free" if self._driver is None else "driving" if self._driver is station else "watching"
         gate = self._gate
         why = gate.why if self.machine.drives else "a replay cannot be driven"
+        if role == "free" and self.machine.drives and station not in (None, self._last):
+            why = "nobody drives"
         if station is not None and self._driver is station and station.held and not station.armed:
             why = AGAIN if why == HOLD else f"{why}: {AGAIN}"
         return Status(

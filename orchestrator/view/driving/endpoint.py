@@ -104,7 +104,7 @@ TAKE = {"driving": "Release controls", "watching": "Request controls", "free": "
 KEYS = (
     ("Space or Shift, held", "dead-man: the machine rests without it"),
     ("W A S D", "left stick"),
-    ("arrows or I J K L", "right stick"),
+    ("Arrows or I J K L", "right stick"),
     ("Esc", "focus back to the sticks"),
     ("gamepad", "both sticks; a bumper is the dead-man"),
     ("touch or mouse", "drag the sticks; holding one is the dead-man"),
@@ -142,7 +142,9 @@ def mount(
             take = ui.button(TAKE["free"], on_click=lambda: _take(authority, station, sticks)).mark("take")
             take.classes("take")
             patterns = ui.toggle(list(PATTERNS), on_change=lambda e: _choose(authority, station, e.value))
-            modes = ui.toggle([], on_change=lambda e: _choose(authority, station, mode=e.value))
+            patterns.props('no-caps role=group aria-label="Control pattern"')
+            modes = ui.toggle({}, on_change=lambda e: _choose(authority, station, mode=e.value))
+            modes.props('no-caps role=group aria-label="What the sticks move"')
         asked = ui.label().classes("text-caption")
         _key_map()
 
@@ -152,8 +154,8 @@ def mount(
         take.set_enabled(machine.drives and bool(status.modes))
         requested = status.asked and status.role == "driving"
         asked.text = "another page requests the controls" if requested else ""
-        if modes.options != list(status.modes):
-            modes.set_options(list(status.modes))
+        if list(modes.options) != list(status.modes):
+            modes.set_options({mode: mode.capitalize() for mode in status.modes})
         for toggle, value in ((patterns, status.pattern), (modes, status.mode)):
             toggle.set_enabled(status.role != "watching")
             if toggle.value != value and value:

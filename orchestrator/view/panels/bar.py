@@ -21,7 +21,7 @@ from orchestrator.view.session import Session
 Do = Callable[..., Awaitable[bool]]
 
 HOW = "Take the controls, hold the dead-man, then move a stick. Release the dead-man and the machine rests."
-AS_IS = "pose of the system"
+AS_IS = "As in the system"
 PAGE = (
     ("P", "play or pause"),
     ("Home", "start again"),
@@ -51,7 +51,7 @@ def machine(session: Session, do: Do) -> None:
             if labels[USUAL] == f"{value} ({USUAL})":
                 value = USUAL
             options = {value: value, **labels}
-            parts[part] = ui.select(options, value=value, label=part.replace("_", " and "))
+            parts[part] = ui.select(options, value=value, label=part.replace("_", " and ").capitalize())
 
         async def begin() -> None:
             swap = {part: str(chosen.value) for part, chosen in parts.items() if chosen.value != USUAL}
@@ -87,7 +87,7 @@ def keys() -> None:
         with ui.element("dl").classes("keys"):
             for key, meaning in (*KEYS, *PAGE, *MOUSE):
                 with ui.element("dt"):
-                    ui.label(key)
+                    ui.label(f"{key[:1].upper()}{key[1:]}")
                 with ui.element("dd"):
                     ui.label(meaning)
         ui.label(HOW).classes("hint")
@@ -98,8 +98,9 @@ def _window(title: str) -> Any:
     """Context of an open dialog, which is deleted when it is closed."""
     window = ui.dialog(value=True)
     window.on("hide", window.delete)
+    window.props(f'aria-label="{title}"')
     with window, ui.card().classes("window"):
-        ui.label(title).classes("heading")
+        ui.label(title).classes("heading").props("role=heading aria-level=2")
     return _Inside(window)
 
 
@@ -120,9 +121,9 @@ class _Inside:
 
 def _buttons(window: ui.dialog, text: str = "", action: Callable[[], Awaitable[None]] | None = None) -> None:
     with ui.row().classes("buttons"):
-        ui.button("Close", on_click=window.close).props("flat")
+        ui.button("Close", on_click=window.close).props("flat no-caps")
         if text:
-            ui.button(text, on_click=action).mark("confirm")
+            ui.button(text, on_click=action).props("no-caps").mark("confirm")
 
 
 STEP = 0.001  # fraction of the file; the knob is not moved for a smaller difference
@@ -179,7 +180,7 @@ class Bar:
         """allowed: returns a reason why this page may not change the machine, or empty."""
         self._session, self._allowed, self._authority = session, allowed, authority
         with ui.row().classes("bar") as self._row:
-            self._title = ui.label().classes("title")
+            self._title = ui.label().classes("title").props("role=heading aria-level=1")
             self._seek = Seek(session)
             self._play = button("play_arrow", "Play or pause (P)", self._toggle).mark("play")
             button("replay", "Start again (Home)", self._again).mark("restart")

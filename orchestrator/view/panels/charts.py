@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,8 @@ def extremes(rows: Array) -> Array:
     return np.stack((rows[first, columns], rows[second, columns]))
 
 
-FAINT, TEXT = "#8a958f55", "#7b868a"  # legible on light and dark background
+FAINT, TEXT = "#8a958f55", "#5b6468"  # page.css inverts them on a dark page
+PER_ROW = 3  # entries of the legend
 
 
 class Charts:
@@ -90,9 +92,25 @@ class Charts:
 
     def __init__(self, charts: Sequence[Chart]) -> None:
         self._number, self._turn = -1, 0
-        self._specs = charts
+        self._shown: list[Chart] = list(charts)
+        self._specs = tuple(charts)
         with ui.column().classes("charts"):
             self._charts = [ui.echart(options(chart)).classes("chart") for chart in charts]
+        for chart, element in zip(charts, self._charts, strict=True):
+            element.props(f'role=img aria-label="{chart.title} over the last {WINDOW:.0f} s"')
+
+    def fit(self, index: SignalIndex) -> None:
+        """Show the curves that this machine has, and no chart without any."""
+        self._number = -1
+        self._shown = [
+            replace(chart, curves=tuple(c for c in chart.curves if index.contains(c.name)))
+            for chart in self._specs
+        ]
+        for chart, element in zip(self._shown, self._charts, strict=True):
+            element.set_visibility(bool(chart.curves))
+            element.options.clear()
+            element.options.update(options(chart))
+            element.update()
 
     def show(self, history: History, one: bool = False) -> None:
         """Update the curves. one: only one chart per call, in turn, for a slow browser."""
@@ -103,8 +121,8 @@ class Charts:
         index = {name: k for k, name in enumerate(history.names)}
         shared = [round(t, 2) for t in times.tolist()]
         self._turn += 1
-        for k, (chart, element) in enumerate(zip(self._specs, self._charts, strict=True)):
-            if one and k != self._turn % len(self._specs):
+        for k, (chart, element) in enumerate(zip(self._shown, self._charts, strict=True)):
+            if one and k != self._turn % len(self._shown):
                 continue
             source: dict[str, Any] = {"t": shared}
             peak = 0.0
@@ -124,7 +142,7 @@ def options(chart: Chart) -> dict[str, Any]:
     axis: dict[str, Any] = {"type": "value", "axisLabel": label, "axisLine": {"show": False}}
     axis |= {"axisTick": {"show": False}, "splitLine": {"lineStyle": {"color": FAINT}}}
     title = {"fontSize": 11, "color": TEXT}
-    rows = 1 + len(chart.curves) // 5
+    rows = -(-len(chart.curves) // PER_ROW)
     return {
         "animation": False,
         "title": {

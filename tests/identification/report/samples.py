@@ -8,6 +8,14 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.attribution import EffectShare, Explanation
 from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter
+from orchestrator.base.figures import (
+    PALETTE,
+    REFERENCE,
+    SIMULATION,
+    TraceFigure,
+    TraceLine,
+    TracePanel,
+)
 
 LITRES, BAR = ("L/min", 1e-3 / 60), ("bar", 1e5)
 AREA = Estimate("valve_area", 4.01e-5, "m2", 1e-7, 3.99e-5, 4.03e-5, "fit of 30 steps")
@@ -25,6 +33,20 @@ def panel(*, title: str = "Drop", log: bool = False) -> Panel:
         Curve("corrected", FLOW, 0.9 * drop, "corrected", line=True),
     )
     return Panel("flow", "pressure drop", curves, title, LITRES, BAR, log)
+
+
+def traces() -> TraceFigure:
+    """A measured and a predicted pressure over 5 s, with a gap in the measurement."""
+    time = np.arange(0.0, 5.0, 0.005)
+    measured = np.where((time > 2) & (time < 2.1), np.nan, 100 + 10 * np.sin(time))
+    lines = (
+        TraceLine(time, measured, {"color": PALETTE.pair(0)[0], "linewidth": 2.6}, "head", "measured"),
+        TraceLine(time, 101 + 10 * np.sin(time), SIMULATION, "head", "predicted"),
+    )
+    error = TraceLine(time, measured - lines[1].values, {"color": PALETTE.pair(0)[1]}, "head")
+    remarks = (("head\nNRMSE 5 %", PALETTE.pair(0)[1]),)
+    panel = TracePanel("bar", lines, "pressure", errors=(error,), error_unit="bar", remarks=remarks)
+    return TraceFigure((panel,), below="simulated", key=(("measured", REFERENCE), ("predicted", SIMULATION)))
 
 
 def residual() -> Panel:
@@ -95,4 +117,4 @@ def page(**more: object) -> IdentificationPage:
     return IdentificationPage(**{**given, **more})
 
 
-__all__ = ["AREA", "channel", "page", "panel", "quality", "residual", "result"]
+__all__ = ["AREA", "channel", "page", "panel", "quality", "residual", "result", "traces"]

@@ -8,8 +8,8 @@ const REACH = 44; // px from the middle to the stop
 
 const words = (hand) => `
   <text x="75" y="12">{{ legend.${hand}_up }}</text><text x="75" y="146">{{ legend.${hand}_down }}</text>
-  <text x="8" y="78" transform="rotate(-90 8 78)">{{ legend.${hand}_left }}</text>
-  <text x="142" y="78" transform="rotate(90 142 78)">{{ legend.${hand}_right }}</text>`;
+  <text v-for="(word, k) in (legend.${hand}_left ?? '').split(' ')" x="26" :y="38 + 11 * k" class="start">{{ word }}</text>
+  <text v-for="(word, k) in (legend.${hand}_right ?? '').split(' ')" x="124" :y="38 + 11 * k" class="end">{{ word }}</text>`;
 
 const stick = (hand, first) => `
   <svg viewBox="0 0 150 150" class="stick" data-hand="${hand}" role="img" aria-label="${hand} stick"

@@ -1,0 +1,593 @@
+"""Figures of signals over time: what they show, their style, and their form in an HTML page.
+
+A page has each figure twice. An SVG, drawn here in milliseconds, is for print and for a browser without
+scripts. A plot that can be zoomed replaces it on the screen: uPlot draws it from the data in the page
+(`templates/plot.js`). `orchestrator.base.plotting` draws the same figures with matplotlib, for PNG files.
+"""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+import math
+import zlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup, escape
+from numpy.typing import NDArray
+
+from orchestrator.base.text import MINUS, TextTable, number, typeset
+from orchestrator.base.units import pretty, superscript
+
+Array = NDArray[np.float64]
+Style = Mapping[str, Any]
+
+DOTS: tuple[float, tuple[float, float]] = (0, (1, 1.4))
+DASHES: tuple[float, tuple[float, float]] = (0, (5, 2))
+# Line styles that differ without colour.
+LINE_STYLES: tuple[Any, ...] = (
+    "-",
+    (0, (4, 2)),
+    (0, (1, 1.2)),
+    (0, (6, 1.5, 1, 1.5)),
+    (0, (3, 1)),
+    (0, (8, 2)),
+)
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours that differ in hue and in lightness, for colour-blind readers and for print (Okabe and Ito).
+
+    Each has a contrast of at least 3 : 1 with white (WCAG 2.1, 1.4.11), `ink` and `soft` of 4.5 : 1.
+
+    soft     small type
+    pairs    (light, dark) for reference and simulation, or for measurement and fit
+    series   colours of curves that are not shown in pairs
+    """
+
+    ink: str = "#1c2024"
+    soft: str = "#5b626b"
+    faint: str = "#8a9099"
+    grid: str = "#dfe2e6"
+    good: str = "#2f7d4f"
+    bad: str = "#c2341d"
+    pairs: tuple[tuple[str, str], ...] = (
+        ("#4c97c8", "#06406b"),
+        ("#c77f14", "#7a3300"),
+        ("#3f9f7b", "#00513a"),
+        ("#b779b1", "#6b2a66"),
+    )
+    series: tuple[str, ...] = ("#0b5fa5", "#b34700", "#00735a", "#8f3f8f", "#7a6400", "#333333")
+
+    def pair(self, index: int) -> tuple[str, str]:
+        """Light and dark colour of pair `index`, in cyclic order."""
+        return self.pairs[index % len(self.pairs)]
+
+    def colour(self, index: int) -> str:
+        """Colour of curve `index`, in cyclic order."""
+        return self.series[index % len(self.series)]
+
+    def variables(self) -> dict[str, str]:
+        """Name of the CSS variable of each colour, which follows the theme of the page -> colour."""
+        colours = {name: getattr(self, name) for name in ("ink", "soft", "faint", "grid", "good", "bad")}
+        for k, (light, dark) in enumerate(self.pairs):
+            colours |= {f"light{k}": light, f"dark{k}": dark}
+        return colours | {f"series{k}": colour for k, colour in enumerate(self.series)}
+
+
+PALETTE = Palette()
+REFERENCE = {"color": PALETTE.faint, "linewidth": 2.6}
+SIMULATION = {"color": PALETTE.ink, "linewidth": 1.3, "linestyle": DOTS}
+# Two samples per bucket are about the width of a screen in pixels: no visible peak is lost.
+BUCKETS = 600
+
+
+def decimate(x: Array, y: Array, buckets: int = BUCKETS) -> tuple[Array, Array]:
+    """Reduce a curve to the smallest and the largest sample of each bucket, in their order.
+
+    x, y   shape (n,)
+
+    The result has at most 2 buckets + 2 samples, including the first and the last one. A bucket that
+    contains only NaN keeps its first sample, so that a gap remains visible.
+    """
+    if len(x) <= 2 * buckets:
+        return x, y
+    edges = np.linspace(0, len(x), buckets + 1).astype(int)
+    selected = {0, len(x) - 1}
+    for a, b in itertools.pairwise(edges):
+        finite = a + np.flatnonzero(np.isfinite(y[a:b]))
+        if finite.size:
+            selected |= {int(finite[y[finite].argmin()]), int(finite[y[finite].argmax()])}
+        else:
+            selected.add(int(a))
+    indices = np.array(sorted(selected))
+    return x[indices], y[indices]
+
+
+@dataclass(frozen=True)
+class TraceLine:
+    """A curve: samples over time [s], in the unit of the panel.
+
+    style   options of a matplotlib line: color, linewidth [pt], linestyle
+    name    what distinguishes the curve in its panel, such as "head"; empty if there is only one
+    key     entry of the figure's key that it belongs to, such as "simulation"
+    """
+
+    time: Array
+    values: Array
+    style: Style
+    name: str = ""
+    key: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name and key in words."""
+        return ", ".join(filter(None, (self.name, self.key)))
+
+
+@dataclass(frozen=True)
+class TraceArea:
+    """The area between two curves over time [s], shape (n,) each."""
+
+    time: Array
+    low: Array
+    high: Array
+    colour: str
+    key: str = ""
+
+
+@dataclass(frozen=True)
+class TracePanel:
+    """Signals of one quantity over time, and their errors in a strip below.
+
+    unit         of the curves
+    error_unit   of the errors
+    bounds       limits of the errors: symmetric bands, drawn if they are inside the axes
+    remarks      (text, colour) on the right of the panel
+    key_beside   legend on the right of the panel, not above it; pages have it above in any case
+    heights      of panel and error strip, in units of `ROW_HEIGHT`
+    """
+
+    unit: str
+    lines: Sequence[TraceLine]
+    label: str = ""
+    title: str = ""
+    errors: Sequence[TraceLine] = ()
+    error_label: str = "error"
+    error_unit: str = ""
+    bounds: Collection[float] = ()
+    remarks: Sequence[tuple[str, str]] = ()
+    heights: tuple[float, float] = (2.5, 1.0)
+    areas: Sequence[TraceArea] = ()
+    key_beside: bool = False
+
+    @property
+    def heading(self) -> str:
+        """Label or title."""
+        return self.label or self.title
+
+
+@dataclass(frozen=True)
+class TraceFigure:
+    """Panels over a common time axis.
+
+    window   first and last time [s]; default: those of the curves
+    below    a short line below the figure
+    key      (text, style) of what the line styles mean
+    """
+
+    panels: Sequence[TracePanel]
+    window: tuple[float, float] | None = None
+    title: str = ""
+    below: str = ""
+    key: Sequence[tuple[str, Style]] = ()
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time [s]."""
+        times = [line.time for panel in self.panels for line in panel.lines]
+        return self.window or (min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
+
+
+# ---- charts: a panel is one, its error strip another
+
+
+@dataclass(frozen=True)
+class _Chart:
+    """One pair of axes."""
+
+    label: str
+    unit: str
+    lines: Sequence[TraceLine]
+    height: float
+    low: float
+    high: float
+    panel: TracePanel
+    strip: bool = False
+
+
+def _charts(figure: TraceFigure) -> Iterator[_Chart]:
+    for panel in figure.panels:
+        areas = [y for area in panel.areas for y in (area.low, area.high)]
+        low, high = _limits([line.values for line in panel.lines] + areas)
+        yield _Chart(panel.heading, panel.unit, panel.lines, panel.heights[0], low, high, panel)
+        if panel.errors:
+            low, high = _limits([line.values for line in panel.errors])
+            end = 1.1 * max(abs(low), abs(high))
+            yield _Chart(
+                panel.error_label, panel.error_unit, panel.errors, panel.heights[1], -end, end, panel, True
+            )
+
+
+def _limits(curves: Sequence[Array]) -> tuple[float, float]:
+    """Least and largest value with a margin; never equal."""
+    finite = [y[np.isfinite(y)] for y in curves]
+    low = min((float(y.min()) for y in finite if y.size), default=0.0)
+    high = max((float(y.max()) for y in finite if y.size), default=1.0)
+    margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def _unit_text(unit: str, power: int = 0) -> str:
+    """The unit in brackets with a common power of ten."""
+    return (
+        f"[{' '.join(filter(None, (f'10{superscript(str(power))}' if power else '', pretty(unit)))) or '1'}]"
+    )
+
+
+# ---- SVG
+
+WIDE, LEFT, RIGHT, ROW = 1000, 86, 16, 46  # units of the SVG: width, margins, height of a row
+REMARKS = 150  # width beside the panels for remarks
+PAPER = 240  # buckets of a curve: a line on A4 paper has two samples in 0.7 mm
+PIXELS_PER_POINT = 1.4
+
+
+def still(figure: TraceFigure, name: str) -> Markup:
+    """The figure as SVG whose colours follow the theme of the page."""
+    right = REMARKS if any(panel.remarks for panel in figure.panels) else RIGHT
+    top = 8 + (26 if figure.title or figure.key else 0)
+    body, y, charts = [], float(top), list(_charts(figure))
+    for k, chart in enumerate(charts):
+        y += 0.0 if chart.strip or not _named(chart) else 14.0
+        height = max(ROW * chart.height, 50.0)
+        body.append(_axes(chart, figure.span, (LEFT, y, WIDE - LEFT - right, height), k == len(charts) - 1))
+        y += height + (18.0 if k + 1 < len(charts) and not charts[k + 1].strip else 10.0)
+    y += 34.0
+    body.append(_text(LEFT + (WIDE - LEFT - right) / 2, y - 6, "time [s]", "middle"))
+    if figure.below:
+        y += 16
+        body.append(_text(WIDE, y - 6, figure.below, "end", "soft"))
+    head = _head(figure)
+    label = escape(_alternative(figure, name))
+    return Markup(
+        f'<svg class="still" viewBox="0 0 {WIDE} {y:.0f}" role="img" aria-label="{label}">'
+        f"{head}{''.join(body)}</svg>"
+    )
+
+
+def _alternative(figure: TraceFigure, name: str) -> str:
+    """What the figure shows, for readers who do not see it."""
+    start, stop = figure.span
+    shown = ", ".join(panel.heading for panel in figure.panels if panel.heading)
+    return f"{name} over time, {number(start)} to {number(stop)} s{': ' if shown else ''}{shown}"
+
+
+def _named(chart: _Chart) -> bool:
+    """Does the chart need a line of names above it?"""
+    return not chart.strip and bool(chart.panel.title or any(line.name for line in chart.lines))
+
+
+def _head(figure: TraceFigure) -> str:
+    """Title and key."""
+    parts = [f'<text x="0" y="17" class="title">{escape(figure.title)}</text>'] if figure.title else []
+    x = float(WIDE)
+    for label, style in reversed(list(figure.key)):
+        x -= 7.0 * len(label)
+        parts.append(_text(x, 16, label))
+        x -= 36
+        parts.append(f'<path d="M{x:.0f} 12h28"{_stroke(style)}/>')
+        x -= 14
+    return "".join(parts)
+
+
+def _axes(chart: _Chart, span: tuple[float, float], box: tuple[float, ...], last: bool) -> str:
+    """Grid, tick labels, curves and texts of a chart in the box (x, y, width, height)."""
+    x0, y0, width, height = box
+    (start, stop), low, high = span, chart.low, chart.high
+    sx = width / ((stop - start) or 1.0)
+    sy = height / (high - low)
+    power = _power(low, high)
+    grid, parts = [], []
+    for value, label in tick_labels(low, high, 3 if chart.strip else 5, power):
+        y = y0 + (high - value) * sy
+        grid.append(f"M{x0:g} {y:.1f}h{width:g}")
+        parts.append(_text(x0 - 6, y + 4, label, "end"))
+    for value, label in tick_labels(start, stop, 9, 0):
+        x = x0 + (value - start) * sx
+        grid.append(f"M{x:.1f} {y0:.1f}v{height:.1f}")
+        if last:
+            parts.append(_text(x, y0 + height + 15, label, "middle"))
+    for bound in chart.panel.bounds if chart.strip else ():
+        if bound < high:
+            parts.append(
+                f'<rect class="limit" x="{x0:g}" y="{y0 + (high - bound) * sy:.1f}" width="{width:g}"'
+                f' height="{2 * bound * sy:.1f}"/>'
+            )
+
+    def place(time: Array, values: Array) -> tuple[Array, Array]:
+        inside = (time >= start) & (time <= stop)
+        t, v = decimate(time[inside], values[inside], PAPER)
+        return x0 + (t - start) * sx, y0 + (high - v) * sy
+
+    curves = [f'<path class="grid" d="{"".join(grid)}"/>']
+    for area in chart.panel.areas if not chart.strip else ():
+        (there, low_edge), (back, high_edge) = place(area.time, area.low), place(area.time, area.high)
+        path = _path(np.concatenate((there, back[::-1])), np.concatenate((low_edge, high_edge[::-1])))
+        curves.append(f'<path d="{path}z" fill="{_colour(area.colour)}" opacity=".4"/>')
+    for line in chart.lines:
+        style = {**line.style, "linewidth": 0.9} if chart.strip else line.style
+        curves.append(f'<path d="{_path(*place(line.time, line.values))}"{_stroke(style)}/>')
+    middle = y0 + height / 2
+    parts.append(
+        f'<text transform="translate(12 {middle:.1f})rotate(-90)" text-anchor="middle">'
+        f'<tspan x="0">{escape(chart.label if chart.strip or chart.panel.label else "")}</tspan>'
+        f'<tspan x="0" dy="13">{escape(_unit_text(chart.unit, power))}</tspan></text>'
+    )
+    return "".join([*curves, *parts, *_beside(chart, box)])
+
+
+def _beside(chart: _Chart, box: tuple[float, ...]) -> Iterator[str]:
+    """Title and names above a panel, remarks to the right of it."""
+    if chart.strip:
+        return
+    x0, y0, width, _ = box
+    if chart.panel.title:
+        yield _text(x0, y0 - 5, chart.panel.title)
+    x = x0 + width
+    first = {line.name: line for line in reversed(chart.lines) if line.name}
+    for line in first.values():
+        x -= 7.0 * len(line.name)
+        yield _text(x, y0 - 5, line.name)
+        yield f'<path d="M{x - 26:.0f} {y0 - 9:.0f}h20"{_stroke(line.style)}/>'
+        x -= 40
+    rows = [(row, colour) for text, colour in chart.panel.remarks for row in typeset(text).split("\n")]
+    for k, (row, colour) in enumerate(rows):
+        yield _text(x0 + width + 10, y0 + 11 + 14 * k, row, "start", "", colour)
+
+
+def _text(x: float, y: float, text: str, anchor: str = "start", kind: str = "", colour: str = "") -> str:
+    more = f' text-anchor="{anchor}"' if anchor != "start" else ""
+    more += f' class="{kind}"' if kind else ""
+    more += f' style="fill:{_colour(colour)}"' if colour else ""
+    return f'<text x="{x:.1f}" y="{y:.1f}"{more}>{escape(text)}</text>'
+
+
+_VARIABLES = {colour: name for name, colour in PALETTE.variables().items()}
+
+
+def _colour(colour: str) -> str:
+    """The colour as CSS variable, which follows the theme, if it is one of the palette."""
+    name = _VARIABLES.get(colour)
+    return f"var(--fig-{name},{colour})" if name else colour
+
+
+def _dashes(style: Style) -> list[float]:
+    """Lengths of strokes and gaps over the line width; empty for a solid line."""
+    pattern = style.get("linestyle", "-")
+    return [] if isinstance(pattern, str) else [float(length) for length in pattern[1]]
+
+
+def _stroke(style: Style) -> str:
+    """Attributes of a path."""
+    width = PIXELS_PER_POINT * float(style.get("linewidth", 1.2))
+    dashes = " ".join(f"{length * width:.3g}" for length in _dashes(style))
+    return (
+        f' fill="none" stroke="{_colour(style["color"])}" stroke-width="{width:.3g}"'
+        + (f' stroke-dasharray="{dashes}"' if dashes else "")
+        + (f' opacity="{style["alpha"]:g}"' if "alpha" in style else "")
+    )
+
+
+def _path(x: Array, y: Array) -> str:
+    """Path data with relative coordinates in tenths, which are short; NaN interrupts the curve."""
+    finite = np.isfinite(y)
+    corners = np.round(10 * np.column_stack((x, np.where(finite, y, 0.0)))).astype(int)
+    parts, previous, pen = [], np.zeros(2, int), False
+    for corner, drawn in zip(corners, finite, strict=True):
+        if not drawn:
+            pen = False
+            continue
+        if not pen:
+            parts.append(f"M{corner[0] / 10:g} {corner[1] / 10:g}l")
+        else:
+            dx, dy = (corner - previous) / 10
+            parts.append(f"{dx:g}{'' if dy < 0 else ' '}{dy:g} ")
+        previous, pen = corner, True
+    return "".join(parts).replace("l M", "M").replace("-0.", "-.").replace(" 0.", " .").rstrip("l ")
+
+
+def _power(low: float, high: float) -> int:
+    """Common power of ten of tick labels; 0 if plain digits are as short."""
+    largest = max(abs(low), abs(high))
+    power = math.floor(math.log10(largest)) if largest > 0 else 0
+    return 0 if -3 <= power <= 4 else power
+
+
+def tick_labels(low: float, high: float, count: int, power: int) -> list[tuple[float, str]]:
+    """Two to `count` round values from low to high, and their labels without the power of ten."""
+    magnitude = 10.0 ** math.floor(math.log10((high - low) / count))
+    steps = [m * magnitude for m in (1, 2, 2.5, 5, 10)]
+    within = [(step, math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)) for step in steps]
+    step, first, last = next((s for s in within if 1 < s[2] - s[1] + 1 <= count + 1), within[0])
+    digits = max(0, -math.floor(math.log10(step / 10.0**power) + 1e-9))
+    digits += step == steps[2] and step / 10.0**power < 10
+    values = step * np.arange(first, last + 1)
+    return [(float(v), f"{v / 10.0**power + 0.0:.{digits}f}".replace("-", MINUS)) for v in values]
+
+
+# ---- the plot that can be zoomed
+
+SAMPLES = 2500  # of a curve; a longer one keeps the extremes of its buckets
+DIGITS = 20  # bits of a value: one part in a million of the curve's range
+
+
+def plot(figure: TraceFigure, name: str) -> Markup:
+    """The figure for a page: SVG, data of the plot, and a table of the extremes.
+
+    name   what the figure shows, for readers who do not see it; the figure's title by default
+
+    The page must have `PLOT_SCRIPTS`, see `html_page.render`.
+    """
+    name = figure.title or name
+    spec = Markup(
+        json.dumps(_spec(figure), separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+    )
+    return Markup(
+        '<div class="plot" role="group" aria-label="{name}">{svg}'
+        '<script type="application/json">{spec}</script>'
+        "<details><summary>Extremes of {name}</summary>{table}</details></div>"
+    ).format(name=name, svg=still(figure, name), spec=Markup(spec), table=_extremes(figure).html())
+
+
+def _extremes(figure: TraceFigure) -> TextTable:
+    """Least and largest value of each curve in the window, with their times: the figure in numbers."""
+    rows, (start, stop) = [], figure.span
+    for chart in _charts(figure):
+        for line in chart.lines:
+            inside = (line.time >= start) & (line.time <= stop) & np.isfinite(line.values)
+            time, values = line.time[inside], line.values[inside]
+            if not values.size:
+                continue
+            label = " ".join(filter(None, (chart.panel.heading, chart.label if chart.strip else "")))
+            cells = [label + (f": {line.label}" if line.label else ""), pretty(chart.unit) or "1"]
+            for k in (int(values.argmin()), int(values.argmax())):
+                cells += [typeset(number(float(values[k]), 4)), f"{time[k]:.2f}"]
+            rows.append(cells)
+    return TextTable(["curve", "unit", "least", "at [s]", "largest", "at [s]"], rows, left=(0, 1))
+
+
+def _spec(figure: TraceFigure) -> dict[str, Any]:
+    """What plot.js needs: charts with their lines, and one packed block of samples.
+
+    Charts with the same times share a column.
+    """
+    columns: list[Array] = []
+    charts = []
+    for chart in _charts(figure):
+        lines = [*chart.lines, *([] if chart.strip else _edges(chart.panel.areas))]
+        time, values = _common(lines, figure.span)
+        at = next((k for k, c in enumerate(columns) if np.array_equal(c, time)), len(columns))
+        columns += [time] if at == len(columns) else []
+        entry: dict[str, Any] = {
+            "label": chart.label,
+            "unit": pretty(chart.unit),
+            "height": chart.height,
+            "time": at,
+            "lines": [_line_spec(line, len(columns) + k, chart) for k, line in enumerate(lines)],
+        }
+        columns += values
+        if chart.strip:
+            entry |= {"strip": 1, "bounds": [float(f"{b:.6g}") for b in sorted(chart.panel.bounds)]}
+        elif chart.panel.remarks:
+            remarks = [(typeset(text).replace("\n", ", "), _name(c)) for text, c in chart.panel.remarks]
+            entry["remarks"] = remarks
+        charts.append(entry)
+    return {
+        "charts": charts,
+        "key": [{"label": label, **_style_spec(style)} for label, style in figure.key],
+        "window": list(figure.span),
+        "below": figure.below,
+        **pack(columns),
+    }
+
+
+def _edges(areas: Iterable[TraceArea]) -> Iterator[TraceLine]:
+    """Lower and upper edge of each area as curves without stroke."""
+    for area in areas:
+        for values in (area.low, area.high):
+            yield TraceLine(area.time, values, {"color": area.colour, "area": True}, key=area.key)
+
+
+def _line_spec(line: TraceLine, column: int, chart: _Chart) -> dict[str, Any]:
+    style = {**line.style, "linewidth": 1.0} if chart.strip else line.style
+    names = {"name": line.name, "key": line.key}
+    return {"column": column, **{k: v for k, v in names.items() if v}, **_style_spec(style)}
+
+
+def _style_spec(style: Style) -> dict[str, Any]:
+    width = PIXELS_PER_POINT * float(style.get("linewidth", 1.2))
+    spec: dict[str, Any] = {"colour": _name(style["color"]), "width": round(width, 2)}
+    spec |= {"dash": [round(length * width, 1) for length in _dashes(style)]} if _dashes(style) else {}
+    spec |= {"alpha": style["alpha"]} if "alpha" in style else {}
+    return spec | ({"area": 1} if "area" in style else {})
+
+
+def _name(colour: str) -> str:
+    """Name of the CSS variable of a colour, or the colour."""
+    return _VARIABLES.get(colour, colour)
+
+
+def _common(lines: Sequence[TraceLine], span: tuple[float, float]) -> tuple[Array, list[Array]]:
+    """The times of all lines together, thinned, and the values there, shape (n,) each.
+
+    A curve keeps its extremes. Where only another curve has a sample, it is interpolated.
+    """
+    inside = [_inside(line, span) for line in lines]
+    times = [line.time for line in inside]
+    if not all(np.array_equal(times[0], time) for time in times) or len(times[0]) > SAMPLES:
+        buckets = max(SAMPLES // (2 * len(lines)), 200)
+        times = [decimate(line.time, line.values, buckets)[0] for line in inside]
+    time = np.unique(np.concatenate(times))
+    return time, [np.interp(time, line.time, line.values, np.nan, np.nan) for line in inside]
+
+
+def _inside(line: TraceLine, span: tuple[float, float]) -> TraceLine:
+    """The samples in the window; all, if none is."""
+    chosen = (line.time >= span[0]) & (line.time <= span[1])
+    return replace(line, time=line.time[chosen], values=line.values[chosen]) if chosen.any() else line
+
+
+def pack(columns: Sequence[Array]) -> dict[str, Any]:
+    """Columns of numbers as one short text.
+
+    A value is rounded to its place among 2^DIGITS between the least and the largest of its column; the last
+    place stands for NaN. Differences of successive places are stored in three bytes each, first bytes first,
+    and compressed (zlib, base64).
+
+    columns   [samples, least value, step between places] of each column
+    """
+    heads, planes = [], []
+    for column in columns:
+        finite = column[np.isfinite(column)]
+        low = float(finite.min()) if finite.size else 0.0
+        step = ((float(finite.max()) - low) if finite.size else 0.0) / (2**DIGITS - 2) or 1.0
+        places = np.full(len(column), 2**DIGITS - 1, dtype=np.int64)
+        places[np.isfinite(column)] = np.rint((finite - low) / step)
+        differences = np.diff(places, prepend=0) & 0xFFFFFF
+        planes += [(differences >> shift & 0xFF).astype(np.uint8).tobytes() for shift in (0, 8, 16)]
+        heads.append([len(column), low, step])
+    data = zlib.compress(b"".join(planes), 9)
+    return {"columns": heads, "data": base64.b64encode(data).decode()}
+
+
+VENDOR = Path(__file__).with_name("vendor") / "uplot"
+TEMPLATES = Path(__file__).with_name("templates")
+
+
+def plot_scripts() -> Markup:
+    """Style and scripts of all plots of a page: uPlot as its authors distribute it, and plot.js."""
+    library, style, licence = (
+        (VENDOR / name).read_text(encoding="utf-8")
+        for name in ("uPlot.iife.min.js", "uPlot.min.css", "LICENSE")
+    )
+    script = (TEMPLATES / "plot.js").read_text(encoding="utf-8")
+    return Markup(
+        f"<style>{style}</style>\n<script>\n/*\n{licence}*/\n{library}</script>\n<script>\n{script}</script>"
+    )

@@ -1,0 +1,262 @@
+// Plots that can be zoomed, drawn by uPlot from the data that figures.py has packed. Each stands in the place of
+// a still picture, which print and browsers without scripts show. Everything works by keys: the toolbar has
+// buttons for zoom and for each curve, and a slider that reads the values at a time.
+(() => {
+  "use strict";
+  const DIGITS = 20; // bits of a value, as in figures.py
+  const NONE = 2 ** DIGITS - 1; // the place of a missing value
+  const MARGIN = 0.08; // of the range of the values, above and below
+  const AXIS = 62; // px beside the plot for the labels of its ticks
+  const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
+  const FONT = '11px system-ui, "Segoe UI", sans-serif';
+  const root = document.documentElement;
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const colour = (name) => (name.startsWith("#") ? name : getComputedStyle(root).getPropertyValue(`--fig-${name}`));
+
+  async function unpack({ columns, data }) {
+    const packed = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+    let at = 0;
+    return columns.map(([count, low, step]) => {
+      const values = new Array(count);
+      for (let k = 0, place = 0; k < count; k++) {
+        const one = at + k;
+        place = (place + bytes[one] + (bytes[one + count] << 8) + (bytes[one + 2 * count] << 16)) & 0xffffff;
+        values[k] = place === NONE ? null : low + place * step;
+      }
+      at += 3 * count;
+      return values;
+    });
+  }
+
+  function element(tag, parent, attributes = {}, text = "") {
+    const made = document.createElement(tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    made.textContent = text;
+    return parent.appendChild(made);
+  }
+
+  // 2.5e-7 as 2.5·10⁻⁷
+  function typeset(value, digits) {
+    const size = Math.abs(value);
+    const short = size === 0 || (size >= 1e-3 && size < 1e6);
+    const [mantissa, power] = (short ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1)).split("e");
+    const raised = (power ?? "").replace("+", "").replace("-", "⁻").replace(/\d/g, (d) => SUPERSCRIPT[d]);
+    return (power ? `${Number(mantissa)}·10${raised}` : mantissa).replace("-", "−");
+  }
+
+  // two to `count` round values from low to high, as tick_labels in figures.py
+  function splits(low, high, count) {
+    const size = 10 ** Math.floor(Math.log10((high - low) / count));
+    const within = [1, 2, 2.5, 5, 10].map((m) => [m * size, Math.ceil(low / (m * size) - 1e-9), Math.floor(high / (m * size) + 1e-9)]);
+    const [step, first, last] = within.find(([, a, b]) => b - a >= 1 && b - a <= count) ?? within[0];
+    return Array.from({ length: last - first + 1 }, (_, k) => step * (first + k));
+  }
+
+  function tick(values) {
+    const step = values.length > 1 ? values[1] - values[0] : 1;
+    const places = Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)) + 1;
+    const largest = Math.max(...values.map(Math.abs));
+    const exact = (value) => Number(value.toFixed(Math.min(places, 20)));
+    const plain = places <= 5 && largest < 1e5;
+    return values.map((value) => (plain ? String(exact(value)).replace("-", "−") : typeset(exact(value), 4)));
+  }
+
+  // a sample of the line, so that it is known by more than its colour
+  function swatch(button, line) {
+    const svg = '<svg viewBox="0 0 26 8" width="26" height="8" aria-hidden="true"><path d="M0 4h26" fill="none"/></svg>';
+    button.insertAdjacentHTML("afterbegin", svg);
+    const path = button.querySelector("path");
+    path.style.stroke = line.colour.startsWith("#") ? line.colour : `var(--fig-${line.colour})`;
+    path.setAttribute("stroke-width", Math.min(line.area ? 8 : line.width, 6));
+    if (line.dash) path.setAttribute("stroke-dasharray", line.dash.join(" "));
+  }
+
+  class Plot {
+    constructor(host, spec, columns) {
+      [this.spec, this.charts, this.off, this.whole] = [spec, [], new Set(), spec.window];
+      this.range = [...this.whole];
+      this.still = host.querySelector(".still");
+      this.live = element("div", host, { class: "live" });
+      host.insertBefore(this.live, this.still.nextSibling);
+      this.toolbar(host.getAttribute("aria-label"));
+      spec.charts.forEach((chart, k) => this.chart(chart, columns, k === spec.charts.length - 1));
+      if (spec.below) element("p", this.live, { class: "soft below" }, spec.below);
+      host.classList.add("drawn");
+      new ResizeObserver(() => this.fit()).observe(this.live);
+      dark.addEventListener("change", () => this.charts.forEach(({ plot }) => plot.redraw(false)));
+      this.read(null);
+    }
+
+    toolbar(name) {
+      const bar = element("div", this.live, { class: "tools", role: "toolbar", "aria-label": `${name}: zoom and curves` });
+      const button = (sign, text, act) => {
+        const made = element("button", bar, { type: "button", "aria-label": text, title: text }, sign);
+        made.addEventListener("click", act);
+        return made;
+      };
+      button("+", "Zoom in", () => this.scale(0.5));
+      this.wider = [
+        button("−", "Zoom out", () => this.scale(2)),
+        button("←", "Earlier", () => this.shift(-0.25)),
+        button("→", "Later", () => this.shift(0.25)),
+        button("Reset", "Reset the zoom", () => this.zoom(...this.whole)),
+      ];
+      this.slider = element("input", bar, { type: "range", min: 0, max: 1000, value: 0, "aria-label": "Time at which the values are read" });
+      this.slider.addEventListener("input", () => this.point(this.range[0] + (this.slider.value / 1000) * this.length));
+      this.clock = element("output", bar, { class: "clock" });
+      for (const entry of this.spec.key) this.toggle(bar, entry.label, entry, entry.label);
+    }
+
+    toggle(parent, text, line, id) {
+      const made = element("button", parent, { type: "button", "aria-pressed": "true", class: "curve" }, text);
+      swatch(made, line);
+      made.addEventListener("click", () => {
+        const shown = this.off.delete(id) || !this.off.add(id);
+        made.setAttribute("aria-pressed", shown);
+        for (const { plot, lines } of this.charts)
+          lines.forEach((one, k) => plot.setSeries(k + 1, { show: this.shows(one) }));
+      });
+      return made;
+    }
+
+    // a curve is hidden by its key, or by its name in its panel
+    shows(line) {
+      return !this.off.has(line.key) && !this.off.has(`${line.panel} ${line.name}`);
+    }
+
+    get length() {
+      return this.range[1] - this.range[0];
+    }
+
+    chart(chart, columns, last) {
+      const head = element("div", this.live, { class: chart.strip ? "head strip" : "head" });
+      if (!chart.strip) this.panel = this.charts.length;
+      element("b", head, {}, chart.label);
+      element("span", head, { class: "soft" }, `[${chart.unit || "1"}]`);
+      const lines = chart.lines.map((line) => ({ ...line, panel: this.panel }));
+      const named = chart.strip ? [] : lines.filter((one, k) => one.name && lines.findIndex((l) => l.name === one.name) === k);
+      for (const line of named) this.toggle(head, line.name, line, `${line.panel} ${line.name}`);
+      const values = element("output", head, { class: "values", "aria-live": "off" });
+      for (const [text, name] of chart.remarks ?? [])
+        element("span", head, { class: "remark", style: `color:var(--fig-${name})` }, text);
+      const place = element("div", this.live, { "aria-hidden": "true" });
+      const entry = { chart, lines, values, last };
+      this.charts.push(entry);
+      const data = [columns[chart.time], ...lines.map((line) => columns[line.column])];
+      entry.plot = new uPlot(this.options(entry), data, place);
+    }
+
+    options(entry) {
+      const { chart, lines, last } = entry;
+      const line = (one) => ({
+        stroke: one.area ? "transparent" : () => colour(one.colour),
+        width: one.width, dash: one.dash, alpha: one.alpha ?? 1, points: { show: false }, spanGaps: false,
+      });
+      const edges = lines.flatMap((one, k) => (one.area ? [k] : [])); // lower, upper, lower, upper ...
+      const areas = edges.filter((_, n) => n % 2 === 0);
+      const axis = { stroke: () => colour("ink"), font: FONT, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false } };
+      return {
+        width: this.live.clientWidth || 600,
+        height: Math.max(chart.strip ? 64 : 96, 46 * chart.height) + (last ? 42 : 0),
+        padding: [6, 8, last ? 0 : 6, 0],
+        legend: { show: false },
+        cursor: {
+          sync: { key: this.still.getAttribute("aria-label"), setSeries: false, scales: ["x", null] },
+          drag: { x: true, y: false, setScale: false },
+          y: false,
+          bind: { dblclick: () => () => this.zoom(...this.whole) },
+          points: { size: 5 },
+        },
+        scales: { x: { time: false, range: () => this.range }, y: { range: (_, low, high) => this.limits(chart, low, high) } },
+        series: [{}, ...lines.map(line)],
+        bands: areas.map((k) => ({ series: [k + 2, k + 1], fill: () => `color-mix(in srgb, ${colour(lines[k].colour)} 40%, transparent)` })),
+        axes: [
+          { ...axis, size: last ? 42 : 0, splits: (plot, _, low, high) => splits(low, high, Math.max(2, Math.floor(plot.width / 90))), values: (_, at) => (last ? tick(at) : at.map(() => "")), label: last ? "time [s]" : undefined, labelFont: FONT, labelSize: 16 },
+          { ...axis, size: AXIS, splits: (_, __, low, high) => splits(low, high, chart.strip ? 3 : 5), values: (_, at) => tick(at) },
+        ],
+        hooks: {
+          drawAxes: [(plot) => this.bounds(plot, chart)],
+          setSelect: [(plot) => this.selected(plot)],
+          setCursor: [(plot) => plot.cursor.event && this.read(plot.cursor.idx === null ? null : plot.posToVal(plot.cursor.left, "x"))],
+        },
+      };
+    }
+
+    limits(chart, low, high) {
+      if (low === null || !Number.isFinite(low)) return [-1, 1];
+      const margin = MARGIN * (high - low) || 0.1 * Math.abs(high) || 1;
+      const end = Math.max(Math.abs(low), Math.abs(high)) + margin;
+      return chart.strip ? [-end, end] : [low - margin, high + margin];
+    }
+
+    bounds(plot, chart) {
+      const { left, top, width, height } = plot.bbox;
+      for (const bound of chart.bounds ?? []) {
+        if (bound >= plot.scales.y.max) continue;
+        const high = plot.valToPos(bound, "y", true);
+        plot.ctx.fillStyle = `color-mix(in srgb, ${colour("good")} 14%, transparent)`;
+        plot.ctx.fillRect(left, Math.max(top, high), width, Math.min(plot.valToPos(-bound, "y", true) - high, height));
+      }
+    }
+
+    selected(plot) {
+      const { left, width } = plot.select;
+      if (width > 4) this.zoom(plot.posToVal(left, "x"), plot.posToVal(left + width, "x"));
+      plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    }
+
+    scale(factor) {
+      const middle = (this.range[0] + this.range[1]) / 2;
+      this.zoom(middle - (factor * this.length) / 2, middle + (factor * this.length) / 2);
+    }
+
+    shift(share) {
+      const [low, high] = this.whole;
+      const by = Math.max(low - this.range[0], Math.min(high - this.range[1], share * this.length));
+      this.zoom(this.range[0] + by, this.range[1] + by);
+    }
+
+    zoom(low, high) {
+      this.range = [Math.max(low, this.whole[0]), Math.min(high, this.whole[1])];
+      this.charts.forEach(({ plot }) => plot.setScale("x", { min: this.range[0], max: this.range[1] }));
+      this.read(null);
+    }
+
+    // the values at a time, as by the mouse
+    point(time) {
+      const { plot } = this.charts[0];
+      this.charts.forEach((one) => one.plot.setCursor({ left: plot.valToPos(time, "x"), top: 0 }, false));
+      this.read(time);
+    }
+
+    read(time) {
+      const [low, high] = this.range;
+      this.clock.textContent = time === null ? `${typeset(low, 4)} to ${typeset(high, 4)} s` : `t = ${time.toFixed(3)} s`;
+      if (time !== null) this.slider.value = (1000 * (time - low)) / this.length;
+      this.slider.setAttribute("aria-valuetext", this.clock.textContent);
+      for (const { plot, lines, values } of this.charts) {
+        const at = time === null ? null : plot.valToIdx(time);
+        const shown = lines.map((line, k) => [line, at === null ? null : plot.data[k + 1][at]]).filter(([line, value]) => value !== null && !line.area && this.shows(line));
+        values.textContent = shown.map(([line, value]) => [[line.name, line.key].filter(Boolean).join(" "), typeset(value, 4)].filter(Boolean).join(" ")).join("; ");
+      }
+    }
+
+    fit() {
+      const width = this.live.clientWidth;
+      if (width > 0) this.charts.forEach(({ plot }) => plot.width !== width && plot.setSize({ width, height: plot.height }));
+    }
+  }
+
+  // drawn when it comes near the window: a page may have many
+  const near = new IntersectionObserver(
+    (entries) => entries.filter((entry) => entry.isIntersecting).forEach(async ({ target }) => {
+      near.unobserve(target);
+      const spec = JSON.parse(target.querySelector("script").textContent);
+      target.plot = new Plot(target, spec, await unpack(spec));
+    }),
+    { rootMargin: "800px" },
+  );
+  if (typeof DecompressionStream === "function") document.querySelectorAll(".plot").forEach((host) => near.observe(host));
+})();
