@@ -64,8 +64,8 @@ static double some_value(unsigned reference) {
     const Variable *v = &model_variables[reference];
     if (one_in(4) && isfinite(v->minimum)) return v->minimum;
     if (one_in(8) && isfinite(v->maximum)) return v->maximum;
-    if (one_in(3)) return v->start;
-    return v->start + v->nominal * between(-1.0, 1.0) * (one_in(10) ? 1e3 : 0.1);
+    if (one_in(3)) return model_start_values[reference];
+    return model_start_values[reference] + v->nominal * between(-1.0, 1.0) * (one_in(10) ? 1e3 : 0.1);
 }
 
 /* One of a group of variables, mostly. */
