@@ -62,7 +62,7 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     assert "scenario" not in capsys.readouterr().out
     scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
     assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
-    note = "operator_input; without it these keep their start values: manipulator.payload_mass\n"
+    note = "operator_input; inputs that are not in the scenario keep their start values: manipulator.payload_mass\n"
     assert f"note: the scenario replaces {note}" in capsys.readouterr().out
     own, given = (read_trace(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
@@ -98,7 +98,7 @@ def test_a_scenario_of_one_column_is_enough(capsys):
     printed = capsys.readouterr().out
     assert "--scenario" not in printed
     assert (
-        "note: the scenario replaces operator_input; without it these keep their start values: swing."
+        "note: the scenario replaces operator_input; inputs that are not in the scenario keep their start values: swing."
         in printed
     )
 
@@ -218,8 +218,9 @@ def test_wires_can_be_cut(capsys):
     """Without the rate ports the run is another one, and says so."""
     options = ["--stop", "0.1", "--cut", "*_rate", "--cut", "*_acceleration"]
     assert main(["validate", *options]) == 0  # the machine stands still
-    assert "note: cut, so these inputs keep their start values: manipulator.swing_torque_rate, " in (
-        capsys.readouterr().out
+    assert (
+        "note: connections removed by --cut; these inputs keep their start values: manipulator.swing_torque_rate, "
+        in (capsys.readouterr().out)
     )
     assert '"cut": "*_rate, *_acceleration"' in Path("build/report.json").read_text(encoding="utf-8")
 
@@ -253,7 +254,7 @@ def test_an_angle_is_set_by_its_parameter(capsys):
     """The start of an angle is calculated: one line says from which parameter."""
     assert main(["run", "--set", "manipulator.boom_angle=0.5"]) == 2
     told = capsys.readouterr().err.strip()
-    assert told.endswith("that the FMU determines itself, at the start from initial_boom_angle")
+    assert told.endswith("that the FMU computes itself, at the start from initial_boom_angle")
     assert "\n" not in told
 
 
@@ -374,7 +375,7 @@ def test_all_options_reach_the_validation(capsys):
         (["run", "--cut", "*_jerk"], "cut *_jerk: no connected input matches"),
         (["run", "--parameters", "rech"], "parameter set 'rech' is unknown; did you mean reach?; build"),
         (["run", "--parameters", "none.ssv"], "none.ssv: no such file"),
-        (["run", "--set", "boom_command=3"], "to set it, cut that wire: --cut boom_stick.boom_command"),
+        (["run", "--set", "boom_command=3"], "--cut boom_stick.boom_command removes the connection"),
     ],
 )
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):

@@ -170,8 +170,8 @@ def test_a_run_longer_than_its_scenario_holds_the_last_values(fmus):
     result = run(str(fmus["gain"]), scenario, step=0.25, stop=2.0)
     np.testing.assert_array_equal(result.trace["gain.u"], [5, 5, 5, 5.5, 6, 6, 6, 6, 6])
     assert result.card.notes == (
-        "the scenario begins at 0.5 s; until there its first values are held",
-        "the scenario ends at 1 s; after that its last values are held",
+        "the scenario begins at 0.5 s; before that time its first values are held",
+        "the scenario ends at 1 s; after that time its last values are held",
     )
 
 

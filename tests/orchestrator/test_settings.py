@@ -56,7 +56,7 @@ def test_a_wrong_value_is_told(choices, message):
         ),
         (
             {"master": "hermite", "passes": 1, "tolerance": 1e-3},
-            "coupling tolerance: expected more than one pass",
+            "coupling tolerance: expected at least 2 passes",
         ),
         ({"master": "hermite", "correct": True}, "correct: expected hermite with a single pass"),
         (

@@ -202,7 +202,7 @@ def joint_damping(
     records = tuple(s for _, s in moving)
     if not records:
         files = ", ".join(str(r.source) for r in recordings)
-        raise Problem(f"{files}: {ANGLES[row]}: expected a motion, which damping needs, got a joint at rest")
+        raise Problem(f"{files}: {ANGLES[row]}: expected a joint in motion, got one at rest")
     solution = solve(records, [contact.joint], (contact.theta,), p)
     ratios = [speed_ratio(contact.joint, s.q, p) for s in records]
     # at valid samples the resistance is B times the speed plus the residual

@@ -45,7 +45,9 @@ def training_recordings(
     selected = tuple(r for r in recordings if r.procedure == procedure and r.use == "train")
     if not selected:
         procedures = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
-        raise Problem(f"{procedure}: expected a recording of this procedure to train with, got {procedures}")
+        raise Problem(
+            f'{procedure}: expected a recording of this procedure with use = "train", got {procedures}'
+        )
     for recording in selected:
         require(recording, signals)
     return tuple(map(resample_uniformly, selected))
@@ -83,7 +85,7 @@ def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Numb
 def parameter(parameters: Mapping[str, Number], name: str) -> Number:
     """A parameter that the procedure takes as known."""
     if name not in parameters:
-        raise Problem(f"known parameters: expected {name}, which the procedure needs, got no such parameter")
+        raise Problem(f"known parameters: expected {name}, got none: the procedure needs this parameter")
     return parameters[name]
 
 

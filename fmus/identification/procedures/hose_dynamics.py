@@ -301,8 +301,8 @@ def fits(
     pooled = fitted(equations)
     if pooled[name] < -SIGNIFICANT * pooled.sd(name):
         raise Problem(
-            f"{', '.join(files)}: {name}: expected positive, got {pooled[name]:.3g}: turn the sign of the "
-            "flows or the order of the pressures"
+            f"{', '.join(files)}: {name}: expected positive, got {pooled[name]:.3g}: change the sign of the "
+            "flows, or exchange the two pressures"
         )
     if probability < UNLIKELY:
         scatter = float(np.std(values, ddof=1)) / math.sqrt(len(values))

@@ -82,7 +82,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     if source is None:
         present = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
         raise Problem(
-            f"inertia: expected a recording of the machine or of a joint to train with, got {present}"
+            f'inertia: expected a recording of the machine or of a joint with use = "train", got {present}'
         )
     training, p = training_recordings(recordings, source, SIGNALS), parameter_vector(parameters)
     records = [smoothed_recording(r, JOINTS, p, window=WINDOW, every=EVERY) for r in training]
