@@ -62,7 +62,10 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     assert "scenario" not in capsys.readouterr().out
     scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
     assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
-    note = "operator_input; inputs that are not in the scenario keep their start values: manipulator.payload_mass\n"
+    note = (
+        "operator_input; inputs that are not in the scenario keep their start values: "
+        "manipulator.payload_mass\n"
+    )
     assert f"note: the scenario replaces {note}" in capsys.readouterr().out
     own, given = (read_trace(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
@@ -98,9 +101,9 @@ def test_a_scenario_of_one_column_is_enough(capsys):
     printed = capsys.readouterr().out
     assert "--scenario" not in printed
     assert (
-        "note: the scenario replaces operator_input; inputs that are not in the scenario keep their start values: swing."
-        in printed
-    )
+        "note: the scenario replaces operator_input; inputs that are not in the scenario keep their "
+        "start values: swing."
+    ) in printed
 
 
 @pytest.mark.usefixtures("here")
@@ -219,9 +222,9 @@ def test_wires_can_be_cut(capsys):
     options = ["--stop", "0.1", "--cut", "*_rate", "--cut", "*_acceleration"]
     assert main(["validate", *options]) == 0  # the machine stands still
     assert (
-        "note: connections removed by --cut; these inputs keep their start values: manipulator.swing_torque_rate, "
-        in (capsys.readouterr().out)
-    )
+        "note: connections removed by --cut; these inputs keep their start values: "
+        "manipulator.swing_torque_rate, "
+    ) in (capsys.readouterr().out)
     assert '"cut": "*_rate, *_acceleration"' in Path("build/report.json").read_text(encoding="utf-8")
 
 

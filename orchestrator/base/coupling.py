@@ -100,7 +100,8 @@ class Coupling:
             raise Problem(f"lag: {expected}, got {self.master}")
         if self.tolerance is not None and self.passes == 1:
             raise Problem(
-                "coupling tolerance: expected at least 2 passes, got 1: the tolerance ends the passes of a step"
+                "coupling tolerance: expected at least 2 passes, got 1: the tolerance ends the "
+                "passes of a step"
             )
         if self.correct and self.master == "interface-jacobian":
             raise Problem(f"correct: expected another master, {self.master} predicts the inputs")

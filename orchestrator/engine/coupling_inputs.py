@@ -76,7 +76,9 @@ class CouplingInputs:
             s.source for s in connected if s.slope_index == h.NO_SLOPE and needed[s.source_component]
         ]
         notes = {
-            "input derivatives from differences of values, because the FMUs provide no output derivatives": differences,
+            (
+                "input derivatives from differences of values, because the FMUs provide no output derivatives"
+            ): differences,
             "inputs held at their mean over a step, because the FMUs accept no input derivatives": [
                 s.target for s in connected if s.fmu_degree == 0
             ],

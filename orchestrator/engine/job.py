@@ -96,7 +96,8 @@ class Execution:
                 raise Problem(f"{name}: expected a positive number, got {limit:g}")
             if limit < math.inf and not self.isolated:
                 raise Problem(
-                    f"{name}: expected a run in its own process, got one in the calling process (isolate=False)"
+                    f"{name}: expected a run in its own process, got one in the calling process "
+                    "(isolate=False)"
                 )
 
 

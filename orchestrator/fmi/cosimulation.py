@@ -322,7 +322,10 @@ class CoSimulationFmu(RunningFmu):
         if end.event:
             self.log.add(
                 WARNING,
-                "the FMU requests event handling by the master, which is switched off (event mode is not used)",
+                (
+                    "the FMU requests event handling by the master, which is switched off (event "
+                    "mode is not used)"
+                ),
             )
 
     def stepping(self, rolls: bool) -> StepCalls:

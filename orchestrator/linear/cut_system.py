@@ -55,7 +55,10 @@ def cut_at_inputs(system: System, names: Sequence[str] = (), steady: bool = Fals
     components = {name: c for name, c in system.components.items() if name not in unused}
     connections = tuple(c for c in connections if c.target.component in components)
     notes = (
-        f"components left out, because they are connected only to inputs of the linear model: {', '.join(unused)}",
+        (
+            "components left out, because they are connected only to inputs of the linear model: "
+            f"{', '.join(unused)}"
+        ),
     )
     system = replace(system, components=components, connections=connections)
     return CutSystem(system, inlets, len(requested), notes if unused else ())

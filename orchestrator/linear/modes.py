@@ -2,7 +2,8 @@
 
 The name of a mode is derived from its participating states. It depends only on the model descriptions of the
 FMUs: the unit of a state gives its quantity (position, speed, pressure, flow), the words of its name give the
-part of the machine. The states boom_speed and boom_rod_pressure give the name "hydraulic oscillation of boom".
+part of the machine. The states boom_speed and boom_rod_pressure give the name
+"hydraulic oscillation of boom".
 """
 
 from __future__ import annotations

@@ -139,7 +139,8 @@ def _check_unchanged(folder: Path) -> None:
         checksums = json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         raise Problem(
-            f"{folder}: the folder exists, but is not a package that this command wrote: choose another --out or --name"
+            f"{folder}: the folder exists, but is not a package that this command wrote: choose "
+            "another --out or --name"
         ) from None
     for path, checksum in _checksums(folder).items():
         if checksums.get(path) != checksum:

@@ -46,7 +46,8 @@ class Axis:
             )
         if not abs(self.rest) <= self.limit:
             raise Problem(
-                f"axis {self.name}: expected a rest value of at most {self.limit:g} in magnitude, got {self.rest:g}"
+                f"axis {self.name}: expected a rest value of at most {self.limit:g} in magnitude, "
+                f"got {self.rest:g}"
             )
 
 

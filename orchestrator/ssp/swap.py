@@ -393,7 +393,10 @@ def _notes(old: Component, new: Component, rates: list[str], without_unit: list[
     if additional:
         yield f"{new.source} has additional inputs, which are not connected: {first_names(additional)}"
     if converted:
-        yield f"{new.source} has other units, which are converted: {first_names(converted)}; values that you set keep the unit of the replaced FMU"
+        yield (
+            f"{new.source} has other units, which are converted: {first_names(converted)}; values "
+            "that you set keep the unit of the replaced FMU"
+        )
 
 
 def _differ(old: DeclaredUnit, new: DeclaredUnit) -> bool:

@@ -134,9 +134,9 @@ def test_slopes_of_a_missing_function_follow_from_differences(each, both):
     name = {2: b"fmi2GetRealOutputDerivatives", 3: b"fmi3GetOutputDerivatives"}[each.fmi]
     notes = both(circle(lacking(each, name), "no_tell"), HERMITE).result.card.notes
     assert (
-        "input derivatives from differences of values, because the FMUs provide no output derivatives: q.y, p.y"
-        in notes
-    )
+        "input derivatives from differences of values, because the FMUs provide no output "
+        "derivatives: q.y, p.y"
+    ) in notes
 
 
 @pytest.mark.parametrize("factor", [1, 3])

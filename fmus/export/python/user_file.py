@@ -124,7 +124,8 @@ def refuse_neighbours(path: Path) -> None:
             if name.startswith(".") or any(p.is_file() for p in neighbours):
                 raise Problem(
                     f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name} from the same folder; "
-                    "another FMU may have a module of this name: move the code into this file or into a package"
+                    "another FMU may have a module of this name: move the code into this file "
+                    "or into a package"
                 )
 
 

@@ -186,5 +186,5 @@ def test_pressures_that_never_stand_are_refused():
     for r in recordings(2):
         x = 1e6 + 1e6 * r.time
         ramps.append(replace(r, signals={**r.signals, "pressure_a": x, "pressure_b": x}))
-    with pytest.raises(Problem, match="expected 3 or more stretches of .* with steady pressures, got 0"):
+    with pytest.raises(Problem, match=r"expected 3 or more stretches of .* with steady pressures, got 0"):
         identify(ramps, KNOWN)
