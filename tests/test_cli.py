@@ -446,7 +446,7 @@ def test_a_machine_that_is_not_built_yet(tmp_path, monkeypatch, capsys, command)
     monkeypatch.chdir(tmp_path)
     assert main([command]) == 2
     missing = Path("build/harvester.ssp")
-    assert capsys.readouterr().err == f"harvester: {missing}: no such file; make it with: harvester build\n"
+    assert capsys.readouterr().err == f"harvester: {missing}: no such file; build it with: harvester build\n"
 
 
 @pytest.mark.usefixtures("here")
@@ -477,7 +477,7 @@ def test_a_coupling_that_kills_the_run_is_named(capsys):
     error = capsys.readouterr().err
     assert error.startswith("harvester: boom_stick: the step failed at t = ")
     assert "; likely cause: the coupling, jacobi with a step of 0.01 s (energy error " in error
-    assert error.endswith("; take a shorter step or the master hermite\n")
+    assert error.endswith("; use a shorter step or the master hermite\n")
 
 
 def test_a_build_of_some_fmus(tmp_path, capsys):

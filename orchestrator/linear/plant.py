@@ -190,7 +190,8 @@ class Plant:
                 return
             self.v += self.loop_inverse(self.blocks().d) @ residual
         raise Problem(
-            f"{self.system.name}: the values of the connections have no solution: {self._worst(residual)}"
+            f"{self.system.name}: the values of the values of the connections have no solution: "
+            f"{self._worst(residual)}"
         )
 
     def _worst(self, residual: Array) -> str:

@@ -74,7 +74,7 @@ def test_all_options_reach_the_run(capsys):
     assert main(["run", "build/harvester.ssp", *options]) == 0
     trace = read_trace("new/out.parquet")
     assert (trace.time[0], trace.time[-1], trace["g.y"][0]) == (1.0, 3.0, 4.0)
-    assert "change when the step is halved; at order p the error is" in capsys.readouterr().out
+    assert "change of the signals when the step is halved; at order p the error is" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("folder")
@@ -222,7 +222,7 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
     """With the command that makes it."""
     monkeypatch.chdir(tmp_path)
     assert main(["run"]) == 2
-    assert "build/harvester.ssp: no such file; make it with: harvester build" in capsys.readouterr().err
+    assert "build/harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("folder")

@@ -256,7 +256,7 @@ def test_error_estimate_is_close_to_the_error(oscillator, exact, master):
     # first order: e(h) - e(h/2) = e(h)/2; the second-order term is 5 % of the error at this step
     assert estimate.largest == pytest.approx(true / 2, rel=0.1)
     assert estimate.order == pytest.approx(1, abs=0.15)  # as above
-    assert "change when the step is halved" in result.card.text()
+    assert "change of the signals when the step is halved" in result.card.text()
 
 
 def estimated(nominals=None, **signals):

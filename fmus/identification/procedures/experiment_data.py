@@ -248,9 +248,9 @@ def zero_warning(name: str, offset: float, sd: float, limit: float, unit: tuple[
     """
     if abs(offset) - SIGNIFICANT * sd > limit:
         yield (
-            f"{name}: the data would need zeros that differ by {offset / unit[1]:.3g} {unit[0]}, more than "
-            f"the {limit / unit[1]:.3g} {unit[0]} that the sensors are declared to have: the model is wrong, "
-            "or a sensor."
+            f"{name}: to fit the data, the zero offsets of the sensors would have to differ by "
+            f"{offset / unit[1]:.3g} {unit[0]}, but the declared limit is {limit / unit[1]:.3g} "
+            f"{unit[0]}: the model or a sensor is wrong."
         )
 
 

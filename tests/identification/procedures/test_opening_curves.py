@@ -147,7 +147,7 @@ def test_a_flow_that_the_meter_must_have_read_is_a_warning():
         return np.where(v < 5.0, 0.1, 0.8) * bench.power(1.0)(v)
 
     (warning,) = found(share).warnings
-    assert "reads nothing at 4.5 V" in warning
+    assert "reads zero at 4.5 V" in warning
 
 
 def test_an_edge_that_is_open_at_zero_is_refused():

@@ -90,7 +90,7 @@ def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     # the root of 0.6
     assert sentences[None] == "loss: the data leave a standard deviation of 77 %"
     assert sentences[0.1].startswith(
-        "loss: these recordings alone leave a standard deviation of 77 %; its interval is"
+        "loss: these recordings alone leave a standard deviation of 77 %; the interval is"
     )
 
 
