@@ -174,7 +174,10 @@ def test_the_estimate_of_an_adaptive_run_is_near_its_error(oscillator, exact):
     # with the root of the tolerance; 15 %, because the errors of both runs are not in proportion everywhere
     assert found.largest == pytest.approx((1 - 10**-0.5) * error, rel=0.15)
     assert found.order is None
-    assert "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change" in result.card.text()
+    assert (
+        "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change"
+        in result.card.text()
+    )
 
 
 def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillator):
