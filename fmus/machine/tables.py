@@ -34,7 +34,7 @@ def variant_names() -> list[tuple[str, str]]:
 
 def variant_lines(costs: Costs) -> Iterator[str]:
     """Lines of the table of variants; the cost is empty for a variant that is not in `costs`."""
-    head = f"{'states':>8}{'inputs':>8}{'parameters':>12}{'us per 1 ms':>13}{'of default':>14}"
+    head = f"{'states':>8}{'inputs':>8}{'parameters':>12}{'us per 1 ms':>13}{'relative':>14}"
     for part, variants in FAMILIES.items():
         usual = next(iter(variants))
         yield f"{part:<20}{head}"

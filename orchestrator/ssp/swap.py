@@ -81,9 +81,12 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     if file.is_file():
         return Location(file)
     names = sorted(p.stem.removeprefix(prefix) for p in folder.glob(f"{prefix}*{SUFFIX}"))
-    variants = f"its variants are {', '.join(names)}" if names else f"there is no variant of {component}"
+    variants = (
+        (f"variants of {component}: {', '.join(names)}") if names else f"there is no variant of {component}"
+    )
     raise Problem(
-        f"{context}: no file {file}; {variants}; {MAKE} builds all variants; a path must end in {SUFFIX}"
+        f"{context}: no file {file}; {variants}; {MAKE} builds all variants; the path of another FMU "
+        f"ends in {SUFFIX}"
     )
 
 
