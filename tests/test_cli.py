@@ -111,7 +111,7 @@ def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
     """In the terminal and in the report, whose title is not that of the project's own validation."""
     assert main(["validate", "--reference", own_reference(), "--stop", "0.2"]) == 0
     commands = "swing.swing_command, boom_stick.boom_command, boom_stick.stick_command"
-    note = f"no --scenario given: played {commands} of the reference"
+    note = f"no --scenario given: {commands} is taken from the reference"
     assert f"note: {note}" in capsys.readouterr().out
     assert note in Path("build/report.json").read_text(encoding="utf-8")
     title = "<title>harvester against Work cycle, monolithic solution"
@@ -463,7 +463,7 @@ def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     assert not Path("new/run.csv").exists()
     trace = read_trace("new/run.partial.csv")
     assert 0.1 < trace.time[-1] < 0.5
-    assert "the run ended early; its record up to t = " in printed.out
+    assert "the run ended early; the trace up to t = " in printed.out
     assert printed.err.startswith("harvester: manipulator: the step failed at t = ")
     assert "is violated" in printed.err
     assert printed.err.count("it says") == 1

@@ -313,7 +313,7 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
     printed = capsys.readouterr()
     assert len(read_trace("o.partial.csv").time) == 6
     assert not Path("o.csv").exists()
-    assert "the run ended early; its record up to t = 0.5 s is in o.partial.csv" in printed.out
+    assert "the run ended early; the trace up to t = 0.5 s is in o.partial.csv" in printed.out
     assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
 
 

@@ -185,7 +185,7 @@ def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillato
     card = run(oscillator, master=Coupling(adaptive=1e-2), stop=0.5, error_estimate=True).card
     assert not card.errors
     assert (
-        "no error estimate: two adaptive runs only meet at the points of a record step, give one"
+        "no error estimate: two adaptive runs have common times only with a record step; set --record-step"
         in card.notes
     )
 

@@ -312,7 +312,7 @@ def test_signals_that_a_swap_lost_are_not_compared(fmus):
     options = {"swap": {"g": str(plain)}, "step": 0.5, "stop": 1.0, "default": usual, "rate": False}
     validate_system(system, None, Path("m.csv"), None, Path("out"), **options)
     report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
-    assert "not compared, lost in a swap: g.offset" in str(report)
+    assert "not compared, because the swapped FMU has no such signal: g.offset" in str(report)
     for file in ("m.toml", "m.csv"):
         Path(file).write_text(
             Path(file).read_text(encoding="utf-8").replace("offset", "ofset"), encoding="utf-8"
@@ -333,7 +333,7 @@ def test_a_swapped_system_is_expected_to_differ_from_a_simulation(capsys):
         "stop": 1.0,
         "default": (Path("none.csv"), Path("none.toml")),
     }
-    note = "g is swapped: the reference is of another model, expect a difference"
+    note = "g is swapped: the reference was computed with another model, so expect differences"
     for kind, expected in (("simulation", True), ("measurement", False)):
         about = f'[reference]\nkind = "{kind}"\n{made}'
         Path("m.toml").write_text(f'{about}[signals.result]\nunit = "m"\n', encoding="utf-8")
