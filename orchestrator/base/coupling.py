@@ -106,7 +106,9 @@ class Coupling:
         if self.correct and self.master == "interface-jacobian":
             raise Problem(f"correct: expected another master, {self.master} predicts the inputs")
         if self.correct and self.master == "hermite" and self.passes != 1:
-            raise Problem(f"correct: expected hermite with a single pass, got up to {self.max_passes} passes")
+            raise Problem(
+                f"correct: expected a single pass with the master hermite, got up to {self.max_passes} passes"
+            )
         if self.guard is not None and self.adaptive is not None:
             raise Problem("guard: expected equal steps, got adaptive ones, which have their own tolerance")
         for name in ("control", "smallest", "largest"):

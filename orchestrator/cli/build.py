@@ -33,7 +33,10 @@ def build(
         ),
     ] = BUILD,
     fmi: Annotated[
-        str, typer.Option(metavar="VERSION", help="FMI version: 2, 3 or both; a MODEL is always 2.")
+        str,
+        typer.Option(
+            metavar="VERSION", help=("FMI version: 2, 3 or both; an FMU of MODEL always has version 2.")
+        ),
     ] = "both",
     platform: Annotated[
         list[str] | None,

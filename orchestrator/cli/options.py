@@ -201,10 +201,9 @@ Set = Annotated[
         "--set",
         metavar="NAME=VALUE",
         help=(
-            "Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs "
-            "with this name (supply_pressure sets both drives), or of a parameter that components "
-            "share (boom_stroke), in the unit that `harvester signals` shows, or with a unit, such "
-            "as supply.pressure_setting=180bar; repeatable."
+            "Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600. A name without a "
+            "component sets all inputs of this name (supply_pressure) or a parameter that components "
+            "share (boom_stroke). Unit: that of `harvester signals`, or given, such as supply.pressure_setting=180bar; repeatable."
         ),
     ),
 ]
