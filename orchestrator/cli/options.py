@@ -203,7 +203,8 @@ Set = Annotated[
         help=(
             "Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600. A name without a "
             "component sets all inputs of this name (supply_pressure) or a parameter that components "
-            "share (boom_stroke). Unit: that of `harvester signals`, or given, such as supply.pressure_setting=180bar; repeatable."
+            "share (boom_stroke). Unit: that of `harvester signals`, or given, such as "
+            "supply.pressure_setting=180bar; repeatable."
         ),
     ),
 ]

@@ -58,7 +58,7 @@ def test_a_wrong_value_is_told(choices, message):
             {"master": "hermite", "passes": 1, "tolerance": 1e-3},
             "coupling tolerance: expected at least 2 passes",
         ),
-        ({"master": "hermite", "correct": True}, "correct: expected hermite with a single pass"),
+        ({"master": "hermite", "correct": True}, "correct: expected a single pass with the master hermite"),
         (
             {"master": "interface-jacobian", "correct": True},
             "correct: expected another master, interface-jacobian predicts",
