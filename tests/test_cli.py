@@ -406,7 +406,11 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
             "limit = -1",
             "own.toml: tolerances.speed: limit: expected a number above 0, got -1",
         ),
-        ("manipulator.boom_speed", "manipulator.speed", "own.csv: column 'manipulator.speed' expected, got "),
+        (
+            "manipulator.boom_speed",
+            "manipulator.speed",
+            ("own.csv: expected a column 'manipulator.speed', got "),
+        ),
     ],
 )
 def test_a_bad_reference_is_told(capsys, old, new, told):

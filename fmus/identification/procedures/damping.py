@@ -362,8 +362,9 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     first = joint.printed[0]
     percent = 100 * (first.value / first.corrected - 1)
     yield (
-        f"(13) as printed, with a derivative over {first.window * 1e3:.3g} ms, gives {first.value:.4g} "
-        f"{unit}; {first.corrected:.4g} without the bias by the encoders' noise, {percent:+.2g} %."
+        f"eq. (13) as printed, with a derivative over {first.window * 1e3:.3g} ms, gives "
+        f"{first.value:.4g} {unit}; {first.corrected:.4g} without the bias by the encoders' noise, "
+        f"{percent:+.2g} %."
     )
     yield from joint.known_effect.remarks(joint.value, unit)
     dry = joint.dry

@@ -326,8 +326,8 @@ def _remarks(steps: StepMeans, laws: HoseFit) -> Iterator[str]:
         f"{power.chi_square:.4g} by eq. (10), with {square.freedom} degrees of freedom."
     )
     yield (
-        f"C_R is valid for {laws.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min, the weighted rms of the "
-        "flows. By eq. (10) it would fall by 16 % per doubling of the flow."
+        f"C_R is valid for {laws.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min, the weighted rms "
+        "of the flows. By eq. (10) C_R would fall by 16 % for each doubling of the flow."
     )
     yield from pressure_offset_remark(laws.zero, laws.zero_sd)
     if laws.mixed is not None:
