@@ -77,7 +77,7 @@ def test_only_what_is_repeated_must_go_back(each, both):
     wires = [*map(str, pair.connections), "s.y -> f.u"]
     four = both(assemble(files, wires, {"q.push": 1.0, "q.gain": -1.0}), master=HERMITE).result
     two = both(pair, master=HERMITE).result
-    assert not [n for n in four.card.notes if "every step once" in n]
+    assert not [n for n in four.card.notes if "one pass per step" in n]
     np.testing.assert_array_equal(four.trace["q.y"], two.trace["q.y"])
 
 

@@ -298,7 +298,7 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     )
     told = str(run(bench, step=0.5, stop=1.0, swap={"g": computed}, parameters=["high"]).card.notes)
     assert f"{computed} computes offset itself: the start values in the system are not used" in told
-    assert f"high.ssv: g.offset is left out: {computed} determines it itself" in told
+    assert f"high.ssv: g.offset is left out: {computed} computes it itself" in told
 
 
 @pytest.mark.usefixtures("bench")

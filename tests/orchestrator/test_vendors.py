@@ -402,7 +402,9 @@ def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, chang
     for name, value in change.items():
         text = re.sub(rf'{name}="[^"]*"', f'{name}="{value}"', text)
     path = make(in_system=oms(text))
-    told = rf"ssd: line \d+: VariableStepMaster: smallest and largest step: expected 0 < .*, got {got}; to choose"
+    told = (
+        rf"ssd: line \d+: VariableStepMaster: smallest and largest step: expected 0 < .*, got {got}; --master"
+    )
     with pytest.raises(Problem, match=told):
         run(path)
     assert run(path, master="jacobi", step=0.05).card.steps == 2

@@ -63,7 +63,7 @@ def test_optimum_and_covariance_are_those_of_scipy() -> None:
 def test_unidentifiable_pair_is_named() -> None:
     """Gain and loss act only as a ratio: the sentence says so, and the other parameters are estimated."""
     found = refine(problem(run(recording()), free=("stiffness", "damping", "gain", "loss")))
-    assert found.unidentified == ("gain and loss: the data determine only gain / loss, not each",)
+    assert found.unidentified == ("gain and loss: the data determine only gain / loss, not each parameter",)
     ratio = found.values["gain"] / found.values["loss"]
     # five standard deviations of about 0.5 %
     assert ratio == pytest.approx(TRUTH["gain"] / TRUTH["loss"], rel=0.025)
