@@ -147,9 +147,9 @@ def _change(values: np.ndarray, base: np.ndarray, itself: bool) -> str:
 LED = {
     "head, in the plane of the arm": "manipulator.head_angle|manipulator.head_speed",
     "head, sideways": "manipulator.head_side",
-    "swing on its oil": "manipulator.swing_speed",
-    "boom on its oil": "manipulator.boom_speed",
-    "stick on its oil": "manipulator.stick_speed",
+    "hydraulic oscillation of swing": "manipulator.swing_speed",
+    "hydraulic oscillation of boom": "manipulator.boom_speed",
+    "hydraulic oscillation of stick": "manipulator.stick_speed",
     "stick's hoses": "boom_stick.stick_head_hose|boom_stick.stick_rod_hose",
     "boom's hoses": "boom_stick.boom_head_hose|boom_stick.boom_rod_hose",
     "spools": "_spool_",

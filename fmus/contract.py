@@ -355,7 +355,9 @@ def symbolic(sub: Subsystem) -> Symbolic:
         raise _wrong_result(sub, "initial", "names of states", str(sorted(unknown)))
     states = column(*(getattr(x, name) for name in calculated))
     if ca.depends_on(ca.SX(column(*calculated.values())), states):
-        raise Problem(f"{sub.name}: initial() uses a state that it calculates, expected only other states")
+        raise Problem(
+            f"{sub.name}: initial() reads a state that it computes itself, expected only other states"
+        )
     start = [calculated.get(f.name, getattr(x, f.name)) for f in fields(sub.states)]
     require = _call(sub, "require", x, u, p)
     return Symbolic(

@@ -62,7 +62,10 @@ def test_the_built_system_plays_the_work_cycle_by_itself(capsys):
     assert "scenario" not in capsys.readouterr().out
     scenario = ["--scenario", str(data("scenarios/work_cycle.csv"))]
     assert main(["run", "--stop", "2", "--record-step", "0.02", "--out", "given.csv", *scenario]) == 0
-    note = "operator_input; without it these keep their start values: manipulator.payload_mass\n"
+    note = (
+        "operator_input; inputs that are not in the scenario keep their start values: "
+        "manipulator.payload_mass\n"
+    )
     assert f"note: the scenario replaces {note}" in capsys.readouterr().out
     own, given = (read_trace(name)["manipulator.boom_angle"] for name in ("own.csv", "given.csv"))
     assert np.ptp(own) > 0.1  # rad: it moves
@@ -98,9 +101,9 @@ def test_a_scenario_of_one_column_is_enough(capsys):
     printed = capsys.readouterr().out
     assert "--scenario" not in printed
     assert (
-        "note: the scenario replaces operator_input; without it these keep their start values: swing."
-        in printed
-    )
+        "note: the scenario replaces operator_input; inputs that are not in the scenario keep their "
+        "start values: swing."
+    ) in printed
 
 
 @pytest.mark.usefixtures("here")
@@ -108,7 +111,7 @@ def test_an_own_reference_without_scenario_is_told_what_ran(capsys):
     """In the terminal and in the report, whose title is not that of the project's own validation."""
     assert main(["validate", "--reference", own_reference(), "--stop", "0.2"]) == 0
     commands = "swing.swing_command, boom_stick.boom_command, boom_stick.stick_command"
-    note = f"no --scenario given: played {commands} of the reference"
+    note = f"no --scenario given: {commands} is taken from the reference"
     assert f"note: {note}" in capsys.readouterr().out
     assert note in Path("build/report.json").read_text(encoding="utf-8")
     title = "<title>harvester against Work cycle, monolithic solution"
@@ -218,9 +221,10 @@ def test_wires_can_be_cut(capsys):
     """Without the rate ports the run is another one, and says so."""
     options = ["--stop", "0.1", "--cut", "*_rate", "--cut", "*_acceleration"]
     assert main(["validate", *options]) == 0  # the machine stands still
-    assert "note: cut, so these inputs keep their start values: manipulator.swing_torque_rate, " in (
-        capsys.readouterr().out
-    )
+    assert (
+        "note: connections removed by --cut; these inputs keep their start values: "
+        "manipulator.swing_torque_rate, "
+    ) in (capsys.readouterr().out)
     assert '"cut": "*_rate, *_acceleration"' in Path("build/report.json").read_text(encoding="utf-8")
 
 
@@ -253,7 +257,7 @@ def test_an_angle_is_set_by_its_parameter(capsys):
     """The start of an angle is calculated: one line says from which parameter."""
     assert main(["run", "--set", "manipulator.boom_angle=0.5"]) == 2
     told = capsys.readouterr().err.strip()
-    assert told.endswith("that the FMU determines itself, at the start from initial_boom_angle")
+    assert told.endswith("that the FMU computes itself, at the start from initial_boom_angle")
     assert "\n" not in told
 
 
@@ -374,7 +378,7 @@ def test_all_options_reach_the_validation(capsys):
         (["run", "--cut", "*_jerk"], "cut *_jerk: no connected input matches"),
         (["run", "--parameters", "rech"], "parameter set 'rech' is unknown; did you mean reach?; build"),
         (["run", "--parameters", "none.ssv"], "none.ssv: no such file"),
-        (["run", "--set", "boom_command=3"], "to set it, cut that wire: --cut boom_stick.boom_command"),
+        (["run", "--set", "boom_command=3"], "--cut boom_stick.boom_command removes the connection"),
     ],
 )
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
@@ -402,7 +406,11 @@ def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
             "limit = -1",
             "own.toml: tolerances.speed: limit: expected a number above 0, got -1",
         ),
-        ("manipulator.boom_speed", "manipulator.speed", "own.csv: column 'manipulator.speed' expected, got "),
+        (
+            "manipulator.boom_speed",
+            "manipulator.speed",
+            ("own.csv: expected a column 'manipulator.speed', got "),
+        ),
     ],
 )
 def test_a_bad_reference_is_told(capsys, old, new, told):
@@ -442,7 +450,7 @@ def test_a_machine_that_is_not_built_yet(tmp_path, monkeypatch, capsys, command)
     monkeypatch.chdir(tmp_path)
     assert main([command]) == 2
     missing = Path("build/harvester.ssp")
-    assert capsys.readouterr().err == f"harvester: {missing}: no such file; make it with: harvester build\n"
+    assert capsys.readouterr().err == f"harvester: {missing}: no such file; build it with: harvester build\n"
 
 
 @pytest.mark.usefixtures("here")
@@ -459,7 +467,7 @@ def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     assert not Path("new/run.csv").exists()
     trace = read_trace("new/run.partial.csv")
     assert 0.1 < trace.time[-1] < 0.5
-    assert "the run ended early; its record up to t = " in printed.out
+    assert "the run ended early; the trace up to t = " in printed.out
     assert printed.err.startswith("harvester: manipulator: the step failed at t = ")
     assert "is violated" in printed.err
     assert printed.err.count("it says") == 1
@@ -473,7 +481,7 @@ def test_a_coupling_that_kills_the_run_is_named(capsys):
     error = capsys.readouterr().err
     assert error.startswith("harvester: boom_stick: the step failed at t = ")
     assert "; likely cause: the coupling, jacobi with a step of 0.01 s (energy error " in error
-    assert error.endswith("; take a shorter step or the master hermite\n")
+    assert error.endswith("; use a shorter step or the master hermite\n")
 
 
 def test_a_build_of_some_fmus(tmp_path, capsys):

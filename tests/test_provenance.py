@@ -207,7 +207,7 @@ def test_validate_says_first_that_it_compares_other_numbers(fmu_dir, tmp_path, m
     assert main(["validate", "--set", "manipulator.head_mass=0.6t"]) == 130
     assert capsys.readouterr().out.splitlines()[:2] == [
         "manipulator.head_mass is 600 kg",
-        "Work cycle, monolithic solution was computed with the shipped numbers: expect differences",
+        "Work cycle, monolithic solution was computed with the shipped parameter values: expect differences",
     ]
     assert main(["validate"]) == 130
     assert capsys.readouterr().out == ""

@@ -145,9 +145,9 @@ def identify(
 def _no_result(procedures: set[str], joint: bool) -> str:
     """The reason why there is no result."""
     if not procedures:
-        return 'all recordings are held out, expected one with use = "train"'
+        return 'expected a recording with use = "train", got held-out recordings only'
     if procedures == {MACHINE} and not joint:
-        return "there are only recordings of the whole machine, which the joint refinement needs"
+        return "--no-joint: all recordings are of the whole machine, and only the joint refinement uses these"
     return f"expected usable recordings of {', '.join(sorted(procedures))}"
 
 

@@ -68,7 +68,9 @@ def _unknown_to_machine(recording: Recording) -> Iterator[str]:
                 f"as {similar}"
             )
     if unknown:
-        yield f"{recording.source.name}: not a signal of the machine, not used: {', '.join(unknown)}"
+        yield (
+            f"{recording.source.name}: not used, because the machine has no such signal: {', '.join(unknown)}"
+        )
 
 
 def _unknown_to_bench(recording: Recording, signals: Collection[str]) -> Iterator[str]:
@@ -82,7 +84,7 @@ def _unknown_to_bench(recording: Recording, signals: Collection[str]) -> Iterato
             unknown.append(f"{name} (misspelt {similar}?)" if similar else name)
     if unknown:
         procedure, names = recording.procedure, ", ".join(unknown)
-        yield f"{recording.source.name}: not a signal of {procedure}, not used: {names}"
+        yield f"{recording.source.name}: not used, because {procedure} needs no such signal: {names}"
 
 
 def _check_conditions(recording: Recording) -> None:

@@ -34,19 +34,19 @@ def variant_names() -> list[tuple[str, str]]:
 
 def variant_lines(costs: Costs) -> Iterator[str]:
     """Lines of the table of variants; the cost is empty for a variant that is not in `costs`."""
-    head = f"{'states':>8}{'inputs':>8}{'parameters':>12}{'us per 1 ms':>13}{'to the usual':>14}"
+    head = f"{'states':>8}{'inputs':>8}{'parameters':>12}{'us per 1 ms':>13}{'relative':>14}"
     for part, variants in FAMILIES.items():
         usual = next(iter(variants))
         yield f"{part:<20}{head}"
         for variant, sub in variants.items():
-            label = f"  {variant}" + (" (usual)" if variant == usual else "")
+            label = f"  {variant}" + (" (default)" if variant == usual else "")
             sizes = (len(quantities(group)) for group in (sub.states, sub.inputs, sub.parameters))
             counts = "".join(f"{n:>{width}}" for n, width in zip(sizes, (8, 8, 12), strict=True))
             cost, base = costs.get((part, variant)), costs.get((part, usual))
             cost_text = "" if cost is None else f"{cost:.2f}"
             ratio = "" if cost is None or not base or base < CALL_COST else f"{cost / base:.2f}"
             yield f"{label:<20}{counts}{cost_text:>13}{ratio:>14}"
-            for text in (sub.text, f"holds: {sub.validity}"):
+            for text in (sub.text, f"valid: {sub.validity}"):
                 yield _indented(text, 110)
         yield ""
 

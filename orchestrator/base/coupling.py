@@ -99,11 +99,16 @@ class Coupling:
             expected = "expected the master interface-jacobian, which keeps linearisations"
             raise Problem(f"lag: {expected}, got {self.master}")
         if self.tolerance is not None and self.passes == 1:
-            raise Problem("coupling tolerance: expected more than one pass, which the tolerance ends, got 1")
+            raise Problem(
+                "coupling tolerance: expected at least 2 passes, got 1: the tolerance ends the "
+                "passes of a step"
+            )
         if self.correct and self.master == "interface-jacobian":
             raise Problem(f"correct: expected another master, {self.master} predicts the inputs")
         if self.correct and self.master == "hermite" and self.passes != 1:
-            raise Problem(f"correct: expected hermite with a single pass, got up to {self.max_passes} passes")
+            raise Problem(
+                f"correct: expected a single pass with the master hermite, got up to {self.max_passes} passes"
+            )
         if self.guard is not None and self.adaptive is not None:
             raise Problem("guard: expected equal steps, got adaptive ones, which have their own tolerance")
         for name in ("control", "smallest", "largest"):
@@ -201,7 +206,7 @@ def merge_choices(choices: Mapping[str, Any], defaults: Coupling | None = None) 
     return replace(defaults, **{**choices, "factors": factors})
 
 
-OVERRIDE_HINT = "to choose a way of your own, give --master and --step"
+OVERRIDE_HINT = "--master and --step override the suggestion"
 
 
 @dataclass(frozen=True)

@@ -346,7 +346,7 @@ DEFAULT_SYSTEM, BUILD_COMMAND = Path("build/harvester.ssp"), "harvester build"
 def require_system(system: Path) -> Path:
     """The path of a system file, which must exist."""
     if not system.exists():
-        hint = f"; make it with: {BUILD_COMMAND}" if system == DEFAULT_SYSTEM else ""
+        hint = f"; build it with: {BUILD_COMMAND}" if system == DEFAULT_SYSTEM else ""
         raise Problem(f"{system}: no such file{hint}")
     return system
 

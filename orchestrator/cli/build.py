@@ -26,19 +26,28 @@ def build(
         Path,
         typer.Option(
             metavar="DIR",
-            help="Folder of the FMUs; FMI 3.0 goes to its subfolder fmi3, FMUs in Python to python.",
+            help=(
+                "Folder of the FMUs; those of FMI 3.0 go to the subfolder fmi3, FMUs whose code is "
+                "Python to the subfolder python."
+            ),
         ),
     ] = BUILD,
     fmi: Annotated[
-        str, typer.Option(metavar="VERSION", help="FMI version: 2, 3 or both; a MODEL is always 2.")
+        str,
+        typer.Option(
+            metavar="VERSION", help=("FMI version: 2, 3 or both; an FMU of MODEL always has version 2.")
+        ),
     ] = "both",
     platform: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Platform of the binaries: host (this computer, the default), x86_64-linux, aarch64-linux,"
-            " x86_64-windows, x86_64-darwin, aarch64-darwin, all (these), or wasm (a WebAssembly module"
-            " for browsers in addition; harvester.fmu of FMI 3.0 always has one); repeatable.",
+            help=(
+                "Platform of the binaries: host (this computer, the default), x86_64-linux, "
+                "aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin, all (these five), or "
+                "wasm (adds a WebAssembly module for browsers; harvester.fmu of FMI 3.0 always has "
+                "one); repeatable."
+            ),
         ),
     ] = None,
     parameters: Annotated[
@@ -60,8 +69,10 @@ def build(
         bool,
         typer.Option(
             "--shipped",
-            help="Copy the FMUs and systems in the installed package, which are for all platforms, instead of"
-            " building them; needs no compiler.",
+            help=(
+                "Copy the FMUs and systems from the installed package instead of building them; "
+                "they are for all platforms, and no compiler is needed."
+            ),
         ),
     ] = False,
 ) -> None:

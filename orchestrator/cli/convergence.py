@@ -49,8 +49,10 @@ def convergence(
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="Signals whose error is taken, such as '*_pressure*'; repeatable, one table each;"
-            " default: speeds and pressures.",
+            help=(
+                "Signals whose error is computed, such as '*_pressure*'; repeatable, one table for "
+                "each; default: speeds and pressures."
+            ),
         ),
     ] = None,
     case: RunOptions,

@@ -16,7 +16,8 @@ def identify(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR", help="Folder of recordings: data files, each with a .toml that describes it."
+            metavar="DIR",
+            help=("Folder of recordings: data files, each with a .toml that describes the columns."),
         ),
     ],
     out: Annotated[
@@ -48,16 +49,18 @@ def identify(
         int,
         typer.Option(
             metavar="N",
-            help="Repeat the refinement from N random starts, to see whether the result is the same; 0: do"
-            " not.",
+            help=(
+                "Repeat the refinement from N random starts, to check whether the result is the "
+                "same; 0: no repetitions."
+            ),
         ),
     ] = 4,
 ) -> None:
     """Estimate the machine's parameters from recordings.
 
-    First by the procedures of the paper, one by one, then all together. Exit status 0: estimates without a
-    warning; 1: estimates and a report are written, but a warning says why they are doubtful, such as
-    residuals far above the noise of the sensors; 2: a mistake, nothing is written.
+    First with each procedure of the paper, then all parameters together. Exit status 0: estimates without a
+    warning; 1: estimates and a report are written, but a warning says why the estimates are doubtful, such
+    as residuals far above the noise of the sensors; 2: a mistake, nothing is written.
     """
     require("identify", "harvester identify")
     from fmus.identification.command import run as run_identify

@@ -32,9 +32,11 @@ def linearize(
         typer.Option(
             "--input",
             metavar="NAME",
-            help="Input of the linear model, COMPONENT.VARIABLE or all inputs with this name; its connection"
-            " is removed; repeatable; default: the inputs of the system and those that the operator's levers"
-            " drive.",
+            help=(
+                "Input of the linear model, COMPONENT.VARIABLE or all inputs with this name; its "
+                "connection is removed; repeatable; default: the inputs of the system, and the "
+                "inputs that are connected to operator_input."
+            ),
         ),
     ] = None,
     output: Annotated[
@@ -48,7 +50,10 @@ def linearize(
         bool,
         typer.Option(
             "--steady",
-            help="Linearize at the steady state: the joints keep their angles, all other states settle.",
+            help=(
+                "Linearize at the steady state with the joint angles of the operating point; all "
+                "other states are computed."
+            ),
         ),
     ] = False,
     speed: Annotated[
@@ -71,16 +76,20 @@ def linearize(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="With --time: inputs of that run over time (.csv, .parquet); default: none, the inputs are"
-            " those of the system.",
+            help=(
+                "With --time: inputs of that run over time (.csv, .parquet, .mat); default: the "
+                "inputs in the system."
+            ),
         ),
     ] = None,
     step: Annotated[
         float | None,
         typer.Option(
             metavar="S",
-            help="With --time: communication step of that run [s]; default: what the system or its FMUs"
-            " suggest.",
+            help=(
+                "With --time: communication step of that run [s]; default: the step in the "
+                "system or its FMUs."
+            ),
             parser=seconds,
         ),
     ] = None,
@@ -107,7 +116,7 @@ def linearize(
 
     if time is None and (scenario or step):
         raise Problem(
-            "--scenario, --step: expected --time as well; without it the operating point is the start"
+            "--scenario, --step: expected --time as well; without --time the operating point is the start"
         )
     if out.suffix != ".npz":
         raise Problem(f"--out {out}: expected a file name ending in .npz")

@@ -28,9 +28,9 @@ def variants(
         Path, typer.Option(metavar="FILE", help="With --combinations: file for the table (.csv).")
     ] = BUILD / "combinations.csv",
 ) -> None:
-    """List the variants of each part, with their cost on this computer.
+    """List the variants of each part, with numbers of states and inputs, and the range of validity.
 
-    Also their states, inputs and range of validity.
+    Also measures the simulation time of each variant on this computer.
     """
     from fmus.machine.parts import FAMILIES
     from fmus.machine.tables import variant_lines, variant_names
@@ -66,7 +66,7 @@ def parameters(
 ) -> None:
     """Print the parameters of the model with value, unit and source.
 
-    Values that were built into the FMUs in the folder build stand in place of the shipped ones, with both.
+    If FMUs in the folder build were built with other values, prints these and the shipped values.
     """
     from fmus.machine.tables import print_parameters
 

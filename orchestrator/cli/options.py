@@ -113,7 +113,7 @@ def swaps(texts: Iterable[str]) -> dict[str, str]:
 
 def substeps(texts: Iterable[str]) -> dict[str, int]:
     """{component: number of its own steps per communication step} from the texts 'component=N'."""
-    expected = "component=N, the number of its own steps per communication step"
+    expected = "component=N, the number of internal steps per communication step"
     counts = assignments(texts, "--factor", expected)
     for name, text in counts.items():
         if not text.isdecimal():
@@ -177,9 +177,11 @@ Swap = Annotated[
     list[str] | None,
     typer.Option(
         metavar="COMPONENT=FMU",
-        help="Replace the FMU of a component by a variant, such as boom_stick=detailed, or by a file,"
-        " boom_stick=FILE.fmu; repeatable; default: the FMUs in the system (track: also"
-        " the detailed machine).",
+        help=(
+            "Replace the FMU of a component by a variant, such as boom_stick=detailed, or by a "
+            "file, boom_stick=FILE.fmu; repeatable; default: the FMUs in the system (track also runs "
+            "the detailed machine)."
+        ),
     ),
 ]
 
@@ -198,10 +200,12 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600, or of all inputs with"
-        " this name (supply_pressure sets both drives), or of a parameter that components share (boom_stroke)"
-        ", in the unit that `harvester signals` shows or with a unit, supply.pressure_setting=180bar;"
-        " repeatable.",
+        help=(
+            "Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600. A name without a "
+            "component sets all inputs of this name (supply_pressure) or a parameter that components "
+            "share (boom_stroke). Unit: that of `harvester signals`, or given, such as "
+            "supply.pressure_setting=180bar; repeatable."
+        ),
     ),
 ]
 
@@ -214,22 +218,27 @@ class RunOptions:
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Inputs over time (.csv, .parquet, .mat); default: none, the inputs are those of the system"
-            " (the harvester contains the work cycle);"
-            " validate with --reference: the commands of the reference.",
+            help=(
+                "Inputs over time (.csv, .parquet, .mat); default: the inputs in the system, such "
+                "as the work cycle in harvester.ssp; validate with --reference plays the commands "
+                "of the reference."
+            ),
         ),
     ] = None
     start: Annotated[
         float | None,
         typer.Option(
-            metavar="T", help="Start time [s]; default: what the system suggests, else 0.", parser=seconds
+            metavar="T", help="Start time [s]; default: the start time in the system, else 0.", parser=seconds
         ),
     ] = None
     stop: Annotated[
         float | None,
         typer.Option(
             metavar="T",
-            help="Stop time [s]; default: the end of the scenario, else what the system or its FMUs suggest.",
+            help=(
+                "Stop time [s]; default: the end of the scenario, else the stop time in the "
+                "system or its FMUs."
+            ),
             parser=seconds,
         ),
     ] = None
@@ -265,8 +274,10 @@ class StepOptions:
         float | None,
         typer.Option(
             metavar="S",
-            help="Communication step [s], with --adaptive the first to try; default: what the system or its"
-            " FMUs suggest, 1e-3 for the harvester.",
+            help=(
+                "Communication step [s], with --adaptive the first one; default: the step in the "
+                "system or its FMUs, 1e-3 for the harvester."
+            ),
             parser=seconds,
         ),
     ] = None
@@ -274,8 +285,11 @@ class StepOptions:
         float | None,
         typer.Option(
             metavar="S",
-            help="Time between recorded points [s], a multiple of the step; default: the largest one up to"
-            " 0.005, at least a step. With --adaptive any time; default: every step (validate: 0.005).",
+            help=(
+                "Time between recorded points [s], a multiple of the step; default: the largest "
+                "multiple up to 0.005, or the step itself. With --adaptive: any time; default: every "
+                "step (validate: 0.005)."
+            ),
             parser=seconds,
         ),
     ] = None
@@ -293,8 +307,10 @@ class CouplingOptions:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="jacobi, gauss-seidel, hermite or interface-jacobian; default: what the system suggests,"
-            " else gauss-seidel.",
+            help=(
+                "jacobi, gauss-seidel, hermite or interface-jacobian; default: the master in the "
+                "system, else gauss-seidel."
+            ),
         ),
     ] = None
     order: Annotated[
@@ -325,9 +341,7 @@ class CouplingOptions:
     ] = None
     correct: Annotated[
         bool,
-        typer.Option(
-            "--correct", help="Compensate in the inputs the extrapolation error of the previous step."
-        ),
+        typer.Option("--correct", help="Correct the inputs by the extrapolation error of the previous step."),
     ] = False
     lag: Annotated[
         int | None,
@@ -341,7 +355,7 @@ class CouplingOptions:
         list[str] | None,
         typer.Option(
             metavar="COMPONENT=N",
-            help="The component makes N steps of its own per communication step; repeatable; default: 1.",
+            help="Number of internal steps of the component per communication step; repeatable; default: 1.",
         ),
     ] = None
     adaptive: Annotated[
@@ -358,17 +372,22 @@ class CouplingOptions:
         str | None,
         typer.Option(
             metavar="WHAT",
-            help="With --adaptive: what TOL limits, error (of the signals) or energy (the error of power of"
-            " the power bonds); default: error.",
+            help=(
+                "With --adaptive: what TOL limits: error (of the signals) or energy (the power "
+                "error of the power bonds); default: error."
+            ),
         ),
     ] = None
     guard: Annotated[
         float | None,
         typer.Option(
             metavar="TOL",
-            help="Without --adaptive: divide a step if the estimated error of a signal exceeds TOL times its"
-            " magnitude, or if a corner of the scenario is inside, provided that all components can restore"
-            " their states; 0: never; default: 0.01 for hermite and interface-jacobian, else 0.",
+            help=(
+                "Without --adaptive: divide a step if the estimated error of a signal exceeds TOL "
+                "times its magnitude, or if the scenario has a corner inside the step; all "
+                "components must be able to restore their states; 0: never; default: 0.01 for "
+                "hermite and interface-jacobian, else 0."
+            ),
             parser=number,
         ),
     ] = None

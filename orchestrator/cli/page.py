@@ -16,9 +16,9 @@ def page(
     out: Annotated[Path, typer.Option(metavar="FILE", help="HTML file to write.")] = BUILD / "machine.html",
     title: Annotated[str, typer.Option(metavar="TEXT", help="Title of the page.")] = "Drive the harvester",
 ) -> None:
-    """Write a page on which the machine can be driven, without a server.
+    """Write an HTML page on which you can drive the machine, without a server.
 
-    The page contains the whole machine (build/fmi3/harvester.fmu) as WebAssembly. It opens from disk.
+    The page contains the whole machine (build/fmi3/harvester.fmu) as WebAssembly. Open the file in a browser.
     """
     from orchestrator.base.files import require_system
     from orchestrator.scene.live_page import write_page

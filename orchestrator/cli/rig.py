@@ -15,13 +15,14 @@ def rig(
     out: Annotated[
         Path,
         typer.Option(
-            metavar="DIR", help="Folder of the recordings, which may contain earlier ones but nothing else."
+            metavar="DIR",
+            help=("Folder for the recordings; it may contain earlier recordings, but no other files."),
         ),
     ],
     machine: Annotated[
         str,
         typer.Option(
-            metavar="NAME", help="Variants that are recorded: lumped (as in the paper) or detailed."
+            metavar="NAME", help="Variants of the simulated machine: lumped (as in the paper) or detailed."
         ),
     ] = "detailed",
     seed: Annotated[

@@ -42,14 +42,17 @@ def run(
     time_limit: Annotated[
         float | None,
         typer.Option(
-            metavar="S", help="Longest wall time of the run [s]; default: no limit.", parser=seconds
+            metavar="S", help="Limit of the wall time of the run [s]; default: no limit.", parser=seconds
         ),
     ] = None,
     memory_limit: Annotated[
         float | None,
         typer.Option(
             metavar="GB",
-            help="Largest memory of the process of the FMUs [1e9 bytes]; default: that of the machine.",
+            help=(
+                "Memory limit of the process that runs the FMUs [GB, 1e9 bytes]; default: the "
+                "memory of the computer."
+            ),
             parser=number,
         ),
     ] = None,

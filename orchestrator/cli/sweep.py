@@ -15,7 +15,11 @@ from orchestrator.cli.options import app, positive_integer, tell_built
 @app.command()
 def sweep(
     study: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="The study: what is varied, run and kept.")
+        Path,
+        typer.Argument(
+            metavar="STUDY.toml",
+            help=("Description of the study: what is varied, what is run, and which results are kept."),
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -37,7 +41,7 @@ def sweep(
         ),
     ] = None,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Delete the results of a study in DIR and start again.")
+        bool, typer.Option("--fresh", help="Delete earlier results in DIR and start again.")
     ] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Leave out the page report.html.")] = False,
 ) -> None:

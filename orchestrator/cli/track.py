@@ -39,8 +39,10 @@ def track(
         Path | None,
         typer.Argument(
             metavar="SYSTEM",
-            help="The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one"
-            " in the installed package.",
+            help=(
+                "The machine with its controller (.ssp); default: build/harvester_control.ssp, else "
+                "the one in the installed package."
+            ),
         ),
     ] = None,
     path: Annotated[
@@ -55,8 +57,10 @@ def track(
         list[str] | None,
         typer.Option(
             metavar="X,Y,Z",
-            help="Point of straight lines that replace --path: forward, left, up [m], such as 3.6,-2,1;"
-            " repeat it for two points or more.",
+            help=(
+                "Point of a path of straight lines, instead of --path: forward, left, up [m], such "
+                "as 3.6,-2,1; repeat the option for two points or more."
+            ),
         ),
     ] = None,
     speed: Annotated[

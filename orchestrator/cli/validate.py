@@ -28,24 +28,31 @@ def validate(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Reference or measurement (.csv, .parquet or .mat, each with a .toml that describes it);"
-            " default: the work cycle of the harvester.",
+            help=(
+                "Reference or measurement (.csv, .parquet or .mat, each with a .toml that describes "
+                "the columns); default: the reference of the work cycle."
+            ),
         ),
     ] = None,
     layout: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Figures of the report (.toml); default: those of the harvester, for another system with"
-            " --reference one row per signal.",
+            help=(
+                "Description of the figures in the report (.toml); default: the figures of the "
+                "harvester; for another system with --reference: one row per signal."
+            ),
         ),
     ] = None,
     play: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="With --reference, without --scenario: its signals that drive the run in addition to its"
-            " commands, such as '*.supply_pressure'; repeatable; default: none.",
+            help=(
+                "With --reference and without --scenario: further signals of the reference that are "
+                "inputs of the run, in addition to the commands, such as '*.supply_pressure'; "
+                "repeatable; default: none."
+            ),
         ),
     ] = None,
     case: RunOptions,

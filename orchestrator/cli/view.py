@@ -31,8 +31,10 @@ def view(
         Path | None,
         typer.Argument(
             metavar="SYSTEM",
-            help="An .ssp or .fmu file; default: build/harvester_control.ssp, which also drives the tip,"
-            " else build/harvester.ssp, else the one in the installed package.",
+            help=(
+                "An .ssp or .fmu file; default: build/harvester_control.ssp, in which the joysticks "
+                "can also move the tip; else build/harvester.ssp, else the one in the installed package."
+            ),
         ),
     ] = None,
     replay: Annotated[
@@ -46,7 +48,7 @@ def view(
         str,
         typer.Option(
             metavar="NAME",
-            help="Parameter set of the pose to start from, such as reach; default: the pose of the system.",
+            help="Parameter set with the initial pose, such as reach; default: the pose in the system.",
         ),
     ] = "",
     swap: Swap = None,

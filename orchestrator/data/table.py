@@ -261,10 +261,12 @@ def _column_indices(
     selected = header if names is None else sorted(names)
     for name in selected:
         if counts[name] > 1:
-            raise Problem(f"{file}: column {shortened(name)!r} expected once, got {counts[name]} times")
+            raise Problem(
+                f"{file}: expected the column {shortened(name)!r} once, got it {counts[name]} times"
+            )
         if not counts[name]:
             got = f"got {_name_list(header)}{suggest(name, header)}"
-            raise Problem(f"{file}: column {shortened(name)!r} expected, {got}")
+            raise Problem(f"{file}: expected a column {shortened(name)!r}, {got}")
     return {name: index[name] for name in selected}
 
 

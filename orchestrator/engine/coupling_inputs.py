@@ -76,11 +76,13 @@ class CouplingInputs:
             s.source for s in connected if s.slope_index == h.NO_SLOPE and needed[s.source_component]
         ]
         notes = {
-            "slopes from differences of values, because the FMUs give none": differences,
-            "inputs held at their mean over a step, because the FMUs accept no slopes": [
+            (
+                "input derivatives from differences of values, because the FMUs provide no output derivatives"
+            ): differences,
+            "inputs held at their mean over a step, because the FMUs accept no input derivatives": [
                 s.target for s in connected if s.fmu_degree == 0
             ],
-            "inputs that follow straight lines, because the FMUs accept no curves": [
+            "inputs linear over a step, because the FMUs accept first derivatives only": [
                 s.target for s in connected if 0 < s.fmu_degree < s.requested_degree
             ],
         }

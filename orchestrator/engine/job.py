@@ -95,7 +95,10 @@ class Execution:
             if not limit > 0:
                 raise Problem(f"{name}: expected a positive number, got {limit:g}")
             if limit < math.inf and not self.isolated:
-                raise Problem(f"{name}: expected a run in a process of its own, got one in this process")
+                raise Problem(
+                    f"{name}: expected a run in its own process, got one in the calling process "
+                    "(isolate=False)"
+                )
 
 
 @dataclass
@@ -291,8 +294,8 @@ class Job:
             raise Problem(f"control of the energy: expected {expected}, got none")
         interfaces = {name: component.interface for name, component in self.system.components.items()}
         if fixed := [name for name, interface in interfaces.items() if not interface.variable_step]:
-            got = f"{', '.join(fixed)}: the FMU takes steps of one length only"
-            raise Problem(f"adaptive steps: expected FMUs that vary their steps, got {got}")
+            got = f"{', '.join(fixed)}: the FMU has a fixed step"
+            raise Problem(f"adaptive steps: expected FMUs with a variable step, got {got}")
         repeats = all(interface.rollback for interface in interfaces.values())
         first = times.first if repeats else FIRST_FRACTION * times.first
         smallest, largest = c.step_limits
@@ -305,7 +308,7 @@ class Job:
         names = [name for name, c in self.system.components.items() if not c.interface.rollback]
         if self.coupling.adaptive is None or not names:
             return ()
-        cause = f"{first_names(names)} cannot go back to a saved state"
+        cause = f"{first_names(names)} cannot restore a saved state"
         return (f"adaptive steps with too large an error are not repeated: {cause}",)
 
     def _bonds(self, network: Network) -> list[Bond]:

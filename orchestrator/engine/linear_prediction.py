@@ -140,7 +140,7 @@ class JoinedSystem:
         )
 
 
-NO_DERIVATIVES = "gives no directional derivatives, so its outputs are extrapolated"
+NO_DERIVATIVES = "provides no directional derivatives, so its outputs are extrapolated"
 
 
 @dataclass(frozen=True)

@@ -194,7 +194,7 @@ def hermite_plan(system: System, coupling: Coupling) -> Plan:
     order = _gauss_seidel_indices(system)
     repeated, components = unsettled_components(system, order), list(system.components.values())
     cannot = [components[k].name for k in sorted(repeated) if not components[k].interface.rollback]
-    note = f"hermite computes every step once: {', '.join(cannot)} cannot go back to a saved state"
+    note = f"hermite makes one pass per step, because {', '.join(cannot)} cannot restore a saved state"
     return Plan(
         order,
         system.connections,

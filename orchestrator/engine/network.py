@@ -339,7 +339,7 @@ def _solve(
             return
         previous = current
     if cycle.rounds > 1 and cycle.declared:
-        raise Problem(f"initialisation does not settle: {cycle.text}")
+        raise Problem(f"the initialisation does not converge: {cycle.text}")
 
 
 def _equal(old: Value, new: Value) -> bool:

@@ -94,8 +94,12 @@ class Interrupted(KeyboardInterrupt):
         self.result = result
 
 
-EQUAL_STEPS = "change when the step is halved; at order p the error is 2^p / (2^p - 1) of it"
-ADAPTIVE_STEPS = "change at a tenth of the tolerance; the error is 1.1 to 1.5 times that"
+EQUAL_STEPS = (
+    "change of the signals when the step is halved; at order p the error is 2^p / (2^p - 1) times this change"
+)
+ADAPTIVE_STEPS = (
+    "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change"
+)
 # A signal is constant if its range is below
 CONSTANT = 1e-6  # of its nominal value,
 CONSTANT_IN_UNIT = 1e-9  # or, without a nominal value, of the largest range of a signal in the same unit,
@@ -203,10 +207,10 @@ class Card:
         worst = max(self._bonds_above(CAUSE), key=lambda b: abs(b.relative), default=None)
         if worst is None:
             return ""
-        error = f"energy error {worst.relative:+.0%} of what {worst.name} exchanged"
+        error = f"energy error {worst.relative:+.0%} of the energy exchanged by {worst.name}"
         other = "" if self.master.startswith("hermite") else " or the master hermite"
         cause = f"the coupling, {self.master} with a step of {self.step:.6g} s ({error})"
-        return f"likely cause: {cause}; take a shorter step{other}"
+        return f"likely cause: {cause}; use a shorter step{other}"
 
     def bond(self, bond: BondEnergy) -> tuple[str, str, str]:
         """Energy error of the coupling [J], energy exchanged [J], and their ratio."""

@@ -203,7 +203,8 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
 
     if times.free:
         return with_note(
-            "no error estimate: two adaptive runs only meet at the points of a record step, give one"
+            "no error estimate: two adaptive runs have common times only with a record step; "
+            "set --record-step"
         )
     adaptive = job.coupling.adaptive is not None
     try:
@@ -353,7 +354,7 @@ def _published(
                 metadata_file(file.partial).write_text(text, encoding="utf-8", newline="\n")
         end = f" up to t = {file.last:.6g} s" if file.rows else ""
         summary = _summary(ended.result.card, file, file.partial)
-        print(f"{ended.result.card.text()}\n\nthe run ended early; its record{end} is in {summary}")
+        print(f"{ended.result.card.text()}\n\nthe run ended early; the trace{end} is in {summary}")
         raise
     file.origin = metadata_text(result, "", given, file.layout)
     complete, digest = file.finish(check)

@@ -117,7 +117,9 @@ class Scenario:
         targets = [c.target for c in system.connections if c.source.component == component]
         covered = {*self.columns, *self._rates(system), *self._slopes(system)}
         uncovered = ", ".join(str(port) for port in targets if port not in covered)
-        consequence = f"; without it these keep their start values: {uncovered}" if uncovered else ""
+        consequence = (
+            f"; inputs that are not in the scenario keep their start values: {uncovered}" if uncovered else ""
+        )
         return f"the scenario replaces {component}{consequence}"
 
     def initial(self, system: System, t: float) -> dict[Port, Value]:

@@ -139,7 +139,7 @@ def _span(
         stops = (c.interface.stop for c in system.components.values())
         end = max((t for t in stops if t is not None), default=None)
     if end is None:
-        raise Problem("no stop time: neither the system nor its FMUs suggest one, give --stop")
+        raise Problem("no stop time: neither the system nor its FMUs suggest one; set --stop")
     for name, value in (("start time", begin), ("stop time", end)):
         if not isfinite(value):
             raise Problem(f"{name}: expected a finite time, got {value:g} s")
@@ -201,9 +201,9 @@ def _scenario_notes(points: Grid, scenario: Trace) -> tuple[str, ...]:
     first, last = float(scenario.time[0]), float(scenario.time[-1])
     notes = []
     if points.start < first - points.step:
-        notes.append(f"the scenario begins at {first:g} s; until there its first values are held")
+        notes.append(f"the scenario begins at {first:g} s; before that time its first values are held")
     if points.stop > last + points.step:
-        notes.append(f"the scenario ends at {last:g} s; after that its last values are held")
+        notes.append(f"the scenario ends at {last:g} s; after that time its last values are held")
     return tuple(notes)
 
 

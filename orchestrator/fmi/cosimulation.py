@@ -302,13 +302,13 @@ class CoSimulationFmu(RunningFmu):
         """Handle the status and the flags of a step; raise an exception if the step was not completed."""
         end = self.fmu.step_end(status)
         if end.terminate and status != ERROR:
-            text = f"is the last: the FMU asks to end the simulation at t = {end.reached:.9g} s"
+            text = f"is the last one: the FMU requests the end of the simulation at t = {end.reached:.9g} s"
             ended = Ended(self.log.error_message("the step", text))
             ended.reached = end.reached
             raise ended
         if status in (DISCARD, ERROR):
             reached = end.reached if status == DISCARD else float("nan")
-            progress = f" (the FMU got as far as t = {reached:.9g} s)" if status == DISCARD else ""
+            progress = f" (the FMU reached t = {reached:.9g} s)" if status == DISCARD else ""
             discarded = Discarded(
                 self.log.error_message("the step failed", f"with status {status_label(status)}{progress}")
             )
@@ -320,7 +320,13 @@ class CoSimulationFmu(RunningFmu):
             text = f"ended early at t = {end.reached:.9g} s, which was not allowed"
             raise Problem(self.log.error_message("the step", text))
         if end.event:
-            self.log.add(WARNING, "the FMU asks for event handling, which it was told to do itself")
+            self.log.add(
+                WARNING,
+                (
+                    "the FMU requests event handling by the master, which is switched off (event "
+                    "mode is not used)"
+                ),
+            )
 
     def stepping(self, rolls: bool) -> StepCalls:
         """Addresses and callbacks to step from C; `rolls`: also to save and restore the state."""

@@ -51,7 +51,7 @@ def settle_at_time(
     return ()
 
 
-NO_EFFECT_REASON = "a command in its dead band or beyond its range, a controller that is off"
+NO_EFFECT_REASON = "the command is in the dead band or beyond its range, or the controller is off"
 
 
 def no_effect_notes(plant: Plant, b: Array) -> tuple[str, ...]:
@@ -61,8 +61,16 @@ def no_effect_notes(plant: Plant, b: Array) -> tuple[str, ...]:
     inlets = plant.cut.inputs[: b.shape[1]]
     without = [inlet.name for inlet, column in zip(inlets, b.T, strict=True) if not column.any()]
     opened = [str(port) for port in _open_loops(plant)]
-    notes = (f"no state depends here on {', '.join(without)} ({NO_EFFECT_REASON})",) if without else ()
-    return (*notes, f"loops are open here at {', '.join(opened)} ({NO_EFFECT_REASON})") if opened else notes
+    notes = (
+        (f"at this operating point no state depends on {', '.join(without)} ({NO_EFFECT_REASON})",)
+        if without
+        else ()
+    )
+    return (
+        (*notes, f"at this operating point loops are open at {', '.join(opened)} ({NO_EFFECT_REASON})")
+        if opened
+        else notes
+    )
 
 
 def _open_loops(plant: Plant) -> Iterator[Port]:
@@ -127,10 +135,10 @@ def linearize(
     full = with_swaps(system if isinstance(system, System) else load(system), swap or {})
     full = with_sets(full, parameters)
     if speeds and not steady:
-        raise Problem("--speed: expected --steady with it, only a steady state has given speeds")
+        raise Problem("--speed: expected --steady as well, got --speed alone")
     cut = cut_at_inputs(full, inputs, steady)
     if time is not None:
-        _refuse_connected(full, set or {}, "--scenario, which sets it in the run")
+        _refuse_connected(full, set or {}, "--scenario sets the input in the run")
     cut = replace(cut, system=_with_start_values(cut.system, full, set or {}))
     ports = matching_outputs(cut.system, outputs)
     start = full.start or 0.0
@@ -151,7 +159,7 @@ def linearize(
 
 def _with_start_values(system: System, full: System, values: Mapping[str, Value | str]) -> System:
     """The system with start values, except those of components that are only in the full system."""
-    _refuse_connected(system, values, "--input of that name as well, which cuts the wire")
+    _refuse_connected(system, values, "--input with the same name removes the connection")
     return system.with_start({n: v for n, v in values.items() if system.has(n) or not full.has(n)})
 
 
@@ -161,7 +169,7 @@ def _refuse_connected(system: System, names: Iterable[str], instead: str) -> Non
     for name in filter(system.has, names):
         for port, _ in system.targets(name):
             if port in connections:
-                raise Problem(f"--set {name}: expected {instead}, got the connection {connections[port]}")
+                raise Problem(f"--set {name}: the input is connected ({connections[port]}); {instead}")
 
 
 def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, ...]) -> LinearModel:

@@ -121,8 +121,9 @@ def _operating_point(linear: LinearModel) -> list[str]:
     inputs = [f"{i.name} = {_value(v, i)}{_unit(i)}" for i, v in zip(linear.inputs, linear.u0, strict=True)]
     rates = _relative_rates(linear)
     fastest = [(linear.states[i], linear.f0[i]) for i in np.argsort(-rates)[:3] if rates[i] > STEADY_RATE]
-    moving = [f"{state.name} by {rate:.3g}{_unit(state)} per s" for state, rate in fastest]
-    return [f"inputs: {', '.join(inputs) or 'none'}", f"not at rest: {', '.join(moving) or 'nothing'}"]
+    changes = [f"{state.name} changes by {rate:.3g}{_unit(state)} per s" for state, rate in fastest]
+    steady = f"not a steady state: {', '.join(changes)}" if changes else "steady state"
+    return [f"inputs: {', '.join(inputs) or 'none'}", steady]
 
 
 def _relative_rates(linear: LinearModel) -> Array:

@@ -2,7 +2,8 @@
 
 The name of a mode is derived from its participating states. It depends only on the model descriptions of the
 FMUs: the unit of a state gives its quantity (position, speed, pressure, flow), the words of its name give the
-part of the machine. The states boom_speed and boom_rod_pressure give the name "boom on its oil".
+part of the machine. The states boom_speed and boom_rod_pressure give the name
+"hydraulic oscillation of boom".
 """
 
 from __future__ import annotations
@@ -91,25 +92,22 @@ def _main_states(participation: NDArray[np.float64]) -> list[int]:
 def _phrase(value: complex, kinds: set[str], names: Sequence[str]) -> str:
     """The name of a mode from its eigenvalue, the quantities of its states and their names."""
     subject = _subject(names)
-    both = " and " in subject
-    s, its = ("", "their") if both else ("s", "its")
     if value == 0.0:
-        how = "where" if kinds & MOTION else "as"
-        return f"{subject} stay{s} {how} {'they are' if both else 'it is'}"
+        return f"integrator of {subject}"
     if value.real > 0.0:
-        return f"{subject} swing{s} up" if value.imag else f"{subject} drift{s} off"
+        return f"growing oscillation of {subject}" if value.imag else f"divergence of {subject}"
     moves, oil = bool(kinds & MOTION), kinds & OIL
     if value.imag and moves:
-        return f"{subject} on {its} oil" if oil else f"{subject} swing{s}"
+        return f"{'hydraulic ' * bool(oil)}oscillation of {subject}"
     if value.imag:
-        return f"oil of {subject} swings" if oil else f"{subject} swing{s}"
+        return f"{'oil ' * bool(oil)}oscillation of {subject}"
     if kinds == {"position"}:
-        return f"{subject} return{s} to {its} place{'s' * both}"
+        return f"position decay of {subject}"
     if moves:
-        return f"{subject} against {its} oil" if oil else f"{subject} come{s} to rest"
+        return f"overdamped hydraulic motion of {subject}" if oil else f"speed decay of {subject}"
     if oil == {"flow"}:
-        return f"flow of {subject} follows its pressures"
-    return f"pressure of {subject} settles" if oil else f"{subject} settle{s}"
+        return f"flow decay of {subject}"
+    return f"pressure decay of {subject}" if oil else f"decay of {subject}"
 
 
 def _subject(names: Sequence[str]) -> str:

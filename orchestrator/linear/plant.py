@@ -189,11 +189,14 @@ class Plant:
             if (np.abs(residual) <= AGREEMENT * magnitude).all():
                 return
             self.v += self.loop_inverse(self.blocks().d) @ residual
-        raise Problem(f"{self.system.name}: the connections have no solution: {self._worst(residual)}")
+        raise Problem(
+            f"{self.system.name}: the values of the values of the connections have no solution: "
+            f"{self._worst(residual)}"
+        )
 
     def _worst(self, residual: Array) -> str:
         k = int(np.argmax(np.where(np.isfinite(residual), np.abs(residual), np.inf)))
-        return f"{self.inputs[k]} is off by {residual[k]:.3g}"
+        return f"{self.inputs[k]} differs from its source by {residual[k]:.3g}"
 
     def evaluate(self) -> None:
         """Set states and inputs of all components, get state derivatives and outputs."""

@@ -239,7 +239,7 @@ class Search:
 
 
 NOTE_DECIMALS = 12  # decimals of an input in a note
-SETTLE_HINT = "let a run settle with --time in place of --steady"
+SETTLE_HINT = "use a time of a run instead, with --time"
 METRE, RADIAN = (tuple(int(b == base) for b in BASES) for base in ("m", "rad"))
 
 
@@ -260,10 +260,8 @@ def find_steady_state(plant: Plant, speeds: Mapping[str, float] | None = None) -
         speed_names = {n: str(plant.states[j.speed]) for n, j in joints.items()}
         conditions = ", ".join(f"{name} = {speeds.get(n, 0.0):g}" for n, name in speed_names.items())
         worst = search.equations.worst()
-        hint = "expected slower joints" if any(speeds.values()) else SETTLE_HINT
-        raise Problem(
-            f"no steady state found with {conditions or 'all free'}: {worst} is not at rest; {hint}"
-        )
+        hint = "use lower speeds" if any(speeds.values()) else SETTLE_HINT
+        raise Problem(f"no steady state found with {conditions or 'all free'}: {worst} still changes; {hint}")
     return _notes(plant, joints, idle, search.equations.free)
 
 
@@ -282,7 +280,7 @@ def _joints(plant: Plant, m: Matrices) -> dict[str, HeldJoint]:
             continue
         if len(candidates) > 1 or word in joints:
             names = ", ".join(plant.cut.inputs[k].name for k in candidates)
-            other = f"{SETTLE_HINT}, or name one with --input"
+            other = f"{SETTLE_HINT}, or choose one of the inputs with --input"
             raise Problem(f"--steady: {plant.states[i]} has more than one input, {names}: {other}")
         joints[word] = HeldJoint(word, i, j, candidates[0])
     return joints
@@ -310,12 +308,18 @@ def _first_word(name: str) -> str:
 def _notes(plant: Plant, joints: Mapping[str, HeldJoint], idle: list[int], free: int) -> tuple[str, ...]:
     held = [str(plant.states[j.position]) for j in joints.values()]
     constant = [str(plant.states[i]) for i in idle if str(plant.states[i]) not in held]
-    notes = [f"held: {', '.join(held)}" if held else "no joint is held: all states are unknowns"]
-    notes += [f"constant, because nothing depends on them: {', '.join(constant)}"] if constant else []
+    notes = [
+        f"joints held at their angles: {', '.join(held)}"
+        if held
+        else "no joint is held: all states are unknowns"
+    ]
+    notes += (
+        [f"states held constant, because nothing depends on them: {', '.join(constant)}"] if constant else []
+    )
     others = [plant.cut.inputs[j.input] for j in joints.values() if j.input >= plant.cut.requested_count]
     values = dict(zip((i.name for i in plant.cut.inputs), plant.u.round(NOTE_DECIMALS), strict=True))
     texts = (f"{i.name} = {values[i.name]:.6g} {i.unit.name if i.unit else ''}".rstrip() for i in others)
     notes += [f"constant inputs of the steady state: {', '.join(texts)}"] if others else []
-    directions = "one direction is" if free == 1 else f"{free} directions are"
-    notes += [f"{directions} undetermined, such as a command in its dead band"] if free else []
+    directions = "one value is" if free == 1 else f"{free} values are"
+    notes += [f"{directions} not unique, such as a command in its dead band"] if free else []
     return tuple(notes)

@@ -241,7 +241,7 @@ def fmu_block(name: str, folder: str, component: Component, constant_inputs: Col
 def _check(where: str, interface: FmuInterface) -> None:
     """Raise Problem for an FMU that the functions of the package cannot run."""
     if interface.fmi != 2:
-        raise Problem(f"{where}: expected an FMU 2.0 for Model Exchange, got FMI {interface.fmi}.0")
+        raise Problem(f"{where}: expected an FMU for Model Exchange in FMI 2.0, got FMI {interface.fmi}.0")
     if interface.event_indicators:
         raise Problem(
             f"{where}: expected an FMU without event indicators, because state events are not supported"

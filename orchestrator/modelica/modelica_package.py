@@ -138,7 +138,10 @@ def _check_unchanged(folder: Path) -> None:
     try:
         checksums = json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        raise Problem(f"{folder}: expected no such folder, or a package that this command wrote") from None
+        raise Problem(
+            f"{folder}: the folder exists, but is not a package that this command wrote: choose "
+            "another --out or --name"
+        ) from None
     for path, checksum in _checksums(folder).items():
         if checksums.get(path) != checksum:
             change = "changed" if path in checksums else "added"

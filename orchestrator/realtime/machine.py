@@ -93,7 +93,9 @@ class MachineProcess:
         status = self.shared.status()
         notes = [str(note) for note in _details(status).get("notes", ())]
         if status.slipped > 0:
-            notes.append(f"the machine could not keep up: its clock was stopped for {status.slipped:.3g} s")
+            notes.append(
+                f"the simulation was slower than real time: its clock was stopped for {status.slipped:.3g} s"
+            )
         if (lost := self._oldest(status) - self.first) > 0:
             notes.append(f"the first {lost} frames are no longer in memory")
         return tuple(notes)

@@ -45,7 +45,10 @@ class Axis:
                 f"axis {self.name}: expected a rest delay of 0 s or more, got {self.rest_delay:g} s"
             )
         if not abs(self.rest) <= self.limit:
-            raise Problem(f"axis {self.name}: expected a rest within {self.limit:g}, got {self.rest:g}")
+            raise Problem(
+                f"axis {self.name}: expected a rest value of at most {self.limit:g} in magnitude, "
+                f"got {self.rest:g}"
+            )
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Setup:
                 raise Problem(f"{name}: expected a positive time, got {value:g} s")
         for noun, names in (("axis", [a.name for a in self.axes]), ("signal", list(self.signals))):
             if twice := [n for i, n in enumerate(names) if n in names[:i]]:
-                raise Problem(f"{noun} {twice[0]}: expected it once, got it twice")
+                raise Problem(f"{noun} {twice[0]}: expected once, got twice")
         for axis in self.axes:
             axis.check()
 

@@ -249,7 +249,7 @@ def _worst(comparison: Comparison, label: str) -> TextTable:
     rows = []
     for quantity in order:
         worst, largest = comparison.worst(label, quantity), comparison.largest(label, quantity)
-        first = _worst_row(worst) if worst else ["all are at rest", NO_VALUE, _difference(largest)]
+        first = _worst_row(worst) if worst else ["all are constant", NO_VALUE, _difference(largest)]
         rows.append([quantity, str(len(groups[quantity])), *first])
         if worst and largest.signal != worst.signal and largest.metrics.maximum_error:
             rows.append(["", "", *_worst_row(largest)])

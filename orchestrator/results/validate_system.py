@@ -64,7 +64,11 @@ def start_note(run: Trace, reference: Recording) -> str:
             offsets[f"{name} by {offset:.3g} {unit}"] = abs(offset)
             largest_range = max(largest_range, float(np.ptp(values)))
     large = ", ".join(text for text, size in offsets.items() if size > START_TOLERANCE * largest_range)
-    return f"the start of the run differs from the reference: {large}; --set changes it" if large else ""
+    return (
+        (f"the start of the run differs from the reference: {large}; --set changes the start values")
+        if large
+        else ""
+    )
 
 
 def played(system: System, reference: Recording, also: Sequence[str] = ()) -> Trace | None:
@@ -148,7 +152,10 @@ def another_model(system: System, reference: Recording) -> str:
     if not swapped or reference.metadata.get("kind") != "simulation":
         return ""
     verb = "is" if len(swapped) == 1 else "are"
-    return f"{', '.join(swapped)} {verb} swapped: the reference is of another model, expect a difference"
+    return (
+        f"{', '.join(swapped)} {verb} swapped: the reference was computed with another model, so "
+        "expect differences"
+    )
 
 
 def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str, Any]) -> str:
@@ -163,7 +170,7 @@ def other_numbers(system: Path, shipped: Recording | None, options: Mapping[str,
     if shipped is None:
         return "\n".join(built)
     reason = "; ".join([*built, *([own] if own else [])])
-    consequence = f"{shipped.heading} was computed with the shipped numbers: expect differences"
+    consequence = f"{shipped.heading} was computed with the shipped parameter values: expect differences"
     return f"{reason}\n{consequence}" if reason else ""
 
 
@@ -305,7 +312,9 @@ def validate_system(
         _input_note(commands) if reference and not scenario else "",
         _default_reference_note(scenario, against) if scenario and not reference else "",
         another_model(result.system, against),
-        f"not compared, lost in a swap: {', '.join(sorted(missing))}" if missing else "",
+        f"not compared, because the swapped FMU has no such signal: {', '.join(sorted(missing))}"
+        if missing
+        else "",
         start_note(recorded, against) if commands else "",
     ]
     card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
@@ -362,7 +371,7 @@ def _input_note(commands: Trace | None) -> str:
     """Note on the inputs of a run without a scenario."""
     if commands is None:
         return "no --scenario given: the inputs are those of the system"
-    return f"no --scenario given: played {', '.join(commands.signals)} of the reference"
+    return f"no --scenario given: {', '.join(commands.signals)} is taken from the reference"
 
 
 def _default_reference_note(scenario: Path, against: Recording) -> str:

@@ -218,7 +218,7 @@ def common_grid(run: Array, reference: Recording) -> tuple[Array, tuple[str, ...
     if between := _between(grid, sides[fine]):
         notes.append(f"{between} of them are between samples of the {fine}: interpolated linearly")
     if any(not _inside(t, grid[0], grid[-1]).all() for t in sides.values()):
-        notes.append(f"the window was cut: {spans}")
+        notes.append(f"only a part was compared: {spans}")
     return grid, tuple(notes)
 
 

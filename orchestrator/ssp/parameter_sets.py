@@ -77,7 +77,7 @@ def bound_values(signals: SignalPaths) -> dict[str, dict[str, Value]]:
                 if variable.settable:
                     start[port.component][port.variable] = coerce(str(port), variable, value.text, linear)
                 else:
-                    signals.notes.append(f"{file}: {port} keeps its value: the FMU determines it itself")
+                    signals.notes.append(f"{file}: {port} is not set: the FMU computes this variable itself")
     return start
 
 

@@ -53,7 +53,7 @@ def with_swaps(system: System, swaps: Mapping[str, str | Path]) -> System:
         notes=(*system.notes, *(str(signal) for signal, users in told if not users)),
         warnings=(
             *system.warnings,
-            *(f"{signal}, but {' and '.join(users)} would use the signal" for signal, users in told if users),
+            *(f"{signal}; {' and '.join(users)} could use this signal" for signal, users in told if users),
         ),
     )
 
@@ -81,9 +81,12 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     if file.is_file():
         return Location(file)
     names = sorted(p.stem.removeprefix(prefix) for p in folder.glob(f"{prefix}*{SUFFIX}"))
-    variants = f"there are {', '.join(names)}" if names else f"there is no variant of {component}"
+    variants = (
+        (f"variants of {component}: {', '.join(names)}") if names else f"there is no variant of {component}"
+    )
     raise Problem(
-        f"{context}: no file {file}; {variants}; {MAKE} makes the variants, a path ends in {SUFFIX}"
+        f"{context}: no file {file}; {variants}; {MAKE} builds all variants; the path of another FMU "
+        f"ends in {SUFFIX}"
     )
 
 
@@ -377,7 +380,7 @@ def _notes(old: Component, new: Component, rates: list[str], without_unit: list[
     if rates:
         yield (
             f"{new.source} has no {first_names(rates)}: without these rates inputs are held during a step,"
-            " which costs accuracy"
+            " which reduces the accuracy"
         )
     if without_unit:
         names = first_names(without_unit)
@@ -391,9 +394,12 @@ def _notes(old: Component, new: Component, rates: list[str], without_unit: list[
     ]
     additional = [v.name for v in new.interface.of("input") if v.name not in old.interface.variables]
     if additional:
-        yield f"{new.source} has additional inputs, {first_names(additional)}: no wire feeds them"
+        yield f"{new.source} has additional inputs, which are not connected: {first_names(additional)}"
     if converted:
-        yield f"{new.source} has {first_names(converted)}: converted; given values stay in the latter"
+        yield (
+            f"{new.source} has other units, which are converted: {first_names(converted)}; values "
+            "that you set keep the unit of the replaced FMU"
+        )
 
 
 def _differ(old: DeclaredUnit, new: DeclaredUnit) -> bool:
@@ -417,10 +423,12 @@ def _start_values(old: Component, new: Component) -> tuple[dict[str, Value], lis
             start[name] = coerce(context, variable, value, linear)
     notes = []
     if missing:
-        notes.append(f"{new.source} has no {first_names(missing)}: start values of the system are left out")
+        notes.append(
+            f"{new.source} has no {first_names(missing)}: the start values in the system are not used"
+        )
     if fixed:
         notes.append(
-            f"{new.source} determines {first_names(fixed)} itself: start values of the system are left out"
+            f"{new.source} computes {first_names(fixed)} itself: the start values in the system are not used"
         )
     return start, notes
 
@@ -438,4 +446,4 @@ def _missing(component: Component, before: FmuInterface) -> dict[str, str]:
     fixed = (n for n, v in before.variables.items() if n in now and v.settable and not now[n].settable)
     return {
         name: f"{component.source} has no such variable" for name in before.variables if name not in now
-    } | {name: f"{component.source} determines it itself" for name in fixed}
+    } | {name: f"{component.source} computes it itself" for name in fixed}

@@ -307,8 +307,8 @@ class System:
         for name, given in values.items():
             for port, linear in self.targets(name):
                 if port in connected:
-                    reason = f"it is fed by {connected[port]}"
-                    raise Problem(f"{name} cannot be set: {reason}; to set it, cut that wire: --cut {port}")
+                    reason = f"the input is connected ({connected[port]})"
+                    raise Problem(f"{name} cannot be set: {reason}; --cut {port} removes the connection")
                 check_settable(port, self.components[port.component].interface)
                 value, to_unit = self._without_unit(name, port, given)
                 converted = coerce(str(port), self.variable(port), value, to_unit.then(linear))
@@ -370,7 +370,11 @@ class System:
                 raise Problem(f"cut {pattern}: no connected input matches{hint}")
         cut = [t for t in targets if any(fnmatchcase(t, pattern) for pattern in patterns)]
         kept = tuple(c for c in self.connections if str(c.target) not in cut)
-        notes = (f"cut, so these inputs keep their start values: {', '.join(cut)}",) if cut else ()
+        notes = (
+            (f"connections removed by --cut; these inputs keep their start values: {', '.join(cut)}",)
+            if cut
+            else ()
+        )
         return replace(self, connections=kept, notes=self.notes + notes)
 
 
@@ -388,7 +392,7 @@ def check_settable(port: Port, interface: FmuInterface) -> None:
         category = f"{variable.variability} {variable.causality}"
         sources = sorted((interface.initial_dependencies.get(port.variable) or frozenset()) - {port.variable})
         at_start = f", at the start from {', '.join(sources)}" if 0 < len(sources) <= MAX_NAMES else ""
-        raise Problem(f"{port} cannot be set: it is a {category} that the FMU determines itself{at_start}")
+        raise Problem(f"{port} cannot be set: it is a {category} that the FMU computes itself{at_start}")
 
 
 def check_bounds(context: str, variable: FmuVariable, value: Value, remark: str = "") -> None:

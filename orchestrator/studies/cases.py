@@ -233,7 +233,7 @@ def _check_not_driven(study: Study, options: Options, case: StudyCase) -> None:
     for name in (*study.fixed, *(f.name for f in study.factors)):
         if case.system.has(name) and any(port in driven for port, _ in case.system.targets(name)):
             where = f"{', '.join(options)}: the scenario drives {name}"
-            raise Problem(f"choices: {where}, expected none that is fixed or a factor")
+            raise Problem(f"choices: {where}, so this input cannot be fixed or a factor")
 
 
 def _check_set_once(study: Study, case: StudyCase) -> None:
@@ -250,7 +250,7 @@ def _check_set_once(study: Study, case: StudyCase) -> None:
         for port, _ in case.system.targets(name) if case.system.has(name) else ():
             if port in absolute:
                 same = "" if seen[port] == name else f", which sets {port} as factors.{seen[port]} does"
-                raise Problem(f"fixed: expected no factor, got {name}{same}")
+                raise Problem(f"fixed: {name}: expected another variable than the factors{same}")
 
 
 def _check_shared(study: Study, system: System) -> None:

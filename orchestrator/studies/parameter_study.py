@@ -131,7 +131,7 @@ def _run_missing(
                 watch(total, count, batch)
     except KeyboardInterrupt:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
-        raise Stopped(f"{stored}, the same command continues") from None
+        raise Stopped(f"{stored}; the same command continues the study") from None
 
 
 # ---- the command line

@@ -31,7 +31,7 @@ from orchestrator.studies.study import Study
 CONNECT_TIMEOUT = 10.0  # [s], for the scheduler and for its first worker
 WORKER_TIMEOUT = 60.0  # [s] without workers after which the study ends; others can be started until then
 POLL_INTERVAL = 0.01  # [s]
-CONTINUE = "finished runs are stored, the same command continues"
+CONTINUE = "finished runs are stored; the same command continues the study"
 BATCH_TIME = 1.5  # [s]: long compared with the 10 ms that Dask needs per batch, short to lose by a kill
 MOST_RUNS, FIRST_RUNS = 50, 2  # of a batch; of the first batches, before the duration of a run is known
 BATCHES_PER_CORE = 2  # one that runs, one that waits
@@ -169,7 +169,7 @@ class Batches:
                 if batch:
                     yield batch
         except CONNECTION_ERRORS:
-            raise Problem(f"the Dask scheduler is gone; {CONTINUE}") from None
+            raise Problem(f"the connection to the Dask scheduler is lost; {CONTINUE}") from None
         finally:
             with suppress(Exception):  # the cluster may be gone
                 self._connection.cancel(list(self._running), force=True)

@@ -264,7 +264,7 @@ def _read(part: Path, columns: list[str] | None = None) -> pa.Table:
     """The rows of a batch file."""
     content = part.read_bytes()
     if not _is_intact(part, content):  # damaged since the study was started
-        raise Problem(f"{part}: {DAMAGED}; the same command computes its runs again")
+        raise Problem(f"{part}: {DAMAGED}; the same command repeats its runs")
     return pq.read_table(BytesIO(content), columns=columns)
 
 

@@ -153,7 +153,7 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
     Each row is written at once, so the file contains all finished rows if the user interrupts.
     """
     if not system.exists():
-        raise Problem(f"{system}: no such file; make it with: harvester build")
+        raise Problem(f"{system}: no such file; build it with: harvester build")
     make_folder(out.parent)
     widths = [max(map(len, (part, *names))) for part, names in variants.items()]
     total, done, complete = prod(map(len, variants.values())), 0, True

@@ -123,6 +123,6 @@ def test_the_docs_count_the_rules_and_verdicts(capsys: pytest.CaptureFixture[str
     assert f"[{total} rules](reference/check-rules.md) {total - running} only read the FMU" in text
     assert f"which {sum(bool(rule.threads) for rule in all_rules())} rules name" in text
     for tool in TOOLS.values():
-        assert f"| `{tool.id}` | {tool.name} | {tool.basis} | {len(tool.verdicts)} |" in text
+        assert f"|`{tool.id}`|{tool.name}|{tool.basis}|{len(tool.verdicts)}|" in text
     for name in re.findall(r"`(run\.\w+)`", text):
         assert name in printed, name

@@ -29,7 +29,9 @@ def damping(machine, **gains):
     """Of the swing's least damped slow mode while it turns at 0.4 rad/s."""
     given = {"engaged": 1.0, "swing_velocity": 0.4} | {f"controller.swing_{n}": v for n, v in gains.items()}
     linear = linearize(machine, STRETCHED, set=given, time=4.0)
-    return min(m.damping for m in linear.modes if m.name.startswith("swing swings") and m.frequency < 2)
+    return min(
+        m.damping for m in linear.modes if m.name.startswith("oscillation of swing") and m.frequency < 2
+    )
 
 
 def test_the_closed_loop_of_the_stretched_arm_is_damped(machine):

@@ -11,11 +11,11 @@ def test_modes_are_named_by_their_states(fmu_dir):
     linear = linearize(fmu_dir / "harvester.ssp", ["reach"], steady=True)
     named = {m.name: m for m in linear.modes}
     assert len(named) == len(linear.modes)
-    assert named["swing stays where it is"].value == 0.0
-    assert named["boom returns to its place"].main_states == ("boom_angle",)
-    assert named["swing on its oil"].main_states[0] == "swing_speed"
-    assert "marginally stable: swing stays where it is" in linear.text()
-    assert any("no state depends here on swing_command" in note for note in linear.notes)
+    assert named["integrator of swing"].value == 0.0
+    assert named["position decay of boom"].main_states == ("boom_angle",)
+    assert named["hydraulic oscillation of swing"].main_states[0] == "swing_speed"
+    assert "marginally stable: integrator of swing" in linear.text()
+    assert any("at this operating point no state depends on swing_command" in note for note in linear.notes)
 
 
 def test_a_steady_state_holds_the_joints_whatever_the_inputs_are(fmu_dir):
@@ -36,7 +36,9 @@ def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
     rest = linearize(system, ["reach"], set={"engaged": 1.0}, time=3.0)
     moving = {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
     moves = linearize(system, ["reach"], set=moving, time=2.0)
-    assert any("loops are open here at controller.swing_command" in note for note in rest.notes)
+    assert any(
+        "at this operating point loops are open at controller.swing_command" in note for note in rest.notes
+    )
     assert not any("loops are open" in note for note in moves.notes)
 
 
@@ -45,7 +47,9 @@ def test_a_command_beyond_its_range_is_told(fmu_dir):
     linear = linearize(
         fmu_dir / "harvester.ssp", ["reach"], inputs=["boom_command"], set={"boom_command": 99.0}
     )
-    told = "no state depends here on boom_command (a command in its dead band or beyond its range, "
+    told = (
+        "at this operating point no state depends on boom_command (the command is in the dead band or beyond "
+    )
     assert any(note.startswith(told) for note in linear.notes)
 
 
@@ -54,7 +58,7 @@ def test_a_flow_that_settles_at_once_is_not_told_as_moving(fmu_dir):
     linear = linearize(fmu_dir / "harvester.ssp", ["reach"])
     rates = {state.name: abs(rate) for state, rate in zip(linear.states, linear.f0, strict=True)}
     assert rates["swing.swing_flow_b"] > 1.0  # m3/s2: what is not told is not zero
-    line = next(line for line in linear.text().splitlines() if line.startswith("not at rest: "))
+    line = next(line for line in linear.text().splitlines() if line.startswith("not a steady state: "))
     assert "swing.swing_pressure_b" in line
     assert "_flow" not in line
 
@@ -88,14 +92,14 @@ ERRORS = {
     "--time -1: expected a time from 0 s on": {"time": -1.0},
     "--speed boom=nan: expected a finite number": {"steady": True, "speeds": {"boom": float("nan")}},
     "--time 0.0015: expected a multiple of the communication step": {"time": 0.0015},
-    "--set tank_pressure: expected --input .*, got the connection supply.tank_pressure": {
+    "--set tank_pressure: the input is connected .supply.tank_pressure.*--input": {
         "set": {"tank_pressure": 1e5}
     },
-    "--set boom_command: expected --scenario.*, got the connection operator_input": {
+    "--set boom_command: the input is connected .operator_input.*--scenario": {
         "set": {"boom_command": 3.0},
         "time": 1.0,
     },
-    "no steady state found with .*boom_speed = 9.*expected slower joints": {
+    "no steady state found with .*boom_speed = 9.*use lower speeds": {
         "steady": True,
         "speeds": {"boom": 9.0},
     },
@@ -113,7 +117,7 @@ def test_mistakes_are_told_in_one_line(fmu_dir, message):
 def test_two_inputs_of_one_joint_are_told(fmu_dir):
     """Lever and velocity of a controller both have a joint's name: which one holds it has to be said."""
     with pytest.raises(
-        Problem, match=r"--steady: .*swing_velocity, swing_lever: let a run settle with --time"
+        Problem, match=r"--steady: .*swing_velocity, swing_lever: use a time of a run instead, with --time"
     ):
         linearize(fmu_dir / "harvester_control.ssp", steady=True)
 

@@ -98,7 +98,7 @@ def test_swapped_levers_are_warned_of(capsys):
     assert "random starts, up to 25 % away or twice the prior standard deviation: " in printed
     assert "warning: " in printed
     assert "times as large as the noise of the sensors (" in printed
-    assert "which lever moves which joint" in printed
+    assert "which command moves which joint" in printed
 
 
 @pytest.mark.usefixtures("here")

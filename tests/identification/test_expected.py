@@ -50,7 +50,7 @@ def test_a_misspelt_signal_of_the_machine_is_refused(procedure, wrong, right):
 def test_an_unknown_signal_is_reported():
     """A temperature, or a spare channel of a test bench, is not a mistake; a remark lists it as not used."""
     (text,) = remarks([recording("machine", [*signal_names().values(), "oil_temperature"])])
-    assert text == "run.csv: not a signal of the machine, not used: oil_temperature"
+    assert text == "run.csv: not used, because the machine has no such signal: oil_temperature"
     (text,) = remarks([recording("valve", [*valve.SIGNALS, "oil_temperature"])])
     assert text == "run.csv: not a signal of valve, not used: oil_temperature"
     (text,) = remarks([recording("valve", ["pressure_inn"])])

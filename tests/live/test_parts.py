@@ -77,11 +77,14 @@ AXIS = Axis("u", 1.0, 1.0)
     [
         ({"frame": 0.0}, "frame: expected a positive time, got 0 s"),
         ({"timeout": math.nan}, "timeout: expected a positive time, got nan s"),
-        ({"axes": (AXIS, AXIS)}, "axis u: expected it once, got it twice"),
-        ({"signals": ("a.b", "a.b")}, "signal a.b: expected it once, got it twice"),
+        ({"axes": (AXIS, AXIS)}, "axis u: expected once, got twice"),
+        ({"signals": ("a.b", "a.b")}, "signal a.b: expected once, got twice"),
         ({"axes": (replace(AXIS, limit=-1.0),)}, "axis u: expected a positive limit, got -1"),
         ({"axes": (replace(AXIS, rate=math.inf),)}, "axis u: expected a positive rate, got inf"),
-        ({"axes": (replace(AXIS, rest=2.0),)}, "axis u: expected a rest within 1, got 2"),
+        (
+            {"axes": (replace(AXIS, rest=2.0),)},
+            "axis u: expected a rest value of at most 1 in magnitude, got 2",
+        ),
         (
             {"axes": (replace(AXIS, rest_delay=-1.0),)},
             "axis u: expected a rest delay of 0 s or more, got -1 s",

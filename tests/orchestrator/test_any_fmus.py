@@ -11,10 +11,10 @@ from any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, OPENERS, circle
 from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling
 
-STUCK = "hermite computes every step once: q cannot go back to a saved state"
-SILENT = "slopes from differences of values, because the FMUs give none: q.y"
-STILL = "inputs held at their mean over a step, because the FMUs accept no slopes: "
-STRAIGHT = "inputs that follow straight lines, because the FMUs accept no curves: "
+STUCK = "hermite makes one pass per step, because q cannot restore a saved state"
+SILENT = "input derivatives from differences of values, because the FMUs provide no output derivatives: q.y"
+STILL = "inputs held at their mean over a step, because the FMUs accept no input derivatives: "
+STRAIGHT = "inputs linear over a step, because the FMUs accept first derivatives only: "
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
 WHERE = {"DoStep": 0, "Get": 1, "Set": 2, "GetState": 3, "SetState": 4, "GetSlope": 5, "SetSlope": 6}
 PROPERLY = "terminated and freed, states left: 0"
@@ -77,7 +77,7 @@ def test_only_what_is_repeated_must_go_back(each, both):
     wires = [*map(str, pair.connections), "s.y -> f.u"]
     four = both(assemble(files, wires, {"q.push": 1.0, "q.gain": -1.0}), master=HERMITE).result
     two = both(pair, master=HERMITE).result
-    assert not [n for n in four.card.notes if "every step once" in n]
+    assert not [n for n in four.card.notes if "one pass per step" in n]
     np.testing.assert_array_equal(four.trace["q.y"], two.trace["q.y"])
 
 
@@ -88,7 +88,7 @@ def test_what_hears_from_what_is_repeated_is_repeated_too(each, both):
     files |= {name: component.source.path for name, component in pair.components.items()}
     start = {"q.push": 1.0, "q.gain": -1.0}
     result = both(assemble(files, [*map(str, pair.connections), "q.y -> l.u"], start), master=HERMITE).result
-    assert "hermite computes every step once: l cannot go back to a saved state" in result.card.notes
+    assert "hermite makes one pass per step, because l cannot restore a saved state" in result.card.notes
 
 
 def test_an_fmu_for_one_instance_is_not_used_twice(each):
@@ -133,7 +133,10 @@ def test_slopes_of_a_missing_function_follow_from_differences(each, both):
     """A declared ability that the binary lacks does not end the run."""
     name = {2: b"fmi2GetRealOutputDerivatives", 3: b"fmi3GetOutputDerivatives"}[each.fmi]
     notes = both(circle(lacking(each, name), "no_tell"), HERMITE).result.card.notes
-    assert "slopes from differences of values, because the FMUs give none: q.y, p.y" in notes
+    assert (
+        "input derivatives from differences of values, because the FMUs provide no output "
+        "derivatives: q.y, p.y"
+    ) in notes
 
 
 @pytest.mark.parametrize("factor", [1, 3])
@@ -171,7 +174,10 @@ def test_an_fmu_for_slopes_of_states_only(each, both):
     wired = assemble({**files, "r": files["q"]}, ["p.y -> q.u", "q.y -> p.u", "p.idle -> r.u"])
     assert "none: " not in " ".join(both(system, master=HERMITE).result.card.notes)
     notes = both(wired, master=HERMITE).result.card.notes
-    assert "slopes from differences of values, because the FMUs give none: p.idle" in notes
+    assert (
+        "input derivatives from differences of values, because the FMUs provide no output derivatives: p.idle"
+        in notes
+    )
 
 
 # ---- what FMUs do
@@ -213,9 +219,10 @@ def test_an_fmu_may_end_the_run(each, both, master):
     assert outcome.result.complete
     assert outcome.result.trace.time[-1] == 0.5
     asked = {2: 0.5, 3: 0.6}[each.fmi]  # with a status that denies the step, or with a step that was done
-    note = f"the FMU asks to end the simulation at t = {asked} s"
+    note = f"the FMU requests the end of the simulation at t = {asked} s"
     assert (
-        outcome.result.card.notes[-1] == f"the run ends early: q: the step at t = 0.5 s is the last: {note}"
+        outcome.result.card.notes[-1]
+        == f"the run ends early: q: the step at t = 0.5 s is the last one: {note}"
     )
     assert outcome.farewells == [PROPERLY] * 2
 
@@ -245,7 +252,10 @@ def test_a_wish_for_event_handling_passes(fmus3, both):
     """As a warning; the values are those of an FMU without such a request."""
     wishing = both(circle(fmus3, "eventful", when=0.45, how=EVENT), master=HERMITE).result
     plain = both(circle(fmus3, "plain"), master=HERMITE).result
-    assert "q: the FMU asks for event handling, which it was told to do itself" in wishing.card.warnings[0]
+    assert (
+        "q: the FMU requests event handling by the master, which is switched off (event mode is not used)"
+        in wishing.card.warnings[0]
+    )
     np.testing.assert_array_equal(wishing.trace["q.y"], plain.trace["q.y"])
 
 
@@ -339,16 +349,14 @@ def test_adaptive_steps_do_without(each, both, quirk):
         assert trace.time[-1] == 2.0
         # inputs that are off by the tolerance all the time make twice that of an integral over 2 s
         assert np.abs(trace["q.y"] - np.sin(trace.time)).max() < 2 * master.adaptive, master.text
-        stands = "adaptive steps with too large an error are not repeated: q cannot go back to a saved state"
+        stands = "adaptive steps with too large an error are not repeated: q cannot restore a saved state"
         assert (stands in outcome.result.card.notes) == (quirk == "no rollback")
 
 
 def test_adaptive_steps_need_fmus_that_vary_theirs(each):
     """By name."""
     system = circle(each, "equal_steps", **ABLE["equal steps"])
-    with pytest.raises(
-        Problem, match=r"^adaptive steps: expected .* got q: the FMU takes steps of one length only$"
-    ):
+    with pytest.raises(Problem, match=r"^adaptive steps: expected .* got q: the FMU has a fixed step$"):
         run(system, step=0.1, stop=1.0, master=ADAPTIVE[0])
 
 

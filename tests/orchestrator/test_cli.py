@@ -74,7 +74,7 @@ def test_all_options_reach_the_run(capsys):
     assert main(["run", "build/harvester.ssp", *options]) == 0
     trace = read_trace("new/out.parquet")
     assert (trace.time[0], trace.time[-1], trace["g.y"][0]) == (1.0, 3.0, 4.0)
-    assert "change when the step is halved; at order p the error is" in capsys.readouterr().out
+    assert "change of the signals when the step is halved; at order p the error is" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("folder")
@@ -222,7 +222,7 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
     """With the command that makes it."""
     monkeypatch.chdir(tmp_path)
     assert main(["run"]) == 2
-    assert "build/harvester.ssp: no such file; make it with: harvester build" in capsys.readouterr().err
+    assert "build/harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("folder")
@@ -313,7 +313,7 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
     printed = capsys.readouterr()
     assert len(read_trace("o.partial.csv").time) == 6
     assert not Path("o.csv").exists()
-    assert "the run ended early; its record up to t = 0.5 s is in o.partial.csv" in printed.out
+    assert "the run ended early; the trace up to t = 0.5 s is in o.partial.csv" in printed.out
     assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
 
 

@@ -72,7 +72,7 @@ def test_a_constant_reference_counts_where_the_other_run_moves():
     assert "arm.rest (reference constant)" in told
     assert "note: reference constant: its NRMSE is over the range of the other run" in told
     alone = {"usual": trace(rest=1.0).select(["arm.rest"]), "other": trace(rest=SPEED).select(["arm.rest"])}
-    assert "all are at rest" not in text(compare(alone))
+    assert "all are constant" not in text(compare(alone))
     assert compare({**alone, "other": alone["usual"]}).worst("other", "speed") is None
 
 

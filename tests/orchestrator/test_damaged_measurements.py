@@ -291,8 +291,8 @@ def test_a_file_beyond_any_memory_is_refused_by_its_size(tmp_path):
     [
         ("time,x\n0," + "1" * 200_000 + "\n1,2\n", "line 2: column 'x': expected a finite number, got inf"),
         ('time,x\n0,"' + "y" * 200_000 + '"\n1,2\n', "column 'x': expected a number, got 'yyyyyyyyyy"),
-        ('time,"' + "y" * 200_000 + "\n0,1\n1,2\n", "column 'x' expected, got time, \"yyyyyyyyyy"),
-        ("time," + '"' * 5_000_000 + "\n0,1\n1,2\n", "column 'x' expected, got time, "),
+        ('time,"' + "y" * 200_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, \"yyyyyyyyyy"),
+        ("time," + '"' * 5_000_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, "),
     ],
 )
 def test_long_cells_are_shortened_in_messages(tmp_path, text, message):
@@ -308,7 +308,7 @@ def test_many_columns_are_read_in_seconds(tmp_path):
     names = ",".join(f"c{i}" for i in range(count))
     path.write_text(f"time,{names}\n" + "".join(f"{k}{',1.5' * count}\n" for k in range(2)), encoding="utf-8")
     assert check(read_trace, path) is None
-    refused(path, "column 'x' expected, got time, c0, c1")
+    refused(path, "expected a column 'x', got time, c0, c1")
 
 
 @pytest.mark.parametrize(
@@ -337,7 +337,7 @@ def test_a_long_description_is_read_in_seconds(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text(tables, encoding="utf-8")
     path.with_suffix(".csv").write_text("time\n0\n1\n", encoding="utf-8")
-    refused(path.with_suffix(".csv"), "column 's0' expected, got time", read_recording)
+    refused(path.with_suffix(".csv"), "expected a column 's0', got time", read_recording)
 
 
 def test_links_inside_a_mat_file_are_no_obstacle(tmp_path):

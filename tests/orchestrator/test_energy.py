@@ -160,7 +160,7 @@ def test_the_likely_cause_of_a_failure_needs_a_large_energy_error():
     bonds = (fine, BondEnergy("bad", -300.0, 400.0, 1e3), BondEnergy("worse", 420.0, 500.0, 1e3))
     assert card_of(bonds).likely_cause() == (
         "likely cause: the coupling, jacobi with a step of 0.001 s"
-        " (energy error +42% of what worse exchanged); take a shorter step or the master hermite"
+        " (energy error +42% of the energy exchanged by worse); use a shorter step or the master hermite"
     )
 
 

@@ -168,7 +168,7 @@ def test_a_wish_for_event_handling_is_a_warning(fmus3):
     card = run(str(fmus3["fails"]), step=0.1, stop=1.0, set={"fails.when": 0.45, "fails.how": 8}).card
     assert card.steps == 10
     assert card.warnings == (
-        "fails: the FMU asks for event handling, which it was told to do itself"
+        "fails: the FMU requests event handling by the master, which is switched off (event mode is not used)"
         " (5 times, first at t = 0.5 s)",
     )
 

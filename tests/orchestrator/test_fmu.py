@@ -85,8 +85,16 @@ def test_a_failed_start_tells_what_the_fmu_says(each):
         (3, 3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
         (2, 4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),
         (3, 4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),
-        (2, 6, r"the step at t = 0.2 s is the last: the FMU asks to end the simulation at t = 0.2 s"),
-        (3, 6, r"the step at t = 0.2 s is the last: the FMU asks to end the simulation at t = 0.3 s"),
+        (
+            2,
+            6,
+            r"the step at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.2 s",
+        ),
+        (
+            3,
+            6,
+            r"the step at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.3 s",
+        ),
         (3, 7, r"the step at t = 0.2 s ended early at t = 0.25 s, which was not allowed"),
     ],
 )

@@ -170,8 +170,8 @@ def test_a_run_longer_than_its_scenario_holds_the_last_values(fmus):
     result = run(str(fmus["gain"]), scenario, step=0.25, stop=2.0)
     np.testing.assert_array_equal(result.trace["gain.u"], [5, 5, 5, 5.5, 6, 6, 6, 6, 6])
     assert result.card.notes == (
-        "the scenario begins at 0.5 s; until there its first values are held",
-        "the scenario ends at 1 s; after that its last values are held",
+        "the scenario begins at 0.5 s; before that time its first values are held",
+        "the scenario ends at 1 s; after that time its last values are held",
     )
 
 
@@ -256,7 +256,7 @@ def test_error_estimate_is_close_to_the_error(oscillator, exact, master):
     # first order: e(h) - e(h/2) = e(h)/2; the second-order term is 5 % of the error at this step
     assert estimate.largest == pytest.approx(true / 2, rel=0.1)
     assert estimate.order == pytest.approx(1, abs=0.15)  # as above
-    assert "change when the step is halved" in result.card.text()
+    assert "change of the signals when the step is halved" in result.card.text()
 
 
 def estimated(nominals=None, **signals):

@@ -56,9 +56,9 @@ def test_a_wrong_value_is_told(choices, message):
         ),
         (
             {"master": "hermite", "passes": 1, "tolerance": 1e-3},
-            "coupling tolerance: expected more than one pass",
+            "coupling tolerance: expected at least 2 passes",
         ),
-        ({"master": "hermite", "correct": True}, "correct: expected hermite with a single pass"),
+        ({"master": "hermite", "correct": True}, "correct: expected a single pass with the master hermite"),
         (
             {"master": "interface-jacobian", "correct": True},
             "correct: expected another master, interface-jacobian predicts",
@@ -174,7 +174,10 @@ def test_the_estimate_of_an_adaptive_run_is_near_its_error(oscillator, exact):
     # with the root of the tolerance; 15 %, because the errors of both runs are not in proportion everywhere
     assert found.largest == pytest.approx((1 - 10**-0.5) * error, rel=0.15)
     assert found.order is None
-    assert "change at a tenth of the tolerance; the error is 1.1 to 1.5 times that" in result.card.text()
+    assert (
+        "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change"
+        in result.card.text()
+    )
 
 
 def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillator):
@@ -182,7 +185,7 @@ def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillato
     card = run(oscillator, master=Coupling(adaptive=1e-2), stop=0.5, error_estimate=True).card
     assert not card.errors
     assert (
-        "no error estimate: two adaptive runs only meet at the points of a record step, give one"
+        "no error estimate: two adaptive runs have common times only with a record step; set --record-step"
         in card.notes
     )
 

@@ -111,7 +111,7 @@ def test_convertible_units_are_converted(fmus):
     np.testing.assert_allclose(result.trace["g.u"], 7.0, rtol=1e-14)
     np.testing.assert_allclose(result.trace["end.u"], 11e5, rtol=1e-14)
     note = f"{bar} has u in [bar], not [Pa], y in [bar], not [Pa], offset in [bar], not [Pa]: converted"
-    assert f"{note}; given values stay in the latter" in result.card.notes
+    assert f"{note}; values that you set keep the unit of the replaced FMU" in result.card.notes
     back = with_swaps(with_swaps(system, {"g": bar}), {"g": pascal})
     for c, usual in zip(back.connections, system.connections, strict=True):
         assert c.map(1e5) == pytest.approx(usual.map(1e5), rel=1e-14)
@@ -283,7 +283,7 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
     plain = edited(fmus["gain"], "plain", renamed("offset"))
     result = run(bench, step=0.5, stop=1.0, swap={"g": plain}, parameters=["high"], set={"command": 1.0})
     np.testing.assert_array_equal(result.trace["result"], 3.0)
-    assert f"{plain} has no offset: start values of the system are left out" in result.card.notes
+    assert f"{plain} has no offset: the start values in the system are not used" in result.card.notes
     note = "build/harvester.ssp/resources/high.ssv: g.offset is left out: "
     assert any(n.startswith(note) for n in result.card.notes)
     with pytest.raises(Problem, match=r"unknown variable 'g.offset'"):
@@ -297,8 +297,8 @@ def test_start_values_go_over_where_there_is_a_place(bench, fmus):
         ),
     )
     told = str(run(bench, step=0.5, stop=1.0, swap={"g": computed}, parameters=["high"]).card.notes)
-    assert f"{computed} determines offset itself: start values of the system are left out" in told
-    assert f"high.ssv: g.offset is left out: {computed} determines it itself" in told
+    assert f"{computed} computes offset itself: the start values in the system are not used" in told
+    assert f"high.ssv: g.offset is left out: {computed} computes it itself" in told
 
 
 @pytest.mark.usefixtures("bench")
@@ -312,7 +312,7 @@ def test_signals_that_a_swap_lost_are_not_compared(fmus):
     options = {"swap": {"g": str(plain)}, "step": 0.5, "stop": 1.0, "default": usual, "rate": False}
     validate_system(system, None, Path("m.csv"), None, Path("out"), **options)
     report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
-    assert "not compared, lost in a swap: g.offset" in str(report)
+    assert "not compared, because the swapped FMU has no such signal: g.offset" in str(report)
     for file in ("m.toml", "m.csv"):
         Path(file).write_text(
             Path(file).read_text(encoding="utf-8").replace("offset", "ofset"), encoding="utf-8"
@@ -333,7 +333,7 @@ def test_a_swapped_system_is_expected_to_differ_from_a_simulation(capsys):
         "stop": 1.0,
         "default": (Path("none.csv"), Path("none.toml")),
     }
-    note = "g is swapped: the reference is of another model, expect a difference"
+    note = "g is swapped: the reference was computed with another model, so expect differences"
     for kind, expected in (("simulation", True), ("measurement", False)):
         about = f'[reference]\nkind = "{kind}"\n{made}'
         Path("m.toml").write_text(f'{about}[signals.result]\nunit = "m"\n', encoding="utf-8")
@@ -373,7 +373,7 @@ def test_an_input_that_is_new_is_told(oscillator, fmus):
     """No wire reaches it, so it keeps its start value."""
     more = edited(fmus["mass_b"], "more", renamed("force", "push"))
     notes = with_swaps(oscillator.without("b.force"), {"b": more}).notes
-    assert f"{more} has additional inputs, push: no wire feeds them" in notes
+    assert f"{more} has additional inputs, which are not connected: push" in notes
 
 
 def test_a_name_is_suggested_only_if_it_would_fit(fmus, oscillator):

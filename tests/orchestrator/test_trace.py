@@ -77,7 +77,7 @@ def test_values_between_samples_are_linear_and_held_outside():
         ("time,u\n0,1\n0,1\n", r"line 3: expected a time after 0.0 s, got 0.0"),
         ("u,time\n0,1\n", r"line 1: expected the first column to be named 'time', got 'u'"),
         ("time;u\n0;1\n", r"line 1: expected cells separated by ',' \(the default\), got ';'$"),
-        ("time,u,u\n0,1,2\n", r"column 'u' expected once, got 2 times"),
+        ("time,u,u\n0,1,2\n", r"expected the column 'u' once, got it 2 times"),
         ("time,,u\n0,1,2\n", r"line 1: column 2 has no name"),
         ("time,u\n", r"expected two or more rows of numbers, got none"),
         ("", r"expected two or more rows of numbers, got an empty file"),

@@ -98,8 +98,8 @@ def test_the_description_is_complete(tmp_path):
             "a field of Inputs is not declared as Annotated",
         ),
         (("def step(self", "def step(self:"), "lag.py:40: SyntaxError"),
-        (("GAIN = 1.0", "import other\nGAIN = 1.0"), "lag.py:8: imports other, a module in the same folder"),
-        (("GAIN = 1.0", "from .other import GAIN"), "lag.py:8: imports .other, a module in the same folder"),
+        (("GAIN = 1.0", "import other\nGAIN = 1.0"), "lag.py:8: imports other from the same folder"),
+        (("GAIN = 1.0", "from .other import GAIN"), "lag.py:8: imports .other from the same folder"),
         (("GAIN = 1.0", "import sys; sys.exit(3)"), "lag.py:8: SystemExit: 3"),
         (
             ('start = {"u"', 'files = tuple(f"{n}.csv" for n in "a")\n    start = {"u"'),

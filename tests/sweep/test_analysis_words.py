@@ -52,7 +52,7 @@ def test_a_small_sample_of_a_bent_function_is_refused() -> None:
 def test_the_sentence_names_the_factor_its_share_and_the_direction() -> None:
     """A factor that clearly leads is named with share, interval and direction."""
     said = sentences(finding(results(lambda x: 3 * x["x1"] - x["x2"], UNIT, "saltelli", 256)))
-    assert said[0].startswith("peak moves most with x1: 9")
+    assert said[0].startswith("peak depends most on x1: 9")
     assert said[0].endswith("of its variance; it rises with it.")
     assert said[1].startswith("Next: x2 1")
 
@@ -67,7 +67,7 @@ def test_no_factor_stands_out_when_all_do_the_same() -> None:
 def test_two_that_cannot_be_told_apart_are_named_together() -> None:
     """Two leaders with intervals that overlap: neither is called the first."""
     said = sentences(finding(results(lambda x: x["x1"] + 1.02 * x["x2"], UNIT, "saltelli", 64)))
-    assert said[0].startswith("peak moves most with x")
+    assert said[0].startswith("peak depends most on x")
     assert said[0].endswith("these runs do not show which of them has the larger effect.")
 
 

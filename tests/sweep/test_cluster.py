@@ -161,6 +161,6 @@ def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     monkeypatch.setattr(pool, "WORKER_TIMEOUT", 0.0)
     batches = pool.Batches(Deserted(), "study", None, [Sample(0, (), {})], lambda: None)
     with pytest.raises(
-        Problem, match=r"^the Dask cluster has no workers left; finished runs are stored, the"
+        Problem, match=r"^the Dask cluster has no workers left; finished runs are stored; the"
     ):
         next(batches.outcomes())

@@ -84,8 +84,9 @@ def test_a_scheduler_that_is_killed_is_told_in_one_line(gain, one, scheduler, tm
     )
     told, wrong = sweep.stdout, sweep.stderr
     *progress, last = wrong.splitlines()
-    assert (
-        last == "harvester: the Dask scheduler is gone; finished runs are stored, the same command continues"
+    assert last == (
+        "harvester: the connection to the Dask scheduler is lost; finished runs are stored; the "
+        "same command continues the study"
     )
     assert all(f" of {RUNS} runs, " in line for line in progress), wrong
     assert (told, sweep.returncode) == ("", 2)

@@ -163,7 +163,7 @@ def test_a_part_that_is_damaged_while_the_study_runs_is_refused(file, one):
     ready.add([rows_of(file, one)[0]])
     (part,) = (out / "parts").iterdir()
     part.write_bytes(part.read_bytes()[:-1])
-    with pytest.raises(Problem, match=r"batch-000000000-\w+.parquet: [^\n]+ computes its runs again$"):
+    with pytest.raises(Problem, match=r"batch-000000000-\w+.parquet: [^\n]+ repeats its runs$"):
         ready.done()
 
 

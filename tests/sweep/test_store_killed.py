@@ -104,7 +104,7 @@ def test_an_interrupt_keeps_what_is_finished(long):
     *progress, last = wrong.splitlines()
     assert last == (
         f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are stored in {out},"
-        " the same command continues"
+        " the same command continues the study"
     )
     assert all(f" of {RUNS} runs, " in line for line in progress)
 

@@ -163,7 +163,11 @@ def test_a_scenario_and_a_variant_are_choices(workshop, tmp_path, one):
         ("band = true", "start = 5", "outputs.end: start: expected at most 0.2 s, got 5 s"),
         ("band = true", "stop = -1", "outputs.end: stop: expected at least 0 s, got -1 s"),
         ("runs = 12", "runs = 1000000000000", "expected at most 1,000,000 runs, got 1,000,000,000,000"),
-        ('"gain.u" = 2', '"gain.factor" = 2', "fixed: expected no factor, got gain.factor"),
+        (
+            '"gain.u" = 2',
+            '"gain.factor" = 2',
+            "fixed: gain.factor: expected another variable than the factors",
+        ),
         (
             FACTOR,
             FACTOR.replace("gain.factor", "gain.u") + FACTOR.replace("gain.factor", "u"),
@@ -206,7 +210,7 @@ def test_what_a_scenario_drives_cannot_be_varied(file):
     line = told(file, GAIN + '[choices]\nscenario = "up.csv"\n')
     assert (
         line
-        == f"{file}: choices: up.csv: the scenario drives gain.u, expected none that is fixed or a factor"
+        == f"{file}: choices: up.csv: the scenario drives gain.u, so this input cannot be fixed or a factor"
     )
 
 

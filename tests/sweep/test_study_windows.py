@@ -33,7 +33,9 @@ def test_a_window_that_ends_after_the_runs_is_refused(file):
 def test_a_factor_that_is_fixed_by_another_name_is_told(file):
     """With the variable that both set."""
     text = GAIN.replace("gain.factor", "gain.u").replace('"gain.u" = 2', '"u" = 2')
-    expected = "fixed: expected no factor, got u, which sets gain.u as factors.gain.u does"
+    expected = (
+        "fixed: u: expected another variable than the factors, which sets gain.u as factors.gain.u does"
+    )
     assert _told(file, text) == f"{file}: {expected}"
 
 

@@ -68,7 +68,9 @@ def test_time_offset_aligns_a_shifted_recording(edited: Edit, trace: Trace) -> N
     found = validate(trace, read_recording(folder / "ref.csv"), rate=False)
     assert found["shaft.angle"].metrics.maximum_error < 1e-11  # 12 digits in the CSV
     assert found.window == pytest.approx((0.25, 2.0))
-    assert found.notes[1] == "the window was cut: the run covers 0 to 2 s; the reference covers 0.25 to 2 s"
+    assert found.notes[1] == (
+        "only a part was compared: the run covers 0 to 2 s; the reference covers 0.25 to 2 s"
+    )
 
 
 def test_window_narrows_the_comparison() -> None:
@@ -78,7 +80,7 @@ def test_window_narrows_the_comparison() -> None:
     found = validate(run, made(t, t, start=2.0, stop=8.0), rate=False)
     assert found.window == (2.0, 8.0)
     assert found["a.x"].metrics.maximum_error == 0
-    assert "the window was cut" in found.notes[1]
+    assert "only a part was compared" in found.notes[1]
 
 
 def test_rounded_times_do_not_cut_the_last_sample() -> None:

@@ -111,7 +111,14 @@ MISTAKES = [
     ('unit = "deg"\n', "", r'signals."shaft.angle": unit: expected a text, got nothing$'),
     ('unit = "deg"', 'unit = "deg"\nrange = 0', r"range: expected a number above 0, got 0$"),
     ('unit = "deg"', 'unit = "deg"\nfactor = true', r"factor: expected a number, got True$"),
-    ('unit = "deg"', 'unit = "deg"\ncolumn = "shaft"', r"ref.csv: column 'shaft' expected, got time, shaft"),
+    (
+        'unit = "deg"',
+        'unit = "deg"\ncolumn = "shaft"',
+        (
+            r"ref.csv: expected a column 'shaft', "
+            r"got time, shaft"
+        ),
+    ),
     (
         "[reference]",
         '[time]\nunit = "bar"\n[reference]',
@@ -124,8 +131,8 @@ MISTAKES = [
     ("\n0.02,", "\nnan,", r"ref.csv: line 4: column 'time': expected a time, got none"),
     ("\n0.02,", "\ninf,", r"ref.csv: line 4: column 'time': expected a finite number, got inf"),
     ("\n0.02,", "\n0.02,,", r"ref.csv: line 4: expected 3 cells, got 4"),
-    ("time,shaft.angle,", "time,time,", r"ref.csv: column 'shaft.angle' expected, got "),
-    (",pump.pressure", ",shaft.angle", r"ref.csv: column 'pump.pressure' expected, got "),
+    ("time,shaft.angle,", "time,time,", r"ref.csv: expected a column 'shaft.angle', got "),
+    (",pump.pressure", ",shaft.angle", r"ref.csv: expected a column 'pump.pressure', got "),
 ]
 
 
@@ -141,7 +148,7 @@ def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
     """Two columns with one name are ambiguous."""
     edited('unit = "bar"', 'unit = "bar"\ncolumn = "shaft.angle"')
     path = edited("shaft.angle,pump.pressure", "shaft.angle,shaft.angle")
-    with pytest.raises(Problem, match=r"ref.csv: column 'shaft.angle' expected once, got 2 times"):
+    with pytest.raises(Problem, match=r"ref.csv: expected the column 'shaft.angle' once, got it 2 times"):
         read_recording(path)
 
 

@@ -45,7 +45,7 @@ def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, cap
     assert "quasistatic" in printed
     assert printed.endswith("so no cost was measured; build it with: harvester build\n")
     assert main(["variants", "--combinations"]) == 2
-    assert "harvester.ssp: no such file; make it with: harvester build" in capsys.readouterr().err
+    assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
 
 
 def test_a_combination_that_does_not_start_is_a_row(fmu_dir, tmp_path):

@@ -87,6 +87,6 @@ def test_an_interrupt_is_obeyed_while_an_fmu_hangs(tmp_path: Path, fault: str) -
     file = study(tmp_path, fmu.fmu, "lag.y", rates)
     ended = command(["sweep", file, "--out", "out"], tmp_path, fmu.committed.exists)
     assert obeyed(ended)
-    stored = "0 of 2 runs are stored in out, the same command continues"
+    stored = "0 of 2 runs are stored in out; the same command continues the study"
     assert (ended.status, ended.lines) == (130, [f"harvester: interrupted; {stored}"])
     assert (ended.files, ended.processes) == ((), ())

@@ -132,7 +132,7 @@ class SubsystemSlave(PythonSlave):
             if fingerprint(interface) != self.built["fingerprint"]:
                 raise Problem(
                     f"{self.built['name']}: {self.built['origin']} in {sys.prefix} has other equations or "
-                    "variables than the FMU was built from: build the FMU again"
+                    "variables than at the time of the build: build the FMU again"
                 )
             _SHARED[key] = SubsystemFunctions(interface)
         return _SHARED[key]

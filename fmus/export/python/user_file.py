@@ -123,8 +123,9 @@ def refuse_neighbours(path: Path) -> None:
             neighbours = [path.parent / f"{top}.py", path.parent / top / "__init__.py"]
             if name.startswith(".") or any(p.is_file() for p in neighbours):
                 raise Problem(
-                    f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name}, a module in the same folder, "
-                    "which could collide with that of another FMU: move it into the file or into a package"
+                    f"{path.name}:{getattr(node, 'lineno', 0)}: imports {name} from the same folder; "
+                    "another FMU may have a module of this name: move the code into this file "
+                    "or into a package"
                 )
 
 

@@ -309,7 +309,8 @@ class UserModel:
         first_call = "statements" not in vars(self)
         if not isinstance(values, Mapping) or not (first_call or set(values) == set(self.statements)):
             raise Problem(
-                f"{self.model.name}: require() returned {values!r}, expected always the same requirements"
+                f"{self.model.name}: require() returned {values!r}, expected the same "
+                "requirements in each call"
             )
         return {statement: self._number("require", statement, n) for statement, n in values.items()}
 

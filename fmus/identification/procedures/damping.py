@@ -202,7 +202,7 @@ def joint_damping(
     records = tuple(s for _, s in moving)
     if not records:
         files = ", ".join(str(r.source) for r in recordings)
-        raise Problem(f"{files}: {ANGLES[row]}: expected a motion, which damping needs, got a joint at rest")
+        raise Problem(f"{files}: {ANGLES[row]}: expected a joint in motion, got one at rest")
     solution = solve(records, [contact.joint], (contact.theta,), p)
     ratios = [speed_ratio(contact.joint, s.q, p) for s in records]
     # at valid samples the resistance is B times the speed plus the residual
@@ -334,8 +334,8 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     unit, solution = joint.contact.unit, joint.solution
     if joint.value <= 0:
         yield (
-            f"{joint.value:.3g} {unit} is not a damping, so it is not used: the value of a known parameter "
-            "must be wrong."
+            f"{joint.value:.3g} {unit} is not a valid damping, so this estimate is not used: the "
+            "value of a known parameter must be wrong."
         )
     yield _used(joint)
     for name in joint.at_rest:
@@ -347,23 +347,24 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     conclusion = (
         "The model is incomplete, and the interval covers the error."
         if solution.misfit
-        else "Noise explains the residuals, and the interval is that of the noise."
+        else "Sensor noise explains the residuals, and the interval follows from the noise."
     )
     yield (
-        f"the standard deviation is {residual:.3g} {unit} by the residuals and {noise:.3g} by the noise of "
-        f"the sensors. {conclusion}"
+        f"the standard deviation is {residual:.3g} {unit} from the residuals and {noise:.3g} from "
+        f"the noise of the sensors. {conclusion}"
     )
     bias = float(solution.bias[0])
     if abs(bias) >= NEGLIGIBLE * joint.sd:  # errors in variables
         yield (
-            f"the encoders' noise in the speed biases this estimate by {100 * bias / joint.value:+.2g} %, "
-            "which is subtracted."
+            f"the noise of the encoders biases this estimate by {100 * bias / joint.value:+.2g} %; "
+            "the bias is subtracted."
         )
     first = joint.printed[0]
     percent = 100 * (first.value / first.corrected - 1)
     yield (
-        f"(13) as printed, with a derivative over {first.window * 1e3:.3g} ms, gives {first.value:.4g} "
-        f"{unit}; {first.corrected:.4g} without the bias by the encoders' noise, {percent:+.2g} %."
+        f"eq. (13) as printed, with a derivative over {first.window * 1e3:.3g} ms, gives "
+        f"{first.value:.4g} {unit}; {first.corrected:.4g} without the bias by the encoders' noise, "
+        f"{percent:+.2g} %."
     )
     yield from joint.known_effect.remarks(joint.value, unit)
     dry = joint.dry
@@ -371,8 +372,8 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
         return
     if dry.value < 0:
         yield (
-            "the resistance grows more than in proportion to the speed: a dry friction would have to be "
-            "negative, which is impossible. Another cause is likely, such as a wrong known parameter."
+            "the resistance grows more than in proportion to the speed. The dry friction would have "
+            "to be negative, which is impossible. Another cause is likely, such as a wrong known parameter."
         )
     else:
         yield (

@@ -45,7 +45,9 @@ def training_recordings(
     selected = tuple(r for r in recordings if r.procedure == procedure and r.use == "train")
     if not selected:
         procedures = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
-        raise Problem(f"{procedure}: expected a recording of this procedure to train with, got {procedures}")
+        raise Problem(
+            f'{procedure}: expected a recording of this procedure with use = "train", got {procedures}'
+        )
     for recording in selected:
         require(recording, signals)
     return tuple(map(resample_uniformly, selected))
@@ -83,7 +85,7 @@ def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Numb
 def parameter(parameters: Mapping[str, Number], name: str) -> Number:
     """A parameter that the procedure takes as known."""
     if name not in parameters:
-        raise Problem(f"known parameters: expected {name}, which the procedure needs, got no such parameter")
+        raise Problem(f"known parameters: expected {name}, got none: the procedure needs this parameter")
     return parameters[name]
 
 
@@ -246,9 +248,9 @@ def zero_warning(name: str, offset: float, sd: float, limit: float, unit: tuple[
     """
     if abs(offset) - SIGNIFICANT * sd > limit:
         yield (
-            f"{name}: the data would need zeros that differ by {offset / unit[1]:.3g} {unit[0]}, more than "
-            f"the {limit / unit[1]:.3g} {unit[0]} that the sensors are declared to have: the model is wrong, "
-            "or a sensor."
+            f"{name}: to fit the data, the zero offsets of the sensors would have to differ by "
+            f"{offset / unit[1]:.3g} {unit[0]}, but the declared limit is {limit / unit[1]:.3g} "
+            f"{unit[0]}: the model or a sensor is wrong."
         )
 
 

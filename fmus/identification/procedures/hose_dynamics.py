@@ -301,8 +301,8 @@ def fits(
     pooled = fitted(equations)
     if pooled[name] < -SIGNIFICANT * pooled.sd(name):
         raise Problem(
-            f"{', '.join(files)}: {name}: expected positive, got {pooled[name]:.3g}: turn the sign of the "
-            "flows or the order of the pressures"
+            f"{', '.join(files)}: {name}: expected positive, got {pooled[name]:.3g}: change the sign of the "
+            "flows, or exchange the two pressures"
         )
     if probability < UNLIKELY:
         scatter = float(np.std(values, ddof=1)) / math.sqrt(len(values))
@@ -403,20 +403,20 @@ def _equation_panels(fits: GroupFits, rate: str, side: str, unit: tuple[str, flo
 def _remarks(inertances: GroupFits, capacitances: GroupFits) -> Iterator[str]:
     count = sum(e.y.size for e in inertances.equations)
     yield (
-        f"The regression uses {count} windows of {len(inertances.groups)} groups, none with a sample in "
-        "the dead zone of a meter. It accounts for the noise of every signal, also in the other terms."
+        f"The regression uses {count} windows of {len(inertances.groups)} groups; no window has a "
+        "sample in the dead zone of a meter. The regression accounts for the noise of all signals."
     )
     yield (
-        "The values by definition are the paper's method: their interval is the scatter of the groups' "
-        "means. They are biased by the noise of the derivatives and by the position of the flow meter."
+        "The values by definition follow the method of the paper: the interval is the scatter of the "
+        "group means. They are biased by the noise of the derivatives and by the position of the flow meter."
     )
     for fits, quantity in ((inertances, "inertance"), (capacitances, "capacitance")):
         unit = UNITS[fits.name]
         if not fits.determined:
             yield (
                 f"These recordings do not determine the {quantity}: {fits.pooled[fits.name]:.2g} +- "
-                f"{fits.pooled.sd(fits.name):.1g} {unit}. It keeps its known value. Faster changes of flow "
-                "and pressure would determine it better."
+                f"{fits.pooled.sd(fits.name):.1g} {unit}. The parameter keeps its known value. "
+                "Recordings with faster changes of flow and pressure would determine the parameter better."
             )
         elif fits.homogeneity < UNLIKELY:
             values = ", ".join(f"{group[fits.name]:.4g}" for group in fits.groups)
@@ -426,8 +426,9 @@ def _remarks(inertances: GroupFits, capacitances: GroupFits) -> Iterator[str]:
             )
     if inertances.determined and inertances.pooled.significant("s"):
         yield (
-            f"The inertance sees a flow at {inertances.pooled['s']:.2f} of the way from the inlet to the "
-            "outlet (1/2: distributed evenly along the hose). The lumped hose uses the flow of the inlet."
+            f"The inertance acts on the flow at {inertances.pooled['s']:.2f} of the way from the "
+            "inlet to the outlet (1/2: distributed evenly along the hose). The lumped hose uses the "
+            "flow of the inlet."
         )
     yield from misfit_remark(inertances.pooled, "The equation of the inertance")
     yield from misfit_remark(capacitances.pooled, "The equation of the capacitance")

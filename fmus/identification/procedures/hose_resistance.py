@@ -146,8 +146,8 @@ def steady_steps(recordings: Sequence[Recording]) -> StepMeans:
         steps = steady_stretches(recording, ["flow"])
         if not steps:
             raise Problem(
-                f"{recording.source}: flow: expected to be steady for {SHORTEST_STRETCH:g} s or longer, got "
-                "no such stretch"
+                f"{recording.source}: flow: expected a steady flow for {SHORTEST_STRETCH:g} s or longer, got "
+                "none"
             )
         means.append(step_means(recording, steps))
     return concatenate(means)
@@ -161,7 +161,7 @@ def fit_laws(steps: StepMeans, transition_flow: float, zero_limit: float) -> Hos
     good = steps.measured()
     if good.flow.size < MIN_STEPS:
         raise Problem(
-            f"hose_resistance: {good.flow.size} steady steps are measured, expected at least {MIN_STEPS}; "
+            f"hose_resistance: expected at least {MIN_STEPS} steady steps, got {good.flow.size}; "
             f"left out of {steps.flow.size} steps: {steps.omissions() or 'none'}"
         )
     turbulent = good.flow * np.abs(good.flow)
@@ -169,7 +169,7 @@ def fit_laws(steps: StepMeans, transition_flow: float, zero_limit: float) -> Hos
     if start <= 0:
         raise Problem(
             f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "
-            "turn the sign of the flow or the order of the pressures"
+            "change the sign of the flow, or exchange the two pressures"
         )
     largest = float(np.abs(good.flow).max())
 
@@ -326,8 +326,8 @@ def _remarks(steps: StepMeans, laws: HoseFit) -> Iterator[str]:
         f"{power.chi_square:.4g} by eq. (10), with {square.freedom} degrees of freedom."
     )
     yield (
-        f"C_R is valid for {laws.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min, the weighted rms of the "
-        "flows. By eq. (10) it would fall by 16 % per doubling of the flow."
+        f"C_R is valid for {laws.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min, the weighted rms "
+        "of the flows. By eq. (10) C_R would fall by 16 % for each doubling of the flow."
     )
     yield from pressure_offset_remark(laws.zero, laws.zero_sd)
     if laws.mixed is not None:

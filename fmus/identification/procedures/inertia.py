@@ -82,7 +82,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     if source is None:
         present = ", ".join(sorted({r.procedure for r in recordings})) or "no recording"
         raise Problem(
-            f"inertia: expected a recording of the machine or of a joint to train with, got {present}"
+            f'inertia: expected a recording of the machine or of a joint with use = "train", got {present}'
         )
     training, p = training_recordings(recordings, source, SIGNALS), parameter_vector(parameters)
     records = [smoothed_recording(r, JOINTS, p, window=WINDOW, every=EVERY) for r in training]
@@ -126,7 +126,7 @@ def _remarks(
     seconds = sum(float(r.time[-1] - r.time[0]) for r in training)
     yield f"{seconds:.3g} s of {len(training)} recordings are used: {', '.join(r.title for r in training)}."
     for name in dropped:
-        yield f"{name}: this motion does not determine it; it keeps its known value."
+        yield f"{name}: this motion does not determine the parameter, which keeps its known value."
     if solution.misfit:
         yield (
             "Noise does not explain the residuals: the model is incomplete, for instance without dry "

@@ -254,15 +254,16 @@ class KnownParameterEffect:
         if self.significant:
             names = _largest({n: x for n, x in self.by_sd.items() if x**2 > NEGLIGIBLE * self.sd**2})
             sentences.append(
-                f"the standard deviations of the known parameters add {self.sd:.2g} {unit} to the "
-                f"{self.recording_sd:.2g} of the recordings, most of it by {', '.join(names)}."
+                f"the uncertainty of the known parameters adds a standard deviation of {self.sd:.2g} "
+                f"{unit} to the {self.recording_sd:.2g} {unit} from the recordings; most of it comes "
+                f"from {', '.join(names)}."
             )
         large = {n: x for n, x in self.by_percent.items() if abs(x) > self.total}
         if large:
             changes = ", ".join(f"{n} {100 * large[n] / value:+.2g} %" for n in _largest(large))
             sentences.append(
-                "the interval takes geometry and masses as exact. An error of 1 % would change the value: "
-                f"{changes}."
+                "the interval assumes exact geometry and masses. An error of 1 % would change the "
+                f"value: {changes}."
             )
         return sentences
 

@@ -96,7 +96,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     for name in EQUATIONS:
         if fit[name] < -SIGNIFICANT * fit.sd(name):
             raise Problem(
-                f"motor_leakage: the {name} leakage is {fit[name]:.3g} m3/(s.Pa), expected positive: turn "
+                f"motor_leakage: the {name} leakage is {fit[name]:.3g} m3/(s.Pa), expected positive: change "
                 "the sign of flow_a (positive into port A) or of drain_flow (positive out of the motor)"
             )
     # a resistance 1/g is only determined if the conductance g is clearly positive
@@ -157,8 +157,8 @@ def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
     table = table[np.isfinite(table).all(axis=1)]
     if len(table) < MIN_POINTS:
         raise Problem(
-            f"{recordings[0].source}: {len(table)} stretches with steady pressures, expected {MIN_POINTS} or "
-            f"more of {SHORTEST_STRETCH:g} s"
+            f"{recordings[0].source}: expected {MIN_POINTS} or more stretches of "
+            f"{SHORTEST_STRETCH:g} s with steady pressures, got {len(table)}"
         )
     return SteadyPoints(*table.T)
 

@@ -191,6 +191,6 @@ def misfit_warning(times_noise: float, equation: str) -> tuple[str, ...]:
     if not times_noise > FAR:
         return ()
     return (
-        f"{equation} leaves residuals {times_noise:.3g} times as large as the noise of the sensors explains: "
-        "the data contain something that the model lacks, and the estimates make up for it.",
+        f"{equation} leaves residuals {times_noise:.3g} times as large as the noise of the sensors: "
+        "the data contain an effect that the model lacks, and the estimates compensate for this effect.",
     )

@@ -101,13 +101,14 @@ def _warnings(openings: Openings) -> Iterator[str]:
             yield from misfit_warning(times, f"valve {edge}: the rising curve of the opening")
         if openings.impossible_zero:
             yield (
-                "valve: the data need zeros of the pressures that differ by more than the "
-                f"{openings.zero_limit / BAR[1]:.3g} bar that the sensors are declared to have."
+                "valve: to fit the data, the zero offsets of the two pressures would have to differ "
+                f"by more than the declared {openings.zero_limit / BAR[1]:.3g} bar."
             )
     for edge, command in openings.idle.items():
         yield (
-            f"valve {edge}: the flow meter reads nothing at {command:.3g} V, where the opening that was "
-            "found has a flow well above its dead zone: the opening has a step, or the meter was stuck."
+            f"valve {edge}: the flow meter reads zero at {command:.3g} V, although the estimated "
+            "opening gives a flow well above the dead zone of the meter: the opening has a step, or "
+            "the meter was stuck."
         )
 
 
@@ -117,9 +118,10 @@ def _below_zero(line: ValveFit) -> Iterator[str]:
     if law.dead_band < 0:
         longest = max(2 * law.dead_band + law.rounding, 0.0)
         yield (
-            f"valve: the dead band is {law.dead_band:.3g} V, which the machine refuses: the straight opening "
-            f"starts at {longest / 2:.3g} V, so valve_command_rounding is at most {longest:.3g} V, not the "
-            f"{law.rounding:.3g} V that are known. Change it in parameters.toml and identify again."
+            f"valve: the dead band is {law.dead_band:.3g} V, which the model does not accept. The "
+            f"straight opening starts at {longest / 2:.3g} V, so valve_command_rounding must be at "
+            f"most {longest:.3g} V instead of {law.rounding:.3g} V: change this value in "
+            "parameters.toml and identify again."
         )
 
 

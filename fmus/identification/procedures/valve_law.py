@@ -108,9 +108,9 @@ def _steps_of(recording: Recording) -> ValveSteps:
     reversed_steps = int(np.count_nonzero(highest < 0))
     if reversed_steps > highest.size / 2:
         raise Problem(
-            f"{recording.source}: flow: expected along the drop pressure_in - pressure_out, got the opposite "
-            f"in {reversed_steps} of {highest.size} steps: turn the sign of the flow or the order of the "
-            "pressures"
+            f"{recording.source}: flow: expected a flow from the higher to the lower pressure, got the "
+            f"opposite direction in {reversed_steps} of {highest.size} steps: change the sign of the flow, "
+            "or exchange pressure_in and pressure_out"
         )
     supply_drop = np.max(np.abs(means.drop), initial=0.0, where=np.isfinite(means.drop))
     return ValveSteps(

@@ -41,8 +41,9 @@ def remarks(steps: ValveSteps, openings: Openings) -> Iterator[str]:
     yield from pressure_offset_remark(openings.zero.value, openings.zero.sd)
     percent = 100 * BAR[1] / (2 * float(good.drop.mean()))  # A ~ Q / sqrt(dp)
     yield (
-        "The intervals cover the noise of the instruments, not errors of their calibration: 1 % of the flow "
-        f"meter's gain is 1 % of the area, and 1 bar between the two pressures is {percent:.2g} %."
+        "The intervals cover the noise of the instruments, but not calibration errors. An error of "
+        "1 % in the gain of the flow meter changes the area by 1 %, and an error of 1 bar between "
+        f"the two pressures by {percent:.2g} %."
     )
 
 
@@ -53,10 +54,10 @@ def _line_or_curve(openings: Openings) -> Iterator[str]:
         yield f"A straight line with a dead band suffices ({test})."
         if openings.line and not openings.line.rounding_estimated:
             yield (
-                "No flow was measured on the rounded foot of the opening, so the data determine only the "
-                "zero of the extrapolated straight part. The dead band is half a rounding less, with the "
-                f"known rounding of {openings.line.rounding:.3g} V: a rounding that is 0.1 V larger makes "
-                "the dead band 0.05 V smaller."
+                "No flow was measured at the rounded start of the opening, so the data determine "
+                "only the zero of the extrapolated straight part. The dead band is this zero minus "
+                f"half the known rounding of {openings.line.rounding:.3g} V: a rounding that is 0.1 "
+                "V larger makes the dead band 0.05 V smaller."
             )
         return
     yield (
@@ -82,7 +83,7 @@ def _full_command(good: ValveSteps, full: float) -> Iterator[str]:
         if highest < full - SAME:
             yield (
                 f"{edge}: no flow was measured above {highest:.3g} V, so the area at {full:.3g} V is "
-                "extrapolated. A bench should hold full command twice."
+                "extrapolated. Hold the full command twice in such an experiment."
             )
 
 
@@ -125,7 +126,7 @@ def _logarithm_remark(good: ValveSteps) -> str:
     return (
         f"The same form for the logarithm (degree {fitted.degree()} by AIC) stays positive: ln C_R = "
         f"{_in_powers(fitted)}, C_R in Pa.s2/m6, V from {good.command.min():.3g} to "
-        f"{good.command.max():.3g} V; no step is further off than {100 * error:.2g} %."
+        f"{good.command.max():.3g} V; the largest error of a step is {100 * error:.2g} %."
     )
 
 

@@ -236,20 +236,23 @@ def weigh(weighings: Sequence[Weighing], p: Array) -> Weighed:
 
 def _remarks(weighed: Weighed, loaded: Sequence[int]) -> Iterator[str]:
     if not loaded:
-        yield f"All recordings are of the empty head ({CONDITION} = 0): nothing is weighed."
+        yield f"All recordings are of the empty head ({CONDITION} = 0): there is no payload to weigh."
     for k in loaded:
         w, value = weighed.weighings[k], weighed.payload(k)[0]
         if w.stated is not None:
             off = 100 * (value / w.stated - 1)
-            yield f"{w.name}: the recording states {w.stated:.6g} kg; weighed is {off:+.2g} %."
+            yield f"{w.name}: the recording states {w.stated:.6g} kg; the estimate differs by {off:+.2g} %."
         if not weighed.tares:
             yield (
-                f"{w.name}: without a recording of the empty head errors of the arm's masses and of the "
-                f"zeros of the pressures count in full: {w.zero:.2g} kg by the zeros alone."
+                f"{w.name}: there is no recording of the empty head, so errors of the arm's masses "
+                f"and of the pressure zeros are not compensated: {w.zero:.2g} kg from the zeros alone."
             )
     for k in weighed.tares:
         w = weighed.weighings[k]
-        yield f"{w.recording.source.name}: the empty head weighs {weighed.values[k]:+.3g} kg more than known."
+        yield (
+            f"{w.recording.source.name}: the empty head weighs {weighed.values[k]:+.3g} kg more "
+            "than the known value."
+        )
 
 
 def panels(weighed: Weighed) -> tuple[Panel, ...]:

@@ -88,7 +88,7 @@ class ClockQuality:
                 f" the usual one {1e3 * interval:.4g} ms."
             )
         if self.close:
-            yield f"The clock: {self.close} stamps follow within half a period on the one before."
+            yield f"The clock: {self.close} time stamps are less than half a period after the one before."
         if self.jitter > UNIFORM * interval:
             percent = 100 * self.jitter / interval
             yield f"The clock: jitter of {1e3 * self.jitter:.3g} ms, {percent:.0f} % of a period."
@@ -254,7 +254,7 @@ class SignalQuality:
             position = "at an end of the sensor's range or held at the signal's own extreme"
             yield f"{self.name}: {self.clipped} clipped, {position}."
         if self.stuck:
-            yield f"{self.name}: {self.stuck} stuck at one value, which its noise would not allow, not used."
+            yield f"{self.name}: {self.stuck} stuck at one value, without the noise of the sensor; not used."
         largest = max(abs(self.lowest), abs(self.highest))
         low, high = PLAUSIBLE.get(self.unit, (0.0, math.inf))
         if largest > 0 and not low <= largest <= high:

@@ -69,7 +69,9 @@ class MeasuredRun:
         """Inputs in the order of `names`, shape (n, nu)."""
         for name in names:
             if name not in self.inputs:
-                raise Problem(f"{self.name}: input {name} is missing, expected for the simulation")
+                raise Problem(
+                    f"{self.name}: expected the input {name}, got none: the simulation needs this input"
+                )
         return np.column_stack([self.inputs[n] for n in names]) if names else np.zeros((len(self.time), 0))
 
     def initial_state(self, simulator: Simulator, p: Array, inputs: Array) -> Array:

@@ -194,7 +194,7 @@ def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Arr
         reason = "do not determine it" if sd > 0.5 * VAGUE else limit
         if group[0].sd is None:
             return f"{names[0]}: the data {reason}"
-        return f"{names[0]}: these recordings alone {reason}; its interval is that of its prior"
+        return f"{names[0]}: these recordings alone {reason}; the interval is that of the prior"
     listed = ", ".join(names[:-1]) + f" and {names[-1]}"
     if len(names) > 2 or dimension > 1 or not all(f.log for f in group):
         return f"{listed}: the data determine {len(names) - dimension} of {len(names)} combinations"
@@ -202,4 +202,4 @@ def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Arr
     exponent = float(projector[0, 1] / projector[1, 1])
     power = "" if abs(abs(exponent) - 1) < 0.05 else f"^{abs(exponent):.2g}"
     combination = f"{names[0]} {'/' if exponent > 0 else '*'} {names[1]}{power}"
-    return f"{listed}: the data determine only {combination}, not each"
+    return f"{listed}: the data determine only {combination}, not each parameter"

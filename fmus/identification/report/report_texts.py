@@ -96,8 +96,8 @@ def probability(p: float | None) -> str:
 NAMED = 3  # signals named in a warning
 POOR = 0.2  # training NRMSE above which signs, units or the assignment of levers must be wrong
 CHECK = (
-    "Check before you use the numbers: which lever moves which joint, the sign of each command, angle and "
-    "flow, the unit of each signal, and the pose from which each recording begins."
+    "Check before you use the numbers: which command moves which joint, the sign of each command, "
+    "angle and flow, the unit of each signal, and the pose from which each recording begins."
 )
 
 
@@ -124,8 +124,9 @@ def warnings(
     if poor:
         worst = sorted(poor, key=lambda name: -poor[name])
         sentences.append(
-            f"The model does not follow even the recordings it was fitted to; above {_percent(POOR)} of the "
-            f"range (NRMSE): {', '.join(f'{signals.get(n, n)} {_percent(poor[n])}' for n in worst)}."
+            "The model does not even reproduce the recordings that were used for fitting. NRMSE "
+            f"above {_percent(POOR)} of the range: "
+            f"{', '.join(f'{signals.get(n, n)} {_percent(poor[n])}' for n in worst)}."
         )
     return [*sentences, CHECK] if sentences else []
 
@@ -136,9 +137,9 @@ def _far_above_noise(refined: RefinementResult, residual: float, signals: Mappin
     worst = sorted(ratios, key=lambda name: -ratios[name])[:NAMED]
     named = ", ".join(f"{signals.get(name, name)} {ratios[name]:.3g} times" for name in worst)
     return (
-        f"The joint refinement leaves residuals {residual:.3g} times as large as the noise of the sensors"
-        f"{f' ({named})' if named else ''}: the data contain something that the model lacks, and the "
-        "estimates make up for it. The report says which effects the residual shows."
+        f"The joint refinement leaves residuals {residual:.3g} times as large as the noise of the "
+        f"sensors{f' ({named})' if named else ''}: the data contain an effect that the model lacks, "
+        "and the estimates compensate for this effect. The report shows which effects are likely."
     )
 
 

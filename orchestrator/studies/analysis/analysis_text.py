@@ -68,7 +68,7 @@ def _answer(analysed: OutputAnalysis, sensitivity: Sensitivity) -> list[str]:
         ]
     effects, measure = sensitivity.effects, sensitivity.measure
     if len(effects) == 1:
-        return [f"{effects[0].label} is the only thing that was varied{_direction(analysed, effects[0])}."]
+        return [f"{effects[0].label} is the only factor that was varied{_direction(analysed, effects[0])}."]
     leaders = _leaders(effects, measure)
     answer = [_first(analysed, effects, leaders, measure)]
     followers = [e for e in effects if e not in leaders and _noticeable(e, effects[0], measure)]
@@ -99,7 +99,7 @@ def _first(analysed: OutputAnalysis, effects: tuple[Effect, ...], leaders: list[
     ending = _direction(analysed, top)
     if len(leaders) > 1:
         ending = "; these runs do not show which of them has the larger effect"
-    return f"{analysed.name} moves most with {join_words(names)}: {join_words(sizes)} {fraction}{ending}."
+    return f"{analysed.name} depends most on {join_words(names)}: {join_words(sizes)} {fraction}{ending}."
 
 
 def _none_stands_out(effects: tuple[Effect, ...], leaders: list[Effect], measure: str) -> bool:

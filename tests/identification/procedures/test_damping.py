@@ -157,7 +157,7 @@ def test_a_recording_with_the_joint_at_rest_is_left_out():
 def test_influential_exact_parameters_are_reported():
     """Only geometry and masses that would shift B beyond its interval are listed."""
     texts = identify([recording("boom", seed=1)], KNOWN).remarks
-    told = next(text for text in texts if "takes geometry and masses as exact" in text)
+    told = next(text for text in texts if "assumes exact geometry and masses" in text)
     assert "boom_stick.boom_bore" in told
     assert "valve" not in told
     assert "+0 %" not in told

@@ -147,7 +147,7 @@ def test_a_flow_that_the_meter_must_have_read_is_a_warning():
         return np.where(v < 5.0, 0.1, 0.8) * bench.power(1.0)(v)
 
     (warning,) = found(share).warnings
-    assert "reads nothing at 4.5 V" in warning
+    assert "reads zero at 4.5 V" in warning
 
 
 def test_an_edge_that_is_open_at_zero_is_refused():
@@ -161,7 +161,7 @@ def test_an_edge_that_is_open_at_zero_is_refused():
 def test_a_dead_band_that_the_machine_refuses_is_a_warning():
     """A dead band of 0.05 V is less than half the known rounding of 0.4 V, so that it is found below zero."""
     (warning,) = found(bench.power(1.0, 0.05)).warnings
-    assert "valve_command_rounding is at most 0.1 V, not the 0.4 V" in warning
+    assert "valve_command_rounding must be at most 0.1 V instead of 0.4 V" in warning
 
 
 def test_a_band_holds_its_share_of_whole_curves():

@@ -144,9 +144,13 @@ def test_residuals_far_above_the_noise_are_a_warning():
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("valve", turned, r"expected along the drop .*, got the opposite in 13 of 13 steps"),
+        (
+            "valve",
+            turned,
+            r"expected a flow from the higher .*, got the opposite direction in 13 of 13 steps",
+        ),
         ("hose_resistance", turned, "drop pressure_in - pressure_out falls with the flow"),
-        ("hose_dynamics", turned, "I: expected positive, got -.*: turn the sign"),
+        ("hose_dynamics", turned, "I: expected positive, got -.*: change the sign"),
         (
             "hose_dynamics",
             lambda r: with_signals(r, lambda n, x: -x if n == "flow_out" else x),
@@ -182,7 +186,7 @@ def test_residuals_far_above_the_noise_are_a_warning():
         (
             "hose_resistance",
             lambda r: rows(r, slice(0, 60)),
-            "flow: expected to be steady for 0.75 s or longer, got no such",
+            "flow: expected a steady flow for 0.75 s or longer, got none",
         ),
     ],
 )

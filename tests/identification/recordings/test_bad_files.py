@@ -55,9 +55,9 @@ def test_bad_files_of_text(csv):
     """Wrong names, wrong encoding, an empty file."""
     good = csv.read_text(encoding="utf-8")
     csv.write_text(good.replace("P1", "P2", 1), encoding="utf-8")
-    refused(csv, "a.csv", "column 'P1' expected, got t, U, P2")
+    refused(csv, "a.csv", "expected a column 'P1', got t, U, P2")
     csv.write_text(good.replace("Q", "P1", 1), encoding="utf-8")
-    refused(csv, "a.csv", "column 'P1' expected once, got 2 times")
+    refused(csv, "a.csv", "expected the column 'P1' once, got it 2 times")
     csv.write_bytes(good.encode().replace(b"10.0", b"1\xb5.0", 1))
     refused(csv, "a.csv", "line 4", "UTF-8", "0xb5")
     for mark, shown in ((";", "';'"), ("\t", "'\\t'")):

@@ -176,7 +176,7 @@ def test_stamps_that_follow_too_soon(clean):
     soon = clean.time.copy()
     soon[[10, 20]] = soon[[9, 19]] + 0.0005
     texts = remarks_on(replace(clean, time=soon), "The clock")
-    assert any("2 stamps follow within half a period" in text for text in texts)
+    assert any("2 time stamps are less than half a period" in text for text in texts)
 
 
 @pytest.mark.parametrize("sd", [0.02, 0.1, 1.0])

@@ -49,13 +49,13 @@ def test_matlab_variables_by_name(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "options", "message"),
     [
-        ({"u": 2}, {}, "column '2' expected, got 0, 1"),
+        ({"u": 2}, {}, "expected a column '2', got 0, 1"),
         ({"u": 0}, {"rate": 0}, "expected a rate above 0, got 0 Hz"),
         ({}, {}, "expected at least one column, got none"),
         ({"u": 0}, {"units": {"v": "bar"}}, "a unit is given for v, which is not among the columns"),
         ({"u": 0}, {"units": {"u": "bat"}}, "u: unit 'bat'"),
         ({"u": 0, "v": "p"}, {}, "expected all columns by name, got index 0"),
-        ({"u": "x"}, {}, "column 'x' expected, got 1, 2"),
+        ({"u": "x"}, {}, "expected a column 'x', got 1, 2"),
         ({"u": 1}, {}, "line 3: column '1': expected a number, got 'x'"),
     ],
 )

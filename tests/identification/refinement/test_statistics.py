@@ -63,7 +63,7 @@ def test_optimum_and_covariance_are_those_of_scipy() -> None:
 def test_unidentifiable_pair_is_named() -> None:
     """Gain and loss act only as a ratio: the sentence says so, and the other parameters are estimated."""
     found = refine(problem(run(recording()), free=("stiffness", "damping", "gain", "loss")))
-    assert found.unidentified == ("gain and loss: the data determine only gain / loss, not each",)
+    assert found.unidentified == ("gain and loss: the data determine only gain / loss, not each parameter",)
     ratio = found.values["gain"] / found.values["loss"]
     # five standard deviations of about 0.5 %
     assert ratio == pytest.approx(TRUTH["gain"] / TRUTH["loss"], rel=0.025)
@@ -90,7 +90,7 @@ def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     # the root of 0.6
     assert sentences[None] == "loss: the data leave a standard deviation of 77 %"
     assert sentences[0.1].startswith(
-        "loss: these recordings alone leave a standard deviation of 77 %; its interval is"
+        "loss: these recordings alone leave a standard deviation of 77 %; the interval is"
     )
 
 
