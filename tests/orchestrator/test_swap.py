@@ -110,7 +110,8 @@ def test_convertible_units_are_converted(fmus):
     # 2 * 3 bar + 1 bar, plus 4 bar; a few roundings
     np.testing.assert_allclose(result.trace["g.u"], 7.0, rtol=1e-14)
     np.testing.assert_allclose(result.trace["end.u"], 11e5, rtol=1e-14)
-    note = f"{bar} has u in [bar], not [Pa], y in [bar], not [Pa], offset in [bar], not [Pa]: converted"
+    units = "u in [bar], not [Pa], y in [bar], not [Pa], offset in [bar], not [Pa]"
+    note = f"{bar} has other units, which are converted: {units}"
     assert f"{note}; values that you set keep the unit of the replaced FMU" in result.card.notes
     back = with_swaps(with_swaps(system, {"g": bar}), {"g": pascal})
     for c, usual in zip(back.connections, system.connections, strict=True):
