@@ -178,8 +178,7 @@ def agree(model, ours, theirs):
     assert not ours[:, ~moving].any()
     error = np.abs(ours - theirs).max(axis=0)[moving] / np.ptp(theirs, axis=0)[moving]
     names = np.array(model.states)[moving]
-    # integrator error: ours moves by about 2e-9 when its tolerance goes from 1e-12 to 1e-13, that of the
-    # transcription, at 1e-11, is 3e-8 over the work cycle
+    # integrator error: each side moves by about 2e-9 when its tolerance goes from 1e-12 to 1e-13
     assert error.max() < 1e-7, f"{names[error.argmax()]} differs by {error.max():.2g} of its range"
 
 

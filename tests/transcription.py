@@ -335,7 +335,7 @@ def start(m: Machine, angles: Floats, tank: float, held: float = 0.0) -> list[fl
     return [*x, *angles, 0.0, 0.0, 0.0, held, 0.0]
 
 
-def simulate(time: Array, commands: Array, loads: Array | None = None, tolerance: float = 1e-11) -> Array:
+def simulate(time: Array, commands: Array, loads: Array | None = None, tolerance: float = 1e-12) -> Array:
     """States (n, 20) at `time` (n,) for commands (n, 3) [V], linear between the samples.
 
     VODE's BDF with a difference Jacobian, started anew at each kink of the commands. `loads`: payload [kg] at

@@ -125,8 +125,9 @@ def identify(
         raise Problem(f"[experiment] procedure: expected one of {expected}, got {unknown[0]!r}")
     machine.check_free(names)
     signals = {name: module.SIGNALS for name, module in PROCEDURES.items()}
+    remarks = list(name_remarks(recordings, signals))  # refuses misspelt names, before their units
     check_units([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
-    for remark in name_remarks(recordings, signals):
+    for remark in remarks:
         report(remark)
     identified = Identified(recordings, dict(parameters or nominal()))
     try:

@@ -88,7 +88,7 @@ def test_a_dead_band_behind_tables_is_not_refined(monkeypatch):
     }
     asked, told = [], []
 
-    def refine(_recordings, _parameters, names, _report):
+    def refine(_recordings, _parameters, names, *_):
         asked.extend(names)
         raise Problem("enough")
 
