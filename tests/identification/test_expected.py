@@ -52,7 +52,7 @@ def test_an_unknown_signal_is_reported():
     (text,) = remarks([recording("machine", [*signal_names().values(), "oil_temperature"])])
     assert text == "run.csv: not used, because the machine has no such signal: oil_temperature"
     (text,) = remarks([recording("valve", [*valve.SIGNALS, "oil_temperature"])])
-    assert text == "run.csv: not a signal of valve, not used: oil_temperature"
+    assert text == "run.csv: not used, because valve needs no such signal: oil_temperature"
     (text,) = remarks([recording("valve", ["pressure_inn"])])
     assert "pressure_inn (misspelt pressure_in?)" in text
 

@@ -207,7 +207,7 @@ def test_failures_lose_nothing(each, both, where, how):
 def test_a_step_done_in_part_is_told(each, both, master):
     """Masters without rollback end the run; the message has the time that the FMU reached."""
     outcome = both(circle(each, "slow", longest=0.03, when=0.25), master=master)
-    assert outcome.error.endswith("with status discard (the FMU got as far as t = 0.03 s)")
+    assert outcome.error.endswith("with status discard (the FMU reached t = 0.03 s)")
     assert outcome.result.trace.time.tolist() == [0.0]
 
 
@@ -318,7 +318,7 @@ def test_a_step_done_in_part_ends_the_run_where_one_cannot_repeat_it(each, both,
     """An FMU that cannot go back, or one that takes no shorter step."""
     options = ABLE[quirk] | {"longest": 0.03, "when": 0.25}
     outcome = both(circle(each, f"slow_{quirk[:2]}", **options), master=HERMITE)
-    assert "with status discard (the FMU got as far as t = 0.03 s)" in outcome.error
+    assert "with status discard (the FMU reached t = 0.03 s)" in outcome.error
 
 
 @pytest.mark.parametrize("longest", [0.0, 5e-3])

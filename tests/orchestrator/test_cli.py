@@ -272,7 +272,7 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
         (["run", "--adaptive", "x"], "'--adaptive': expected a number, got 'x'; see harvester run --help"),
         (
             ["run", "--factor", "g"],
-            "harvester: --factor g: expected component=N, the number of its own steps",
+            "harvester: --factor g: expected component=N, the number of internal steps",
         ),
         (["run", "--factor", "g=1.5"], "harvester: --factor g=1.5: expected component=N"),
         (

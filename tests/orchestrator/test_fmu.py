@@ -79,8 +79,8 @@ def test_a_failed_start_tells_what_the_fmu_says(each):
 @pytest.mark.parametrize(
     ("version", "how", "message"),
     [
-        (2, 2, r"the step failed at t = 0.2 s with status discard \(the FMU got as far as t = 0.2 s\)"),
-        (3, 2, r"the step failed at t = 0.2 s with status discard \(the FMU got as far as t = 0.2 s\)"),
+        (2, 2, r"the step failed at t = 0.2 s with status discard \(the FMU reached t = 0.2 s\)"),
+        (3, 2, r"the step failed at t = 0.2 s with status discard \(the FMU reached t = 0.2 s\)"),
         (2, 3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
         (3, 3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
         (2, 4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),

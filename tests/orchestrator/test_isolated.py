@@ -104,7 +104,7 @@ def test_a_limit_of_time_ends_a_run_that_hangs(tmp_path):
 
 def test_a_limit_needs_a_process_of_its_own(oscillator):
     """A limit that could not be kept is refused."""
-    with pytest.raises(Problem, match="time_limit: expected a run in a process of its own"):
+    with pytest.raises(Problem, match="time_limit: expected a run in its own process"):
         run(oscillator, **STEPS, isolate=False, time_limit=1.0)
 
 

@@ -72,7 +72,7 @@ def test_variants_lie_beside_the_system(bench):
 @pytest.mark.parametrize(
     ("swaps", "message"),
     [
-        ({"g": "rough"}, "g_rough.fmu; there are coarse, fine; harvester build makes the variants"),
+        ({"g": "rough"}, "g_rough.fmu; variants of g: coarse, fine; harvester build builds all variants"),
         ({"h": "fine"}, "swap h=fine: no component 'h'; there are g"),
         ({"g": "none.fmu"}, "swap g=none.fmu: no such file"),
         (
@@ -254,7 +254,7 @@ def test_what_is_declared_as_optional_may_be_missing(fmus):
     blind = edited(gain, "blind", renamed("u"))
     line = "has no {}: u is not seen"
     for ends, swaps, notes, warnings in (
-        (wires, {"s": silent}, (), (f"{silent} {line.format('y')}, but d (drift) would use the signal",)),
+        (wires, {"s": silent}, (), (f"{silent} {line.format('y')}, but d (drift) could use this signal",)),
         (wires[:1], {"s": silent}, (f"{silent} {line.format('y')}",), ()),
         (wires, {"g": blind}, (f"{blind} {line.format('u')}",), ()),
         (
@@ -409,7 +409,10 @@ def test_the_command_line_swaps(capsys):
     ("swap", "message"),
     [
         ("g", "harvester: --swap g: expected component=variant or component=file.fmu"),
-        ("g=rough", "harvester: swap g=rough: no file build/variants/g_rough.fmu; there are coarse, fine; "),
+        (
+            "g=rough",
+            "harvester: swap g=rough: no file build/variants/g_rough.fmu; variants of g: coarse, fine; ",
+        ),
         ("g=cycle.fmu", "harvester: swap g=cycle.fmu: no such file"),
         ("g=text.fmu", "harvester: swap g: text.fmu: expected a zip archive, got something else"),
         (

@@ -380,7 +380,7 @@ def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
     """File, line, element, expected and got; the system runs with a given step, and can be listed."""
     path = make(experiment=osp(f'<osp:FixedStepAlgorithm baseStepSize="{text}"/>'))
     kind = "a positive number of seconds" if text in ("0", "-0.02") else "a finite number"
-    told = rf"SystemStructure\.ssd: line \d+: FixedStepAlgorithm: expected {kind} for baseStepSize, got '{text}'; to "
+    told = rf"SystemStructure\.ssd: line \d+: FixedStepAlgorithm: expected {kind} for baseStepSize, got '{text}'; --master"
     with pytest.raises(Problem, match=told):
         run(path)
     assert run(path, master="jacobi", step=0.05).card.steps == 2

@@ -55,7 +55,7 @@ def test_an_fmu_without_load_pressure_runs_and_says_so(fmu_dir, tmp_path):
     assert (usual.trace["supply.boom_stick_load_pressure"] == 0.0).all()
     swap = {"boom_stick": str(path), "supply": "load_sensing"}
     needed = run(machine, stop=0.1, swap=swap)
-    assert f"{line}, but supply (supply_load_sensing) would use the signal" in needed.card.warnings
+    assert f"{line}; supply (supply_load_sensing) could use this signal" in needed.card.warnings
     assert not any("load_pressure" in note for note in needed.card.notes)
     written = load(write_ssp(needed.system, tmp_path / "mine.ssp"))
     wires = [str(c) for c in written.connections]

@@ -63,7 +63,7 @@ def test_runs_that_go_wrong_are_rows_too(failing):
     assert table.loc[0, "reason"] == ""
     assert "the pump broke" in table.loc[3, "reason"]
     assert "fails.y: expected a finite value" in table.loc[5, "reason"]
-    assert "asks to end the simulation" in table.loc[6, "reason"]
+    assert "requests the end of the simulation" in table.loc[6, "reason"]
     assert table.loc[10, "reason"].startswith("abort in ")
     assert table.loc[10, "reason"].endswith("fails.fmu)")
     assert not any("\n" in reason for reason in table["reason"])

@@ -31,7 +31,7 @@ def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsy
     for _, variant in variant_names():
         assert variant in rows
     assert rows["detailed"][1:3] == ["32", "17"]  # of boom_stick, the last one
-    assert printed.count("holds: ") == len(variant_names())
+    assert printed.count("valid: ") == len(variant_names())
     costs = {r[0]: float(r[-1]) for r in rows.values() if r[0] in ("pendulum", "friction", "rigid")}
     assert costs["rigid"] == 1.0
     assert min(costs.values()) == 1.0  # the others do more; a ratio within one run

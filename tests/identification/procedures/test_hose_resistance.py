@@ -87,5 +87,5 @@ def test_dead_zone_is_masked(results):
 
 def test_too_few_steps_are_refused():
     """Three flows are not enough to compare the laws: one line says so."""
-    with pytest.raises(Problem, match=r"^hose_resistance: 3 steady steps[^\n]*at least 4[^\n]*$"):
+    with pytest.raises(Problem, match=r"^hose_resistance: expected at least 4 steady steps, got 3[^\n]*$"):
         hose_resistance.identify(bench.steady_hose(0, bench.turbulent, (50.0, 100.0, 200.0)), bench.KNOWN)

@@ -108,7 +108,7 @@ def test_bad_parquet(csv, columns):
     pd.DataFrame({**columns, "Q": np.where(columns["t"] == 10, np.inf, 1.0)}).to_parquet(path)
     refused(path, "a.parquet", "row 3", "column 'Q'", "finite", "inf")
     pd.DataFrame({"t": columns["t"]}).to_parquet(path)
-    refused(path, "a.parquet", "column", "expected, got t")
+    refused(path, "a.parquet", "expected a column", "got t")
     path.write_bytes(b"no parquet")
     refused(path, "a.parquet", "expected a Parquet file")
 
@@ -127,12 +127,12 @@ def test_bad_mat(csv, columns):
     scipy.io.savemat(path, {**columns, "t": columns["t"][::-1]})
     refused(path, "a.mat", "row 2", "column 't'", "increasing", "190 after 195")
     scipy.io.savemat(path, {"run": columns})
-    refused(path, "a.mat", "column", "expected, got run.")
+    refused(path, "a.mat", "expected a column", "got run.")
     path.write_bytes(b"no mat file" * 50)
     refused(path, "a.mat", "expected a MATLAB file")
     with h5py.File(path, "w") as file:
         file["P1"] = np.zeros((1, 4))
-    refused(path, "a.mat", "column", "expected, got P1")
+    refused(path, "a.mat", "expected a column", "got P1")
 
 
 @pytest.mark.parametrize(

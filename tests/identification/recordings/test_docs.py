@@ -40,7 +40,7 @@ def test_every_key_of_the_docs_exists():
 
 def test_the_table_of_experiments_is_that_of_the_code():
     """Each row lists the signals and conditions of the procedure; the signals of the machine exist."""
-    rows = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", TEXT[TEXT.index("## Experiments") :], re.MULTILINE))
+    rows = dict(re.findall(r"^\|`(\w+)`\|(.*)\|$", TEXT[TEXT.index("## Experiments") :], re.MULTILINE))
     for procedure, conditions in CONDITIONS.items():
         assert all(
             name in rows[procedure] for name in conditions if name not in ("length", "diameter", "density")
