@@ -93,7 +93,7 @@ def test_rounding_is_fitted_if_the_data_determine_it():
 def test_rounding_that_the_data_do_not_determine_keeps_its_value(results):
     """Rounding is not estimated if its steps are in the dead zone; a remark says so."""
     assert "valve_command_rounding" not in bench.named(results[0])
-    assert any("on the rounded foot" in remark for remark in results[0].remarks)
+    assert any("half the known rounding" in remark for remark in results[0].remarks)
 
 
 def test_uncertain_rounding_widens_the_dead_band():
