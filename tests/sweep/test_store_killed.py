@@ -103,7 +103,7 @@ def test_an_interrupt_keeps_what_is_finished(long):
     assert told == ""
     *progress, last = wrong.splitlines()
     assert last == (
-        f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are stored in {out},"
+        f"harvester: interrupted; {len(kept(out))} of {RUNS} runs are stored in {out};"
         " the same command continues the study"
     )
     assert all(f" of {RUNS} runs, " in line for line in progress)
