@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from fmus.contract import quantities
-from fmus.machine.build import VARIANTS
 from fmus.machine.parts import FAMILIES
 from fmus.machine.work_cycle import WORK_CYCLE, WORK_CYCLE_STOP
 from orchestrator import Problem, Trace, linearize, load, run
+from orchestrator.base.files import VARIANTS
 
 STEP = 1e-3  # s
 SETTLED = 0.6  # s after the last stroke

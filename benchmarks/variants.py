@@ -18,9 +18,10 @@ import numpy as np
 
 from fmus.contract import quantities
 from fmus.export.compile import HEADERS
-from fmus.machine.build import VARIANTS, build_machine
+from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES
 from orchestrator import Trace, run
+from orchestrator.base.files import VARIANTS
 
 STEP = 1e-3  # s
 

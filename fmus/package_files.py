@@ -25,14 +25,14 @@ from pathlib import Path, PurePosixPath
 
 from orchestrator.base.compiler import private_cache, process_folder
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import zip_bytes
+from orchestrator.base.files import FMI3, zip_bytes
 from orchestrator.base.progress import doing
 from orchestrator.base.xml import package_version
 
 PACKAGE = Path(__file__).parent
 BUILT = PACKAGE / "built.tar.xz"  # what `harvester build --platform all` makes; only in the wheel
 ZIPS = (".fmu", ".ssp")
-FMI3 = "fmi3/"  # folder of the files for FMI 3.0, which are the last members of the archive
+OF_FMI3 = f"{FMI3}/"  # begin of the names of the last members of the archive
 
 
 def project_file(name: str) -> Path | None:
@@ -52,7 +52,7 @@ def shipped(name: str) -> Path | None:
     """A built FMU or system that the package contains, such as harvester.ssp; None in a checkout."""
     if not BUILT.is_file():
         return None
-    path = shipped_folder(fmi3=name.startswith(FMI3)) / name
+    path = shipped_folder(fmi3=name.startswith(OF_FMI3)) / name
     return path if path.is_file() else None
 
 
@@ -105,7 +105,7 @@ def pack(folder: Path, archive: Path, preset: int = 9) -> None:
     """
     files = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.suffix in ZIPS)
     # systems after the FMUs that they contain, FMI 3.0 after FMI 2.0
-    files.sort(key=lambda name: (name.startswith(FMI3), name.endswith(".ssp"), name.count("/"), name))
+    files.sort(key=lambda name: (name.startswith(OF_FMI3), name.endswith(".ssp"), name.count("/"), name))
     known: dict[bytes, str] = {}
     with lzma.open(archive, "wb", preset=preset) as stream, tarfile.open(fileobj=stream, mode="w") as tar:
         for name in files:
@@ -136,7 +136,7 @@ def unpack(archive: Path, fmi3: bool = True) -> Iterator[tuple[str, bytes]]:
     made: dict[str, bytes] = {}
     with tarfile.open(archive, "r:xz") as tar:
         for name, entries in groupby(tar, lambda entry: _file_of(entry.name)):
-            if name.startswith(FMI3) and not fmi3:
+            if name.startswith(OF_FMI3) and not fmi3:
                 return
             content: dict[str, bytes] = {}
             for entry in entries:

@@ -51,7 +51,6 @@ Valid for mean flows: no piston ripple, no flow to the control piston, no cavita
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -62,7 +61,7 @@ from fmus.contract import Group, Quantity, Scalar
 _ROUNDING = 0.02  # fraction of full fuel over which both limits of the fuel are rounded
 _SPEED_ROUNDING = 1.0  # rad/s, far below idle speed; below, the dry friction falls to zero
 _LEAST_TORQUE = 0.1  # fraction of the rated torque: lower bound of the parabola outside its range
-_ITERATIONS = 12  # iterations of the search for the idle speed; each gains two digits
+ITERATIONS = 12  # of the search for the idle speed
 _BEYOND = 2.0  # stroke at which the hyperbola of the power limit ends; above 1 it limits nothing
 _PRESSURE_ROUNDING = 1e4  # Pa; below, the pressure-dependent friction falls to zero
 
@@ -102,11 +101,16 @@ def governor_torque(d: DieselEngine, speed: Scalar) -> Scalar:
     return (net + friction) * unit_limited(z, _ROUNDING)
 
 
-def governed_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
-    """Fixed-point iteration for the steady speed [rad/s] under a load [N.m], from a guess."""
+def idle_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
+    """Steady speed [rad/s] under a load [N.m]: one iteration from a guess, a fixed point of which it is.
+
+    Within the range of the governor, also for an engine that is too weak. The guess is off by a hundredth of
+    what it was after each iteration, because torques depend little on the speed.
+    """
     net, friction = net_torque(d, guess), engine_friction(d, guess)
     z = unit_limited_inverse((load + friction) / (net + friction), _ROUNDING)
-    return d.no_load_speed - (d.no_load_speed - d.rated_speed) * (z * (net + friction) - friction) / net
+    speed = d.no_load_speed - (d.no_load_speed - d.rated_speed) * (z * (net + friction) - friction) / net
+    return ca.fmax(d.peak_speed, ca.fmin(speed, d.no_load_speed))
 
 
 def speed_rate(d: DieselEngine, speed: Scalar, torque: Scalar, load: Scalar) -> Scalar:
@@ -117,18 +121,6 @@ def speed_rate(d: DieselEngine, speed: Scalar, torque: Scalar, load: Scalar) -> 
 def torque_rate(d: DieselEngine, speed: Scalar, torque: Scalar) -> Scalar:
     """dT/dt [N.m/s] of the combustion torque."""
     return (governor_torque(d, speed) - torque) / d.lag
-
-
-def idle_speed(d: DieselEngine, load: Callable[[Scalar], Scalar]) -> Scalar:
-    """Steady speed [rad/s] under a load [N.m] that depends on the speed.
-
-    Within the range of the governor, also for an engine that is too weak.
-    """
-    speed = d.no_load_speed
-    for _ in range(_ITERATIONS):
-        speed = governed_speed(d, load(speed), speed)
-        speed = ca.fmax(d.peak_speed, ca.fmin(speed, d.no_load_speed))
-    return speed
 
 
 @dataclass(frozen=True)

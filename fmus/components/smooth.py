@@ -6,7 +6,7 @@ import casadi as ca
 
 from fmus.contract import Scalar
 
-_INVERSE_ITERATIONS = 32  # the error falls by a factor of 3 at least
+_INVERSE_ITERATIONS = 6  # of Newton's method
 
 
 def ramp(z: Scalar, width: Scalar) -> Scalar:
@@ -48,12 +48,18 @@ def lowest(a: Scalar, b: Scalar, width: Scalar) -> Scalar:
 
 
 def ramp_inverse(y: Scalar, width: Scalar) -> Scalar:
-    """The z with ramp(z, width) = y, for y >= 0; fixed-point iteration, to rounding."""
-    part = ca.fmin(y / width, 0.5)
-    s: Scalar = 0
+    """The z with ramp(z, width) = y, for y >= 0, to rounding.
+
+    Where `ramp` is rounded, s = z/width solves s^3 (1 - s/2) = y/width. The root of s^3/2 = y/width is at
+    most 26 % above the solution. Newton's method for the ratio of both converges from there, because the
+    polynomial is convex.
+    """
+    above = (2 * ca.fmin(y / width, 0.5)) ** (1 / 3)
+    ratio: Scalar = 1
     for _ in range(_INVERSE_ITERATIONS):
-        s = (part / (1 - s / 2)) ** (1 / 3)
-    return width * s + ca.fmax(y - width / 2, 0)
+        excess = ratio**3 * (2 - above * ratio) - 1
+        ratio -= excess / (ratio**2 * (6 - 4 * above * ratio))
+    return width * above * ratio + ca.fmax(y - width / 2, 0)
 
 
 def unit_limited(z: Scalar, width: Scalar) -> Scalar:

@@ -23,12 +23,12 @@ from fmus.package_files import data, shipped_folder
 from fmus.parameters import ParameterSet, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import FMI3, VARIANTS
 
 __all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
 
 STEP = 1e-3  # default communication step [s]
-SUBFOLDERS = {2: "", 3: "fmi3"}  # version of FMI -> folder of the FMUs
-VARIANTS = "variants"  # sub-folder with every variant of every part, as part_variant.fmu
+SUBFOLDERS = {2: "", 3: FMI3}  # version of FMI -> folder of the FMUs
 
 
 def build_machine(

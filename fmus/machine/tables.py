@@ -18,11 +18,10 @@ from fmus.controller import CONTROLLER
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, complete, numbers, padded, read, row_text, row_value, rows
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import VARIANTS, Location
 from orchestrator.fmi.description import read_interface
 
 Costs = Mapping[tuple[str, str], float]  # (part, variant) -> time per step [us]
-VARIANTS = "variants"  # sub-folder of the variants of a part, next to the default one
 CALL_COST = 0.1  # us: cost of the call itself; ratios to a lower cost are not printed
 LEGEND = "\n".join(f"{source:<11} {meaning}" for source, meaning in SOURCES.items())
 

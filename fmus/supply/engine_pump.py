@@ -175,7 +175,9 @@ def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Eng
 def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dict[str, Scalar]:
     """Initial state without flow into the drives: pumps at dead head, engine at idle speed."""
     tank, engine = p.reservoir_pressure, DieselEngine.of(p, "engine")
-    speed = engine_and_pump.idle_speed(engine, lambda w: _idle_load(p, w))
+    speed = engine.no_load_speed
+    for _ in range(engine_and_pump.ITERATIONS):
+        speed = engine_and_pump.idle_speed(engine, _idle_load(p, speed), speed)
     (stroke_1, pressure_1), (stroke_2, pressure_2) = (
         engine_and_pump.dead_head(d, speed, tank) for d in p.pumps
     )

@@ -34,7 +34,7 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fmus.components import engine_and_pump, load_sensing
@@ -54,7 +54,7 @@ from fmus.supply.variables import (
     supply_flow,
 )
 
-_ITERATIONS = 8  # of the check valve at standby; each gains two digits
+_ITERATIONS = 20  # of check valve and engine at standby; each gains about a digit
 
 
 class MainPump(Group):
@@ -214,41 +214,48 @@ def _standby_line(p: LoadSensingParameters) -> Scalar:
     return limited(load_sensing.highest(closed, closed), p, p.pressure_cut_off).value
 
 
-def _standby(p: LoadSensingParameters, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Stroke, outlet pressure and supply pressure [Pa] at standby: the flow only covers leakage.
+@dataclass(frozen=True)
+class _Standby:
+    """Standby: speed [rad/s], stroke, outlet and supply pressure [Pa], torque [N.m] of the pump."""
 
-    The check valve passes the leakage of the supply line with a drop z, so both leakages together are
-    k + k_l (1 - z/dp) per pressure rise dp of the pump.
+    speed: Scalar
+    stroke: Scalar
+    pump_pressure: Scalar
+    supply_pressure: Scalar
+    load: Scalar
+
+
+def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | None = None) -> _Standby:
+    """Standby at a speed, or at the idle speed of an engine, searched from `speed`.
+
+    The flow of the pump only covers leakage. The check valve passes the leakage of the supply line with a
+    drop z, so both leakages together are k + k_l (1 - z/dp) per pressure rise dp of the pump.
     """
     tank, pump = p.reservoir_pressure, p.pump(_standby_line(p))
-    drop: Scalar = 0
-    for _ in range(_ITERATIONS):
-        rise = engine_and_pump.dead_head(pump, speed, tank)[1] - tank
-        passed = p.rail_leakage * (rise - drop)
-        drop = ramp_inverse(passed * p.main_pump_check_resistance, p.check_opening)
-        pump = replace(pump, leakage=p.main_pump_leakage + passed / rise)
-    stroke, pressure = engine_and_pump.dead_head(pump, speed, tank)
-    return stroke, pressure, pressure - drop
-
-
-def _standby_load(p: LoadSensingParameters, speed: Scalar) -> Scalar:
-    """Torque [N.m] of the pump at standby."""
-    stroke, pressure, _ = _standby(p, speed)
-    return engine_and_pump.torque(p.pump(_standby_line(p)), stroke, speed, pressure - p.reservoir_pressure)
+    passed: Scalar = 0  # leakage of the supply line per pressure rise of the pump
+    for iteration in range(_ITERATIONS):
+        leaking = replace(pump, leakage=pump.leakage + passed)
+        stroke, pressure = engine_and_pump.dead_head(leaking, speed, tank)
+        rise = pressure - tank
+        drop = ramp_inverse(passed * rise * p.main_pump_check_resistance, p.check_opening)
+        passed = p.rail_leakage * (1 - drop / rise)
+        load = engine_and_pump.torque(pump, stroke, speed, rise)
+        if engine is not None and iteration < _ITERATIONS - 1:
+            speed = engine_and_pump.idle_speed(engine, load, speed)
+    return _Standby(speed, stroke, pressure, pressure - drop, load)
 
 
 def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
     """Standby: all valves closed, engine at idle speed under the small load of the pump."""
     engine = DieselEngine.of(p, "engine")
-    speed = engine_and_pump.idle_speed(engine, lambda w: _standby_load(p, w))
-    stroke, pump_pressure, supply_pressure = _standby(p, speed)
+    found = _standby(p, engine.no_load_speed, engine)
     return {
-        "supply_pressure": supply_pressure,
+        "supply_pressure": found.supply_pressure,
         "load_sensing_pressure": _standby_line(p),
-        "pump_pressure": pump_pressure,
-        "pump_stroke": stroke,
-        "engine_speed": speed,
-        "engine_torque": engine_and_pump.governor_torque(engine, speed),
+        "pump_pressure": found.pump_pressure,
+        "pump_stroke": found.stroke,
+        "engine_speed": found.speed,
+        "engine_torque": engine_and_pump.governor_torque(engine, found.speed),
         "reservoir_volume": p.reservoir_volume_start,
     }
 
@@ -267,7 +274,7 @@ def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
         "engine_rated_torque exceeds torque_limit with the friction of the pump": p.engine_rated_torque
         - p.torque_limit
         - friction,
-        **rail.engine_requirements(p, _standby_load(p, idle), "the pump"),
+        **rail.engine_requirements(p, _standby(p, idle).load, "the pump"),
     }
 
 

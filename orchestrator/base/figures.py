@@ -443,17 +443,21 @@ def plot(figure: TraceFigure, name: str) -> Markup:
 
     name   what the figure shows, for readers who do not see it; the figure's title by default
 
-    The page must have `PLOT_SCRIPTS`, see `html_page.render`.
+    The page must have `plot_scripts`, see `html_page.render`.
     """
     name = figure.title or name
-    spec = Markup(
-        json.dumps(_spec(figure), separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
-    )
     return Markup(
         '<div class="plot" role="group" aria-label="{name}">{svg}'
         '<script type="application/json">{spec}</script>'
         "<details><summary>Extremes of {name}</summary>{table}</details></div>"
-    ).format(name=name, svg=still(figure, name), spec=Markup(spec), table=_extremes(figure).html())
+    ).format(
+        name=name, svg=still(figure, name), spec=script_data(_spec(figure)), table=_extremes(figure).html()
+    )
+
+
+def script_data(data: Any) -> Markup:
+    """Data as JSON for a script element; `<` is escaped, because it could end the element."""
+    return Markup(json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c"))
 
 
 def _extremes(figure: TraceFigure) -> TextTable:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+# sub-folders of what `harvester build` makes: all files for FMI 3.0, and in each folder the variants of parts
+FMI3, VARIANTS = "fmi3", "variants"
+
 # ---- limits of archives, and faults of their members -------------------------------------------------------
 
 # The largest FMUs in use have some 100 MB. Those with Python or Java inside have 1 GB and 20 000 files.

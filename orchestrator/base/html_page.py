@@ -59,11 +59,6 @@ def _groups(rows: Iterable[Any], name: str) -> list[tuple[Any, list[Any]]]:
     return list(groups.items())
 
 
-def script_data(data: Any) -> Markup:
-    """Data as JSON for a script element; `<` is escaped, because it could end the element."""
-    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
-
-
 def write_text(path: Path, text: str) -> Path:
     """Write a text file with the same bytes on every platform; its folder is made if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -35,7 +35,7 @@ def build(
     fmi: Annotated[
         str,
         typer.Option(
-            metavar="VERSION", help=("FMI version: 2, 3 or both; an FMU of MODEL always has version 2.")
+            metavar="VERSION", help="FMI version: 2, 3 or both; an FMU of MODEL always has version 2."
         ),
     ] = "both",
     platform: Annotated[

@@ -17,7 +17,7 @@ def identify(
         Path,
         typer.Argument(
             metavar="DIR",
-            help=("Folder of recordings: data files, each with a .toml that describes the columns."),
+            help="Folder of recordings: data files, each with a .toml that describes the columns.",
         ),
     ],
     out: Annotated[

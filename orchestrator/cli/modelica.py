@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from orchestrator.base.files import VARIANTS
 from orchestrator.cli.options import BUILD, app, system_file
 
 
@@ -42,5 +43,5 @@ def modelica(
     constants = ("supply_pressure", "tank_pressure", "payload_mass") if constant is None else constant
     if not files:
         system = system_file(None)
-        files = [system, system.with_suffix(".fmu"), *sorted((system.parent / "variants").glob("*.fmu"))]
+        files = [system, system.with_suffix(".fmu"), *sorted((system.parent / VARIANTS).glob("*.fmu"))]
     print(write_package(files, out, name, constants))

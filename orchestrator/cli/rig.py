@@ -16,7 +16,7 @@ def rig(
         Path,
         typer.Option(
             metavar="DIR",
-            help=("Folder for the recordings; it may contain earlier recordings, but no other files."),
+            help="Folder for the recordings; it may contain earlier recordings, but no other files.",
         ),
     ],
     machine: Annotated[

@@ -18,7 +18,7 @@ def sweep(
         Path,
         typer.Argument(
             metavar="STUDY.toml",
-            help=("Description of the study: what is varied, what is run, and which results are kept."),
+            help="Description of the study: what is varied, what is run, and which results are kept.",
         ),
     ],
     out: Annotated[

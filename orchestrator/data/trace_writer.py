@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 import secrets
@@ -464,7 +465,7 @@ class _Mat(_Csv):
         import scipy.io
 
         super().finish(check, origin)
-        rows = read_columns(Location(self._path), None).values if self.end == self.end else {}
+        rows = read_columns(Location(self._path), None).values if math.isfinite(self.end) else {}
         written, units = matlab_names(self._names), dict[str, Any]({TIME: "s"})
         content = dict[str, Any]({TIME: rows.get(TIME, np.zeros(0))})
         for name in self._names:

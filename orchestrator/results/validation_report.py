@@ -25,6 +25,7 @@ from orchestrator.base.figures import (
     TraceLine,
     TracePanel,
     plot,
+    script_data,
 )
 from orchestrator.base.text import NO_VALUE, display_unit, error_display_unit, number, percentage, typeset
 from orchestrator.base.units import convert, reader_unit
@@ -162,7 +163,7 @@ def render(report: Report) -> str:
         value=_value,
         figures=[(spec, plot(traces(spec, validation, report.trace), spec.title)) for spec in report.figures],
         plots=bool(report.figures),
-        motion=motion and not report.machine and html_page.script_data(frames(motion, report.ghost)),
+        motion=motion and not report.machine and script_data(frames(motion, report.ghost)),
         still=motion and still(motion),
         script=Markup((TEMPLATES / "motion.js").read_text(encoding="utf-8")),
     )

@@ -31,13 +31,14 @@ from markupsafe import Markup
 
 from orchestrator.base import html_page
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import FMI3, Location
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
 from orchestrator.fmi.description import FmuInterface
 from orchestrator.scene import drawing
 from orchestrator.scene.geometry import GROUND, geometry, pose_names, start
 from orchestrator.scene.view_description import (
+    CAVITATION,
     DriveMode,
     Gauge,
     SceneSignals,
@@ -73,7 +74,7 @@ def find_fmu(system: Path) -> Path | None:
 
     That of an SSP has the same name and is next to the file or in its subfolder fmi3.
     """
-    names = (system.with_suffix(".fmu"), system.parent / "fmi3" / f"{system.stem}.fmu")
+    names = (system.with_suffix(".fmu"), system.parent / FMI3 / f"{system.stem}.fmu")
     return next((path for path in names if path.is_file() and _module(load(path)) is not None), None)
 
 
@@ -214,7 +215,7 @@ def _scene(description: ViewDescription, system: System) -> dict[str, Any]:
 
 
 def _gauge(gauge: Gauge) -> dict[str, Any]:
-    return asdict(gauge) | {"factor": gauge.factor, "coloured": gauge.is_pressure}
+    return asdict(gauge) | {"factor": gauge.factor, "coloured": gauge.is_pressure, "cavitation": CAVITATION}
 
 
 def _schemes(light: Any, dark: Any) -> Iterable[tuple[str, Any]]:

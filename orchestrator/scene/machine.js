@@ -8,7 +8,6 @@ const LONGEST = 60000; // frames of saved commands, 10 min
 const REACH = 44; // of the knob of a stick, in its picture
 const PANELS = 100; // ms between two updates of numbers and charts
 const SPAN = 2000; // ms over which the real-time factor is measured
-const CAVITATION = 2e3; // Pa; below it oil cavitates
 
 // ---- levers, as in `view` (orchestrator/view/driving): keys as two sticks, response curve, pattern of ISO 10968
 
@@ -309,7 +308,7 @@ class Gauges {
       const text = Number.isFinite(shown) ? shown.toFixed(gauge.digits).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−") : "–";
       if (output.textContent !== text) output.textContent = text;
       bar.style.transform = `translateX(${100 * ends[0]}%) scaleX(${ends[1] - ends[0]})`;
-      const cavitates = gauge.coloured && value < CAVITATION;
+      const cavitates = gauge.coloured && value < gauge.cavitation;
       row.classList.toggle("hm-cavitates", cavitates);
       const label = cavitates ? "cavitates" : gauge.unit;
       if (unit.textContent !== label) unit.textContent = label;

@@ -20,7 +20,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.files import Location
+from orchestrator.base.files import VARIANTS, Location
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
@@ -30,7 +30,7 @@ from orchestrator.ssp.system import Component, Connection, Port, System, coerce
 
 # suffix of a time derivative -> suffixes of the variable that it is the derivative of
 DERIVATIVE_SUFFIXES = {"_rate": ("",), "_acceleration": ("_velocity", "_speed")}
-FOLDER, SUFFIX, MAKE = "variants", ".fmu", "harvester build"
+SUFFIX, MAKE = ".fmu", "harvester build"
 
 
 def with_swaps(system: System, swaps: Mapping[str, str | Path]) -> System:
@@ -76,7 +76,7 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
         raise Problem(
             f"{context}: expected a path to an .fmu: the system has no file and no folder of variants"
         )
-    folder, prefix = system_file.path.parent / FOLDER, f"{component.rpartition('.')[2]}_"
+    folder, prefix = system_file.path.parent / VARIANTS, f"{component.rpartition('.')[2]}_"
     file = folder / f"{prefix}{chosen}{SUFFIX}"
     if file.is_file():
         return Location(file)

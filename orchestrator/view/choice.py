@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.files import VARIANTS
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.scene.geometry import Geometry, Start, geometry, pose_names, start
 from orchestrator.scene.view_description import ViewDescription, view_description
@@ -15,7 +16,6 @@ from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps
 
 USUAL = "usual"  # label of the FMU in the system
-VARIANTS = "variants"  # folder next to the file of the system
 
 
 @dataclass(frozen=True)

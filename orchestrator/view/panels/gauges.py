@@ -13,10 +13,8 @@ from nicegui.element import Element
 from orchestrator.base.units import parse_unit
 from orchestrator.realtime.setup import Frame
 from orchestrator.scene.drawing import SCALE, colour
-from orchestrator.scene.view_description import Gauge, GaugeGroup, ViewDescription
+from orchestrator.scene.view_description import CAVITATION, Gauge, GaugeGroup, ViewDescription
 from orchestrator.view.session import SignalIndex
-
-CAVITATION = -5e4  # Pa, gauge pressure; below it the gauge shows "cavitates"
 
 
 class Gauges(Element, component="gauges.js"):
