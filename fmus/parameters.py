@@ -88,7 +88,7 @@ def read(path: Path, content: bytes | None = None) -> dict[str, dict[str, Number
     try:
         document = toml.read(path, path.read_bytes() if content is None else content).data
     except OSError as error:
-        raise Problem(f"{path}: expected a TOML file, got {error.strerror}") from None
+        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
     unknown = set(document) - {"parameters", "start"}
     if unknown:
         raise Problem(f"{path}: unknown table [{min(unknown)}], expected [parameters.*] and [start.*]")

@@ -24,16 +24,19 @@ DOCUMENTS = sorted(
 FETCHING = "//script/@src | //img/@src | //iframe/@src | //source/@src | //link[@rel != 'canonical']/@href"
 
 
-@pytest.fixture(scope="module")
-def site(fmu_dir, tmp_path_factory):
-    """The site, built as `make docs` does."""
-    folder = tmp_path_factory.mktemp("site")
+@pytest.fixture(scope="session")
+def site(fmu_dir, once):
+    """The site, built as `make docs` does, once for all test processes."""
+    return once("site", lambda folder: build_site(folder, fmu_dir / "harvester.ssp"))
+
+
+def build_site(folder, system):
+    """Build the site with the machine of a system on its home page."""
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-c", "docs", ".", str(folder)]
-    command += ["-D", f"machine_system={fmu_dir / 'harvester.ssp'}"]
+    command += ["-D", f"machine_system={system}"]
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return folder
 
 
 @pytest.fixture(scope="module")

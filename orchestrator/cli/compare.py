@@ -31,14 +31,14 @@ def compare(
         float | None,
         typer.Option(
             metavar="T",
-            help="Start of the time window [s]; default: that of the common time.",
+            help="Start of the time window [s]; default: start of the overlap.",
             parser=seconds,
         ),
     ] = None,
     stop: Annotated[
         float | None,
         typer.Option(
-            metavar="T", help="End of the time window [s]; default: that of the common time.", parser=seconds
+            metavar="T", help="End of the time window [s]; default: end of the overlap.", parser=seconds
         ),
     ] = None,
     out: Annotated[

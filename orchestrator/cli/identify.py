@@ -41,7 +41,7 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Parameter that the joint refinement may change, by its name in parameters.toml;"
+            help="Parameter that --joint may change, by its name in parameters.toml;"
             " repeatable; default: those that a work cycle excites.",
         ),
     ] = None,

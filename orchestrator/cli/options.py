@@ -179,8 +179,8 @@ Swap = Annotated[
         metavar="COMPONENT=FMU",
         help=(
             "Replace the FMU of a component by a variant, such as boom_stick=detailed, or by a "
-            "file, boom_stick=FILE.fmu; repeatable; default: the FMUs in the system (track also runs "
-            "the detailed machine)."
+            "file, boom_stick=FILE.fmu; repeatable; default: the FMUs in the system (in "
+            "`track` also the detailed machine)."
         ),
     ),
 ]

@@ -58,8 +58,8 @@ def track(
         typer.Option(
             metavar="X,Y,Z",
             help=(
-                "Point of a path of straight lines, instead of --path: forward, left, up [m], such "
-                "as 3.6,-2,1; repeat the option for two points or more."
+                "Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; "
+                "replaces --path; repeat for two points or more."
             ),
         ),
     ] = None,

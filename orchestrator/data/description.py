@@ -165,7 +165,7 @@ def read_description(path: Path) -> Description:
     except FileNotFoundError:
         raise Problem(f"{path}: expected a TOML file that describes the columns, got no such file") from None
     except OSError as error:
-        raise Problem(f"{path}: expected a TOML file, got {error.strerror}") from None
+        raise Problem(f"{path}: cannot be read: {error.strerror}") from None
     if not table.data.get("signals"):
         table.allow_only(Description.__dataclass_fields__)
         raise Problem(f"{path}: expected at least one table [signals.NAME], got none")

@@ -360,7 +360,7 @@ class _Csv:
 
     def check_alone(self) -> None:
         if not self._path.is_file() or self._path.stat().st_ino != self._identity:
-            raise Problem(f"{self._path}: expected one run that writes this file, got two")
+            raise Problem(f"{self._path}: another process has replaced or removed this file during the run")
 
 
 class _Parquet:
@@ -414,7 +414,7 @@ class _Parquet:
 
     def check_alone(self) -> None:
         if not self._mark.exists():
-            raise Problem(f"{self._folder}: expected one run that writes this folder, got two")
+            raise Problem(f"{self._folder}: another process has replaced or removed this folder during the run")
 
     def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
         import pyarrow as pa

@@ -51,7 +51,7 @@ def settle_at_time(
     return ()
 
 
-NO_EFFECT_REASON = "the command is in the dead band or beyond its range, or the controller is off"
+NO_EFFECT_REASON = "possible causes: dead band, command beyond its range, controller off"
 
 
 def no_effect_notes(plant: Plant, b: Array) -> tuple[str, ...]:

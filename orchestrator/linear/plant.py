@@ -190,7 +190,7 @@ class Plant:
                 return
             self.v += self.loop_inverse(self.blocks().d) @ residual
         raise Problem(
-            f"{self.system.name}: the values of the values of the connections have no solution: "
+            f"{self.system.name}: the equations of the connections did not converge: "
             f"{self._worst(residual)}"
         )
 

@@ -90,7 +90,7 @@ def _with_units(runs: list[Run]) -> list[Run]:
 DEFAULT_QUANTITIES = ("speed", "pressure", "angle")  # shown if the user names no signals
 # Range of a signal over the widest range of its quantity; below it the signal is at rest and has no NRMSE.
 AT_REST = 1e-3
-CONSTANT = "reference constant"
+CONSTANT = "constant reference"
 
 
 @dataclass(frozen=True)

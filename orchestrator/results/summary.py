@@ -125,7 +125,7 @@ def _missed(validation: Validation) -> Iterator[Text]:
         return
     failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
     failed.sort(key=lambda entry: -entry[0])
-    verb = "misses its limit" if len(failed) == 1 else "miss their limits"
+    verb = "exceeds its limit" if len(failed) == 1 else "exceed their limits"
     yield Text(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}", _COLOUR[False])
     yield from (Text(f"! {row.signal}: {miss_text(row)}") for _, row in failed)
     yield Text()

@@ -126,7 +126,7 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """No signal misses its limit."""
+        """No signal exceeds its limit."""
         return not self.failed
 
     @property

@@ -57,8 +57,8 @@ class SavitzkyGolay:
     def __post_init__(self) -> None:
         if self.degree < MAX_ORDER or self.size <= self.degree:
             raise Problem(
-                f"filter: window of {self.window:g} s at {self.rate:g} Hz is {self.size} samples,"
-                f" expected more than the degree {self.degree}, and a degree of {MAX_ORDER} or more"
+                f"filter: window of {self.window:g} s at {self.rate:g} Hz is {self.size} samples;"
+                f" expected {MAX_ORDER} <= degree < samples, got degree {self.degree}"
             )
 
     @property

@@ -31,7 +31,7 @@ for _id, _text, _threads in (
     ("archive.name", "Members have relative names with forward slashes and are inside of the archive", ()),
     ("archive.link", "No member is a symbolic link", ()),
     ("archive.method", "Members are deflated or stored, not encrypted", ()),
-    ("archive.twice", "All members have different names, also on systems that ignore case", ()),
+    ("archive.twice", "All members have different names, even if case is ignored", ()),
     ("archive.size", "The unpacked archive has a reasonable size", ()),
 ):
     ARCHIVE.rule(_id, _text, *_threads)(partial(_opening, _id))

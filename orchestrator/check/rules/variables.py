@@ -100,7 +100,7 @@ def start(subject: Subject) -> Iterator[Finding]:
             yield error(f"{v}: expected no start value ({reason}), got {' '.join(v.starts)[:40]}")
 
 
-@VARIABLES.rule("variable.reference", "Value references are integers, in FMI 3 unique ones")
+@VARIABLES.rule("variable.reference", "Value references are integers, and unique in FMI 3")
 def reference(subject: Subject) -> Iterator[Finding]:
     variables: dict[int, Variable] = {}
     for v in subject.model.variables:
@@ -381,7 +381,7 @@ def nominal(subject: Subject) -> Iterator[Finding]:
             yield warning(f"{v}: nominal: expected a positive number, got {value:g}")
 
 
-@VALUES.rule("value.enumeration", "Enumerations have distinct items, and their start values are items")
+@VALUES.rule("value.enumeration", "Items of an enumeration are distinct, and start values are among them")
 def enumeration(subject: Subject) -> Iterator[Finding]:
     model = subject.model
     items = {name: [value for _, value in declared.items] for name, declared in model.types.items()}
