@@ -414,7 +414,9 @@ class _Parquet:
 
     def check_alone(self) -> None:
         if not self._mark.exists():
-            raise Problem(f"{self._folder}: another process has replaced or removed this folder during the run")
+            raise Problem(
+                f"{self._folder}: another process has replaced or removed this folder during the run"
+            )
 
     def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
         import pyarrow as pa

@@ -190,8 +190,7 @@ class Plant:
                 return
             self.v += self.loop_inverse(self.blocks().d) @ residual
         raise Problem(
-            f"{self.system.name}: the equations of the connections did not converge: "
-            f"{self._worst(residual)}"
+            f"{self.system.name}: the equations of the connections did not converge: {self._worst(residual)}"
         )
 
     def _worst(self, residual: Array) -> str:

@@ -60,7 +60,9 @@ def test_the_procedures_write_parameters_and_a_page(capsys):
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize("names", [FREE[::3], pytest.param(FREE, marks=pytest.mark.long)], ids=["some", "all"])
+@pytest.mark.parametrize(
+    "names", [FREE[::3], pytest.param(FREE, marks=pytest.mark.long)], ids=["some", "all"]
+)
 def test_the_joint_refinement_returns_the_machine(capsys, names):
     """Parameters of the default set at once, from 60 s: nearly all intervals cover the truth."""
     for file in Path("mine").glob("*.toml"):
@@ -71,7 +73,9 @@ def test_the_joint_refinement_returns_the_machine(capsys, names):
     tables = found("joint.toml")
     assert set(tables) == {short_name(name, nominal()) for name in names}
     # 1.96 sd is the interval, up to a logarithm
-    far = [abs(table["value"] - lookup(name, nominal()).value) / table["sd"] for name, table in tables.items()]
+    far = [
+        abs(table["value"] - lookup(name, nominal()).value) / table["sd"] for name, table in tables.items()
+    ]
     # one in 20 misses on average: more than 2 of 6 once in 500 such sets, more than 4 of 17 once in 400
     assert sum(d > 1.96 for d in far) <= {6: 2, 17: 4}[len(names)]
     assert max(far) < 5
