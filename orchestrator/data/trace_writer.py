@@ -360,7 +360,7 @@ class _Csv:
 
     def check_alone(self) -> None:
         if not self._path.is_file() or self._path.stat().st_ino != self._identity:
-            raise Problem(f"{self._path}: another process has replaced or removed this file during the run")
+            raise Problem(f"{self._path}: another process has replaced or removed this file")
 
 
 class _Parquet:
@@ -414,9 +414,7 @@ class _Parquet:
 
     def check_alone(self) -> None:
         if not self._mark.exists():
-            raise Problem(
-                f"{self._folder}: another process has replaced or removed this folder during the run"
-            )
+            raise Problem(f"{self._folder}: another process has replaced or removed this folder")
 
     def finish(self, check: Callable[[], None], origin: str) -> tuple[Path, str]:
         import pyarrow as pa
