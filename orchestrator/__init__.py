@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from orchestrator.engine.run import run
     from orchestrator.linear.linearize import linearize
     from orchestrator.linear.model import Linear, LinearModel
+    from orchestrator.monolithic.reference import reference
     from orchestrator.results.comparison import compare
     from orchestrator.results.validation import Validation, validate
     from orchestrator.ssp.assembly import assemble
@@ -47,6 +48,7 @@ _MODULES = {
     "engine.run": "run",
     "linear.linearize": "linearize",
     "linear.model": "Linear LinearModel",
+    "monolithic.reference": "reference",
     "results.comparison": "compare",
     "results.validation": "Validation validate",
     "ssp.assembly": "assemble",
