@@ -101,8 +101,8 @@ def test_four_ways_through_each_part_agree(fmu_dir, fmi3_dir, name):
 
 
 LEVERS = {"harvester": COMMANDS, "swing": COMMANDS[:1], "boom_stick": COMMANDS[1:]}
-# all of them in FMI 3; the ends of both ranges in FMI 2, where the same C code makes the steps and events, and for
-# the machine in one block, which takes longest
+# all of them in FMI 3; the ends of both ranges in FMI 2, where the same C code makes the steps and events,
+# and for the machine in one block, which takes longest
 VOLTS = {2: (1.0, 6.0), 3: (1.0, 2.0, 4.0, 6.0)}
 INTERVALS = {2: (1e-3, 5e-2), 3: (1e-3, 1e-2, 2e-2, 5e-2)}
 
