@@ -23,7 +23,7 @@ demo: $(INSTALLED)
 	$(BIN)/harvester validate
 
 test: $(TESTING)
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 test-long: $(TESTING)
 	$(BIN)/python -m pytest -n 2 -m long -s
