@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
+import os
 import re
 import sys
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from io import TextIOWrapper
-from typing import Any, TextIO
+from typing import Any, NoReturn, TextIO
 
 from orchestrator.base.errors import Problem, Stopped, one_line
 from orchestrator.base.extras import extra_of, install
@@ -85,5 +87,21 @@ def _told(error: Exception) -> int:
     return 2
 
 
+def script() -> NoReturn:
+    """Run the command line as a program.
+
+    After an interrupt the process ends at once, after what is registered for its end: a thread of Arrow that
+    waits for Python at that moment would abort it (github.com/apache/arrow, issue 34314).
+    """
+    status = main()
+    if status == INTERRUPTED:
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):  # nobody reads
+                stream.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    script()

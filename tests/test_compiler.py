@@ -11,7 +11,7 @@ import pytest
 from orchestrator.base import compiler
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="owners and permissions of POSIX")
-CODE, ARGUMENTS = {"one.c": b"int one(void) { return 1; }"}, ["-shared", "-fPIC", "one.c"]
+CODE, ARGUMENTS = {"one.c": b"int one(void) { return 1; }"}, ["-shared", "-fPIC", "-nostdlib", "one.c"]
 
 
 @pytest.fixture

@@ -36,8 +36,8 @@ def compare(path: Path, found: dict[str, np.ndarray], expected: dict[str, np.nda
 
 
 def work_cycle() -> list[Piece]:
-    """The commands, linear between their corners; each with its rate."""
-    time, commands = sample(WORK_CYCLE, WORK_CYCLE_STOP)
+    """The commands of the first 18 s, linear between their corners; each with its rate."""
+    time, commands = (samples[: 18 * 200 + 1] for samples in sample(WORK_CYCLE, WORK_CYCLE_STOP))
     pieces = []
     for a, b in pairwise(breakpoints(time, commands)):
         terms = {}
@@ -49,7 +49,7 @@ def work_cycle() -> list[Piece]:
 
 
 def test_four_ways_through_the_work_cycle_agree(fmu_dir, fmi3_dir):
-    """harvester.fmu, all equations of the machine, over 42 s: every output within 1e-8 of its range."""
+    """harvester.fmu, all equations of the machine, over 18 s: every output within 1e-8 of its range."""
     old, new = fmu_dir / "harvester.fmu", fmi3_dir / "harvester.fmu"
     pieces, step = work_cycle(), 0.1  # all corners lie on it; the solvers make their own steps inside
     exact = integrated(old, pieces, EXCHANGE, step)
@@ -101,7 +101,8 @@ def test_four_ways_through_each_part_agree(fmu_dir, fmi3_dir, name):
 
 
 LEVERS = {"harvester": COMMANDS, "swing": COMMANDS[:1], "boom_stick": COMMANDS[1:]}
-# all of them in FMI 3; in FMI 2, where the same C code makes the steps and events, the ends of both ranges
+# all of them in FMI 3; the ends of both ranges in FMI 2, where the same C code makes the steps and events,
+# and for the machine in one block, which takes longest
 VOLTS = {2: (1.0, 6.0), 3: (1.0, 2.0, 4.0, 6.0)}
 INTERVALS = {2: (1e-3, 5e-2), 3: (1e-3, 1e-2, 2e-2, 5e-2)}
 
@@ -153,7 +154,8 @@ def test_a_plain_cvode_user_gets_through_every_stroke(fmu_dir, fmi3_dir, name, f
     """
     path = {2: fmu_dir, 3: fmi3_dir}[fmi] / f"{name}.fmu"
     runs = []
-    for case in product(LEVERS[name], VOLTS[fmi], INTERVALS[fmi]):
+    which = 2 if name == "harvester" else fmi
+    for case in product(LEVERS[name], VOLTS[which], INTERVALS[which]):
         exact, found = held(path, *case), exchanged(path, *case)
         at = np.searchsorted(found["time"], exact["time"] - 1e-9)
         on = np.abs(found["time"][np.minimum(at, found["time"].size - 1)] - exact["time"]) < 1e-9

@@ -134,11 +134,12 @@ def test_consistent_start_agrees(model):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
-@pytest.fixture(scope="module")
-def scenario():
-    """Time (n,) and the three commands (n, 3) of the work cycle."""
+@pytest.fixture(scope="module", params=[18.0, pytest.param(42.0, marks=pytest.mark.long)])
+def scenario(request):
+    """Time (n,) and the three commands (n, 3) of the work cycle; by 18 s all axes have moved both ways."""
     path = DATA / "scenarios" / "work_cycle.csv"
     table = np.genfromtxt(path, delimiter=",", names=True)
+    table = table[table["time"] <= request.param]
     return table["time"], np.column_stack([table[f"{name}_command"] for name in ("swing", "boom", "stick")])
 
 
@@ -190,4 +191,4 @@ def test_reference_trace_is_this_trajectory(trajectory):
             assert not ours.any()  # no payload
             continue
         # integrator error 2e-8 of range at the trace's tolerance of 1e-11, and its nine digits
-        assert np.abs(trace[name] - ours).max() < 1e-7 * np.ptp(ours), name
+        assert np.abs(trace[name][: len(ours)] - ours).max() < 1e-7 * np.ptp(ours), name

@@ -148,7 +148,11 @@ def test_a_program_without_python_runs_it(tmp_path):
     assert done.splitlines() == ["value 0.10000000000000001"] * 2 + ["done"]
 
 
-@pytest.mark.parametrize("platform", PLATFORMS)
+# the first library for Windows takes a minute: its C library is compiled as well
+SLOW = {"x86_64-windows": pytest.mark.long}
+
+
+@pytest.mark.parametrize("platform", [pytest.param(p, marks=SLOW.get(p, ())) for p in PLATFORMS])
 def test_there_is_a_library_for_each_platform(platform):
     """The library compiles for all platforms without a warning, and needs no library of Python."""
     parsed = lief.parse(list(library(platform)))  # it has to outlive its libraries

@@ -17,11 +17,9 @@ JOINTS = ("swing", "boom", "stick")
 TRAINED = [name for name in MACHINE_EXPERIMENTS if name != "machine_test"]
 EACH = [
     *(pytest.param(name, "lumped", id=f"lumped-{name}") for name in MACHINE_EXPERIMENTS),
-    pytest.param("damping_boom_2", "detailed", id="detailed-damping_boom_2"),
     *(
         pytest.param(name, "detailed", id=f"detailed-{name}", marks=pytest.mark.long)
         for name in MACHINE_EXPERIMENTS
-        if name != "damping_boom_2"
     ),
 ]
 

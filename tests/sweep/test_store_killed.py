@@ -34,7 +34,7 @@ def command(file: Path, out: Path, **environment: str) -> subprocess.Popen[str]:
     arguments = ["sweep", str(file), "--out", str(out), "--no-report"]
     # a process that was started in the background would ignore Ctrl-C: its handler is set again
     begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    begin += f"import sys; from orchestrator.__main__ import main; sys.exit(main({arguments!r}))"
+    begin += f"import sys; sys.argv[1:] = {arguments!r}; from orchestrator.__main__ import script; script()"
     pipe = subprocess.PIPE
     return subprocess.Popen(
         [sys.executable, "-c", begin],

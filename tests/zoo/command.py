@@ -17,7 +17,7 @@ LONG = 120.0  # [s]; only a test that fails waits for it
 OBEYED = 2.0  # [s] from Ctrl-C to the end of the command
 VANISH = 3.0  # [s] for processes that have been killed, and for the last of their files
 MARK = "HARVESTER_ZOO"  # environment variable by which all descendants are found, also in other sessions
-MAIN = "import sys; from orchestrator.__main__ import main; {}; sys.exit(main())"
+MAIN = "import sys; from orchestrator.__main__ import script; {}; script()"
 
 
 @dataclass(frozen=True)

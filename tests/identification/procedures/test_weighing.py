@@ -127,7 +127,7 @@ def test_motion_one_way_is_refused():
         identify([recording(300.0, 1, up_only=True)], KNOWN)
 
 
-@pytest.mark.parametrize("machine", ["lumped", "detailed"])
+@pytest.mark.parametrize("machine", ["lumped", pytest.param("detailed", marks=pytest.mark.long)])
 def test_payload_of_the_rig_is_weighed_within_one_percent(machine, tmp_path):
     """300 kg in the head of either machine, also if the head swings and the cylinder sticks."""
     for name in ("weighing_empty", "weighing_loaded"):

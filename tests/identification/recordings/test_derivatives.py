@@ -87,5 +87,5 @@ def test_derivatives_of_a_signal_have_its_sensors_noise(recording):
 
 def test_window_that_is_too_short_is_refused(recording):
     """A cubic needs more than three samples."""
-    with pytest.raises(Problem, match=r"window of 0\.01 s at 200 Hz is 3 samples, expected more than"):
+    with pytest.raises(Problem, match=r"window of 0\.01 s at 200 Hz is 3 samples; expected 2 <= degree"):
         filter_for(recording(x=np.zeros(50)), 0.01)
