@@ -8,7 +8,8 @@ write_trace(result.trace, "build/trace.csv")
 print(validate(result, "data/reference/work_cycle.csv").verdict)
 
 `load` reads a system, `assemble` makes one from FMUs, `write_ssp` writes it. `compare` compares traces,
-`sweep` runs a `Study`, `linearize` computes A, B, C, D and modes at an operating point.
+`sweep` runs a `Study`, `linearize` computes A, B, C, D and modes at an operating point, `reference` solves a
+system as one ODE.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 __all__ = [
     "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Recording",
     "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble", "compare", "linearize",
-    "load", "read", "read_recording", "read_study", "read_trace", "run", "sweep", "validate", "with_swaps",
-    "write", "write_ssp", "write_trace",
+    "load", "read", "read_recording", "read_study", "read_trace", "reference", "run", "sweep", "validate",
+    "with_swaps", "write", "write_ssp", "write_trace",
 ]  # fmt: skip
 
 

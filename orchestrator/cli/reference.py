@@ -29,8 +29,9 @@ def reference(
         float, typer.Option(metavar="H", help="Time between recorded points [s].", parser=seconds)
     ] = 5e-3,
     tolerance: Annotated[
-        float, typer.Option(metavar="TOL", help="Relative tolerance of the solver, 1e-14 to 1e-2.", parser=number)
-    ] = 1e-11,
+        float,
+        typer.Option(metavar="TOL", help="Relative tolerance of the solver, 1e-14 to 1e-2.", parser=number),
+    ] = 1e-13,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="File for the trace (.csv, .parquet, .mat).")
     ] = BUILD / "reference.csv",

@@ -1,7 +1,7 @@
 """FMU instance for Model Exchange, in which states and time can be set.
 
-Linearisation and monolithic solution need Model Exchange because the states of an FMU for Co-Simulation cannot
-be set. Time derivatives of states are variables, which `RunningFmu.reader` reads.
+Linearisation and monolithic solution need Model Exchange, because the states of an FMU for Co-Simulation
+cannot be set. Time derivatives of states are variables, which `RunningFmu.reader` reads.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, address
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.description import read_interface
+
 
 class ExchangeFmu(RunningFmu):
     """A running FMU for Model Exchange: in event mode after `exit`."""

@@ -15,8 +15,8 @@ from orchestrator.fmi.description import Value
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
-from orchestrator.monolithic.plant import Array
 from orchestrator.linear.steady_state import find_steady_state
+from orchestrator.monolithic.plant import Array
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.provenance import built_notes

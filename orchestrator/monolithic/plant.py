@@ -25,6 +25,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.engine.network import initialise
 from orchestrator.fmi.calls import Call, Slave
+from orchestrator.fmi.description import Value
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.ssp.system import Connection, Inlet, Port, System
 
@@ -100,7 +101,6 @@ class PlantComponent:
             return self._linearisation.matrix()
         p = self._plant
         return differences(self.evaluate, (p.x[self.x], p.v[self.v]), (p.f[self.x], p.y[self.y]))
-
 
     def feedthrough(self) -> Array:
         """dy / dv of this component; leaves the states as they are, as event mode requires."""
@@ -348,7 +348,7 @@ class Plant:
             first += count
 
     def completed_step(self, time: float, x: Array) -> bool:
-        """Tell the components that the solver has accepted a step to a time [s] and a state; True for an event.
+        """Tell the components that the solver has accepted a step, to a time [s]; True for an event.
 
         Inputs keep the values of the last evaluation.
         """

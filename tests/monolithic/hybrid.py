@@ -56,7 +56,15 @@ def build(folder: Path, model: str, version: int = 2) -> Path:
     """The FMU `model` for FMI 2.0 or 3.0."""
     library = folder / f"{model}{version}.so"
     command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-DFMI={version}"]
-    command += ["-DFMI3_OVERRIDE_FUNCTION_PREFIX", "-isystem", str(HEADERS), str(SOURCE), "-o", str(library), "-lm"]
+    command += [
+        "-DFMI3_OVERRIDE_FUNCTION_PREFIX",
+        "-isystem",
+        str(HEADERS),
+        str(SOURCE),
+        "-o",
+        str(library),
+        "-lm",
+    ]
     subprocess.run(command, check=True, capture_output=True)
     path = folder / f"{model}{version}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
@@ -85,13 +93,17 @@ def _variables(model: str, version: int) -> str:
     index = {v[5]: k for k, v in enumerate(MODELS[model], 1)}
     rows = []
     if version == 3:
-        rows.append('<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>')
+        rows.append(
+            '<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>'
+        )
     for name, kind, causality, variability, start, reference in MODELS[model]:
         own = f'start="{str(start).lower()}"' if start is not None else ""
         if reference in derivatives:
             state = derivatives[reference]
             own += f' derivative="{index[state] if version == 2 else state}"'
-        common = f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
+        common = (
+            f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
+        )
         if reference in STATES.get(model, {}):
             common += ' initial="exact"'
         if version == 2:
@@ -110,9 +122,13 @@ def _structure(model: str, version: int) -> str:
             knowns = DEPENDS.get((model, reference), [*STATES.get(model, {})])
             if version == 2:
                 knowns = [index[k] for k in knowns]
-                rows.append(f'<Unknown index="{index[reference]}" dependencies="{" ".join(map(str, knowns))}"/>')
+                rows.append(
+                    f'<Unknown index="{index[reference]}" dependencies="{" ".join(map(str, knowns))}"/>'
+                )
             else:
-                dependencies = "" if element == "EventIndicator" else f' dependencies="{" ".join(map(str, knowns))}"'
+                dependencies = (
+                    "" if element == "EventIndicator" else f' dependencies="{" ".join(map(str, knowns))}"'
+                )
                 rows.append(f'<{element} valueReference="{reference}"{dependencies}/>')
         return "".join(rows)
 

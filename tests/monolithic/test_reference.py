@@ -117,7 +117,7 @@ def test_a_loop_without_solution_is_told(fmu):
 @pytest.mark.parametrize("tolerance", [0.0, 1e-20, 1.0, inf])
 def test_a_tolerance_out_of_range_is_refused(fmu, tolerance):
     """Below rounding, or so large that it is no reference."""
-    with pytest.raises(Problem, match="tolerance .*: expected 1e-14 to 1e-2"):
+    with pytest.raises(Problem, match=r"tolerance .*: expected 1e-14 to 1e-2"):
         reference(fmu("ball", 2), tolerance=tolerance)
 
 
@@ -131,7 +131,9 @@ CYCLE = {"time": [0.0, 0.5, 0.8, 1.4, 1.6, 3.0], **{name: volts * STROKE for nam
 def largest(a, b, names):
     """Largest difference of two traces over the range of each signal."""
     ranges = {n: float(np.ptp(b[n])) for n in names}
-    return max(float(np.abs(a[n] - b[n]).max()) / r for n, r in ranges.items() if r > 1e-6 * np.abs(b[n]).max() > 0)
+    return max(
+        float(np.abs(a[n] - b[n]).max()) / r for n, r in ranges.items() if r > 1e-6 * np.abs(b[n]).max() > 0
+    )
 
 
 def test_the_machine_in_parts_is_the_machine_in_one_block(fmu_dir, fmi3_dir):
@@ -147,5 +149,5 @@ def test_the_machine_in_parts_is_the_machine_in_one_block(fmu_dir, fmi3_dir):
         assert len(common) > 40
         of_whole = {n: whole[f"harvester.{n}"] for n in common}
         of_parts = {n: parts[names[n]] for n in common}
-        # at a tolerance of 1e-11 the error of each solution is 1e-8 of range in the worst signal
+        # measured 2e-8 in a void volume, whose error a cavity amplifies; 5e-7 at a tolerance of 1e-12
         assert largest(of_parts, of_whole, common) < 1e-7
