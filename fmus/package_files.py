@@ -32,7 +32,7 @@ from orchestrator.base.xml import package_version
 PACKAGE = Path(__file__).parent
 BUILT = PACKAGE / "built.tar.xz"  # what `harvester build --platform all` makes; only in the wheel
 ZIPS = (".fmu", ".ssp")
-OF_FMI3 = f"{FMI3}/"  # begin of the names of the last members of the archive
+OF_FMI3 = f"{FMI3}/"  # prefix of the last members of the archive
 
 
 def project_file(name: str) -> Path | None:

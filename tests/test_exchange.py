@@ -37,7 +37,8 @@ def compare(path: Path, found: dict[str, np.ndarray], expected: dict[str, np.nda
 
 def work_cycle() -> list[Piece]:
     """The commands of the first 18 s, linear between their corners; each with its rate."""
-    time, commands = (samples[: 18 * 200 + 1] for samples in sample(WORK_CYCLE, WORK_CYCLE_STOP))
+    time, commands = sample(WORK_CYCLE, WORK_CYCLE_STOP)
+    time, commands = time[time <= 18.0], commands[time <= 18.0]
     pieces = []
     for a, b in pairwise(breakpoints(time, commands)):
         terms = {}

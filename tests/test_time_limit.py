@@ -16,7 +16,7 @@ HANGS = {
 }
 
 
-@pytest.mark.parametrize("name", HANGS)
+@pytest.mark.parametrize("name", [pytest.param("in_python", marks=pytest.mark.long), "in_c"])
 def test_a_test_that_never_ends_is_named_with_its_stack(name: str, tmp_path: Path) -> None:
     """By the settings of this project, with shorter limits."""
     file = tmp_path / f"test_{name}.py"

@@ -1,6 +1,6 @@
 """Makes the files of a release in dist/: wheel, sdist, and a zip for people without Python.
 
-    python tools/release.py            all platforms; the first time 10 minutes on two cores
+    python tools/release.py            all platforms; some seven minutes on two cores
     python tools/release.py host       a try, for this computer only
 
 1. The files of the last commit are copied to build/release, so that nothing else gets into the release.

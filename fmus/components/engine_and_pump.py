@@ -61,7 +61,7 @@ from fmus.contract import Group, Quantity, Scalar
 _ROUNDING = 0.02  # fraction of full fuel over which both limits of the fuel are rounded
 _SPEED_ROUNDING = 1.0  # rad/s, far below idle speed; below, the dry friction falls to zero
 _LEAST_TORQUE = 0.1  # fraction of the rated torque: lower bound of the parabola outside its range
-ITERATIONS = 12  # of the search for the idle speed
+ITERATIONS = 12  # of `idle_speed`; each gains two digits, because torques depend little on the speed
 _BEYOND = 2.0  # stroke at which the hyperbola of the power limit ends; above 1 it limits nothing
 _PRESSURE_ROUNDING = 1e4  # Pa; below, the pressure-dependent friction falls to zero
 
@@ -102,10 +102,9 @@ def governor_torque(d: DieselEngine, speed: Scalar) -> Scalar:
 
 
 def idle_speed(d: DieselEngine, load: Scalar, guess: Scalar) -> Scalar:
-    """Steady speed [rad/s] under a load [N.m]: one iteration from a guess, a fixed point of which it is.
+    """One fixed-point iteration for the steady speed [rad/s] under a load [N.m], from a guess.
 
-    Within the range of the governor, also for an engine that is too weak. The guess is off by a hundredth of
-    what it was after each iteration, because torques depend little on the speed.
+    The result is in the range of the governor, also for an engine that is too weak.
     """
     net, friction = net_torque(d, guess), engine_friction(d, guess)
     z = unit_limited_inverse((load + friction) / (net + friction), _ROUNDING)

@@ -6,7 +6,7 @@ import casadi as ca
 
 from fmus.contract import Scalar
 
-_INVERSE_ITERATIONS = 6  # of Newton's method
+_INVERSE_ITERATIONS = 6  # of Newton's method, from an error of 26 % to rounding
 
 
 def ramp(z: Scalar, width: Scalar) -> Scalar:

@@ -87,7 +87,7 @@ class Coupling:
             raise Problem(f"smallest and largest step: expected 0 < smallest <= largest, got {got}")
         for name, factor in self.factors.items():
             if factor < 1 or factor != int(factor):
-                raise Problem(f"factor of {name}: expected a whole number of steps from 1 on, got {factor}")
+                raise Problem(f"factor of {name}: expected a whole number of steps >= 1, got {factor}")
         self._refuse_without_effect()
 
     def _refuse_without_effect(self) -> None:

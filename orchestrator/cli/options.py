@@ -220,8 +220,8 @@ class RunOptions:
             metavar="FILE",
             help=(
                 "Inputs over time (.csv, .parquet, .mat); default: the inputs in the system, such "
-                "as the work cycle in harvester.ssp; validate with --reference plays the commands "
-                "of the reference."
+                "as the work cycle in harvester.ssp; for validate --reference: the commands of the "
+                "reference."
             ),
         ),
     ] = None

@@ -137,7 +137,7 @@ def as_trace(data: Data, name: str = "data") -> Trace:
         try:
             values[str(column)] = np.atleast_1d(np.asarray(table[column], dtype=np.float64))
         except (TypeError, ValueError) as error:
-            raise Problem(f"{name}: column {column!r}: expected numbers, got {error}") from None
+            raise Problem(f"{name}: column {column!r}: expected numbers: {error}") from None
     for column, samples in values.items():
         for k in np.flatnonzero(np.isinf(samples))[:1]:
             raise Problem(

@@ -120,12 +120,12 @@ def summary(validation: Validation) -> Summary:
 
 
 def _missed(validation: Validation) -> Iterator[Text]:
-    """The signals that exceed their limits, the worst first."""
+    """The signals outside their limits, the worst first."""
     if validation.passed:
         return
     failed = [(row.limit_use, row) for row in validation.failed if row.tolerance]
     failed.sort(key=lambda entry: -entry[0])
-    verb = "exceeds its limit" if len(failed) == 1 else "exceed their limits"
+    verb = "is outside its limit" if len(failed) == 1 else "are outside their limits"
     yield Text(f"FAIL: {len(failed)} of {len(validation.judged)} signals {verb}", _COLOUR[False])
     yield from (Text(f"! {row.signal}: {miss_text(row)}") for _, row in failed)
     yield Text()

@@ -126,7 +126,7 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """No signal exceeds its limit."""
+        """All signals are within their limits."""
         return not self.failed
 
     @property

@@ -20,8 +20,9 @@ from orchestrator.base.units import parse_unit, reader_unit
 from orchestrator.ssp.system import System
 
 FILE = "view.toml"
+# Pa, gauge pressure; below it a gauge shows "cavitates": a cavity of some 2 mL (fmus/components/chamber.py)
+CAVITATION = -5e4
 MOST_GAUGES, MOST_CHARTS, MOST_CURVES = 24, 3, 7  # for a system without the file
-CAVITATION = -5e4  # Pa, gauge pressure; below it a gauge shows "cavitates"
 RANGE = 200.0  # range of its gauges, in the displayed unit
 PAIR, SOME = Rule("two texts", lambda value: len(value) == 2), Rule("a list that is not empty", bool)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7d7d7d", "#cc79a7", "#e69f00", "#56b4e9")  # Okabe and Ito 2008

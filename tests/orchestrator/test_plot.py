@@ -226,7 +226,7 @@ def test_a_scenario_can_be_a_mapping_or_a_data_frame(body, tmp_path):
             {**RAMP, "force": [0, 1]},
             r"scenario: column 'force': expected a vector .* got shape \(2,\), and \(3,\)",
         ),
-        ({**RAMP, "force": ["x", 0, 1]}, r"scenario: column 'force': expected numbers, got"),
+        ({**RAMP, "force": ["x", 0, 1]}, r"scenario: column 'force': expected numbers: "),
         ({**RAMP, "time": [0, 0, 1]}, r"scenario: row 2: expected a time after 0.0 s, got 0.0"),
         ({**RAMP, "force": [0, np.nan, 1]}, r"scenario: row 2: column 'force': expected a number, got none"),
         ({**RAMP, "force": [0, np.inf, 1]}, r"scenario: row 2: column 'force': expected a finite number"),

@@ -32,8 +32,8 @@ def test_every_master_has_a_name_and_an_order():
             {"adaptive": 1e-3, "smallest": 0.2},
             "smallest and largest step: expected 0 < smallest <= largest, got 0.2 s and 0.1 s",
         ),
-        ({"factors": {"a": 0}}, "factor of a: expected a whole number of steps from 1 on, got 0"),
-        ({"factors": {"a": 1.5}}, "factor of a: expected a whole number of steps from 1 on, got 1.5"),
+        ({"factors": {"a": 0}}, "factor of a: expected a whole number of steps >= 1, got 0"),
+        ({"factors": {"a": 1.5}}, "factor of a: expected a whole number of steps >= 1, got 1.5"),
     ],
 )
 def test_a_wrong_value_is_told(choices, message):

@@ -65,7 +65,7 @@ def test_a_failed_run_says_first_what_missed_and_by_how_much(
     """Signal, value, limit and their ratio come first; the row is marked without colour too."""
     edited("limit = 0.01", "limit = 1e-20")
     lines = shown(validate(trace, read_recording(edited("limit = 2.0", "limit = 0.4")), rate=False))
-    assert lines[0] == "FAIL: 2 of 2 signals exceed their limits"
+    assert lines[0] == "FAIL: 2 of 2 signals are outside their limits"
     assert lines[1].startswith("! shaft.angle: NRMSE ")  # the worst first
     assert lines[2] == "! pump.pressure: max. error 1 bar, limit 0.4 bar (2.5 times)"
     assert lines[3] == ""
@@ -86,7 +86,7 @@ def test_a_failed_run_says_first_what_missed_and_by_how_much(
 def test_a_miss_in_the_words_of_its_metric(metric: str, limit: float, told: str) -> None:
     """Errors are multiples of the limit, ratings are differences from it, undefined metrics have a reason."""
     lines = shown(made(a__x=Tolerance(metric, limit)))
-    assert lines[:2] == ["FAIL: 1 of 1 signals exceeds its limit", f"! a.x: {told}"]
+    assert lines[:2] == ["FAIL: 1 of 1 signals is outside its limit", f"! a.x: {told}"]
 
 
 def test_signals_that_are_not_judged_come_last() -> None:

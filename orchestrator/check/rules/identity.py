@@ -40,7 +40,7 @@ COVERED = {
 }
 
 
-@DESCRIPTION_FILE.rule("xml.syntax", "modelDescription.xml is XML without document type")
+@DESCRIPTION_FILE.rule("xml.syntax", "modelDescription.xml is XML without a DOCTYPE")
 def syntax(subject: Subject) -> Iterator[Finding]:
     yield from (f for f in subject.faults if f.rule == "xml.syntax")
     root = subject.root
