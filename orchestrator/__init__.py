@@ -8,7 +8,8 @@ write_trace(result.trace, "build/trace.csv")
 print(validate(result, "data/reference/work_cycle.csv").verdict)
 
 `load` reads a system, `assemble` makes one from FMUs, `write_ssp` writes it. `compare` compares traces,
-`sweep` runs a `Study`, `linearize` computes A, B, C, D and modes at an operating point.
+`sweep` runs a `Study`, `linearize` computes A, B, C, D and modes at an operating point, `reference` solves a
+system as one ODE.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from orchestrator.engine.run import run
     from orchestrator.linear.linearize import linearize
     from orchestrator.linear.model import Linear, LinearModel
+    from orchestrator.monolithic.reference import reference
     from orchestrator.results.comparison import compare
     from orchestrator.results.validation import Validation, validate
     from orchestrator.ssp.assembly import assemble
@@ -47,6 +49,7 @@ _MODULES = {
     "engine.run": "run",
     "linear.linearize": "linearize",
     "linear.model": "Linear LinearModel",
+    "monolithic.reference": "reference",
     "results.comparison": "compare",
     "results.validation": "Validation validate",
     "ssp.assembly": "assemble",
@@ -61,8 +64,8 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 __all__ = [
     "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Recording",
     "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble", "compare", "linearize",
-    "load", "read", "read_recording", "read_study", "read_trace", "run", "sweep", "validate", "with_swaps",
-    "write", "write_ssp", "write_trace",
+    "load", "read", "read_recording", "read_study", "read_trace", "reference", "run", "sweep", "validate",
+    "with_swaps", "write", "write_ssp", "write_trace",
 ]  # fmt: skip
 
 

@@ -6,7 +6,7 @@ so that --help stays fast.
 
 # isort: off
 from orchestrator.cli import build, modelica, lists, check  # noqa: F401
-from orchestrator.cli import run, validate, compare, plot, convergence  # noqa: F401
+from orchestrator.cli import run, validate, compare, plot, reference, convergence  # noqa: F401
 from orchestrator.cli import rig, identify, track, linearize, sweep, view, page  # noqa: F401
 from orchestrator.cli.options import app
 

@@ -44,7 +44,7 @@ class Linearisation:
 
     rate_reads    calls that read the time derivatives of the states into `f`, shape (n,)
     state_reads   calls that read the states into `x`, shape (n,)
-    columns       all directional derivatives
+    columns       all directional derivatives; empty if the FMU has none
     """
 
     def __init__(
@@ -56,7 +56,8 @@ class Linearisation:
         self.rate_reads = calls_by_type(slave, rates, f, slave.reader)
         self.state_reads = calls_by_type(slave, self.states, x, slave.reader)
         self._knowns, self._unknowns = [*self.states, *inputs], [*rates, *outputs]
-        self.columns = [self._column(slave, group) for group in self._groups(slave)]
+        groups = self._groups(slave) if slave.interface.directional_derivatives else []
+        self.columns = [self._column(slave, group) for group in groups]
 
     def matrix(self) -> Buffer:
         """The Jacobian at this point, shape (unknowns, knowns); raises Problem if the FMU refuses a call."""

@@ -158,7 +158,7 @@ def drive(system: System, trace: Trace, label: str = "scenario") -> Scenario:
 
 def _check_integers(variable: FmuVariable, values: NDArray[np.float64], context: str) -> None:
     """Refuse values for an Integer, Enumeration or Boolean variable that do not fit into 32 bits."""
-    too_large = ~(np.abs(values) <= MAX_INTEGER)
+    too_large = ~((values >= -MAX_INTEGER - 1) & (values <= MAX_INTEGER))
     if not variable.is_real and too_large.any():
         value = values[np.argmax(too_large)]
         raise Problem(f"{context}: expected whole numbers up to {MAX_INTEGER}, got {value:.17g}")

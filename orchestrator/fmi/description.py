@@ -104,6 +104,7 @@ class FmuInterface:
     one_per_process        only one instance can exist in a process
     needs_execution_tool   the FMU needs the installed tool that exported it
     event_indicators       number of event indicators, in Model Exchange
+    completed_step         in Model Exchange, the FMU needs to know when the solver has accepted a step
     variable_step          the communication step size may vary
     stateless              the FMU declares, for Model Exchange, that it has no continuous states
     unused_inputs          inputs on which no state and no output depends after the initialisation
@@ -132,6 +133,7 @@ class FmuInterface:
     one_per_process: bool = False
     needs_execution_tool: bool = False
     event_indicators: int = 0
+    completed_step: bool = True
     variable_step: bool = True
     stateless: bool = False
     unused_inputs: frozenset[str] = frozenset()
@@ -251,6 +253,9 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         one_per_process=capabilities.declares("canBeInstantiatedOnlyOncePerProcess"),
         needs_execution_tool=capabilities.declares("needsExecutionTool"),
         event_indicators=event_indicators,
+        completed_step=capabilities.declares("needsCompletedIntegratorStep")
+        if fmi == 3
+        else not capabilities.declares("completedIntegratorStepNotNeeded"),
         variable_step=capabilities.declares("canHandleVariableCommunicationStepSize"),
         stateless=exchange and not derivatives,
         unused_inputs=_unused(inputs, [*outputs.values(), *derivatives.values()] if exchange else [None]),

@@ -1,10 +1,12 @@
 """FMU instance for Model Exchange, in which states and time can be set.
 
-The linearisation needs Model Exchange because the states of an FMU for Co-Simulation cannot be set. Time
-derivatives of states are variables, which `RunningFmu.reader` reads.
+Linearisation and monolithic solution need Model Exchange, because the states of an FMU for Co-Simulation
+cannot be set. Time derivatives of states are variables, which `RunningFmu.reader` reads.
 """
 
 from __future__ import annotations
+
+import ctypes
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
@@ -12,23 +14,32 @@ from orchestrator.fmi.calls import Buffer, address
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.description import read_interface
 
-MAX_EVENT_ITERATIONS = 100  # most event iterations after the initialisation
-
 
 class ExchangeFmu(RunningFmu):
-    """A running FMU for Model Exchange."""
+    """A running FMU for Model Exchange: in event mode after `exit`."""
 
     exchange = True
 
-    def exit(self) -> None:
-        """Leave initialisation mode, iterate the events, enter continuous-time mode."""
-        super().exit()
-        for _ in range(MAX_EVENT_ITERATIONS):
-            if not self.fmu.update_discrete_states()[0]:
-                self.fmu.call("EnterContinuousTimeMode")
-                return
-        expected = f"expected at most {MAX_EVENT_ITERATIONS} event iterations after the initialisation"
-        raise Problem(f"{self._label}: {expected}, got more: the discrete states do not settle")
+    def enter_event_mode(self) -> None:
+        """From continuous-time mode."""
+        self.fmu.call("EnterEventMode")
+
+    def enter_continuous_time_mode(self) -> None:
+        """From event mode."""
+        self.fmu.call("EnterContinuousTimeMode")
+
+    def completed_step(self) -> tuple[bool, bool]:
+        """Tell that a step of the solver is accepted: (event needed, end of the simulation)."""
+        if not self.interface.completed_step:
+            return False, False
+        event, ends = self.fmu.flag(), self.fmu.flag()
+        results = ctypes.byref(event), ctypes.byref(ends)
+        self.fmu.call("CompletedIntegratorStep", self.fmu.flag(True), *results)
+        return bool(event.value), bool(ends.value)
+
+    def get_event_indicators(self, into: Buffer) -> None:
+        """Get the event indicators, shape (n,)."""
+        self.fmu.vector("GetEventIndicators", address(into), len(into))
 
     def set_states(self, states: Buffer) -> None:
         """Set the continuous states, shape (n,)."""

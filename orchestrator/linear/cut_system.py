@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.fmi.description import FmuInterface
+from orchestrator.monolithic.plant import Plant
 from orchestrator.ssp.system import Inlet, Port, System
 
 MAX_LISTED = 8  # names in a message
@@ -28,6 +29,14 @@ class CutSystem:
     inputs: tuple[Inlet, ...]
     requested_count: int
     notes: tuple[str, ...]
+
+
+class CutPlant(Plant):
+    """The running components of a cut system."""
+
+    def __init__(self, cut: CutSystem) -> None:
+        super().__init__(cut.system, cut.inputs)
+        self.cut = cut
 
 
 def cut_at_inputs(system: System, names: Sequence[str] = (), steady: bool = False) -> CutSystem:

@@ -12,11 +12,11 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
 from orchestrator.fmi.description import Value
-from orchestrator.linear.cut_system import cut_at_inputs, matching_outputs
+from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
-from orchestrator.linear.plant import Array, Plant
 from orchestrator.linear.steady_state import find_steady_state
+from orchestrator.monolithic.plant import Array
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.provenance import built_notes
@@ -25,7 +25,7 @@ from orchestrator.ssp.system import Port, System
 
 
 def settle_at_time(
-    plant: Plant, system: System, scenario: Trace | str | Path | None, time: float, step: float | None
+    plant: CutPlant, system: System, scenario: Trace | str | Path | None, time: float, step: float | None
 ) -> tuple[str, ...]:
     """Set the plant to states and inputs of a run of the system at `time` [s]; return notes.
 
@@ -54,7 +54,7 @@ def settle_at_time(
 NO_EFFECT_REASON = "possible causes: dead band, command beyond its range, controller off"
 
 
-def no_effect_notes(plant: Plant, b: Array) -> tuple[str, ...]:
+def no_effect_notes(plant: CutPlant, b: Array) -> tuple[str, ...]:
     """Notes on inputs without effect and on open loops; `b`: the matrix B of the linear model."""
     if not len(b):
         return ()
@@ -73,7 +73,7 @@ def no_effect_notes(plant: Plant, b: Array) -> tuple[str, ...]:
     )
 
 
-def _open_loops(plant: Plant) -> Iterator[Port]:
+def _open_loops(plant: CutPlant) -> Iterator[Port]:
     """Outputs without effect at this operating point, of components with external inputs.
 
     Such an output is connected to an input on which a state may depend by declaration, but no state depends
@@ -94,7 +94,7 @@ def _open_loops(plant: Plant) -> Iterator[Port]:
             yield output
 
 
-def _may_affect_state(plant: Plant, port: Port) -> bool:
+def _may_affect_state(plant: CutPlant, port: Port) -> bool:
     """True if a state of the component may depend on an input, by the dependencies that the FMU declares."""
     interface = plant.system.components[port.component].interface
     dependencies = [interface.dependencies.get(rate) for rate in interface.states.values()]
@@ -142,7 +142,7 @@ def linearize(
     cut = replace(cut, system=_with_start_values(cut.system, full, set or {}))
     ports = matching_outputs(cut.system, outputs)
     start = full.start or 0.0
-    plant = Plant(cut)
+    plant = CutPlant(cut)
     try:
         plant.start((start, start + EXPERIMENT_LENGTH))
         notes = built_notes(full) + full.warnings + cut.notes + plant.notes
@@ -172,7 +172,7 @@ def _refuse_connected(system: System, names: Iterable[str], instead: str) -> Non
                 raise Problem(f"--set {name}: the input is connected ({connections[port]}); {instead}")
 
 
-def _result(plant: Plant, ports: Sequence[Port], time: float, notes: tuple[str, ...]) -> LinearModel:
+def _result(plant: CutPlant, ports: Sequence[Port], time: float, notes: tuple[str, ...]) -> LinearModel:
     matrices = plant.matrices()
     for name, matrix in zip("ABCD", matrices, strict=True):
         if not np.isfinite(matrix).all():

@@ -28,7 +28,8 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import BASES, DeclaredUnit
-from orchestrator.linear.plant import Array, Matrices, Plant
+from orchestrator.linear.cut_system import CutPlant
+from orchestrator.monolithic.plant import Array, Matrices
 
 MAX_ITERATIONS, MAX_HALVINGS = 40, 8
 RESIDUAL_TOLERANCE = 1e-11  # of a time derivative, relative to the sum of its terms
@@ -54,7 +55,7 @@ class SteadyEquations:
     free             number of undetermined directions at the last solution
     """
 
-    def __init__(self, plant: Plant, joints: Iterable[HeldJoint], idle: Iterable[int]) -> None:
+    def __init__(self, plant: CutPlant, joints: Iterable[HeldJoint], idle: Iterable[int]) -> None:
         """`idle`: indices of states that need not be steady."""
         self.plant, self.joints, self.free = plant, list(joints), 0
         fixed = {*idle, *(i for j in self.joints for i in (j.position, j.speed))}
@@ -157,7 +158,7 @@ MAX_NONLINEARITY, SMALL_NONLINEARITY = 0.5, 0.05
 class Search:
     """Search of a steady state by a transient; the inputs are limited to their nominal values."""
 
-    def __init__(self, plant: Plant, joints: Iterable[HeldJoint], idle: Iterable[int]) -> None:
+    def __init__(self, plant: CutPlant, joints: Iterable[HeldJoint], idle: Iterable[int]) -> None:
         """`idle`: indices of states that need not be steady."""
         self._plant, self.equations = plant, SteadyEquations(plant, joints, idle)
 
@@ -243,7 +244,7 @@ SETTLE_HINT = "use a time of a run instead, with --time"
 METRE, RADIAN = (tuple(int(b == base) for b in BASES) for base in ("m", "rad"))
 
 
-def find_steady_state(plant: Plant, speeds: Mapping[str, float] | None = None) -> tuple[str, ...]:
+def find_steady_state(plant: CutPlant, speeds: Mapping[str, float] | None = None) -> tuple[str, ...]:
     """Bring the plant into a steady state, with `speeds` of joints by name; return notes."""
     speeds = speeds or {}
     for name, value in speeds.items():
@@ -265,7 +266,7 @@ def find_steady_state(plant: Plant, speeds: Mapping[str, float] | None = None) -
     return _notes(plant, joints, idle, search.equations.free)
 
 
-def _joints(plant: Plant, m: Matrices) -> dict[str, HeldJoint]:
+def _joints(plant: CutPlant, m: Matrices) -> dict[str, HeldJoint]:
     """The joints, by the first word of their names."""
     inputs = [inlet.name.rpartition(".")[2] for inlet in plant.cut.inputs]
     joints: dict[str, HeldJoint] = {}
@@ -305,7 +306,7 @@ def _first_word(name: str) -> str:
     return name.partition("_")[0]
 
 
-def _notes(plant: Plant, joints: Mapping[str, HeldJoint], idle: list[int], free: int) -> tuple[str, ...]:
+def _notes(plant: CutPlant, joints: Mapping[str, HeldJoint], idle: list[int], free: int) -> tuple[str, ...]:
     held = [str(plant.states[j.position]) for j in joints.values()]
     constant = [str(plant.states[i]) for i in idle if str(plant.states[i]) not in held]
     notes = [

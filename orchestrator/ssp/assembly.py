@@ -26,6 +26,7 @@ def assemble(
     stop: float | None = None,
     step: float | None = None,
     shared: Mapping[str, Sequence[str]] | None = None,
+    exchange: bool = False,
 ) -> System:
     """A system from FMU files and connections.
 
@@ -37,8 +38,9 @@ def assemble(
     stop          default stop time of a run [s]
     step          default communication step of a run [s], with Gauss-Seidel
     shared        parameter -> components in which a parameter of this name is the same physical quantity
+    exchange      read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
     """
-    components = {n: open_component(n, Location(Path(p))) for n, p in fmus.items()}
+    components = {n: open_component(n, Location(Path(p)), exchange) for n, p in fmus.items()}
     system = System(name, components)
     notes: list[str] = []
     checked = []
