@@ -31,7 +31,7 @@ def reference(
     tolerance: Annotated[
         float,
         typer.Option(metavar="TOL", help="Relative tolerance of the solver, 1e-14 to 1e-2.", parser=number),
-    ] = 1e-13,
+    ] = 3e-14,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="File for the trace (.csv, .parquet, .mat).")
     ] = BUILD / "reference.csv",

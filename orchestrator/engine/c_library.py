@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.compiler import PLATFORMS, host, linker_arguments, shared_library
 from orchestrator.base.errors import Discarded, Problem
-from orchestrator.fmi.calls import Access, Call, DirectionalDerivative
+from orchestrator.fmi.calls import Access, Call, DirectionalDerivative, ExchangeCall
 
 FOLDER = Path(__file__).parent / "native"
 FLAGS = (
@@ -136,6 +136,7 @@ class Binding:
     allocate     makes the memory that is read after a crash
     components   the `RunningComponent` of each index, for callbacks about a component
     withdraw     called before a step is repeated
+    problem      the exception that ended the last call; None if there was none
 
     All Python objects whose addresses C has are kept alive.
     """
@@ -149,7 +150,7 @@ class Binding:
         self.withdraw: Callable[[], None] = lambda: None
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
-        self._problem: BaseException | None = None
+        self.problem: BaseException | None = None
         callbacks = CHECK(self._check_status), PYTHON(self._call_python)
         self._alive: list[Any] = [*callbacks]
         for name, callback in zip(("check_status", "call_python"), callbacks, strict=True):
@@ -159,7 +160,7 @@ class Binding:
         """Call a function of the engine on this simulation; raises the exception that ended the run."""
         verdict = getattr(library(), function)(ctypes.byref(self.simulation), *arguments)
         if verdict:
-            raise self._problem or Problem("the run stopped")
+            raise self.problem or Problem("the run stopped")
 
     # ---- addresses
 
@@ -187,14 +188,16 @@ class Binding:
 
     # ---- calls
 
-    def program(self, calls: Sequence[Call]) -> Any:
+    def program(self, calls: Sequence[Call | ExchangeCall]) -> Any:
         """Calls as a program for C, which makes calls of FMI functions itself and others through Python."""
         instructions = self.array(self.h.Instruction, [self._instruction(call) for call in calls])
         return self.h.Program(len(calls), ctypes.addressof(instructions))
 
-    def _instruction(self, call: Call) -> Any:
+    def _instruction(self, call: Call | ExchangeCall) -> Any:
         if isinstance(call, Access):
             return self.h.Instruction(self.h.ACCESS, 0, self._access(call))
+        if isinstance(call, ExchangeCall):
+            return self.h.Instruction(self.h.EXCHANGE, 0, self._exchange_call(call))
         instruction = getattr(call, "instruction", None)  # a `ConnectionCopy` or an `AlgebraicLoop`
         if instruction is not None:
             return instruction(self)
@@ -218,6 +221,20 @@ class Binding:
             array=self.array_of(call.values),
             sets=call.sets,
             call=ctypes.addressof(call.call.slot),
+            function_number=call.call.number,
+        )
+        return self.checked(struct, call)
+
+    def _exchange_call(self, call: ExchangeCall) -> int:
+        struct = self.h.ExchangeCall(
+            function=call.address,
+            instance=call.component,
+            values=self.at(call.values),
+            clock=call.clock,
+            call=ctypes.addressof(call.call.slot),
+            kind=getattr(self.h, call.kind),
+            count=len(call.values),
+            fmi=call.fmi,
             function_number=call.call.number,
         )
         return self.checked(struct, call)
@@ -271,12 +288,12 @@ class Binding:
         try:
             call()
         except Discarded as problem:
-            self._problem, self.simulation.reached = problem, problem.reached
+            self.problem, self.simulation.reached = problem, problem.reached
             return cast(int, self.h.DISCARDED)
         except Problem as problem:
-            self._problem = problem
+            self.problem = problem
             return cast(int, self.h.STOP)
         except BaseException as problem:
-            self._problem = problem
+            self.problem = problem
             return cast(int, self.h.ABORT)
         return cast(int, self.h.CONTINUE)

@@ -187,6 +187,30 @@ class DirectionalDerivative:
 
 
 @dataclass(frozen=True)
+class ExchangeCall:
+    """A function of Model Exchange with fixed arguments, executable from C.
+
+    kind                            SET_TIME, VECTOR (of states or event indicators) or COMPLETED_STEP
+    call, address, component, fmi   as in `Access`
+    values                          time [s], shape (1,); the vector, shape (n,); or the results of a
+                                    completed step, shape (2,): event needed, end of the simulation
+    clock                           see `Log.clock`
+    """
+
+    kind: str
+    call: BoundCall
+    address: int
+    component: int
+    fmi: int
+    values: NDArray[np.float64]
+    clock: int
+
+    def check_status(self, status: int) -> None:
+        """Raise the exception for the status of a call from C."""
+        self.call.check_status(status)
+
+
+@dataclass(frozen=True)
 class StepCalls:
     """Addresses and callbacks to step an instance, and to save and restore its state, from C.
 

@@ -10,9 +10,11 @@ import ctypes
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
-from orchestrator.fmi.calls import Buffer, address
+from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
 from orchestrator.fmi.description import read_interface
+
+KINDS = {"SetTime": "SET_TIME", "CompletedIntegratorStep": "COMPLETED_STEP"}  # of calls, see `ExchangeCall`
 
 
 class ExchangeFmu(RunningFmu):
@@ -28,26 +30,21 @@ class ExchangeFmu(RunningFmu):
         """From event mode."""
         self.fmu.call("EnterContinuousTimeMode")
 
-    def completed_step(self) -> tuple[bool, bool]:
-        """Tell that a step of the solver is accepted: (event needed, end of the simulation)."""
-        if not self.interface.completed_step:
-            return False, False
-        event, ends = self.fmu.flag(), self.fmu.flag()
-        results = ctypes.byref(event), ctypes.byref(ends)
-        self.fmu.call("CompletedIntegratorStep", self.fmu.flag(True), *results)
-        return bool(event.value), bool(ends.value)
+    def exchange_call(self, function: str, values: Buffer) -> ExchangeCall:
+        """A call of SetTime, CompletedIntegratorStep, or a function of a vector, with these values."""
+        return ExchangeCall(
+            kind=KINDS.get(function, "VECTOR"),
+            call=self.fmu.bound(function),
+            address=self.fmu.address(function),
+            component=self.fmu.handle.value or 0,
+            fmi=self.interface.fmi,
+            values=values,
+            clock=ctypes.addressof(self.log.clock),
+        )
 
-    def get_event_indicators(self, into: Buffer) -> None:
-        """Get the event indicators, shape (n,)."""
-        self.fmu.vector("GetEventIndicators", address(into), len(into))
-
-    def set_states(self, states: Buffer) -> None:
-        """Set the continuous states, shape (n,)."""
-        self.fmu.vector("SetContinuousStates", address(states), len(states))
-
-    def set_time(self, time: float) -> None:
-        """Set the time [s]."""
-        self.fmu.set_time(time)
+    def get_nominals(self, into: Buffer) -> None:
+        """Get the nominal values of the states, shape (n,)."""
+        self.fmu.vector("GetNominalsOfContinuousStates", address(into), len(into))
 
 
 def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:

@@ -7,7 +7,7 @@ With the states x, the inputs v and the outputs y of all components, and the ext
 The components declare which outputs depend on which inputs. Without an algebraic loop a finite number of
 substitutions v = L y + M u + constant solves the connections exactly. Otherwise Newton's method does. The
 linearised equations contain K = (1 - L D)^-1, with the matrices D of the components on the diagonal of D;
-docs/linearize.md derives them.
+docs/linearize.md derives them. `plant.c` of the engine evaluates the equations.
 
 At an event all components enter event mode. There all connected values are copied, also those of variables
 that are not continuous, and the discrete states of all components are updated, until nothing changes.
@@ -15,16 +15,23 @@ that are not continuous, and the discrete states of all components are updated, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, cast
+import ctypes
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.engine.c_library import Binding, library
+from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.engine.network import initialise
-from orchestrator.fmi.calls import Call, Slave
+from orchestrator.engine.scenario import DrivenInputs, Scenario
+from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.description import Value
 from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.ssp.system import Connection, Inlet, Port, System
@@ -49,70 +56,39 @@ def differences(evaluate: Callable[[], None], knowns: Sequence[Array], unknowns:
     return np.array(columns).T.reshape(sum(map(len, unknowns)), sum(map(len, knowns)))
 
 
-class StackedArrays(Protocol):
-    """Stacked arrays of all components: states x, inputs v, outputs y, time derivatives f of the states."""
-
-    x: Array
-    v: Array
-    y: Array
-    f: Array
-
-
 class PlantComponent:
-    """One component: its slices of the stacked arrays, and its bound calls."""
+    """One component: its slices of the arrays of the plant, and its bound calls.
+
+    starts   calls that read the states and the inputs
+    writes, reads, rates   calls that set the inputs, get the outputs, get the time derivatives of the states
+    """
 
     def __init__(self, slave: ExchangeFmu, x: slice, v: slice, y: slice) -> None:
         self.slave, self.x, self.v, self.y = slave, x, v, y
         self.inputs = [u.name for u in slave.interface.of("input") if u.is_continuous]
         self.outputs = [u.name for u in slave.interface.of("output") if u.is_continuous]
 
-    def open(self, plant: StackedArrays) -> None:
+    def open(self, plant: Plant) -> None:
         """Bind the calls of the component to the arrays of the plant."""
-        f, x, v, y = plant.f[self.x], plant.x[self.x], plant.v[self.v], plant.y[self.y]
-        self._linearisation = Linearisation(cast(Slave, self.slave), self.inputs, self.outputs, f, x)
-        self.starts = [*self._linearisation.state_reads, *self._calls(self.slave.reader, self.inputs, v)]
-        self.writes = self._calls(self.slave.writer, self.inputs, v)
-        self.reads = [*self._linearisation.rate_reads, *self._calls(self.slave.reader, self.outputs, y)]
-        self._plant = plant
+        slave = cast(Slave, self.slave)
+        v, y = plant.v[self.v], plant.y[self.y]
+        linear = Linearisation(slave, self.inputs, self.outputs, plant.f[self.x], plant.x[self.x])
+        self.starts = [*linear.state_reads, *calls_by_type(slave, self.inputs, v, slave.reader)]
+        self.writes = calls_by_type(slave, self.inputs, v, slave.writer)
+        self.reads = calls_by_type(slave, self.outputs, y, slave.reader)
+        self.rates, self.columns = linear.rate_reads, linear.columns
 
-    def _calls(self, make: Any, names: Sequence[str], values: Array) -> list[Call]:
-        return [make(names, values)] if names else []
-
-    def evaluate(self) -> None:
-        """Set states and inputs, get state derivatives and outputs."""
-        self.set_states()
-        self.substitute()
-
-    def set_states(self) -> None:
-        """Set the states."""
-        if self.x.stop > self.x.start:
-            self.slave.set_states(self._plant.x[self.x])
-
-    def substitute(self) -> None:
-        """Set inputs, get state derivatives and outputs."""
-        for call in self.writes:
-            call()
-        for call in self.reads:
-            call()
-
-    def jacobian(self) -> Array:
-        """d(f, y) / d(x, v) of this component."""
-        if self.slave.interface.directional_derivatives:
-            return self._linearisation.matrix()
-        p = self._plant
-        return differences(self.evaluate, (p.x[self.x], p.v[self.v]), (p.f[self.x], p.y[self.y]))
-
-    def feedthrough(self) -> Array:
-        """dy / dv of this component; leaves the states as they are, as event mode requires."""
-        if self.slave.interface.directional_derivatives:
-            n = self.x.stop - self.x.start
-            return self._linearisation.matrix()[n:, n:]
-        return differences(self.substitute, (self._plant.v[self.v],), (self._plant.y[self.y],))
+    def indices(self, nx: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows of its f and y, and columns of its x and v, in the Jacobian of a plant with nx states."""
+        rows, columns = ((*_range(self.x), *(nx + i for i in _range(s))) for s in (self.y, self.v))
+        return np.array(rows, np.int64), np.array(columns, np.int64)
 
 
-MAX_ITERATIONS = 30  # of Newton's method for the connections
+def _range(part: slice) -> range:
+    return range(part.start, part.stop)
+
+
 MAX_EVENT_ITERATIONS = 100  # at one event
-AGREEMENT = 1e-13  # tolerance of connected values, relative to their magnitude
 
 
 class Matrices(NamedTuple):
@@ -134,6 +110,7 @@ class Plant:
     constant                  constant part of v
     connected                 True for inputs with a connection or an external input
     nominal                   nominal values of the states
+    indicator_count           number of event indicators of all components
     next_event                time of the next time event [s]; infinite if there is none
     ended                     name of the component that requested the end of the simulation; empty if none
     """
@@ -160,10 +137,9 @@ class Plant:
         self.states = [Port(n, x) for n, s in self.slaves.items() for x in s.interface.states]
         self.inputs = [Port(m.slave.name, u) for m in self.members for u in m.inputs]
         self.outputs = [Port(m.slave.name, y) for m in self.members for y in m.outputs]
+        self.indicator_count = sum(slave.interface.event_indicators for slave in self.slaves.values())
         self._wire()
-        self._substitutions = self._count_substitutions()
-        self._effective = np.array([*map(self._may_have_effect, self.inputs)], bool)
-        self._inverse: Array | None = None
+        self._binding = Binding()
 
     def _wire(self) -> None:
         """Set L, M and the constant part of v."""
@@ -198,8 +174,8 @@ class Plant:
         interface = self.slaves[port.component].interface
         return interface.event_indicators > 0 or port.variable not in interface.unused_inputs
 
-    def _count_substitutions(self) -> int | None:
-        """How many substitutions solve the connections, by the declared dependencies; None: a loop."""
+    def _count_substitutions(self) -> int:
+        """How many substitutions solve the connections, by the declared dependencies; 0: a loop."""
         index = {p: i for i, p in enumerate(self.inputs)}
         through = np.zeros((len(self.outputs), len(self.inputs)))
         for row, port in enumerate(self.outputs):
@@ -211,7 +187,114 @@ class Plant:
             if not power.any():
                 return count
             power = ((power @ step) != 0.0).astype(float)
-        return None
+        return 0
+
+    # ---- the structure of the C engine
+
+    def _bind(self) -> None:
+        """Fill `Plant` of engine.h."""
+        binding, h, at = self._binding, self._binding.h, self._binding.at
+        n = len(self.v)
+        self._time, self._external, self._inverse = np.zeros(1), np.zeros(n), np.zeros((n, n))
+        self._jacobian = np.zeros((len(self.x) + len(self.y), len(self.x) + n))
+        self._indicators, self._completed = np.zeros(self.indicator_count), np.zeros((len(self.members), 2))
+        self._residual = np.zeros(n)
+        rows, sources = np.nonzero(self.connections)
+        for member in self.members:
+            member.open(self)
+        columns = [*self._columns()]
+        self._struct = h.Plant(
+            members=binding.pointer(binding.array(h.PlantMember, [*map(self._member, self.members)])),
+            states=binding.program([*self._state_calls()]),
+            indicators=binding.program([*self._indicator_calls()]),
+            completed=binding.program([*self._completion_calls()]),
+            rows=at(rows.astype(np.int32)),
+            sources=at(sources.astype(np.int32)),
+            factors=at(self.connections[rows, sources]),
+            effective=at(np.array([*map(self._may_have_effect, self.inputs)], np.uint8)),
+            stale=at(np.zeros(len(self.members), np.int32)),
+            **{name: at(getattr(self, name)) for name in ("v", "y")},
+            **{name: at(getattr(self, f"_{name}")) for name in ("time", "external", "inverse", "jacobian")},
+            residual=at(self._residual),
+            results=at(self._completed),
+            **{name: at(np.zeros(n)) for name in ("expected", "magnitude")},
+            columns=binding.pointer(binding.array(h.JacobianColumn, columns)),
+            member_count=len(self.members),
+            input_count=n,
+            connection_count=len(rows),
+            column_count=len(columns),
+            rounds=self._count_substitutions(),
+        )
+        self._arguments = ctypes.byref(binding.simulation), ctypes.byref(self._struct)
+        self._settle_in_c, self._complete_in_c = (
+            partial(function, *self._arguments)
+            for function in (library().plant_settle, library().plant_completed_step)
+        )
+        self._needs_completion = any(slave.interface.completed_step for slave in self.slaves.values())
+
+    def _member(self, member: PlantComponent) -> Any:
+        program = self._binding.program
+        return self._binding.h.PlantMember(
+            *(program(calls) for calls in (member.writes, member.reads, member.rates)),
+            member.v.start,
+            len(member.inputs),
+        )
+
+    def _state_calls(self) -> Iterator[Any]:
+        for member in self.members:
+            yield member.slave.exchange_call("SetTime", self._time)
+            if member.x.stop > member.x.start:
+                yield member.slave.exchange_call("SetContinuousStates", self.x[member.x])
+
+    def _indicator_calls(self) -> Iterator[Any]:
+        first = 0
+        for slave in self.slaves.values():
+            last = first + slave.interface.event_indicators
+            if last > first:
+                yield slave.exchange_call("GetEventIndicators", self._indicators[first:last])
+            first = last
+
+    def _completion_calls(self) -> Iterator[Any]:
+        for member, results in zip(self.members, self._completed, strict=True):
+            if member.slave.interface.completed_step:
+                yield member.slave.exchange_call("CompletedIntegratorStep", results)
+
+    def _columns(self) -> Iterator[Any]:
+        """`JacobianColumn` of engine.h for each directional derivative."""
+        width = self._jacobian.shape[1]
+        for member in self.members:
+            rows, columns = member.indices(len(self.x))
+            for column in member.columns:
+                struct = self._binding.h.JacobianColumn(entries=len(column.entries))
+                self._binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
+                to = np.array([rows[i] * width + columns[j] for i, j in column.entries], np.int64)
+                struct.to, struct.factor = self._binding.at(to), self._binding.at(np.ones(len(to)))
+                results = np.array([column.rows.index(i) for i, _ in column.entries], np.int32)
+                setattr(struct, "from", self._binding.at(results))  # `from` is a keyword of Python
+                yield struct
+
+    def _call(self, function: str, *arguments: int) -> None:
+        self._finish(getattr(library(), function)(*self._arguments, *arguments))
+
+    def _finish(self, outcome: int) -> None:
+        """Go on with Newton's method if it needs an inverse; raise the exception that an outcome means."""
+        h = self._binding.h
+        while outcome == h.NEEDS_INVERSE:
+            self._inverse[:] = self.loop_inverse(self._feedthrough())
+            self._struct.inverse_state = h.RENEWED
+            outcome = library().plant_iterate(*self._arguments)
+        if outcome == h.NOT_CONVERGED:
+            raise Problem(
+                f"{self.system.name}: the equations of the connections did not converge: {self._worst()}"
+            )
+        if outcome:
+            raise self._binding.problem or Problem("the run stopped")
+
+    def _worst(self) -> str:
+        k = int(np.argmax(np.where(np.isfinite(self._residual), np.abs(self._residual), np.inf)))
+        return f"{self.inputs[k]} differs from its source by {self._residual[k]:.3g}"
+
+    # ---- the equations
 
     def start(self, span: tuple[float, float], driven: Mapping[Port, Value] | None = None) -> None:
         """Initialise the components as in a run, with their first event; ends in continuous-time mode.
@@ -220,14 +303,22 @@ class Plant:
         driven   input -> value at the start, for inputs that a scenario drives
         """
         initialise(self.system, cast(Mapping[str, Slave], self.slaves), driven or {}, span)
+        self._bind()
         for member in self.members:
-            member.open(self)
             for call in member.starts:
                 call()
+        self._time[:] = span[0]
         self.constant[~self.connected] = self.v[~self.connected]
-        self.nominal = np.array([_nominal(self, p) for p in self.states])
-        self._external = self.input_map @ self.u + self.constant
+        self.nominal = np.array([self.system.variable(p).nominal or 1.0 for p in self.states])
+        self._external[:] = self.input_map @ self.u + self.constant
         self._update_discrete_states()
+
+    def drive(self, scenario: Scenario) -> None:
+        """Let a scenario drive its continuous inputs from now on, whenever the plant is settled."""
+        columns = {p: c for p, c in scenario.columns.items() if self.system.variable(p).is_continuous}
+        index = {p: i for i, p in enumerate(self.inputs)}
+        driven = DrivenInputs(replace(scenario, columns=columns), self.system, index, {}, ())
+        driven.fill(self._binding, ())
 
     @property
     def u(self) -> Array:
@@ -238,73 +329,42 @@ class Plant:
 
     def settle(self, x: Array, u: Array) -> None:
         """Set states and external inputs, and solve the connections v = L y + M u + constant for v."""
-        self.x[:] = x
-        self._external = self.input_map @ u + self.constant
-        for member in self.members:
-            member.evaluate()
-        self._connect()
+        self._external[:] = self.input_map @ u + self.constant
+        self.settle_at(float(self._time[0]), x)
 
-    def _connect(self) -> None:
-        """Solve the connections; all components are evaluated with the present v. Problem if that fails."""
-        for _ in range(self._substitutions or 0):
-            before = self.v.copy()
-            self.v[:] = self.connections @ self.y + self._external
-            changed = (self.v != before) & self._effective
-            members = [m for m in self.members if changed[m.v].any()]
-            if not members:
-                return
-            for member in members:
-                member.substitute()
-        self._iterate()
+    def settle_at(self, time: float, x: Array) -> None:
+        """Set time [s], states and the inputs that `drive` drives; solve the connections."""
+        self._time[0], self.x[:] = time, x
+        if outcome := self._settle_in_c():
+            self._finish(outcome)
 
-    def _iterate(self) -> None:
-        """Newton's method for the connections; K is kept while each iteration gains a digit."""
-        last = np.inf
-        for _ in range(MAX_ITERATIONS):
-            expected = self.connections @ self.y + self._external
-            residual = expected - self.v
-            if not np.isfinite(residual).all():
-                break
-            magnitude = np.maximum(np.abs(expected), np.abs(self.connections) @ np.abs(self.y))
-            relative = np.abs(residual[residual != 0.0]) / magnitude[residual != 0.0]
-            largest = float(relative.max(initial=0.0))
-            if largest <= AGREEMENT:
-                return
-            if self._inverse is None or largest > last / 10.0:
-                self._inverse = self.loop_inverse(self._feedthrough())
-            last = largest
-            self.v += self._inverse @ residual
-            for member in self.members:
-                member.substitute()
-        raise Problem(
-            f"{self.system.name}: the equations of the connections did not converge: {self._worst(residual)}"
-        )
-
-    def _worst(self, residual: Array) -> str:
-        k = int(np.argmax(np.where(np.isfinite(residual), np.abs(residual), np.inf)))
-        return f"{self.inputs[k]} differs from its source by {residual[k]:.3g}"
-
-    def evaluate(self) -> None:
-        """Set states and inputs of all components, get state derivatives and outputs."""
-        for member in self.members:
-            member.evaluate()
+    def set_time(self, time: float) -> None:
+        """Set the time [s] of the next evaluations."""
+        self._time[0] = time
 
     def _feedthrough(self) -> Array:
-        """The block-diagonal matrix D of the unconnected components."""
-        d = np.zeros((len(self.y), len(self.v)))
-        for member in self.members:
-            d[member.y, member.v] = member.feedthrough()
-        return d
+        """The block-diagonal matrix D of the unconnected components; leaves the states as they are."""
+        self._call("plant_jacobian")
+        for k, member in enumerate(self.members):
+            if not member.slave.interface.directional_derivatives:
+                rows, columns = (
+                    part[member.x.stop - member.x.start :] for part in member.indices(len(self.x))
+                )
+                substitute = partial(self._call, "plant_evaluate", k, 0)
+                found = differences(substitute, (self.v[member.v],), (self.y[member.y],))
+                self._jacobian[np.ix_(rows, columns)] = found
+        return self._jacobian[len(self.x) :, len(self.x) :]
 
     def blocks(self) -> Matrices:
         """Block-diagonal matrices of the unconnected components, with respect to x and v."""
-        nx, nv, ny = len(self.x), len(self.v), len(self.y)
-        blocks = Matrices(*(np.zeros(s) for s in ((nx, nx), (nx, nv), (ny, nx), (ny, nv))))
-        for m in self.members:
-            jacobian, n = m.jacobian(), m.x.stop - m.x.start
-            blocks.a[m.x, m.x], blocks.b[m.x, m.v] = jacobian[:n, :n], jacobian[:n, n:]
-            blocks.c[m.y, m.x], blocks.d[m.y, m.v] = jacobian[n:, :n], jacobian[n:, n:]
-        return blocks
+        self._call("plant_jacobian")
+        for k, member in enumerate(self.members):
+            if not member.slave.interface.directional_derivatives:
+                knowns, unknowns = (self.x[member.x], self.v[member.v]), (self.f[member.x], self.y[member.y])
+                found = differences(partial(self._call, "plant_evaluate", k, 1), knowns, unknowns)
+                self._jacobian[np.ix_(*member.indices(len(self.x)))] = found
+        top, bottom = np.split(self._jacobian, [len(self.x)])
+        return Matrices(*(part.copy() for half in (top, bottom) for part in np.split(half, [len(self.x)], 1)))
 
     def matrices(self) -> Matrices:
         """A, B, C, D of the connected system, from the external inputs to all outputs."""
@@ -327,40 +387,28 @@ class Plant:
         except np.linalg.LinAlgError:
             raise Problem(f"{self.system.name}: the algebraic loop has no unique solution") from None
 
-    # ---- time and events
-
-    def set_time(self, time: float) -> None:
-        """Set the time [s]."""
-        for slave in self.slaves.values():
-            slave.set_time(time)
-
-    @property
-    def indicator_count(self) -> int:
-        """Number of event indicators of all components."""
-        return sum(slave.interface.event_indicators for slave in self.slaves.values())
+    # ---- events
 
     def indicators(self, into: Array) -> None:
         """Get the event indicators of all components, shape (indicator_count,)."""
-        first = 0
-        for slave in self.slaves.values():
-            count = slave.interface.event_indicators
-            slave.get_event_indicators(into[first : first + count])
-            first += count
+        self._call("plant_indicators")
+        into[:] = self._indicators
 
     def completed_step(self, time: float, x: Array) -> bool:
         """Tell the components that the solver has accepted a step, to a time [s]; True for an event.
 
         Inputs keep the values of the last evaluation.
         """
-        self.x[:], event = x, False
-        for member in self.members:
-            if member.slave.interface.completed_step:
-                member.slave.set_time(time)
-                member.set_states()
-                needed, ends = member.slave.completed_step()
-                self.ended = member.slave.name if ends else self.ended
-                event |= needed
-        return event
+        if not self._needs_completion:
+            return False
+        self._time[0], self.x[:] = time, x
+        if outcome := self._complete_in_c():
+            self._finish(outcome)
+        if not self._struct.requests:
+            return False
+        for member, (_, ends) in zip(self.members, self._completed, strict=True):
+            self.ended = member.slave.name if ends else self.ended
+        return bool(self._completed[:, 0].any())
 
     def event(self, set_discrete: Callable[[], None] = lambda: None) -> None:
         """Event mode of all components at the present time, from settled states; back to continuous time.
@@ -376,9 +424,9 @@ class Plant:
         """Copy values and update discrete states until nothing changes, and enter continuous-time mode."""
         updated = False
         for _ in range(MAX_EVENT_ITERATIONS):
-            for member in self.members:
-                member.substitute()
-            self._connect()
+            for k in range(len(self.members)):
+                self._call("plant_evaluate", k, 0)
+            self._call("plant_connect")
             if not self._copied_discrete() and updated:
                 break
             again, self.next_event = False, np.inf
@@ -396,7 +444,7 @@ class Plant:
             member.slave.enter_continuous_time_mode()
             for call in member.starts:
                 call()
-        self._inverse = None
+        self._struct.inverse_state = self._binding.h.MISSING
 
     def _copied_discrete(self) -> bool:
         """Copy values along the connections of variables that are not continuous; False if none changed."""
@@ -413,11 +461,18 @@ class Plant:
                 changed = True
         return changed
 
+    def magnitudes(self) -> Array:
+        """The magnitudes of the states for the tolerance of a solver, which the FMUs give and may change.
+
+        Nominal values of the model description replace those that an FMU does not give.
+        """
+        result = np.zeros(len(self.x))
+        for member in self.members:
+            with suppress(Problem):
+                member.slave.get_nominals(result[member.x])
+        return np.where(np.isfinite(result) & (result > 0.0), result, self.nominal)
+
     def close(self) -> None:
         """Free all instances."""
         for slave in self.slaves.values():
             slave.close()
-
-
-def _nominal(plant: Plant, port: Port) -> float:
-    return plant.system.variable(port).nominal or 1.0

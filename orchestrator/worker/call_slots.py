@@ -25,6 +25,7 @@ OTHERS = (
     " SerializeFMUstate SerializeFMUState DeSerializeFMUstate DeserializeFMUState"
     " GetDirectionalDerivative GetAdjointDerivative GetRealOutputDerivatives GetOutputDerivatives"
     " SetRealInputDerivatives GetRealStatus GetBooleanStatus"
+    " SetTime SetContinuousStates GetEventIndicators CompletedIntegratorStep"
 )
 LOADING, UNLOADING, UNKNOWN = "loading its library", "unloading its library", "another function"
 FUNCTIONS = (

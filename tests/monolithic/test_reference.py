@@ -149,5 +149,5 @@ def test_the_machine_in_parts_is_the_machine_in_one_block(fmu_dir, fmi3_dir):
         assert len(common) > 40
         of_whole = {n: whole[f"harvester.{n}"] for n in common}
         of_parts = {n: parts[names[n]] for n in common}
-        # measured 2e-8 in a void volume, whose error a cavity amplifies; 5e-7 at a tolerance of 1e-12
-        assert largest(of_parts, of_whole, common) < 1e-7
+        # the same equations, other rounding and other steps: measured 1.2e-10
+        assert largest(of_parts, of_whole, common) < 1e-9

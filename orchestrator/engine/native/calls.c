@@ -29,6 +29,10 @@ typedef int Derivative3(void *, const uint32_t *, size_t, const uint32_t *, size
                         double *, size_t);
 typedef int Step2(void *, double, double, int);
 typedef int Step3(void *, double, double, _Bool, void *, void *, void *, void *);
+typedef int SetTime(void *, double);
+typedef int Vector(void *, double *, size_t);
+typedef int Completed2(void *, int, int *, int *);
+typedef int Completed3(void *, _Bool, _Bool *, _Bool *);
 typedef int GetState(void *, void **);
 typedef int SetState(void *, void *);
 
@@ -99,6 +103,27 @@ static int access_values(Simulation *sim, const Access *a) {
     return CONTINUE;
 }
 
+static int call_completed_step(const ExchangeCall *e) {
+    int status, event = 0, end = 0;
+    _Bool event3 = 0, end3 = 0;
+    if (e->fmi == 2) status = ((Completed2 *)e->function)(e->instance, 1, &event, &end);
+    else status = ((Completed3 *)e->function)(e->instance, 1, &event3, &end3);
+    e->values[0] = event || event3, e->values[1] = end || end3;
+    return status;
+}
+
+static int exchange_call(Simulation *sim, const ExchangeCall *e) {
+    int status;
+    *e->call = e->function_number;
+    if (e->kind == SET_TIME) {
+        e->clock[0] = e->values[0];
+        status = ((SetTime *)e->function)(e->instance, e->values[0]);
+    } else if (e->kind == VECTOR) status = ((Vector *)e->function)(e->instance, e->values, (size_t)e->count);
+    else status = call_completed_step(e);
+    *e->call = 0;
+    return status ? sim->check_status(e, 0, status) : CONTINUE;
+}
+
 static void copy_values(Simulation *sim, const ConnectionCopy *copy) {
     for (int32_t i = 0; i < copy->count; i++) {
         const int64_t from = copy->source[i], to = copy->target[i];
@@ -118,6 +143,7 @@ int execute(Simulation *sim, const Program *program) {
         int verdict = CONTINUE;
         if (instruction->type == COPY) copy_values(sim, instruction->operand);
         else if (instruction->type == ACCESS) verdict = access_values(sim, instruction->operand);
+        else if (instruction->type == EXCHANGE) verdict = exchange_call(sim, instruction->operand);
         else if (instruction->type == LOOP) verdict = loop_solve(sim, instruction->operand);
         else verdict = sim->call_python(CALL, instruction->index, 0.0, 0.0);
         if (verdict) return verdict;
@@ -135,6 +161,17 @@ int directional_derivative(Simulation *sim, const Derivative *d) {
     else status = ((Derivative3 *)d->function)(d->instance, d->unknowns, m, d->knowns, n, d->seed, n, d->result, m);
     *d->call = 0;
     return status ? sim->check_status(d, 0, status) : CONTINUE;
+}
+
+int linearise(Simulation *sim, const JacobianColumn *columns, int32_t count, double *matrices) {
+    for (int32_t k = 0; k < count; k++) {
+        const JacobianColumn *column = &columns[k];
+        const int verdict = directional_derivative(sim, &column->derivative);
+        if (verdict) return verdict;
+        for (int32_t i = 0; i < column->entries; i++)
+            matrices[column->to[i]] = column->derivative.result[column->from[i]] * column->factor[i];
+    }
+    return CONTINUE;
 }
 
 int component_step(Simulation *sim, int k, double t, double h) {

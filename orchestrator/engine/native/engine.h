@@ -7,6 +7,7 @@
  *     step_size.c            the length of the next adaptive step
  *     algebraic_loop.c       Newton's method for inputs that determine the outputs which feed them
  *     scenario.c             inputs that a scenario drives
+ *     plant.c                all components in Model Exchange, as one ODE
  *     calls.c                calls into FMUs and into Python
  *     threads.c              components that step at the same time
  *
@@ -22,18 +23,20 @@
 
 enum { REAL, INTEGER };                                           /* arrays of values; INTEGER: all but Real values */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of values in an FMU */
-enum { ACCESS, COPY, LOOP, PYTHON };                              /* types of instructions */
+enum { ACCESS, COPY, LOOP, PYTHON, EXCHANGE };                    /* types of instructions */
+enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of calls in Model Exchange */
 enum { DRIVEN = -1, NO_SLOPE = -1, DEGREE = 3 };
 enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
 enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python; also numbers of FMI functions */
 enum { OUT_OF_RANGE = -1, WITHDRAWN = -3 };                /* further statuses: an integer that the other type cannot
                                     hold; a step that is repeated, so that its messages do not count */
-enum { SOLVED = 0, SINGULAR = -1, NOT_CONVERGED = -2 };    /* outcomes for an algebraic loop */
+enum { SOLVED = 0, SINGULAR = -1, NOT_CONVERGED = -2, NEEDS_INVERSE = -4 }; /* outcomes for an algebraic loop */
 enum { JACOBIAN_VALID, CIRCULAR, INITIALISED };            /* flags of a loop; CIRCULAR: values that were copied along
                                     the connections did not settle */
 enum { SOLVES, EVALUATIONS };                              /* counts of a loop */
 enum { SCALED, RELATIVE, WORST };                          /* residual norms of a loop: relative to the magnitude at the
                                     start; to the present magnitude; the largest accepted relative one */
+enum { MISSING, OLD, RENEWED };                            /* the inverse in Newton's method for a plant */
 enum { PREDICTED, BY_SCENARIO, LEADING, EXTRAPOLATED };    /* sources of an input, see linear_prediction.c */
 enum { BLOCK = 8 };                                        /* columns of matrices are padded to a multiple of it */
 
@@ -50,6 +53,14 @@ typedef struct Access { /* one FMI call that gets or sets several variables */
     int32_t *call; /* the call of this instance that is in progress, readable after a crash; 0: none */
     int32_t count, fmi, type, array, sets, function_number;
 } Access;
+
+typedef struct ExchangeCall { /* one FMI call in Model Exchange */
+    void *function, *instance;
+    double *values; /* time; vector; or the results of a completed step: event needed, end of the simulation */
+    double *clock;  /* as in Component */
+    int32_t *call;  /* as in Access */
+    int32_t kind, count, fmi, function_number;
+} ExchangeCall;
 
 typedef struct ConnectionCopy { /* copies values of outputs to the inputs that they feed, within one array */
     const int64_t *source, *target;
@@ -205,6 +216,33 @@ typedef struct StepSize { /* see step_size.c */
     int32_t repeats; /* the components can go back */
 } StepSize;
 
+typedef struct PlantMember { /* a component in Model Exchange; first_...: its first index in v of the plant */
+    Program writes, reads, rates; /* set the inputs; get the outputs; get the time derivatives of the states */
+    int32_t first_input, input_count;
+} PlantMember;
+
+/* The components in Model Exchange as one ODE, see plant.c. v, y, external: inputs, outputs, external part of v.
+ * Connection i: v[row[i]] = factor[i] y[source[i]] + external[row[i]], by ascending row */
+typedef struct Plant {
+    const PlantMember *members;
+    Program states;     /* set time and states of all components */
+    Program indicators; /* get all event indicators */
+    Program completed;  /* tell the components that a step is completed */
+    const int32_t *rows, *sources;
+    const double *factors;
+    const uint8_t *effective; /* by input: something may depend on it */
+    int32_t *stale;           /* by component: an effective input has changed */
+    double *time, *v, *y, *external, *expected, *magnitude, *residual, *inverse;
+    const double *results; /* of a completed step, shape (member_count, 2) */
+    const JacobianColumn *columns;
+    double *jacobian; /* d(f, y) / d(x, v) of the unconnected components, row by row */
+    double last;      /* largest relative error of an input in the iteration before */
+    int32_t member_count, input_count, connection_count, column_count;
+    int32_t rounds; /* substitutions that solve the connections, by the declared dependencies; 0: a loop */
+    int32_t inverse_state, iterations;
+    int32_t requests; /* a component asks for an event or for the end, at a completed step */
+} Plant;
+
 typedef struct Pool Pool;
 
 typedef struct Simulation {
@@ -265,6 +303,7 @@ int component_step(Simulation *, int k, double t, double h);
 int component_save(Simulation *, int k);
 int component_restore(Simulation *, int k);
 int directional_derivative(Simulation *, const Derivative *);
+int linearise(Simulation *, const JacobianColumn *, int32_t count, double *matrices);
 double seconds(void);
 
 /* algebraic_loop.c */
@@ -319,6 +358,15 @@ enum { EVERY_COMPONENT = -2 };
 Pool *pool_start(Simulation *, int threads);
 int pool_step(Pool *, double h);
 void pool_stop(Pool *);
+
+/* plant.c */
+EXPORT int32_t plant_settle(Simulation *, Plant *);
+EXPORT int32_t plant_connect(Simulation *, Plant *);
+EXPORT int32_t plant_iterate(Simulation *, Plant *);
+EXPORT int32_t plant_evaluate(Simulation *, Plant *, int32_t member, int32_t with_states);
+EXPORT int32_t plant_jacobian(Simulation *, Plant *);
+EXPORT int32_t plant_indicators(Simulation *, Plant *);
+EXPORT int32_t plant_completed_step(Simulation *, Plant *);
 
 /* step_size.c */
 EXPORT double step_size_next(StepSize *, double remaining);

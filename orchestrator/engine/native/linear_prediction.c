@@ -107,19 +107,6 @@ static void identity_minus(double *a, const double *matrix, double factor, int32
         for (int32_t j = 0; j < n_padded; j++) a[i * n_padded + j] = (i == j) - factor * matrix[i * n_padded + j];
 }
 
-/* ---- the components */
-
-static int linearise(Simulation *sim, const LinearPrediction *p) {
-    for (int32_t k = 0; k < p->column_count; k++) {
-        const JacobianColumn *column = &p->columns[k];
-        const int verdict = directional_derivative(sim, &column->derivative);
-        if (verdict) return verdict;
-        for (int32_t i = 0; i < column->entries; i++)
-            p->matrices[column->to[i]] = column->derivative.result[column->from[i]] * column->factor[i];
-    }
-    return CONTINUE;
-}
-
 /* ---- the linear system */
 
 typedef struct { /* views of `matrices` */
@@ -241,7 +228,7 @@ int predict_inputs(Simulation *sim, double h) {
     if (!verdict && p->lag > 1) verdict = execute(sim, &p->state_reads);
     if (verdict) return verdict;
     if (p->age >= p->lag || !p->usable) {
-        verdict = linearise(sim, p);
+        verdict = linearise(sim, p->columns, p->column_count, p->matrices);
         if (verdict) return verdict;
         prediction_join(p);
         p->age = 0, p->age_seconds = 0.0;
