@@ -19,6 +19,7 @@ from fmus.components import orifice
 from fmus.contract import quantities, symbolic, unstack
 from fmus.parameters import values
 from orchestrator import read_trace
+from orchestrator import reference as monolithic
 from orchestrator import run as orchestrate
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
@@ -228,6 +229,16 @@ def run_m1(systems):
 def test_fmus_are_valid(systems, name):
     """FMPy's validation finds nothing in either FMU."""
     assert validate_fmu(str(systems["rates"].with_name(f"{name}.fmu"))) == []
+
+
+@pytest.mark.parametrize("ports", ["rates", "held"])
+def test_monolithic_solution_of_the_fmus_is_the_joined_ode(systems, ports):
+    """The two FMUs as one ODE follow the joined equations, so they are as close to the published solution."""
+    found = monolithic(systems[ports], run.M1, stop=10.0, record_step=0.01).trace
+    expected = solve(read_trace(run.M1), found.time)
+    for name in ("arm.s1", "arm.s1_dot", "arm.f_h", "hydraulics.p_1", "hydraulics.p_2"):
+        # both solvers: measured 2e-12 to 1.4e-11
+        assert np.abs(found[name] - expected[name]).max() < 1e-10 * np.ptp(expected[name]), name
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])

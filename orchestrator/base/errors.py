@@ -28,6 +28,10 @@ class Unsupported(Problem):
     """A variable of a type that is not supported, such as an array."""
 
 
+class NotExchangeable(Problem):
+    """An FMU without Model Exchange, or with an incomplete list of states there."""
+
+
 class Discarded(Problem):
     """An FMU discarded a step after the time `reached` [s]; NaN if the FMU does not report the time.
 

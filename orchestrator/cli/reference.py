@@ -31,14 +31,15 @@ def reference(
     tolerance: Annotated[
         float,
         typer.Option(metavar="TOL", help="Relative tolerance of the solver, 1e-14 to 1e-2.", parser=number),
-    ] = 3e-14,
+    ] = 2e-14,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="File for the trace (.csv, .parquet, .mat).")
     ] = BUILD / "reference.csv",
 ) -> None:
     """Solve a system as one ODE, to which co-simulations converge.
 
-    All FMUs must support Model Exchange. `harvester compare` compares a run with the result.
+    With an FMU without Model Exchange the result is a co-simulation with a small step, and says so, with an
+    estimate of its error. `harvester compare` compares a run with the result.
     """
     from orchestrator.base.files import make_folder
     from orchestrator.data.trace import check_suffix

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
-from orchestrator.base.errors import Problem, Unsupported
+from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
 from orchestrator.base.files import Location, is_file_name
 from orchestrator.base.units import BASES, DeclaredUnit
 from orchestrator.base.xml import parse
@@ -207,7 +207,8 @@ def read_interface(fmu: Location, exchange: bool = False) -> FmuInterface:
     element = "ModelExchange" if exchange else "CoSimulation"
     if element not in description.interfaces:
         got = " and ".join(INTERFACES[e] for e in INTERFACES if e in description.interfaces) or "nothing"
-        raise Problem(f"{fmu}: expected an FMU for {INTERFACES[element]}, got one for {got} only")
+        kind = NotExchangeable if exchange else Problem
+        raise kind(f"{fmu}: expected an FMU for {INTERFACES[element]}, got one for {got} only")
     try:
         return _interface(description, element)
     except Problem as problem:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import NotExchangeable
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import Buffer, ExchangeCall, address
 from orchestrator.fmi.cosimulation import RunningFmu
@@ -50,14 +50,14 @@ class ExchangeFmu(RunningFmu):
 def open_exchange(name: str, fmu: Location | None) -> ExchangeFmu:
     """Open the FMU of a component for Model Exchange.
 
-    Raises Problem if there is no FMU file, or if the FMU does not support Model Exchange or does not list all
-    its continuous states.
+    Raises NotExchangeable if there is no FMU file, or if the FMU does not support Model Exchange or does not
+    list all its continuous states.
     """
     if fmu is None:
-        raise Problem(f"{name}: expected an FMU file, got none")
+        raise NotExchangeable(f"{name}: expected an FMU file, got none")
     interface = read_interface(fmu, exchange=True)
     if not (interface.states or interface.stateless):
-        raise Problem(
+        raise NotExchangeable(
             f"{name} ({fmu}): expected a modelDescription.xml that lists all continuous states and their"
             " derivatives, got none or an incomplete list"
         )

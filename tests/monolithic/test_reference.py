@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import product
 from math import exp, inf, log, sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
+from any_fmu.edit import edited
+from scipy.integrate import solve_ivp
 
+from benchmarks import monolithic
 from monolithic.hybrid import build
+from orchestrator import Result, RunFailed, Trace
 from orchestrator.base.errors import Problem
+from orchestrator.engine.result import Card
+from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.monolithic.reference import reference
+from orchestrator.monolithic.tight import BOUND, estimated_error, tightened
 from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.system import Component, System
 
 VERSIONS = (2, 3)
 MIXED = list(product(VERSIONS, VERSIONS))
@@ -32,15 +43,15 @@ def fmu(once):
 # ---- events
 
 
-def height(t: float, e: float = 0.7, g: float = 9.81) -> float:
-    """Height of the ball at t, from flight to flight."""
+def height(t: float, e: float = 0.7, g: float = 9.81, slowest: float = 0.7 * 0.01) -> float:
+    """Height of the ball at t, from flight to flight; it rests when it leaves slower than `slowest`."""
     begin, h, v = 0.0, 1.0, 0.0
     while True:
         flight = (v + sqrt(v * v + 2 * g * h)) / g
         if begin + flight > t:
             return h + v * (t - begin) - g * (t - begin) ** 2 / 2
         begin, h, v = begin + flight, 0.0, e * (g * flight - v)
-        if v < 0.7 * 0.01:
+        if v < slowest:
             return 0.0
 
 
@@ -114,6 +125,13 @@ def test_a_loop_without_solution_is_told(fmu):
 # ---- mistakes
 
 
+@pytest.mark.parametrize("step", [0.0, -1.0, inf])
+def test_a_record_step_out_of_range_is_refused(fmu, step):
+    """Before anything is loaded."""
+    with pytest.raises(Problem, match="record step: expected a positive time"):
+        reference(fmu("ball", 2), record_step=step)
+
+
 @pytest.mark.parametrize("tolerance", [0.0, 1e-20, 1.0, inf])
 def test_a_tolerance_out_of_range_is_refused(fmu, tolerance):
     """Below rounding, or so large that it is no reference."""
@@ -122,10 +140,6 @@ def test_a_tolerance_out_of_range_is_refused(fmu, tolerance):
 
 
 # ---- the machine
-
-STROKE = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
-VOLTS = {"swing_command": 1.5, "boom_command": 2.0, "stick_command": -1.5}
-CYCLE = {"time": [0.0, 0.5, 0.8, 1.4, 1.6, 3.0], **{name: volts * STROKE for name, volts in VOLTS.items()}}
 
 
 def largest(a, b, names):
@@ -138,10 +152,10 @@ def largest(a, b, names):
 
 def test_the_machine_in_parts_is_the_machine_in_one_block(fmu_dir, fmi3_dir):
     """Five FMUs joined by their connections, in FMI 2.0 and 3.0, against the FMU with all equations."""
-    options = {"stop": 3.0, "record_step": 0.01}
-    whole = reference(fmu_dir / "harvester.fmu", CYCLE, **options)
+    options = {"stop": 2.0, "record_step": 0.01}
+    whole = reference(fmu_dir / "harvester.fmu", monolithic.STROKES, **options)
     for folder in (fmu_dir, fmi3_dir):
-        parts = reference(folder / "harvester.ssp", CYCLE, **options)
+        parts = reference(folder / "harvester.ssp", monolithic.STROKES, **options)
         bare = [n.rpartition(".")[2] for n in parts.trace.signals]
         names = dict(zip(bare, parts.trace.signals, strict=True))
         # of a name in several parts, such as an energy, the whole has the sum
@@ -151,3 +165,136 @@ def test_the_machine_in_parts_is_the_machine_in_one_block(fmu_dir, fmi3_dir):
         of_parts = {n: parts[names[n]] for n in common}
         # the same equations, other rounding and other steps: measured 1.2e-10
         assert largest(of_parts, of_whole, common) < 1e-9
+
+
+VARIANTS = [{}, {"boom_stick": "quasistatic", "manipulator": "friction", "supply": "engine_pump"}]
+
+
+@pytest.mark.parametrize("variants", VARIANTS)
+def test_the_fmus_solve_the_equations(fmu_dir, variants):
+    """Against the joined equations and CVODES of CasADi, and a co-simulation with its own error estimate."""
+    found = monolithic.compared(fmu_dir / "harvester.ssp", variants, stop=2.0)
+    # measured 1e-9 to 8e-9, in rates that have peaks when a cavity closes
+    assert found.equations.largest < monolithic.EQUAL, found.equations
+    # measured 1.0 to 1.5; `benchmarks.monolithic` prints all combinations
+    assert found.ratio < monolithic.WITHIN, found.cosimulation
+
+
+# ---- FMUs for co-simulation only
+
+CO_SIMULATION = ("<ModelExchange.*?</ModelExchange>", "")
+
+
+def test_an_fmu_for_co_simulation_only_is_co_simulated(fmu_dir, tmp_path):
+    """The card says so, and its estimates of the errors hold against the monolithic solution."""
+    fmu = edited(fmu_dir / "manipulator.fmu", tmp_path / "manipulator.fmu", CO_SIMULATION)
+    options = {"stop": 1.0, "record_step": 5e-3}
+    truth = reference(fmu_dir / "harvester.ssp", monolithic.STROKES, **options)
+    result = reference(fmu_dir / "harvester.ssp", monolithic.STROKES, swap={"manipulator": fmu}, **options)
+    note = result.card.notes[-1]
+    assert note.startswith(
+        "no monolithic solution, but a co-simulation with a small step: estimated RMS error"
+    )
+    assert note.endswith(f"{fmu}: expected an FMU for model exchange, got one for co-simulation only")
+    found = monolithic.differences(truth, result.trace)
+    estimates = {e.name: estimated_error(e) for e in result.card.errors}
+    assert len(estimates) > 50
+    assert max(estimates.values()) <= BOUND
+    for name, error in found.items():
+        if name in estimates:
+            # the estimate is not a bound; 1e-9: errors of the solvers
+            assert error.rms < 2 * estimates[name] + 1e-9, name
+
+
+def steps_of(errors: Mapping[float, float]) -> Callable[[float], Result]:
+    """A co-simulation of y = t + error over 1 s that fails with a step that has no error in `errors`."""
+    time = np.linspace(0.0, 1.0, 11)
+    system = System("line", {"a": Component("a", FmuInterface({"y": FmuVariable("y", causality="output")}))})
+
+    def run(step: float) -> Result:
+        card = Card("hermite", step, 0.1, round(1 / step), 1.0, 0.1)
+        result = Result(system, Trace(time, {"a.y": time * (1 + errors.get(step, 0.0))}), card)
+        if step not in errors:
+            raise RunFailed(Problem("diverged"), result)
+        return result
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("errors", "step", "note"),
+    [
+        ({0.5**k: 1e-3 * 16.0**-k for k in range(20)}, 0.5**2, "at most 2.3e-06 of range, in a.y"),
+        ({0.5**k: 1e-3 * 16.0**-k for k in range(3, 20)}, 0.5**3, "at most"),
+        ({0.5**k: 1e-3 * 0.95**k for k in range(20)}, 0.5, "at most 5.6e-05 of range, in a.y"),
+        ({1.0: 0.0}, 1.0, "no estimate of its error"),
+    ],
+)
+def test_the_step_is_halved_until_the_estimate_holds(errors, step, note):
+    """Order 4; too large first steps; errors that stop to fall; a run at half the step that fails."""
+    result = tightened(steps_of(errors), 1.0, 1e-5, "because")
+    assert result.card.step == step
+    assert note in result.card.notes[-1]
+    assert result.card.notes[-1].endswith("reason: because")
+
+
+def test_a_co_simulation_that_never_works_is_told():
+    """With its own message."""
+    with pytest.raises(RunFailed, match="diverged"):
+        tightened(steps_of({}), 1.0, 1e-5, "because")
+
+
+# ---- FMUs of others
+
+FOLDER = Path(
+    os.environ.get("REFERENCE_FMUS", "/nowhere")
+)  # as unpacked from a release of the Reference-FMUs
+needs_reference_fmus = pytest.mark.skipif(not FOLDER.is_dir(), reason="REFERENCE_FMUS is not set")
+
+
+def foreign(name: str, version: int) -> Path:
+    """An FMU of the Modelica Association."""
+    return FOLDER / f"{version}.0" / f"{name}.fmu"
+
+
+@needs_reference_fmus
+@pytest.mark.parametrize("version", VERSIONS)
+def test_reference_fmus_have_their_closed_forms(version):
+    """Exponential decay, a bouncing ball, a staircase that ends the simulation."""
+    decay = reference(foreign("Dahlquist", version), stop=10.0, record_step=0.1)
+    # errors of the solver, which grow from step to step
+    assert np.abs(decay["Dahlquist.x"] - np.exp(-decay.trace.time)).max() < 1e-11
+    ball = reference(foreign("BouncingBall", version), stop=3.0, record_step=0.01)
+    exact = [height(t, slowest=0.1) for t in ball.trace.time]
+    assert np.abs(ball["BouncingBall.h"] - exact).max() < 1e-11
+    stair = reference(foreign("Stair", version), stop=20.0, record_step=0.5)
+    assert stair["Stair.counter"].tolist() == [1, *np.repeat(np.arange(1, 10), 2)[1:], 10]
+    assert "Stair requested the end of the simulation" in stair.card.notes
+
+
+@needs_reference_fmus
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_van_der_pol_oscillator_is_that_of_another_solver(version):
+    """Against an explicit Runge-Kutta method of order 8."""
+    result = reference(foreign("VanDerPol", version), stop=20.0, record_step=0.1)
+    exact = solve_ivp(
+        lambda _, x: [x[1], (1 - x[0] ** 2) * x[1] - x[0]],
+        *((0.0, 20.0), [2.0, 0.0], "DOP853"),
+        t_eval=result.trace.time,
+        rtol=1e-13,
+        atol=1e-14,
+    ).y
+    # both solvers
+    np.testing.assert_allclose([result["VanDerPol.x0"], result["VanDerPol.x1"]], exact, rtol=0, atol=1e-9)
+
+
+@needs_reference_fmus
+@pytest.mark.parametrize("versions", MIXED)
+@pytest.mark.parametrize("gain", [0.5, -2.0, -6.0])
+def test_feedthrough_in_a_loop_is_solved(versions, gain):
+    """u = 1 + gain u, where repeated substitution diverges for the last two."""
+    fmus = {name: foreign("Feedthrough", version) for name, version in zip("ab", versions, strict=True)}
+    there, back = "Float64_continuous_output", "Float64_continuous_input"
+    wires = [(f"a.{there}", f"b.{back}", gain, 1.0), (f"b.{there}", f"a.{back}")]
+    result = reference(assemble(fmus, wires, exchange=True), stop=1.0, record_step=0.5)
+    assert result[f"a.{there}"] == pytest.approx(1 / (1 - gain), rel=1e-12)

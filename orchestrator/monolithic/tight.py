@@ -1,0 +1,102 @@
+"""A tight co-simulation with its own error estimate, in place of a monolithic solution.
+
+For systems with an FMU that has no Model Exchange, or does not list its states and their derivatives. The
+step is halved until the estimate meets a bound, hardly falls any more, or the next run would cost too much.
+The estimate of a run compares it with those at half and at twice its step. It does not see errors that do not
+depend on the step. So the solvers of the FMUs and the passes of the master get tight tolerances, and steps in
+which an input jumps are divided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from math import ceil, inf
+
+from orchestrator.base.coupling import Coupling
+from orchestrator.engine.result import Result, RunFailed, SignalError, compare
+
+# the master of the highest order that works with all FMUs; the guard divides steps
+MASTER = Coupling("hermite", guard=1e-7, tolerance=1e-9)
+MASTER_ORDER = 4.0  # of convergence; a larger measured order is a coincidence
+FMU_TOLERANCE = 1e-10  # of the solvers in the FMUs, relative
+BOUND = 1e-6  # smallest bound of the estimated RMS error, relative to the range of a signal
+LARGEST_STEP = 1e-3  # [s], of the first run
+MAX_STEPS = 10**6  # of all runs together
+STAGNATION = 0.7  # the estimate hardly falls if half the step leaves more than this fraction of it
+
+
+def first_step(record_step: float, suggested: float) -> float:
+    """The first step [s]: a fraction of the record step, not above the suggestion and LARGEST_STEP."""
+    return record_step / ceil(record_step / min(record_step, suggested, LARGEST_STEP) - 1e-9)
+
+
+def tightened(run: Callable[[float], Result], first: float, bound: float, reason: str) -> Result:
+    """The run with the smallest estimated error; raises RunFailed if no run is complete.
+
+    run      co-simulates with a step [s]; `first`: the step of the first run
+    bound    of the estimated RMS error of each signal, relative to its range; at least BOUND
+    reason   why there is no monolithic solution, for the card
+    """
+    runs: list[Result] = []
+    best, error = None, inf
+    for result in _runs(run, first):
+        runs = [*runs[-2:], result]
+        best = best or result
+        if len(runs) == 1:
+            continue
+        errors = _changes(runs)
+        largest = max(map(estimated_error, errors), default=0.0)
+        if largest < error or error == inf:
+            best = replace(runs[-2], card=replace(runs[-2].card, errors=errors))
+        if largest <= max(bound, BOUND) or largest > STAGNATION * error:
+            break
+        error = largest
+    assert best is not None
+    return _with_note(best, reason)
+
+
+def _runs(run: Callable[[float], Result], step: float) -> Iterator[Result]:
+    """Complete runs, each at half the step of the one before; the first ones may fail at too large a step."""
+    complete, failure = False, None
+    spent = last = 0
+    while spent + 2 * last <= MAX_STEPS:
+        try:
+            result = run(step)
+        except RunFailed as failed:
+            if complete:
+                return
+            result, failure = failed.result, failed
+        else:
+            complete = True
+            yield result
+        last = max(result.card.steps, 1)
+        spent, step = spent + last, step / 2
+    if failure and not complete:
+        raise failure
+
+
+def _changes(runs: Sequence[Result]) -> tuple[SignalError, ...]:
+    """Changes of the outputs from the last run but one to the last; with the order if there are three."""
+    system = runs[-1].system
+    nominals = {str(p): system.variable(p).nominal for p in system.ports("output")}
+    outputs = runs[-2].trace.select(name for name in nominals if name in runs[-2].trace.signals)
+    coarse = runs[-3].trace if len(runs) > 2 else None
+    return compare(runs[-1].trace, outputs, coarse, nominals)
+
+
+def estimated_error(change: SignalError) -> float:
+    """RMS error, over range, of a run that changes by this much when its step is halved; NaN is infinite."""
+    order = min(max(change.order or 1.0, 1.0), MASTER_ORDER)
+    error = change.rms * 2**order / (2**order - 1)
+    return error if error == error else inf
+
+
+def _with_note(result: Result, reason: str) -> Result:
+    """The result with the reason and the largest estimate on its card."""
+    worst = max(result.card.errors, key=estimated_error, default=None)
+    estimate = "no estimate of its error, because no output changes or there is no run at half the step"
+    if worst:
+        estimate = f"estimated RMS error at most {estimated_error(worst):.1e} of range, in {worst.name}"
+    note = f"no monolithic solution, but a co-simulation with a small step: {estimate}; reason: {reason}"
+    return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
