@@ -25,7 +25,8 @@ class CouplingInputs:
     inputs          `CouplingInput` of engine.h for each port
     varying         ports that the master varies, without those that are only watched
     rate_driven     ports that an FMU varies itself from its rate input, and rate inputs themselves
-    slope_outputs   outputs whose slopes the FMUs give, ordered by component -> index of the slope
+    rate_wires      input -> connection of its rate input; its source is the slope of the source of the input
+    slope_outputs   other outputs whose slopes the FMUs give, ordered by component -> index of the slope
     slopes          those slopes, shape (n,)
     """
 
@@ -38,6 +39,7 @@ class CouplingInputs:
         self.rate_driven = self._find_rate_driven({c.target for c in connections})
         self._connections = {c.target: c for c in connections if c.target not in self.rate_driven}
         self.varying = {*self._connections} & self._varied | {*self.driven}
+        self.rate_wires = self._find_rate_wires()
         self.slope_outputs = {p: i for i, p in enumerate(self._find_slope_outputs())}
         self.slopes = np.zeros(len(self.slope_outputs))
         self.ports = [
@@ -72,9 +74,7 @@ class CouplingInputs:
         names, h = {i: str(p) for p, i in self._network.reals.index.items()}, self._h
         connected = [s for s in self.inputs if s.source_component != h.DRIVEN and s.requested_degree]
         needed = [self._plan.needs_slopes_of(name) for name in self._network.slaves]
-        differences = [
-            s.source for s in connected if s.slope_index == h.NO_SLOPE and needed[s.source_component]
-        ]
+        differences = [s.source for s in connected if not s.source_slope and needed[s.source_component]]
         notes = {
             (
                 "input derivatives from differences of values, because the FMUs provide no output derivatives"
@@ -102,7 +102,7 @@ class CouplingInputs:
             c
             for c in (network.system.connections if plan.watches else plan.varying)
             if variable(c.target).is_continuous and variable(c.source).is_continuous
-            if variable(c.target).causality == "input" and network.influences_outputs(c.target)
+            if variable(c.target).causality == "input" and network.is_influential(c.target)
         ]
 
     def _find_rate_driven(self, candidates: set[Port]) -> set[Port]:
@@ -122,15 +122,27 @@ class CouplingInputs:
 
     # ---- slopes of their sources
 
+    def _find_rate_wires(self) -> dict[Port, Connection]:
+        """Connections of rate inputs that come from the FMU that feeds the input itself."""
+        incoming, wires = {c.target: c for c in self._network.connections}, {}
+        for port, connection in self._connections.items():
+            rates = self._network.slaves[port.component].interface.rate_inputs
+            wire = incoming.get(Port(port.component, rates.get(port.variable, "")))
+            if wire and wire.source.component == connection.source.component and not wire.map.offset:
+                wires[port] = wire
+        return wires
+
     def _find_slope_outputs(self) -> Iterable[Port]:
         """The outputs whose slopes the plan needs and the FMUs give, ordered by component."""
-        connections = self._connections.values()
         sources = dict.fromkeys(
-            c.source for c in connections if self._plan.needs_slopes_of(c.source.component)
+            c.source
+            for port, c in self._connections.items()
+            if port not in self.rate_wires and self._plan.needs_slopes_of(c.source.component)
         )
         slaves = self._network.slaves
         inputs = (*self._connections, *self.driven)
-        held = {p for p in inputs if not slaves[p.component].input_degree(p.variable, 1)}
+        moving = self._varied.union(self.driven, self.rate_wires)
+        held = {p for p in inputs if p not in moving or not slaves[p.component].input_degree(p.variable, 1)}
         for name, slave in slaves.items():
             ports = [p for p in sources if p.component == name and not self._depends_on_held(p, held)]
             given = set(slave.outputs_with_derivatives([p.variable for p in ports]) if ports else ())
@@ -158,7 +170,6 @@ class CouplingInputs:
         return {
             "source": -1,
             "source_component": self._h.DRIVEN,
-            "slope_index": self._h.NO_SLOPE,
             "fmu_degree": degree,
             "requested_degree": 1,
         }
@@ -166,21 +177,40 @@ class CouplingInputs:
     def _from_output(self, port: Port, connection: Connection) -> dict[str, Any]:
         network, plan, varied = self._network, self._plan, port in self._varied
         slave, source = network.slaves[port.component], connection.source
-        rate = Port(port.component, slave.interface.rate_inputs.get(port.variable, ""))
-        has_rate = any(
-            c.target == rate for c in network.connections
-        )  # then the FMU itself varies it linearly
         degree = max(plan.extrapolation, plan.degree, int(plan.corrected)) if varied else 0
         return {
             "source": network.reals.index[source],
             "factor": connection.map.factor,
             "offset": connection.map.offset,
             "source_component": list(network.slaves).index(source.component),
-            "slope_index": self.slope_outputs.get(source, self._h.NO_SLOPE),
+            **self._slope(port, connection),
             "fmu_degree": slave.input_degree(port.variable, degree),
             "requested_degree": degree,
-            "order": plan.extrapolation if varied else min(1, plan.extrapolation + has_rate),
+            "order": plan.extrapolation if varied else self._rate_wire_count(port),
             "autonomous": not network.system.components[source.component].interface.of("input"),
+        }
+
+    def _rate_wire_count(self, port: Port) -> int:
+        """The degree at which an FMU varies a held input by its rate input, the rate input of that ..."""
+        rates = self._network.slaves[port.component].interface.rate_inputs
+        connected = {c.target for c in self._network.connections}
+        rate, count = port, 0
+        while (rate := Port(port.component, rates.get(rate.variable, ""))) in connected and count < 3:
+            count += 1
+        return count
+
+    def _slope(self, port: Port, connection: Connection) -> dict[str, Any]:
+        """Where the slope of the source is; empty if it is computed from values."""
+        if wire := self.rate_wires.get(port):
+            reals = self._network.reals
+            values, index, factor = reals.values, reals.index[wire.source], wire.map.factor
+        elif connection.source in self.slope_outputs:
+            values, index, factor = self.slopes, self.slope_outputs[connection.source], connection.map.factor
+        else:
+            return {}
+        return {
+            "source_slope": self._network.binding.at(values) + values.itemsize * index,
+            "slope_factor": factor,
         }
 
     # ---- the components

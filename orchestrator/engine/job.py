@@ -16,6 +16,7 @@ from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import PointSink, TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
 from orchestrator.engine.coupling_inputs import CouplingInputs
+from orchestrator.engine.error_propagation import ErrorPropagation, EstimatedError
 from orchestrator.engine.linear_prediction import LinearPrediction
 from orchestrator.engine.masters import MASTERS
 from orchestrator.engine.network import Network, initialise
@@ -31,6 +32,8 @@ from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
 
 FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
+
+FEWEST_STEPS = 2  # between two evaluations of the estimated errors
 
 Opener = Callable[[Component], Slave]
 
@@ -66,7 +69,8 @@ class Execution:
     """Options of a run that do not change the system.
 
     tolerance        relative tolerance for the solvers of the FMUs
-    error_estimate   estimate the error of each signal at the recorded points by further runs: at half and at
+    error_estimate   estimate the error of each output that the coupling causes: during the run if all FMUs
+                     with connected inputs have directional derivatives; else by further runs, at half and at
                      twice the step, or, for adaptive steps, at a tenth of the tolerance
     progress         show a progress bar if the run takes longer than a second
     isolate          run in a process of its own, so that an FMU that crashes ends only that process
@@ -103,13 +107,18 @@ class Execution:
 
 @dataclass
 class OpenJob:
-    """The objects of a run whose FMUs are initialised; notes: remarks on its master."""
+    """The objects of a run whose FMUs are initialised.
+
+    errors   the estimate of errors during the run; None if there is none
+    notes    remarks on its master
+    """
 
     network: Network
     recorder: Recorder
     energy: EnergyMonitor
     loop: SimulationLoop
     times: Grid
+    errors: ErrorPropagation | None
     notes: tuple[str, ...]
 
 
@@ -119,6 +128,7 @@ class RunEnd:
 
     t             simulated until this time [s]
     steps, ...    as in `Card`
+    errors        estimated during the run, by output
     logs          messages of the FMUs
     notes         remarks on the run
     problem       why the run ended early; None if it is complete
@@ -132,6 +142,7 @@ class RunEnd:
     lengths: tuple[float, float] = (0.0, 0.0)
     wall: float = 0.0
     bonds: tuple[BondEnergy, ...] = ()
+    errors: Mapping[str, EstimatedError] = field(default_factory=dict)
     inside: Mapping[str, float] = field(default_factory=dict)
     logs: tuple[Log, ...] = ()
     notes: tuple[str, ...] = ()
@@ -191,6 +202,7 @@ class Job:
                 lengths=(state.shortest, state.longest),
                 wall=time.perf_counter() - began,
                 bonds=tuple(opened.energy.energies()),
+                errors=opened.errors.errors() if opened.errors else {},
                 inside=opened.loop.busy_seconds,
                 logs=tuple(copy(s.log) for s in network.slaves.values()),
                 notes=network.notes + times.notes + opened.notes,
@@ -230,6 +242,8 @@ class Job:
                 self.system, slaves, self.scenario, selected, self.coupling.factors, Binding(allocate)
             )
             plan = MASTERS[self.coupling.master](self.system, self.coupling)
+            if self.execution.error_estimate:
+                plan = replace(plan, watches=True, estimates=True)
             inputs, prediction = CouplingInputs(network, plan), None
             if plan.prediction:
                 prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
@@ -240,6 +254,7 @@ class Job:
             control = self._control(inputs, times)
             stack.callback(network.free_saved_states)
             loop = SimulationLoop(network, plan, inputs, prediction, times, recorder, energy, control)
+            errors = self._error_propagation(network, inputs, times)
             stack.callback(loop.close)
             notes = (
                 *plan.notes,
@@ -247,7 +262,19 @@ class Job:
                 *inputs.notes,
                 *(prediction.notes if prediction else ()),
             )
-            yield OpenJob(network, recorder, energy, loop, times, notes)
+            yield OpenJob(network, recorder, energy, loop, times, errors, notes)
+
+    def _error_propagation(
+        self, network: Network, inputs: CouplingInputs, times: Grid
+    ) -> ErrorPropagation | None:
+        """The estimate of errors during the run, filled; None if not wanted, or if an FMU prevents it."""
+        if not self.execution.error_estimate:
+            return None
+        errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
+        if errors.missing:
+            return None
+        errors.fill(network.binding)
+        return errors
 
     def card(self, times: Grid, end: RunEnd, sink: TraceSink) -> Card:
         """The accuracy card of a run that has ended."""
@@ -314,7 +341,7 @@ class Job:
     def _bonds(self, network: Network) -> list[Bond]:
         """The requested bonds; default: those from units whose two inputs influence their components."""
         if self.record.bonds is None:
-            influences = network.influences_outputs
+            influences = network.is_influential
             return [b for b in find_bonds(self.system) if influences(b.effort) and influences(b.flow)]
         return [bond_of(self.system, *pair) for pair in self.record.bonds]
 

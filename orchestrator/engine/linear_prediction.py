@@ -91,59 +91,6 @@ class Linearisation:
         )
 
 
-STATE_VECTORS = "f x f0 x0 q"
-OTHER_ARRAYS = "matrices k kc closed_loop inverse course response forcing v stages w w0 pivots"
-STAGES = 7  # vectors of the states that C uses as working memory
-
-
-class JoinedSystem:
-    """The arrays of a linear system with n states and m inputs.
-
-    Matrices have the shape (columns, rows); the rows are padded to a multiple of BLOCK.
-
-    matrices          A, B, C and D one after the other; a, b, c, d are views of it
-    has_feedthrough   outputs depend on inputs directly: D is not 0
-
-    The other arrays are those of `LinearPrediction` in engine.h.
-    """
-
-    def __init__(self, n: int, m: int) -> None:
-        block = engine_h().BLOCK
-        self.n, self.m, self.has_feedthrough = n, m, False
-        self.n_padded = wide = -(-n // block) * block
-        self.m_padded = broad = -(-m // block) * block
-        self._ends = np.cumsum([n * wide, m * wide, n * broad, m * broad])
-        self.matrices = np.zeros(self._ends[-1])
-        a, b, c, d, _ = np.split(self.matrices, self._ends)
-        shapes = (a, n, wide), (b, m, wide), (c, n, broad), (d, m, broad)
-        self.a, self.b, self.c, self.d = (part.reshape(shape) for part, *shape in shapes)
-        self.k, self.kc = np.zeros((m, broad)), np.zeros((n, broad))
-        self.closed_loop, self.inverse = np.zeros((n, wide)), np.zeros((n, wide))
-        self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
-        self.w, self.w0 = np.zeros(broad), np.zeros(broad)
-        self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
-        self.forcing, self.stages = np.zeros((3, wide)), np.zeros((STAGES, wide))
-        self.pivots = np.zeros(max(n, m), np.int32)
-
-    def matrix_index(self, of_input: bool, column: int, to_input: bool, row: int) -> int:
-        """Index in `matrices` of the effect of a state or an input (`of_input`) on one (`to_input`)."""
-        part = 2 * to_input + of_input
-        first = int(self._ends[part - 1]) if part else 0
-        return first + column * int(self.m_padded if to_input else self.n_padded) + row
-
-    def struct(self, binding: Binding, **members: Any) -> Any:
-        """`LinearPrediction` of engine.h with these arrays and further members."""
-        sizes = ("n", "m", "n_padded", "m_padded", "has_feedthrough")
-        return binding.h.LinearPrediction(
-            **binding.all_at(self, f"{STATE_VECTORS} {OTHER_ARRAYS}"),
-            **{name: getattr(self, name) for name in sizes},
-            **members,
-        )
-
-
-NO_DERIVATIVES = "provides no directional derivatives, so its outputs are extrapolated"
-
-
 @dataclass(frozen=True)
 class LinearInput:
     """One input of the linear system.
@@ -157,6 +104,130 @@ class LinearInput:
     factor: float
     source_component: int
     coupling_input: int | None
+
+
+class LinearSystem:
+    """The arrays of a linear system with n states and m inputs, for native/linear_system.c.
+
+    Matrices have the shape (columns, rows); the rows are padded to a multiple of BLOCK.
+
+    matrices          A, B, C and D one after the other; a, b, c, d are views of it
+    has_feedthrough   outputs depend on inputs directly: D is not 0
+    """
+
+    def __init__(self, n: int, m: int) -> None:
+        block = engine_h().BLOCK
+        self.n, self.m, self.has_feedthrough = n, m, False
+        self.n_padded = wide = -(-n // block) * block
+        self.m_padded = broad = -(-m // block) * block
+        self._ends = np.cumsum([n * wide, m * wide, n * broad, m * broad])
+        self.matrices = np.zeros(self._ends[-1])
+        a, b, c, d, _ = np.split(self.matrices, self._ends)
+        shapes = (a, n, wide), (b, m, wide), (c, n, broad), (d, m, broad)
+        self.a, self.b, self.c, self.d = (part.reshape(shape) for part, *shape in shapes)
+        self.k, self.kc = np.zeros((m, broad)), np.zeros((n, broad))
+        self.closed_loop = np.zeros((n, wide))
+        self.pivots = np.zeros(max(n, m), np.int32)
+        self.linearised: list[Linearisation] = []
+        self._columns: list[tuple[JacobianColumn, list[tuple[int, int, float]]]] = []
+
+    def connect(
+        self, network: Network, members: Sequence[int], inputs: Sequence[LinearInput], f: Buffer, x: Buffer
+    ) -> None:
+        """Make the directional derivatives of the components `members`; f, x: see `Linearisation`."""
+        first, slaves = 0, [*network.slaves.values()]
+        for k in members:
+            last = first + len(slaves[k].interface.states)
+            linear = linearisation(slaves[k], k, inputs, f[first:last], x[first:last])
+            self.linearised.append(linear)
+            self._columns += [
+                (c, list(self._entries(slaves[k].name, linear, c, first, inputs))) for c in linear.columns
+            ]
+            first = last
+        start_of_d = self.matrix_index(True, 0, True, 0)
+        self.has_feedthrough = any(to >= start_of_d for _, entries in self._columns for _, to, _ in entries)
+
+    def _entries(
+        self,
+        name: str,
+        linear: Linearisation,
+        column: JacobianColumn,
+        first: int,
+        inputs: Sequence[LinearInput],
+    ) -> Iterator[tuple[int, int, float]]:
+        """Entries of a column: index in its result, index in `matrices`, factor.
+
+        first   index of the first state of the component
+        """
+        n, targets = len(linear.states), [u.target for u in inputs]
+        for i, j in column.entries:
+            of_input, known, result = j >= n, first + j, column.rows.index(i)
+            if of_input:
+                known = targets.index(Port(name, linear.inputs[j - n]))
+            if i < n:
+                yield result, self.matrix_index(of_input, known, False, first + i), 1.0
+                continue
+            source = Port(name, linear.outputs[i - n])
+            for row, u in enumerate(inputs):
+                if u.source == source:
+                    yield result, self.matrix_index(of_input, known, True, row), u.factor
+
+    def matrix_index(self, of_input: bool, column: int, to_input: bool, row: int) -> int:
+        """Index in `matrices` of the effect of a state or an input (`of_input`) on one (`to_input`)."""
+        part = 2 * to_input + of_input
+        first = int(self._ends[part - 1]) if part else 0
+        return first + column * int(self.m_padded if to_input else self.n_padded) + row
+
+    def system_struct(self, binding: Binding) -> Any:
+        """`LinearSystem` of engine.h with these arrays."""
+        h, at = binding.h, binding.at
+        columns = binding.array(h.JacobianColumn, [h.JacobianColumn()] * len(self._columns))
+        for struct, (column, entries) in zip(columns, self._columns, strict=False):
+            binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
+            from_, to, factor = zip(*entries, strict=True)
+            struct.to, struct.factor = at(np.array(to, np.int64)), at(np.array(factor, float))
+            setattr(struct, "from", at(np.array(from_, np.int32)))  # `from` is a keyword of Python
+            struct.entries = len(entries)
+        sizes = ("n", "m", "n_padded", "m_padded", "has_feedthrough")
+        return h.LinearSystem(
+            **binding.all_at(self, "matrices k kc closed_loop pivots"),
+            **{name: getattr(self, name) for name in sizes},
+            columns=binding.pointer(columns),
+            column_count=len(self._columns),
+        )
+
+
+def linearisation(slave: Slave, k: int, inputs: Sequence[LinearInput], f: Buffer, x: Buffer) -> Linearisation:
+    """The linearisation of component k of a linear system with these inputs."""
+    of_component = [u.target.variable for u in inputs if u.target.component == slave.name]
+    outputs = dict.fromkeys(u.source.variable for u in inputs if u.source and u.source_component == k)
+    return Linearisation(slave, of_component, list(outputs), f, x)
+
+
+STAGES = 7  # vectors of the states that C uses as working memory
+
+
+class JoinedSystem(LinearSystem):
+    """A linear system with the other arrays of `LinearPrediction` in engine.h."""
+
+    def __init__(self, n: int, m: int) -> None:
+        super().__init__(n, m)
+        wide, broad = self.n_padded, self.m_padded
+        self.inverse = np.zeros((n, wide))
+        self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
+        self.w, self.w0 = np.zeros(broad), np.zeros(broad)
+        self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
+        self.v_slope = np.zeros(broad)
+        self.forcing, self.stages = np.zeros((3, wide)), np.zeros((STAGES, wide))
+
+    def struct(self, binding: Binding, **members: Any) -> Any:
+        """`LinearPrediction` of engine.h with these arrays and further members."""
+        arrays = "f x w f0 x0 w0 q course response forcing v v_slope stages inverse"
+        system = self.system_struct(binding)
+        return binding.h.LinearPrediction(system=system, **binding.all_at(self, arrays), **members)
+
+
+NO_DERIVATIVES = "provides no directional derivatives, so its outputs are extrapolated"
 
 
 class LinearPrediction:
@@ -174,8 +245,6 @@ class LinearPrediction:
         self._names, self._components = list(network.slaves), [*network.components.values()]
         self.inputs = [u for u in self._candidates() if u.target in plan.relevant]
         self.kinds = np.zeros(len(self.inputs), np.int32)
-        self._linearised: list[Linearisation] = []
-        self._columns: list[tuple[JacobianColumn, list[tuple[int, int, float]]]] = []
         self.joined = JoinedSystem(0, len(self.inputs))
         self.notes: tuple[str, ...] = ()
 
@@ -212,7 +281,7 @@ class LinearPrediction:
         if self._names[k] not in self._plan.linearised:
             return None
         n = self._state_count(k)
-        linear = self._linearisation(k, np.zeros(n), np.zeros(n))
+        linear = linearisation(self._components[k].slave, k, self.inputs, np.zeros(n), np.zeros(n))
         try:
             for call in (*linear.rate_reads, *linear.state_reads):
                 call()
@@ -226,13 +295,6 @@ class LinearPrediction:
     def _state_count(self, k: int) -> int:
         return len(self._components[k].slave.interface.states)
 
-    def _linearisation(self, k: int, f: Buffer, x: Buffer) -> Linearisation:
-        inputs = [u.target.variable for u in self.inputs if u.target.component == self._names[k]]
-        outputs = dict.fromkeys(
-            u.source.variable for u in self.inputs if u.source and u.source_component == k
-        )
-        return Linearisation(self._components[k].slave, inputs, list(outputs), f, x)
-
     def _join(self, predicted: Sequence[int]) -> None:
         """Join the components with directional derivatives to one system."""
         for i, u in enumerate(self.inputs):
@@ -241,15 +303,7 @@ class LinearPrediction:
                 by_prediction = self.kinds[i] in (self._h.PREDICTED, self._h.EXTRAPOLATED)
                 self._coupling.inputs[u.coupling_input].predicted = by_prediction
         self.joined = joined = JoinedSystem(sum(map(self._state_count, predicted)), len(self.inputs))
-        first = 0
-        for k in predicted:
-            last = first + self._state_count(k)
-            linear = self._linearisation(k, joined.f[first:last], joined.x[first:last])
-            self._linearised.append(linear)
-            self._columns += [(c, list(self._entries(k, linear, c, first))) for c in linear.columns]
-            first = last
-        start_of_d = joined.matrix_index(True, 0, True, 0)
-        joined.has_feedthrough = any(to >= start_of_d for _, entries in self._columns for _, to, _ in entries)
+        joined.connect(self._network, predicted, self.inputs, joined.f, joined.x)
 
     def _kind(self, source_component: int, predicted: Sequence[int]) -> int:
         h = self._h
@@ -259,43 +313,15 @@ class LinearPrediction:
             return int(h.LEADING)
         return int(h.PREDICTED if source_component in predicted else h.EXTRAPOLATED)
 
-    def _entries(
-        self, k: int, linear: Linearisation, column: JacobianColumn, first: int
-    ) -> Iterator[tuple[int, int, float]]:
-        """Entries of a column: index in its result, index in `matrices`, factor.
-
-        first   index of the first state of component k
-        """
-        n, targets = len(linear.states), [u.target for u in self.inputs]
-        for i, j in column.entries:
-            of_input, known, result = j >= n, first + j, column.rows.index(i)
-            if of_input:
-                known = targets.index(Port(self._names[k], linear.inputs[j - n]))
-            if i < n:
-                yield result, self.joined.matrix_index(of_input, known, False, first + i), 1.0
-                continue
-            source = Port(self._names[k], linear.outputs[i - n])
-            for row, u in enumerate(self.inputs):
-                if u.source == source:
-                    yield result, self.joined.matrix_index(of_input, known, True, row), u.factor
-
     def fill(self, binding: Binding) -> None:
         """Fill the C structures of the linear system."""
-        h, at, lag = binding.h, binding.at, self._plan.lag
-        columns = binding.array(h.JacobianColumn, [h.JacobianColumn()] * len(self._columns))
-        for struct, (column, entries) in zip(columns, self._columns, strict=False):
-            binding.fill_derivative(struct.derivative, column.call, column.seed, column.result)
-            from_, to, factor = zip(*entries, strict=True)
-            struct.to, struct.factor = at(np.array(to, np.int64)), at(np.array(factor, float))
-            setattr(struct, "from", at(np.array(from_, np.int32)))  # `from` is a keyword of Python
-            struct.entries = len(entries)
+        at, lag = binding.at, self._plan.lag
         coupling_inputs = [-1 if u.coupling_input is None else u.coupling_input for u in self.inputs]
+        linearised = self.joined.linearised
         struct = self.joined.struct(
             binding,
-            rate_reads=binding.program([call for linear in self._linearised for call in linear.rate_reads]),
-            state_reads=binding.program([call for linear in self._linearised for call in linear.state_reads]),
-            columns=binding.pointer(columns),
-            column_count=len(self._columns),
+            rate_reads=binding.program([call for linear in linearised for call in linear.rate_reads]),
+            state_reads=binding.program([call for linear in linearised for call in linear.state_reads]),
             kinds=at(self.kinds),
             inputs=at(np.array(coupling_inputs, np.int32)),
             leading_count=self._plan.leading_count,

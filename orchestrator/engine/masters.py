@@ -10,11 +10,11 @@ native/communication_step.c carries out a step of any plan; docs/coupling.md has
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.base.coupling import Coupling
-from orchestrator.fmi.description import FmuInterface
+from orchestrator.ssp.dependencies import influential_inputs
 from orchestrator.ssp.system import Connection, Port, System
 
 
@@ -25,7 +25,7 @@ class Prediction:
     leading_count   number of components that step first, because they depend on no other component
     linearised      names of the components that declare directional derivatives of states and outputs
     complete        all components are leading, linearised, or feed no other
-    relevant        inputs that influence a state, or an output that feeds another component
+    relevant        inputs that influence a state, directly or through other components
     lag             number of steps for which a linearisation is kept
     """
 
@@ -48,7 +48,8 @@ class Plan:
     passes          how often the step is computed at most; more than once requires rollback
     tolerance       passes end when the last one changed no signal by more, relative to its magnitude
     corrected       extrapolated inputs are corrected by input_correct of native/coupling_input.c
-    watches         held inputs are watched too, to estimate the error
+    watches         held inputs are watched too, to estimate the error of a step
+    estimates       the error of the run is estimated, which needs all slopes
     repeated        indices of the components that further passes compute again
     notes           remarks for the accuracy card
     prediction      inputs are predicted from linearisations
@@ -63,6 +64,7 @@ class Plan:
     tolerance: float = 0.0
     corrected: bool = False
     watches: bool = False
+    estimates: bool = False
     repeated: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
     prediction: Prediction | None = None
@@ -76,7 +78,7 @@ class Plan:
         """Does the master use slopes of the outputs of this component?"""
         prediction = self.prediction
         predicted = prediction is not None and prediction.complete and component in prediction.linearised
-        return self.needs_slopes and not predicted
+        return self.estimates or (self.needs_slopes and not predicted)
 
 
 def gauss_seidel_order(system: System) -> list[str]:
@@ -216,10 +218,10 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
     There is one pass and no rollback. Components that do not depend on others step first, and the inputs that
     they feed are interpolated.
     """
-    relevant = _relevant_inputs(system)
+    relevant = influential_inputs(system)
     leading = _leading_components(system, relevant)
     needed = _components_to_predict(system, leading, relevant)
-    linearised = frozenset(name for name in needed if _linearisable(system.components[name].interface))
+    linearised = frozenset(name for name in needed if system.components[name].interface.linearisable)
     return Plan(
         sorted(_gauss_seidel_indices(system), key=lambda k: k not in leading),
         system.connections,
@@ -229,30 +231,6 @@ def interface_jacobian_plan(system: System, coupling: Coupling) -> Plan:
         watches=coupling.estimates_error,
         prediction=Prediction(len(leading), linearised, linearised == needed, relevant, coupling.lag),
     )
-
-
-def _relevant_inputs(system: System) -> frozenset[Port]:
-    """Inputs that influence a state, or an output that feeds another component."""
-    sources: dict[str, set[str]] = {name: set() for name in system.components}
-    for c in system.connections:
-        if c.target.variable not in system.components[c.target.component].interface.unused_inputs:
-            sources[c.source.component].add(c.source.variable)
-    return frozenset(
-        Port(name, v.name)
-        for name, component in system.components.items()
-        for v in component.interface.of("input")
-        if _has_influence(component.interface, v.name, sources[name])
-    )
-
-
-def _has_influence(interface: FmuInterface, variable: str, outputs: Iterable[str]) -> bool:
-    if variable in interface.unused_inputs:
-        return False
-    if not (interface.states or interface.stateless):
-        return True
-    dependencies = [interface.dependencies.get(rate) for rate in interface.states.values()]
-    on_states = any(names is None or variable in names for names in dependencies)
-    return on_states or any(variable in interface.direct_inputs(y) for y in outputs)
 
 
 def _leading_components(system: System, relevant: frozenset[Port]) -> set[int]:
@@ -273,11 +251,6 @@ def _components_to_predict(system: System, leading: set[int], relevant: frozense
     others = {name for k, name in enumerate(system.components) if k not in leading}
     connections = [c for c in system.connections if c.target in relevant and c.target.component in others]
     return frozenset({c.source.component for c in connections} & others)
-
-
-def _linearisable(interface: FmuInterface) -> bool:
-    """Does a component declare directional derivatives of all its states and outputs?"""
-    return interface.directional_derivatives and bool(interface.states or interface.stateless)
 
 
 MASTERS: Mapping[str, Callable[[System, Coupling], Plan]] = {

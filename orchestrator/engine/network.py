@@ -28,6 +28,7 @@ from orchestrator.ssp.dependencies import (
     DependencyCycle,
     Feedthrough,
     OutputOrder,
+    influential_inputs,
     output_order,
     strongly_connected,
 )
@@ -142,6 +143,7 @@ class Network:
             name: RunningComponent(slave, (substeps or {}).get(name, 1)) for name, slave in slaves.items()
         }
         self.order: OutputOrder = output_order(system)
+        self._influential = influential_inputs(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
         output_blocks, input_blocks = self._allocate(recorded, scenario.columns if scenario else ())
@@ -158,11 +160,9 @@ class Network:
         """Remarks on the exchange for the user."""
         return self.order.notes + tuple(loop.note for loop in self.loops)
 
-    def influences_outputs(self, port: Port) -> bool:
-        """Does a connected output of its component, or a state, depend on this input?"""
-        interface = self.slaves[port.component].interface
-        connected = {c.source.variable for c in self.connections if c.source.component == port.component}
-        return port.variable not in interface.unused_inputs and interface.may_affect(port.variable, connected)
+    def is_influential(self, port: Port) -> bool:
+        """Does a state depend on this input, directly or through other components?"""
+        return port in self._influential
 
     # ---- calls
 

@@ -23,6 +23,7 @@ from orchestrator.base.text import TextTable
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout, read_origin, write_trace
+from orchestrator.engine.error_propagation import EstimatedError
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.provenance import Provenance
@@ -100,6 +101,7 @@ EQUAL_STEPS = (
 ADAPTIVE_STEPS = (
     "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change"
 )
+BY_INPUTS = "estimated error of the coupling, from the errors of the inputs in each step"
 # A signal is constant if its range is below
 CONSTANT = 1e-6  # of its nominal value,
 CONSTANT_IN_UNIT = 1e-9  # or, without a nominal value, of the largest range of a signal in the same unit,
@@ -114,14 +116,14 @@ CAUSE = 0.1  # relative residual above which the coupling is the likely cause of
 
 @dataclass(frozen=True)
 class SignalError:
-    """Change of one signal when the step is halved; at order p the error is 2^p / (2^p - 1) times the change.
+    """The error of one signal that was estimated during the run, or its change when the step is halved.
 
-    For an adaptive run the change at a tenth of the tolerance. An error proportional to the tolerance is 1.1
-    times the change. An error proportional to its root (hermite, if FMUs hold inputs) is 1.5 times the
-    change.
+    At order p the error is 2^p / (2^p - 1) times the change. For an adaptive run it is the change at a tenth
+    of the tolerance. An error proportional to the tolerance is 1.1 times the change. An error proportional to
+    its root (hermite, if FMUs hold inputs) is 1.5 times the change.
 
-    largest, rms   largest and RMS change over the range of the signal
-    change         largest change, in `unit`
+    largest, rms   largest and RMS error, or change, over the range of the signal
+    change         largest error, or change, in `unit`
     order          measured order of convergence, from a third run at twice the step; None if unknown
     """
 
@@ -145,6 +147,7 @@ class Card:
     lengths       shortest and longest step
     adaptive      tolerance of an adaptive run; None: all steps are equal
     inside        component -> wall time in its steps; the remaining wall time is coupling and recording
+    errors        of signals; errors_of_inputs: estimated during the run, else changes in further runs
     """
 
     master: str
@@ -162,6 +165,7 @@ class Card:
     repeated: int = 0
     lengths: tuple[float, float] = (0.0, 0.0)
     adaptive: float | None = None
+    errors_of_inputs: bool = False
 
     @property
     def real_time_factor(self) -> float:
@@ -187,6 +191,18 @@ class Card:
         if (passes := f"{self.passes / max(self.steps, 1):.3g}") not in ("0", "1"):
             text += f", {passes} passes each"
         return text + (f", {self.repeated} repeated" if self.repeated else "")
+
+    def _error_lines(self) -> list[str]:
+        """The worst error, or change, of a signal in each unit."""
+        head, worst = ["worst signal of each unit"], self.worst
+        if self.errors_of_inputs:
+            head += ["largest", "", "of range", "rms of range"]
+            rows = [[*_error_row(e)[:4], f"{e.rms:.1e}"] for e in worst]
+            return ["", BY_INPUTS, *TextTable(head, rows).lines()]
+        head += ["change", "", "of range", "order"]
+        title, columns = (EQUAL_STEPS, 5) if self.adaptive is None else (ADAPTIVE_STEPS, 4)  # no order
+        rows = [_error_row(e)[:columns] for e in worst]
+        return ["", title, *TextTable(head[:columns], rows).lines()]
 
     def _bonds_above(self, limit: float) -> list[BondEnergy]:
         """The bonds whose relative energy error exceeds `limit`."""
@@ -233,11 +249,7 @@ class Card:
             lines += ["", *TextTable(["power bond", "residual [J]", "exchanged [J]", "share"], rows).lines()]
         elif self.bonds:
             lines += ["", "no power bond exchanges energy"]
-        if self.errors:
-            head = ["worst signal of each unit", "change", "", "of range", "order"]
-            title, columns = (EQUAL_STEPS, 5) if self.adaptive is None else (ADAPTIVE_STEPS, 4)  # no order
-            rows = [_error_row(e)[:columns] for e in self.worst]
-            lines += ["", title, *TextTable(head[:columns], rows).lines()]
+        lines += self._error_lines() if self.errors else []
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
         warnings = [*self._unreliable(), *self.warnings]
         lines += ["", *(f"warning: {w}" for w in warnings)] if warnings else []
@@ -264,6 +276,18 @@ def compare(
         order = float(np.log2(larger / rms)) if rms >= 1e-11 * span and larger > 0 else None
         errors.append(SignalError(name, largest / span, rms / span, order, fine.units.get(name, ""), largest))
     return tuple(errors)
+
+
+def relative_errors(
+    errors: Mapping[str, EstimatedError], trace: Trace, nominals: Mapping[str, float | None]
+) -> tuple[SignalError, ...]:
+    """Errors that were estimated during a run, over the ranges of its signals without the constant ones."""
+    recorded = trace.select(name for name in errors if name in trace.signals)
+    return tuple(
+        SignalError(name, e.largest / span, e.rms / span, None, trace.units.get(name, ""), e.largest)
+        for name, span in _ranges(recorded, nominals).items()
+        if (e := errors[name]).largest
+    )
 
 
 def _ranges(trace: Trace, nominals: Mapping[str, float | None]) -> dict[str, float]:

@@ -31,6 +31,7 @@ from orchestrator.engine.result import (
     compare,
     metadata_file,
     metadata_text,
+    relative_errors,
 )
 from orchestrator.engine.scenario import Scenario, drive
 from orchestrator.engine.time_grid import (
@@ -156,6 +157,9 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
     """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(times, outcome, sink)
+    if outcome.errors:
+        nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
+        card = replace(card, errors=relative_errors(outcome.errors, trace, nominals), errors_of_inputs=True)
     result = Result(job.system, trace, card, tuple(messages), outcome.complete, job.coupling, job.provenance)
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
@@ -192,7 +196,12 @@ def _scenario(system: System, scenario: ScenarioSource) -> tuple[Trace | None, S
 
 
 def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
-    """A complete run with error estimates on its card, or with a note if a further run fails."""
+    """A complete run with error estimates on its card, or with a note if a further run fails.
+
+    If the run itself has estimated its errors, there are no further runs.
+    """
+    if result.card.errors_of_inputs:
+        return result
 
     def repeated(job: Job, times: Grid) -> Trace:
         sink = TraceInMemory()

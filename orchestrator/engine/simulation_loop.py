@@ -162,7 +162,7 @@ class SimulationLoop:
             component.struct.repeated = k in plan.repeated
         at = self._binding.at
         sim.inputs = self._binding.pointer(inputs.array(self._binding))
-        sim.input_count, sim.slopes = len(inputs.inputs), at(inputs.slopes)
+        sim.input_count = len(inputs.inputs)
         sim.order, sim.has_stepped = at(np.array(order, np.int32)), at(np.zeros(len(order), np.uint8))
         sim.degree, sim.passes, sim.corrected = plan.degree, plan.passes, plan.corrected
         sim.sequential, sim.tolerance = plan.sequential, plan.tolerance

@@ -166,9 +166,17 @@ class FmuInterface:
             return frozenset(v.name for v in self.variables.values() if v.settable)
         return declared
 
-    def may_affect(self, variable: str, outputs: Iterable[str]) -> bool:
-        """False if the FMU has no states and none of these outputs has direct feedthrough from the input."""
-        return not self.stateless or any(variable in self.direct_inputs(y) for y in outputs)
+    @property
+    def linearisable(self) -> bool:
+        """Does the FMU declare directional derivatives and all its states?"""
+        return self.directional_derivatives and bool(self.states or self.stateless)
+
+    def may_affect_states(self, variable: str) -> bool:
+        """May a state depend on an input? True if states or dependencies of the FMU are not declared."""
+        if not self.states:
+            return not self.stateless or None in self.feedthrough.values()
+        dependencies = [self.dependencies.get(rate) for rate in self.states.values()]
+        return any(names is None or variable in names for names in dependencies)
 
     @property
     def ramp_inputs(self) -> frozenset[str]:

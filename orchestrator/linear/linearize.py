@@ -89,16 +89,11 @@ def _open_loops(plant: CutPlant) -> Iterator[Port]:
         targets = [i for i, row in enumerate(plant.connections) if row[j]]
         if {plant.inputs[i].component for i in targets} & with_inputs:
             continue
-        declared = any(_may_affect_state(plant, plant.inputs[i]) for i in targets)
+        ports = [plant.inputs[i] for i in targets]
+        interfaces = [plant.system.components[p.component].interface for p in ports]
+        declared = any(i.may_affect_states(p.variable) for i, p in zip(interfaces, ports, strict=True))
         if output.component in with_inputs and declared and not effective[targets].any():
             yield output
-
-
-def _may_affect_state(plant: CutPlant, port: Port) -> bool:
-    """True if a state of the component may depend on an input, by the dependencies that the FMU declares."""
-    interface = plant.system.components[port.component].interface
-    dependencies = [interface.dependencies.get(rate) for rate in interface.states.values()]
-    return any(inputs is None or port.variable in inputs for inputs in dependencies)
 
 
 EXPERIMENT_LENGTH = 1.0  # [s], for the set-up of the FMUs; no result depends on it

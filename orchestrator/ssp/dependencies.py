@@ -57,6 +57,26 @@ class OutputOrder:
         return max((s[-1] for s in self.stages.values()), default=-1) + 1
 
 
+def influential_inputs(system: System) -> frozenset[Port]:
+    """Inputs that influence a state, directly or through outputs that feed such inputs elsewhere."""
+    interfaces = {name: component.interface for name, component in system.components.items()}
+    candidates = {
+        Port(name, v.name)
+        for name, interface in interfaces.items()
+        for v in interface.of("input")
+        if v.name not in interface.unused_inputs
+    }
+    found = {p for p in candidates if interfaces[p.component].may_affect_states(p.variable)}
+    while True:
+        sources = {c.source for c in system.connections if c.target in found}
+        through = {
+            Port(y.component, u) for y in sources for u in interfaces[y.component].direct_inputs(y.variable)
+        }
+        if through & candidates <= found:
+            return frozenset(found)
+        found |= through & candidates
+
+
 def output_order(system: System) -> OutputOrder:
     """The stages of all outputs of the system during the run."""
     feedthrough = Feedthrough(system)

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import fmpy
 
+from orchestrator import System, assemble
+
 SOURCES = [Path(__file__).with_name(name) for name in ("models.c", "fmi2.c", "fmi3.c")]
 WIDTHS = ("Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64")
 BASE = {  # unit -> BaseUnit attributes
@@ -271,6 +273,27 @@ class Workshop:
             for member, content in (extra or {}).items():
                 archive.writestr(member, content)
         return path
+
+
+TELLS = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
+DEPENDS = {"force": ["x2", "x"], "x": ["x"], "v": ["v"]}
+
+
+def telling(workshop: Workshop, model: str, name: str | None = None, **more: object) -> Path:
+    """A mass that declares its states and has directional derivatives of states and outputs."""
+    outputs = ("force", "x", "v") if model == "mass_a" else ("x", "v")
+    given = {
+        "interpolates": workshop.fmi == 2,
+        "able": {TELLS[workshop.fmi]: "true"},
+        "also": STATES[model],
+        "changes": {y: {"depends": DEPENDS[y]} for y in outputs},
+    }
+    return workshop.make(model, name or f"{model}_tells", **given | more)
+
+
+def oscillator_of(a: Path, b: Path) -> System:
+    """Two masses and three springs."""
+    return assemble({"a": a, "b": b}, ["a.force -> b.force", "b.x -> a.x2"])
 
 
 @dataclass(frozen=True)

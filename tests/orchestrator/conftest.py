@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.models import HIGHEST, RATES, Workshop
+from any_fmu.models import HIGHEST, RATES, Workshop, oscillator_of, telling
 from any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 from scipy.linalg import expm
@@ -40,6 +40,12 @@ def oscillator(fmus: Workshop) -> System:
     """Two masses and three springs, undamped: a sends a force with feed-through, b its position."""
     files = {"a": fmus["mass_a"], "b": fmus["mass_b"]}
     return assemble(files, ["a.force -> b.force", "b.x -> a.x2"])
+
+
+@pytest.fixture(scope="session")
+def open_oscillator(fmus: Workshop) -> System:
+    """Both masses have directional derivatives, and their inputs follow cubics."""
+    return oscillator_of(telling(fmus, "mass_a"), telling(fmus, "mass_b"))
 
 
 Oscillators = Callable[..., System]

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from orchestrator.engine.c_library import engine_h, library
 
-NO_SLOPE, CouplingInput = engine_h().NO_SLOPE, engine_h().CouplingInput
+CouplingInput = engine_h().CouplingInput
+SLOPE = ctypes.c_double(0.0)  # the functions only ask whether there is one
 
 
 def call(name, *arguments):
@@ -63,7 +64,9 @@ class Input:
 
     def __init__(self, **fields):
         self.struct = CouplingInput(
-            **{"factor": 1.0, "source_component": 1, "fmu_degree": 3, "requested_degree": 3} | fields
+            **{"factor": 1.0, "source_component": 1, "fmu_degree": 3, "requested_degree": 3}
+            | {"source_slope": ctypes.addressof(SLOPE)}
+            | fields
         )
 
     def __getattr__(self, name):
@@ -174,7 +177,8 @@ def watched(c, lengths, order=0, slopes=True, degree=3):
 
     It was continued at `order`; `slopes` says whether its source gives them.
     """
-    s = Input(slope_index=0 if slopes else NO_SLOPE, fmu_degree=degree, order=order)
+    missing = {} if slopes else {"source_slope": None}
+    s = Input(fmu_degree=degree, order=order, **missing)
     s.begin(c[0], c[1] if slopes else 0.0)
     t, steps = 0.0, (0.0, 0.0)
     for n, h in enumerate(lengths):

@@ -4,7 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from any_fmu.models import RATES, STATES, V
+from any_fmu.models import DEPENDS, RATES, STATES, TELLS, V, oscillator_of, telling
 from any_fmu.outcome import OPENERS
 
 from orchestrator import Coupling, Trace, assemble, run
@@ -17,31 +17,6 @@ from orchestrator.engine.masters import interface_jacobian_plan
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
-
-ABLE = {2: "providesDirectionalDerivative", 3: "providesDirectionalDerivatives"}
-DEPENDS = {"force": ["x2", "x"], "x": ["x"], "v": ["v"]}
-
-
-def telling(workshop, model, name=None, **more):
-    """A mass that declares its states and has directional derivatives of states and outputs."""
-    outputs = ("force", "x", "v") if model == "mass_a" else ("x", "v")
-    given = {
-        "interpolates": workshop.fmi == 2,
-        "able": {ABLE[workshop.fmi]: "true"},
-        "also": STATES[model],
-        "changes": {y: {"depends": DEPENDS[y]} for y in outputs},
-    }
-    return workshop.make(model, name or f"{model}_tells", **given | more)
-
-
-def oscillator_of(a, b):
-    return assemble({"a": a, "b": b}, ["a.force -> b.force", "b.x -> a.x2"])
-
-
-@pytest.fixture(scope="module")
-def open_oscillator(fmus):
-    """Both masses have directional derivatives, and their inputs follow cubics."""
-    return oscillator_of(telling(fmus, "mass_a"), telling(fmus, "mass_b"))
 
 
 def worst(result, exact):
@@ -178,7 +153,7 @@ def test_derivatives_that_fail_are_told(fmus):
     rates = [V("der_y", "local", depends=["u"], derives="y", place=14)]
     more = {
         "interpolates": True,
-        "able": {ABLE[2]: "true"},
+        "able": {TELLS[2]: "true"},
         "also": rates,
         "changes": {"y": {"depends": ["y"]}},
     }

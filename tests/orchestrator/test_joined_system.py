@@ -17,11 +17,11 @@ class Joined(JoinedSystem):
     def join(self):
         self.binding = Binding()
         self.state = self.struct(self.binding)
-        library().prediction_join(byref(self.state))
+        library().linear_system_join(byref(self.state.system))
 
     @property
     def usable(self):
-        return bool(self.state.usable)
+        return bool(self.state.system.usable)
 
     def prepare(self, h):
         library().prediction_prepare(byref(self.state), c_double(h))
@@ -41,7 +41,7 @@ def inverted(matrix):
     wide = -(-n // 8) * 8
     found, rows = np.zeros((n, wide)), np.zeros(n, np.int32)
     found[:, :n] = matrix
-    return found[:, :n] if library().prediction_invert(address(found), address(rows), n, wide) else None
+    return found[:, :n] if library().matrix_invert(address(found), address(rows), n, wide) else None
 
 
 def random(n, m, seed, direct=True):

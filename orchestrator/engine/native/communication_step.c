@@ -77,8 +77,7 @@ static int set_exact_ends(Simulation *sim, const Component *p, double h) {
 
 static void set_source_end(Simulation *sim, CouplingInput *s, double h) {
     const double value = sim->reals[s->source] * s->factor + s->offset;
-    const double slope = s->slope_index == NO_SLOPE ? 0.0 : sim->slopes[s->slope_index] * s->factor;
-    input_set_end(s, value, slope, h, sim->length, sim->length_before);
+    input_set_end(s, value, source_slope(s), h, sim->length, sim->length_before);
 }
 
 /* The outputs of one component, or of every component, are the ends of the inputs that they feed. */

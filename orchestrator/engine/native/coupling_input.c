@@ -35,11 +35,11 @@ static void extrapolate(const CouplingInput *s, int order, double length, double
 }
 
 /* The polynomial of degree 1, 2 or 3 through the values, and the slopes, at both ends of the step. */
-static void interpolate(CouplingInput *s, int degree, double h) {
+static void interpolate(const CouplingInput *s, int degree, double h, double c[]) {
     const double chord = (s->value_end - s->value) / h, a = s->slope, b = s->slope_end;
-    if (degree == 1) cubic(s->c, s->value, chord, 0.0, 0.0);
-    else if (degree == 2) cubic(s->c, s->value, a, (chord - a) / h, 0.0);
-    else cubic(s->c, s->value, a, (3.0 * chord - 2.0 * a - b) / h, (a + b - 2.0 * chord) / (h * h));
+    if (degree == 1) cubic(c, s->value, chord, 0.0, 0.0);
+    else if (degree == 2) cubic(c, s->value, a, (chord - a) / h, 0.0);
+    else cubic(c, s->value, a, (3.0 * chord - 2.0 * a - b) / h, (a + b - 2.0 * chord) / (h * h));
 }
 
 /* The same polynomial with its time counted from `by` [s]. */
@@ -68,7 +68,7 @@ double polynomial_slope(const double c[], double s) { return c[1] + s * (2.0 * c
 /* An input driven by a scenario: a straight line to the value at the end; the value at the middle gives its error. */
 void input_drive(CouplingInput *s, double middle, double value_end, double h) {
     s->value_end = value_end;
-    interpolate(s, 1, h);
+    interpolate(s, 1, h, s->c);
     s->expected = value_end + (middle - 0.5 * (s->value + value_end));
     s->weight = 1.0;
 }
@@ -111,7 +111,7 @@ static int is_straight(const CouplingInput *s, double h) {
 void input_interpolate(CouplingInput *s, int32_t degree, double h, double length) {
     double past[DEGREE + 1];
     const int usable = !s->history_order || is_straight(s, h) ? 1 : degree;
-    interpolate(s, usable, h);
+    interpolate(s, usable, h, s->c);
     extrapolate(s, usable, length, past);
     s->expected = polynomial_value(past, h);
     s->weight = 0.25;
@@ -137,7 +137,7 @@ void input_correct(CouplingInput *s, double h, double length) {
 void input_begin(CouplingInput *s, double value, double slope) {
     s->value = value, s->slope = slope;
     s->scale = larger(s->scale, fabs(value));
-    s->history_order = s->slope_index == NO_SLOPE ? 0 : 1;
+    s->history_order = s->source_slope ? 1 : 0;
     cubic(s->c, value, slope, 0.0, 0.0);
 }
 
@@ -153,7 +153,12 @@ static double backward_slope(const CouplingInput *s, double h, double length, do
 /* Sets the source at the end of the step; `before`: length of the step before the previous one [s]. */
 void input_set_end(CouplingInput *s, double value, double slope, double h, double length, double before) {
     s->value_end = value;
-    s->slope_end = s->slope_index == NO_SLOPE ? backward_slope(s, h, length, before) : slope;
+    s->slope_end = s->source_slope ? slope : backward_slope(s, h, length, before);
+}
+
+/* The source over the step, along the computed solution: the cubic through both ends. */
+void input_true_course(const CouplingInput *s, double h, double c[]) {
+    interpolate(s, is_straight(s, h) ? 1 : DEGREE, h, c);
 }
 
 static double true_mean(const CouplingInput *s, double h) {

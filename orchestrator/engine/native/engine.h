@@ -4,6 +4,8 @@
  *     communication_step.c   one communication step: jacobi_pass, gauss_seidel_pass, and their repetition (Hermite)
  *     coupling_input.c       one input over a communication step, as a polynomial of time
  *     linear_prediction.c    all inputs over a communication step, predicted from the interface Jacobian
+ *     error_propagation.c    the error of all states and outputs, from the errors of the inputs in each step
+ *     linear_system.c        the linear system of both
  *     step_size.c            the length of the next adaptive step
  *     algebraic_loop.c       Newton's method for inputs that determine the outputs which feed them
  *     scenario.c             inputs that a scenario drives
@@ -20,12 +22,13 @@
 
 #include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
 enum { REAL, INTEGER };                                           /* arrays of values; INTEGER: all but Real values */
 enum { F64, F32, I8, U8, I16, U16, I32, U32, I64, U64, LOGICAL }; /* types of values in an FMU */
 enum { ACCESS, COPY, LOOP, PYTHON, EXCHANGE };                    /* types of instructions */
 enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of calls in Model Exchange */
-enum { DRIVEN = -1, NO_SLOPE = -1, DEGREE = 3 };
+enum { DRIVEN = -1, LINE = 1, DEGREE = 3 };
 enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
 enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python; also numbers of FMI functions */
 enum { OUT_OF_RANGE = -1, WITHDRAWN = -3 };                /* further statuses: an integer that the other type cannot
@@ -119,24 +122,66 @@ typedef struct JacobianColumn { /* a directional derivative: matrices[to] = fact
     int32_t entries;
 } JacobianColumn;
 
-/* The linearised components joined by their connections: n states, m inputs; see linear_prediction.c.
+/* The linearised components joined by their connections: n states, m inputs; see linear_system.c.
  * n_padded, m_padded: n and m rounded up to a multiple of BLOCK */
-typedef struct LinearPrediction {
-    Program rate_reads, state_reads; /* read the time derivatives of the states into f, the states into x */
+typedef struct LinearSystem {
     const JacobianColumn *columns;
-    const int32_t *kinds, *inputs; /* of each input: PREDICTED, ...; its coupling input, or -1: the FMU moves it */
-    double *matrices, *k, *kc, *closed_loop, *inverse;
-    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *response, *forcing, *v, *stages;
+    double *matrices, *k, *kc, *closed_loop;
     int32_t *pivots;
-    int32_t column_count, n, m, n_padded, m_padded, has_feedthrough, leading_count, lag, age, usable;
+    int32_t column_count, n, m, n_padded, m_padded, has_feedthrough, usable;
+} LinearSystem;
+
+typedef struct StateSpace { /* views of `matrices` */
+    const double *a, *b, *c, *d;
+} StateSpace;
+
+typedef struct LinearPrediction { /* see linear_prediction.c */
+    LinearSystem system;
+    Program rate_reads, state_reads; /* read the time derivatives of the states into f, the states into x */
+    const int32_t *kinds, *inputs; /* of each input: PREDICTED, ...; its coupling input, or -1: the FMU moves it */
+    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *response, *forcing, *v, *v_slope, *stages, *inverse;
+    int32_t leading_count, lag, age;
     double age_seconds, last_step, inverse_step;
 } LinearPrediction;
+
+/* A component of the error propagation. copies: errors of inputs that influence no state, from indices in y to indices
+ * in the seed of the derivative */
+typedef struct ErrorMember {
+    Derivative outputs; /* its outputs, from its states, its inputs that influence a state, and its other inputs */
+    const int32_t *from, *to;
+    const double *factors;
+    int32_t first_state, state_count, first_input, input_count, copy_count;
+} ErrorMember;
+
+typedef struct InputStep { /* an input over a step of the master */
+    double line[LINE + 1], corner[LINE + 1]; /* constant and slope of the defect, without and with a corner of the source */
+    double third, bend;                /* of the source: third derivative / 6, and mean magnitude of the second one */
+    int32_t smooth, has_corner;        /* the source has slopes; it may have a corner inside the step */
+} InputStep;
+
+typedef struct ErrorInput { /* an input of the error propagation, over the last three steps */
+    InputStep before, step, last;
+    double usual_bend;                  /* largest `bend` before, faded */
+    int32_t input, substeps, predicted; /* its coupling input, or -1: no defect; substeps of its component */
+} ErrorInput;
+
+/* Errors of n states (e) and of the outputs (y), from the defects of m inputs; see error_propagation.c.
+ * lengths: of the last three steps [s]; squares, largest: sum of squares and largest magnitude of each element of y;
+ * diagonal: of A + B K C at the linearisation before */
+typedef struct ErrorPropagation {
+    LinearSystem system;
+    const ErrorMember *members;
+    ErrorInput *inputs;
+    double *e, *stages, *inverse, *w, *defects, *y, *squares, *largest, *lengths, *diagonal;
+    int32_t member_count, output_count, lag, longest_lag, age, sample, since_sample;
+    int64_t samples;
+    double inverse_step;
+} ErrorPropagation;
 
 /* One input of a component that changes inside a communication step; all values in the unit of the input */
 typedef struct CouplingInput {
     int32_t target, source;   /* indices in the array of Real values; a driven input has the source -1 */
     int32_t source_component; /* its index, or DRIVEN */
-    int32_t slope_index;      /* index among the slopes that FMUs give, or NO_SLOPE: computed from values */
     int32_t fmu_degree;       /* the degree that the FMU can follow: 0 (it holds its input), 1 or 3 */
     int32_t requested_degree; /* the degree that the master asks for; 0: the input is only watched */
     int32_t order;            /* order of extrapolation */
@@ -144,12 +189,16 @@ typedef struct CouplingInput {
     int32_t in_loop;          /* the source is in an algebraic loop: computed when all components have stepped */
     int32_t predicted;        /* linear_prediction.c makes the polynomial */
     int32_t history_order;    /* the highest order of extrapolation that the recorded history allows */
-    double factor, offset;    /* from the value of the source to that of the input */
+    const double *source_slope; /* slope of the source: a slope that its FMU gives, or the value of an output that is the
+                                   slope; NULL: computed from values */
+    double slope_factor;        /* from the slope of the source to that of the input */
+    double factor, offset;      /* from the value of the source to that of the input */
     double scale;             /* magnitude: the nominal value (1 if none is declared), or the largest if larger */
     double value, slope;      /* of the source at the beginning of the step */
     double value_end, slope_end;
     double slope_before, chord_before, bend_before; /* of the previous step: slope at its beginning, mean slope, divided
                                                        difference of second order */
+    double predicted_slope;   /* slope at the end of the prediction */
     double expected, weight;  /* value at the end that the past lets expect, and weight of the difference to it */
     double deficit;           /* mean of the source less mean of the input over the last step */
     double correction;        /* part of c[0] that compensates the deficit */
@@ -246,7 +295,7 @@ typedef struct Plant {
 typedef struct Pool Pool;
 
 typedef struct Simulation {
-    double *reals, *saved_reals, *slopes;
+    double *reals, *saved_reals;
     double *input_ends; /* shape (2, real_count): coupling inputs at both ends of the step */
     int32_t *integers, *saved_integers;
     int64_t real_count, integer_count;
@@ -258,6 +307,7 @@ typedef struct Simulation {
     int32_t initial_rounds; /* rounds until slopes that depend on slopes of inputs are computed */
     Scenario *scenario;           /* NULL without one */
     LinearPrediction *prediction; /* NULL if the plan has none */
+    ErrorPropagation *errors;     /* NULL if the error is not estimated */
     EnergyMonitor energy;
     Recorder recorder;
     /* the plan of the master */
@@ -291,6 +341,11 @@ static inline double larger(double a, double b) { return b > a ? b : a; }
 static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double worse(double a, double b) { return b <= a || a != a ? a : b; }
 
+/* The slope of the source in the unit of the input; 0 if it is computed from values */
+static inline double source_slope(const CouplingInput *s) {
+    return s->source_slope ? *s->source_slope * s->slope_factor : 0.0;
+}
+
 #ifdef _WIN32
 #define EXPORT __declspec(dllexport)
 #else
@@ -314,11 +369,27 @@ EXPORT void loop_substitute(const double *a, const int32_t *pivots, double *b, i
 /* linear_prediction.c */
 int predict_inputs(Simulation *, double h);
 void prediction_accept(LinearPrediction *, double h);
-EXPORT void prediction_join(LinearPrediction *);
 EXPORT void prediction_find_drift(const LinearPrediction *);
 EXPORT void prediction_prepare(LinearPrediction *, double h);
 EXPORT void prediction_solve(const LinearPrediction *);
-EXPORT int32_t prediction_invert(double *a, int32_t *pivots, int32_t n, int32_t n_padded);
+
+/* linear_system.c */
+static inline void vector_zero(double *values, int32_t n) { memset(values, 0, (size_t)n * sizeof *values); }
+static inline void vector_copy(double *to, const double *from, int32_t n) {
+    memcpy(to, from, (size_t)n * sizeof *to);
+}
+void matrix_add_product(const double *matrix, const double *by, double *to, int32_t columns, int32_t n_padded);
+void matrix_identity_minus(double *a, const double *matrix, double factor, int32_t n, int32_t n_padded);
+EXPORT int32_t matrix_invert(double *a, int32_t *pivots, int32_t n, int32_t n_padded);
+StateSpace state_space(const LinearSystem *);
+int linear_system_evaluate(Simulation *, const LinearSystem *);
+EXPORT void linear_system_join(LinearSystem *);
+void linear_system_respond(const LinearSystem *, const double *w, double *response);
+
+/* error_propagation.c */
+int error_begin(Simulation *);
+int error_propagate(Simulation *, double h);
+EXPORT void error_advance(ErrorPropagation *, double h);
 
 /* coupling_input.c */
 EXPORT void input_begin(CouplingInput *, double value, double slope);
@@ -329,6 +400,7 @@ EXPORT void input_end_at_source(CouplingInput *, double h);
 EXPORT void input_interpolate(CouplingInput *, int32_t degree, double h, double length);
 EXPORT void input_correct(CouplingInput *, double h, double length);
 EXPORT void input_set_end(CouplingInput *, double value, double slope, double h, double length, double before);
+EXPORT void input_true_course(const CouplingInput *, double h, double c[]);
 EXPORT void input_accept(CouplingInput *, double h, double length);
 EXPORT double input_mismatch(const CouplingInput *, double h);
 EXPORT double input_deviation(const CouplingInput *, double h, int32_t repeated);

@@ -125,6 +125,8 @@ static int try_step(Simulation *sim, double h, int *accepted) {
         if (!step_size_accepts(sim->step_size, e, h)) return go_back(sim);
         sim->diverged = !isfinite(e);
     }
+    if (sim->errors) verdict = error_propagate(sim, h);
+    if (verdict) return verdict;
     for (int32_t i = 0; i < sim->input_count; i++) input_accept(&sim->inputs[i], h, sim->length);
     if (sim->prediction) prediction_accept(sim->prediction, h);
     sim->length_before = sim->length;
@@ -169,7 +171,7 @@ static void mark_loops(Simulation *sim) {
         for (int32_t j = 0; j < loop->output_count && loop->solved_in_passes; j++)
             for (int32_t i = 0; i < sim->input_count; i++)
                 if (sim->inputs[i].source == loop->output_indices[j])
-                    sim->inputs[i].in_loop = 1, sim->inputs[i].slope_index = NO_SLOPE;
+                    sim->inputs[i].in_loop = 1, sim->inputs[i].source_slope = NULL;
     }
 }
 
@@ -178,8 +180,7 @@ static void begin_input(const Simulation *sim, CouplingInput *s) {
         input_begin(s, sim->reals[s->target], 0.0);
         return;
     }
-    const double slope = s->slope_index == NO_SLOPE ? 0.0 : sim->slopes[s->slope_index] * s->factor;
-    input_begin(s, sim->reals[s->source] * s->factor + s->offset, slope);
+    input_begin(s, sim->reals[s->source] * s->factor + s->offset, source_slope(s));
 }
 
 /* Exchanges values at the start and records them. The slope of an output may depend on slopes of inputs, so slopes are
@@ -196,7 +197,7 @@ int32_t simulation_begin(Simulation *sim) {
     if (verdict) return verdict;
     for (int32_t i = 0; i < sim->energy.count; i++) sim->energy.start[i] = sim->reals[sim->energy.indices[i]];
     record(sim);
-    return CONTINUE;
+    return sim->errors ? error_begin(sim) : CONTINUE;
 }
 
 /* Steps until the recorder's block is full, the run ends, or `patience` [s] of wall time have passed. */

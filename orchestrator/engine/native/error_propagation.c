@@ -1,0 +1,225 @@
+/* The error of a run, estimated while it runs: the errors of all inputs, carried through the linearised system.
+ *
+ * Inside a step an FMU uses the input u(s) that the master gave it, not the value of its source at that time. Along
+ * the computed solution the source is known at both ends of the step, by value and slope, so the defect of the input is
+ *
+ *     d(s) = H(s) - u(s) + s^2 (h - s)^2 y4 / 24
+ *
+ * H: cubic through both ends; y4: fourth derivative of the source, from the third derivatives of H in neighbouring
+ * steps. If the slope of the source changes much more than in the steps around, H is replaced by two straight lines
+ * with a corner. For an input that linear_prediction.c has predicted, H(s) - u(s) is replaced by the deviation of the
+ * source from the prediction; the last term, by that of a cubic through thirds of the step. To first order the errors e = truth - computed of all states are those of the linear system
+ *
+ *     e' = (A + B K C) e + B d(s)                                                          (linear_system.c)
+ *
+ * There is no K before d, because outputs with feed-through are known for inputs without defect.
+ * It is solved by one step of the L-stable Runge-Kutta method of order 4 with five stages and the same diagonal element
+ * gamma (Hairer and Wanner, Solving Ordinary Differential Equations II, table 6.5), where d(s) is the straight line with
+ * the same mean and the same first moment. The system is linearised anew every `lag` steps, which is adapted to its
+ * changes, and at corners. e is one step behind the run, because a defect needs the step that follows. Every `sample`
+ * steps the errors of the outputs follow from e by directional derivatives. Errors inside the FMUs are not included.
+ */
+
+#include <math.h>
+#include <string.h>
+
+#include "engine.h"
+
+static const double SAME_STEP = 1e-9;           /* largest relative difference of two equal steps */
+enum { STAGES = 5 };
+static const double GAMMA = 0.25;
+static const double NODES[STAGES] = {0.25, 0.75, 0.55, 0.5, 1.0};
+static const double WEIGHTS[STAGES][STAGES - 1] = {
+    {0.0},
+    {0.5},
+    {17.0 / 50.0, -1.0 / 25.0},
+    {371.0 / 1360.0, -137.0 / 2720.0, 15.0 / 544.0},
+    {25.0 / 24.0, -49.0 / 48.0, 125.0 / 16.0, -85.0 / 12.0},
+};
+/* A corner: mean second derivative of its step over the largest in the steps around. That of past steps fades by the
+ * second factor in each step. */
+static const double CORNER = 4.0, FADING = 0.9;
+/* Largest diagonal element of A + B K C times h. While a cavity collapses, the element is positive and grows to the
+ * inverse of the remaining time, where the method would amplify an error without limit. */
+static const double GROWTH = 0.25;
+static const double MUCH = 0.3, LITTLE = 0.1; /* relative change of a diagonal element that halves, doubles the lag */
+
+/* The line nearest to a course that is straight up to a corner at tau [s] and straight from there on. */
+static int find_corner(const CouplingInput *s, double h, double line[]) {
+    const double jump = s->slope_end - s->slope, tau = (s->value + s->slope_end * h - s->value_end) / jump;
+    if (!(tau > 0.0 && tau < h)) return 0;
+    const double rest = h - tau; /* a ramp jump (s - tau) from tau on: its mean, and its moment about the middle */
+    const double mean = jump * rest * rest / (2.0 * h), moment = jump * rest * rest * (h + 2.0 * tau) / 12.0;
+    const double slope = 12.0 * moment / (h * h * h);
+    line[0] = s->value + mean - slope * h / 2.0, line[1] = s->slope + slope;
+    return 1;
+}
+
+/* A prediction (linear_prediction.c) deviates from its source by a s^3 + b s^4; deviations of value and slope at the end
+ * give a and b. If the input was moved to the end of its source, b (s^4 - h s^3) is left. */
+static void find_prediction_error(const CouplingInput *s, double h, double line[]) {
+    const double deviation = s->value_end - s->expected, b = h * (s->slope_end - s->predicted_slope) - 3.0 * deviation;
+    const int moved = fabs(polynomial_value(s->c, h) - s->expected) > fabs(polynomial_value(s->c, h) - s->value_end);
+    const double a = moved ? -b : deviation - b; /* both times powers of h */
+    line[0] = -a / 5.0 - b / 5.0, line[1] = (0.9 * a + 0.8 * b) / h;
+}
+
+/* Notes the last step of an input, of length h [s]. */
+static void note_step(const CouplingInput *s, ErrorInput *p, double h) {
+    InputStep *step = &p->last;
+    double course[DEGREE + 1], used[DEGREE + 1];
+    if (s->source_component == DRIVEN) { /* a corner inside the step: Simpson's rule */
+        step->line[0] = 2.0 / 3.0 * (s->expected - s->value_end);
+        return;
+    }
+    input_true_course(s, h, course);
+    step->third = course[DEGREE], step->bend = fabs(s->slope_end - s->slope) / h;
+    step->smooth = s->source_slope && !s->autonomous && s->history_order > 1;
+    if (s->predicted && s->source_slope) {
+        find_prediction_error(s, h, step->line);
+        return;
+    }
+    memcpy(used, s->c, sizeof used);
+    polynomial_project(used, s->requested_degree && !s->fmu_degree && p->substeps == 1 ? 0 : 1, h);
+    step->has_corner = step->smooth && find_corner(s, h, step->corner);
+    polynomial_project(course, 1, h);
+    for (int i = 0; i < 2; i++) step->line[i] = course[i] - used[i], step->corner[i] -= used[i];
+}
+
+/* The defect of an input in the step before the last one; 1: its source has a corner there. */
+static int find_defect(const ErrorInput *p, const double h[], double d[]) {
+    const InputStep *before = &p->before, *step = &p->step, *after = &p->last;
+    memcpy(d, step->line, sizeof step->line);
+    if (step->has_corner && step->bend > CORNER * larger(p->usual_bend, after->bend)) {
+        memcpy(d, step->corner, sizeof step->corner);
+        return 1;
+    }
+    if (!step->smooth || !before->smooth) return 0;
+    const double left = (step->third - before->third) / (h[0] + h[1]);
+    const double right = (after->third - step->third) / (h[1] + h[2]);
+    const double fourth = 12.0 * (fabs(left) > fabs(right) ? left : right);
+    d[0] += h[1] * h[1] * h[1] * h[1] * fourth / (p->predicted ? -6480.0 : 720.0);
+    return 0;
+}
+
+/* B times constant and slope of the defects, shape (2, n). */
+static void find_forcing(const ErrorPropagation *p, double *forcing) {
+    const LinearSystem *system = &p->system;
+    vector_zero(forcing, 2 * system->n_padded);
+    for (int k = 0; k < 2; k++) {
+        vector_zero(p->w, system->m_padded);
+        for (int32_t i = 0; i < system->m; i++) p->w[i] = p->defects[2 * i + k];
+        matrix_add_product(state_space(system).b, p->w, forcing + k * system->n_padded, system->m, system->n_padded);
+    }
+}
+
+static void prepare(ErrorPropagation *p, double h) {
+    if (!p->system.usable || fabs(h - p->inverse_step) <= SAME_STEP * h) return;
+    p->inverse_step = h;
+    for (int32_t i = 0; i < p->system.n; i++) {
+        double *diagonal = &p->system.closed_loop[i * p->system.n_padded + i];
+        *diagonal = smaller(*diagonal, GROWTH / h);
+    }
+    matrix_identity_minus(p->inverse, p->system.closed_loop, GAMMA * h, p->system.n, p->system.n_padded);
+    p->system.usable = matrix_invert(p->inverse, p->system.pivots, p->system.n, p->system.n_padded);
+}
+
+/* Advances the errors of the states over a step of length h [s]. */
+void error_advance(ErrorPropagation *p, double h) {
+    const int32_t n = p->system.n, n_padded = p->system.n_padded;
+    double *base = p->stages, *rhs = base + n_padded, *forcing = rhs + n_padded, *rates = forcing + 2 * n_padded;
+    prepare(p, h);
+    if (!p->system.usable) return;
+    find_forcing(p, forcing);
+    for (int k = 0; k < STAGES; k++) {
+        double *rate = rates + k * n_padded; /* the stage, then h de/ds there */
+        vector_copy(base, p->e, n_padded);
+        for (int j = 0; j < k; j++)
+            for (int32_t i = 0; i < n_padded; i++) base[i] += WEIGHTS[k][j] * rates[j * n_padded + i];
+        for (int32_t i = 0; i < n_padded; i++)
+            rhs[i] = base[i] + GAMMA * h * (forcing[i] + NODES[k] * h * forcing[n_padded + i]);
+        vector_zero(rate, n_padded);
+        matrix_add_product(p->inverse, rhs, rate, n, n_padded);
+        if (k == STAGES - 1) vector_copy(p->e, rate, n_padded);
+        for (int32_t i = 0; i < n_padded; i++) rate[i] = (rate[i] - base[i]) / GAMMA;
+    }
+}
+
+static int find_output_errors(Simulation *sim, const ErrorPropagation *p, const ErrorMember *member) {
+    double *seed = member->outputs.seed;
+    memcpy(seed, p->e + member->first_state, (size_t)member->state_count * sizeof *seed);
+    memcpy(seed + member->state_count, p->w + member->first_input, (size_t)member->input_count * sizeof *seed);
+    for (int32_t i = 0; i < member->copy_count; i++) seed[member->to[i]] = p->y[member->from[i]] * member->factors[i];
+    return directional_derivative(sim, &member->outputs);
+}
+
+/* The errors of all outputs at a communication point. Components with further inputs, which influence no state, are
+ * evaluated again when the errors of their sources are known. */
+static int sample(Simulation *sim, ErrorPropagation *p) {
+    vector_zero(p->w, p->system.m_padded);
+    matrix_add_product(p->system.kc, p->e, p->w, p->system.n, p->system.m_padded);
+    for (int round = 0; round < 2; round++)
+        for (int32_t k = 0; k < p->member_count; k++) {
+            if (round && !p->members[k].copy_count) continue;
+            const int verdict = find_output_errors(sim, p, &p->members[k]);
+            if (verdict) return verdict;
+        }
+    for (int32_t i = 0; i < p->output_count; i++) {
+        p->squares[i] += p->y[i] * p->y[i];
+        p->largest[i] = larger(p->largest[i], fabs(p->y[i]));
+    }
+    p->samples++;
+    return CONTINUE;
+}
+
+/* Linearises the components. If a diagonal element has changed much since the last time, the next time is sooner. */
+static int relinearise(Simulation *sim, ErrorPropagation *p) {
+    const int32_t n = p->system.n, stride = p->system.n_padded + 1;
+    for (int32_t i = 0; i < n; i++) p->diagonal[i] = p->system.closed_loop[i * stride];
+    const int verdict = linear_system_evaluate(sim, &p->system);
+    if (verdict) return verdict;
+    linear_system_join(&p->system);
+    p->inverse_step = 0.0;
+    double change = 0.0;
+    const double least = 1.0 / (p->lag * p->lengths[2]);
+    for (int32_t i = 0; i < n && p->lengths[2] > 0.0; i++) {
+        const double old = p->diagonal[i], new = p->system.closed_loop[i * stride];
+        change = larger(change, fabs(new - old) / (fabs(new) + fabs(old) + least));
+    }
+    if (change > MUCH) p->lag = p->lag > 1 ? p->lag / 2 : 1;
+    else if (change < LITTLE) p->lag = 2 * p->lag > p->longest_lag ? p->longest_lag : 2 * p->lag;
+    p->age = 0;
+    return CONTINUE;
+}
+
+int error_begin(Simulation *sim) { return relinearise(sim, sim->errors); }
+
+/* Advances the errors over the step before the last one, which is known to be accepted. */
+static int advance(Simulation *sim, ErrorPropagation *p) {
+    int corners = 0;
+    for (int32_t i = 0; i < p->system.m; i++) corners += find_defect(&p->inputs[i], p->lengths, &p->defects[2 * i]);
+    if (corners) {
+        const int verdict = relinearise(sim, p);
+        if (verdict) return verdict;
+    }
+    error_advance(p, p->lengths[1]);
+    p->age++, p->since_sample++;
+    if (p->since_sample < p->sample) return CONTINUE;
+    p->since_sample = 0;
+    return sample(sim, p);
+}
+
+/* Takes note of an accepted step of length h [s], before its end becomes the beginning of the next one. */
+int error_propagate(Simulation *sim, double h) {
+    ErrorPropagation *p = sim->errors;
+    p->lengths[0] = p->lengths[1], p->lengths[1] = p->lengths[2], p->lengths[2] = h;
+    for (int32_t i = 0; i < p->system.m; i++) {
+        ErrorInput *input = &p->inputs[i];
+        input->usual_bend = larger(FADING * input->usual_bend, input->step.bend);
+        input->before = input->step, input->step = input->last;
+        if (input->input >= 0) note_step(&sim->inputs[input->input], input, h);
+    }
+    int verdict = p->lengths[1] > 0.0 ? advance(sim, p) : CONTINUE;
+    if (!verdict && p->age >= p->lag) verdict = relinearise(sim, p);
+    return verdict;
+}
