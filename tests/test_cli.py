@@ -348,9 +348,32 @@ def test_all_options_reach_the_validation(capsys):
 
 
 @pytest.mark.usefixtures("here")
+def test_validate_needs_no_trace(capsys):
+    """Against the monolithic solution of the FMUs: the same report, exit status 1 if a limit is missed."""
+    options = ["validate", "--monolithic", "--stop", "1.2", "--set", "manipulator.head_mass=400"]
+    assert main(options) == 0
+    printed = capsys.readouterr().out
+    assert "Compared with: Monolithic solution of the FMUs\n" in printed
+    assert "pass: 27 of 27 signals within their limits" in printed
+    assert "note: reference: monolithic solution: " in printed
+    assert "computed with the shipped parameter values" not in printed
+    report = json.loads(Path("build/report.json").read_text(encoding="utf-8"))
+    assert report["facts"]["reference"] == "Monolithic solution of the FMUs"
+    assert main([*options, "--limit", "1e-12"]) == 1
+    assert "! manipulator.boom_speed: NRMSE " in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        (
+            ["validate", "--monolithic", "--reference", "own.csv"],
+            "--monolithic: expected no --reference, because the solution replaces it, got own.csv",
+        ),
+        (["validate", "--monolithic", "--play", "a"], "--play a: expected a --reference"),
+        (["validate", "--limit", "0.1"], "--limit 0.1: expected --monolithic"),
+        (["validate", "--monolithic", "--limit", "0"], "--limit: expected a positive number, got 0"),
         (["validate", "none.ssp"], "none.ssp: no such file"),
         (
             ["validate", "--reference", "none.csv"],

@@ -14,6 +14,7 @@ from orchestrator.cli.options import (
     StepOptions,
     System,
     app,
+    number,
     system_file,
     with_option_groups,
 )
@@ -32,6 +33,27 @@ def validate(
                 "Reference or measurement (.csv, .parquet or .mat, each with a .toml that describes "
                 "the columns); default: the reference of the work cycle."
             ),
+        ),
+    ] = None,
+    monolithic: Annotated[
+        bool,
+        typer.Option(
+            "--monolithic",
+            help=(
+                "Compare with the monolithic solution of the same FMUs, as `harvester reference` computes "
+                "it, not with a reference file."
+            ),
+        ),
+    ] = False,
+    limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="E",
+            help=(
+                "With --monolithic: largest NRMSE of a signal; default: the limits of the work cycle's "
+                "reference, 0.01 for systems without its signals."
+            ),
+            parser=number,
         ),
     ] = None,
     layout: Annotated[
@@ -70,6 +92,7 @@ def validate(
     file = system_file(system)
     defaults = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
+    options |= {"monolithic": monolithic, "limit": limit}
     options |= {"default_system": file} if system is None else {}
     if not validate_system(file, case.scenario, reference, layout, out, default=defaults, **options):
         raise typer.Exit(1)

@@ -45,6 +45,7 @@ from orchestrator.ssp.system import Inlet, System
 
 Array = NDArray[np.float64]
 
+SOLVER = "none, all FMUs as one ODE (CVODE)"  # on the card, in place of a master
 TOLERANCE = 2e-14  # default, relative; absolute: times the magnitude of the state
 MAX_STEPS = 10**6  # between two recorded times
 MAX_EVENTS = 1000  # at one time
@@ -392,7 +393,7 @@ class _Integration:
         ]
         notes += [f"{plant.ended} requested the end of the simulation"] if plant.ended else []
         card = Card(
-            master="none, all FMUs as one ODE (CVODE)",
+            master=SOLVER,
             step=simulated / max(counts.steps, 1),
             record_step=self.times.step,
             steps=counts.steps,

@@ -1,6 +1,7 @@
 """`harvester validate`: run a system, compare it with a reference, write the report.
 
-Without a scenario the commands in the reference are the scenario.
+Without a scenario the commands in the reference are the scenario. The monolithic solution of the same FMUs
+can replace a reference.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import FmuVariable
 from orchestrator.results import validation_report as reporting
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
+from orchestrator.results.monolithic_recording import monolithic_recording, solve_as_run
 from orchestrator.results.summary import summary
 from orchestrator.results.validation import (
     Validation,
@@ -273,6 +275,8 @@ def validate_system(
     rate: bool = True,
     play: Sequence[str] = (),
     default_system: Path = DEFAULT_SYSTEM,
+    monolithic: bool = False,
+    limit: float | None = None,
     **options: Any,
 ) -> bool:
     """Co-simulate, compare, write the trace and the report, print the table; True if no limit is exceeded.
@@ -282,9 +286,10 @@ def validate_system(
     rate     whether to compute the ISO/TS 18571 rating
     play     patterns of signals of the reference that are played with its commands, without a scenario
     default_system   system to which the default layout belongs, also with another reference
+    monolithic       compare with the monolithic solution of the same FMUs
+    limit            of the NRMSE of each signal of the monolithic solution, see `monolithic_recording`
     """
-    if play and (scenario or not reference):
-        raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
+    _refuse_contradictions(scenario, reference, play, monolithic, limit)
     against = read_recording(reference or default[0])
     chosen = layout or (default[1] if reference is None or system == default_system else None)
     page = read_layout(chosen) if chosen else Layout()
@@ -296,21 +301,29 @@ def validate_system(
         ahead = _times_ahead(times, against)
         blank = Trace(ahead, dict.fromkeys(signals.names, np.zeros_like(ahead)), signals.units)
         selected, renamed = _comparable(system, blank, against, page)
-        check_comparable(renamed, selected)
+        if not monolithic:
+            check_comparable(renamed, selected)
         if layout:
             page.check(renamed)
 
-    if other := other_numbers(system, against if reference is None else None, options):
+    shipped = against if reference is None and not monolithic else None
+    if other := other_numbers(system, shipped, options):
         print(f"{other}\n", flush=True)
     result, file = run_to_file(
         system, scenario or commands, trace, **options, every_point=False, accept=accept
     )
+    of_reference: list[str] = []
+    if monolithic:
+        solved = solve_as_run(system, scenario, result, options)
+        against = monolithic_recording(solved, against, [signal for _, signal in page.signals], limit)
+        of_reference = [f"reference: {n}" for n in solved.card.notes if n not in result.card.notes]
     missing = _lost(result.system, against, result.trace)
     # in memory, also if the run is long
     against, recorded = _comparable(result.system, result.trace.select(result.trace.signals), against, page)
     notes = [
+        *of_reference,
         _input_note(commands) if reference and not scenario else "",
-        _default_reference_note(scenario, against) if scenario and not reference else "",
+        _default_reference_note(scenario, against) if scenario and not reference and not monolithic else "",
         another_model(result.system, against),
         f"not compared, because the swapped FMU has no such signal: {', '.join(sorted(missing))}"
         if missing
@@ -320,7 +333,7 @@ def validate_system(
     card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
     result = replace(result, card=card)
     if not layout:
-        default_title = page.title if reference is None and scenario is None else ""
+        default_title = page.title if reference is None and scenario is None and not monolithic else ""
         title = default_title or f"{(scenario or system).stem} against {against.heading}"
         page = replace(page.within(recorded), title=title)
     facts = _facts(system, scenario, against.heading, card, **options)
@@ -331,6 +344,23 @@ def validate_system(
     Console().print(summary(validation))
     print(f"\n{card.text()}\n\nreport: {html}\nnumbers: {data}\ntrace: {file}")
     return validation.passed
+
+
+def _refuse_contradictions(
+    scenario: Path | None, reference: Path | None, play: Sequence[str], monolithic: bool, limit: float | None
+) -> None:
+    """Refuse options that have no meaning together."""
+    if monolithic and reference:
+        reason = "because the solution replaces it"
+        raise Problem(f"--monolithic: expected no --reference, {reason}, got {reference}")
+    if play and (scenario or not reference):
+        raise Problem(f"--play {play[0]}: expected a --reference and no --scenario")
+    if limit is not None and not monolithic:
+        raise Problem(
+            f"--limit {limit:g}: expected --monolithic; the limits of a --reference are in its TOML file"
+        )
+    if limit is not None and not 0 < limit < np.inf:
+        raise Problem(f"--limit: expected a positive number, got {limit:g}")
 
 
 def _comparable(system: System, trace: Trace, reference: Recording, page: Layout) -> tuple[Recording, Trace]:

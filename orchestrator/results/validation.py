@@ -144,14 +144,14 @@ class Validation:
 
 
 def validate(
-    run: Result | Data | str | Path, reference: Recording | Data | str | Path, *, rate: bool = True
+    run: Result | Data | str | Path, reference: Recording | Result | Data | str | Path, *, rate: bool = True
 ) -> Validation:
     """Compare every signal of the reference with the run.
 
     run         a result, a trace, a pandas DataFrame or a mapping with a column `time`, or a .csv, .parquet
                 or .mat file
-    reference   a recording, or its data file with a .toml next to it; a trace, a DataFrame or a mapping with
-                signals in the units of the run
+    reference   a recording, or its data file with a .toml next to it; the result of `reference`; a trace, a
+                DataFrame or a mapping with signals in the units of the run
     rate        whether to compute the ISO/TS 18571 rating, which takes most of the time
 
     Raises a Problem if the run lacks a signal, if units do not match, or without a common window.
@@ -163,6 +163,8 @@ def validate(
     if isinstance(reference, str | Path):
         reference = read_recording(reference)
     elif not isinstance(reference, Recording):
+        if isinstance(reference, Result):  # of `reference`: also states, which a co-simulation has not
+            reference = reference.trace.select(n for n in reference.trace.signals if n in trace.signals)
         reference = _recording_of(as_trace(reference, "reference"), trace)
     check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
@@ -243,7 +245,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         raise Problem(f"run: {name}: expected finite numbers, got {values[k]} at {trace.time[k]:g} s")
     unit, criterion = trace.units.get(name, ""), reference.criterion(name)
     unit_of_file = reference.file_units.get(name, reference.units[name])
-    if not unit:
+    if not unit and unit_of_file:
         unit = unit_of_file
         notes.append(f"the run has no unit, {unit!r} of the reference is assumed")
     factor, offset = factor_and_offset(reference.units[name], unit, where)

@@ -1,0 +1,92 @@
+"""The monolithic solution of a system as the reference of a run, with the limits of its signals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestrator.base.progress import doing
+from orchestrator.data.description import Tolerance
+from orchestrator.data.recording import Criterion, Recording
+from orchestrator.engine.result import Result, compare
+from orchestrator.monolithic.reference import SOLVER, reference
+from orchestrator.results.validation import by_variable
+
+LIMIT = 0.01  # of NRMSE, as for pressures, flows and forces of the machine
+
+
+def solve_as_run(system: Path, scenario: Path | None, run: Result, options: Mapping[str, Any]) -> Result:
+    """The monolithic solution over the times of a run, which had these options."""
+    same: dict[str, Any] = {name: options.get(name) or () for name in ("parameters", "cut")}
+    same |= {name: options.get(name) or {} for name in ("swap", "set")}
+    start, stop = (float(run.trace.time[k]) for k in (0, -1))
+    with doing("computing the monolithic solution"):
+        return reference(
+            system, scenario, start, stop, record_step=run.card.record_step or run.card.step, **same
+        )
+
+
+def monolithic_recording(
+    solved: Result, shipped: Recording, names: Sequence[str] = (), limit: float | None = None
+) -> Recording:
+    """A monolithic solution as a reference.
+
+    shipped   its signals, labels and limits apply if the solution has one of its signals; else all outputs
+              have LIMIT
+    names     further names that the signals of a system of one FMU may get, see `by_variable`
+    limit     of the NRMSE of each signal that has a limit
+
+    The NRMSE of a constant output is over its nominal value, else over its magnitude or the largest range in
+    its unit, else over 1.
+    """
+    trace, spans = solved.trace, _spans_of_constants(solved)
+    if len(solved.system.components) == 1:
+        trace = by_variable(trace, (*shipped.signals, *names))
+    own = dict(zip(trace.signals, solved.trace.signals, strict=True))
+    criteria = {name: shipped.criterion(name) for name in shipped.signals if name in own}
+    if not criteria:
+        outputs = {str(port) for port in solved.system.ports("output")}
+        every = Criterion(tolerance=Tolerance("nrmse", LIMIT))
+        criteria = {name: every for name in trace.signals if own[name] in outputs}
+    monolithic = solved.card.master == SOLVER
+    return Recording(
+        Path("monolithic solution"),
+        trace.time,
+        {name: trace[name] for name in criteria},
+        {name: trace.units.get(name, "") for name in criteria},
+        criteria={name: _adapted(c, limit, spans.get(own[name])) for name, c in criteria.items()},
+        metadata={
+            "title": "Monolithic solution of the FMUs" if monolithic else "Co-simulation with a small step",
+            "kind": "simulation of the same FMUs",
+            "solver": solved.card.master,
+        },
+    )
+
+
+def _adapted(criterion: Criterion, limit: float | None, span: float | None) -> Criterion:
+    """A criterion with another limit, if it has one, and another span."""
+    tolerance = criterion.tolerance
+    if limit is not None and tolerance is not None:
+        tolerance = Tolerance("nrmse", limit)
+    return replace(criterion, tolerance=tolerance, span=criterion.span if span is None else span)
+
+
+def _spans_of_constants(solved: Result) -> dict[str, float]:
+    """What replaces the range of outputs that are constant but for rounding."""
+    nominals = {str(p): solved.system.variable(p).nominal for p in solved.system.ports("output")}
+    outputs = solved.trace.select(name for name in nominals if name in solved.trace.signals)
+    varying = {e.name for e in compare(outputs, outputs, None, nominals)}
+    widest: dict[str, float] = {}
+    for name in varying:
+        unit = outputs.units.get(name, "")
+        widest[unit] = max(widest.get(unit, 0.0), float(np.ptp(outputs[name])))
+
+    def span(name: str) -> float:
+        magnitude = float(np.abs(outputs[name]).max())
+        return abs(nominals[name] or max(magnitude, widest.get(outputs.units.get(name, ""), 0.0)) or 1.0)
+
+    return {name: span(name) for name in outputs.signals if name not in varying}
