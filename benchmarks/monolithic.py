@@ -34,7 +34,7 @@ from fmus.machine.parts import FAMILIES, parts, wiring
 from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
 from orchestrator.engine.result import SignalError, compare
-from orchestrator.monolithic.tight import MASTER, estimated_error
+from orchestrator.monolithic.tight import MASTER, changes, estimated_error
 from orchestrator.ssp.load import load
 
 EQUAL = 1e-8  # of the range of each signal
@@ -79,9 +79,10 @@ def by_fmus(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Re
 
 
 def by_hermite(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Result:
-    """The co-simulation with its error estimate."""
+    """The co-simulation; its card has the change of each signal when the step is halved, and the order."""
     options = {"swap": variants, "stop": stop, "record_step": RECORD, "tolerance": TOLERANCE}
-    return run(system, STROKES, MASTER, STEP, error_estimate=True, **options)
+    runs = [run(system, STROKES, MASTER, STEP * factor, **options) for factor in (2.0, 1.0, 0.5)]
+    return replace(runs[1], card=replace(runs[1].card, errors=changes(runs)))
 
 
 def differences(truth: Result, other: Trace) -> dict[str, SignalError]:
@@ -110,9 +111,9 @@ def compared(system: Path, variants: Mapping[str, str], stop: float = STOP) -> C
     """All comparisons of one combination."""
     truth, stepped = by_fmus(system, variants, stop), by_hermite(system, variants, stop)
     equations = max(differences(truth, by_equations(variants, stop)).values(), key=lambda e: e.largest)
-    changes = {e.name: e for e in stepped.card.errors}
-    found = [e for e in differences(truth, stepped.trace).values() if e.name in changes]
-    ratios = {e.rms / (estimated_error(changes[e.name]) + OWN): e for e in found}
+    estimates = {e.name: estimated_error(e) for e in stepped.card.errors}
+    found = [e for e in differences(truth, stepped.trace).values() if e.name in estimates]
+    ratios = {e.rms / (estimates[e.name] + OWN): e for e in found}
     largest = max(ratios)
     return Compared(equations, ratios[largest], largest)
 

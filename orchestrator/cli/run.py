@@ -35,8 +35,8 @@ def run(
         bool,
         typer.Option(
             "--error-estimate",
-            help="Estimate the error of the outputs that the coupling causes. If an FMU has no directional"
-            " derivatives, repeat the run at half and at twice the step, and print the change of the signals.",
+            help="Estimate the error of the outputs that the coupling causes. If an FMU has no directional "
+            "derivatives, repeat the run at half and at twice the step, and print the change of the signals.",
         ),
     ] = False,
     time_limit: Annotated[

@@ -45,7 +45,7 @@ def tightened(run: Callable[[float], Result], first: float, bound: float, reason
         best = best or result
         if len(runs) == 1:
             continue
-        errors = _changes(runs)
+        errors = changes(runs)
         largest = max(map(estimated_error, errors), default=0.0)
         if largest < error or error == inf:
             best = replace(runs[-2], card=replace(runs[-2].card, errors=errors))
@@ -76,7 +76,7 @@ def _runs(run: Callable[[float], Result], step: float) -> Iterator[Result]:
         raise failure
 
 
-def _changes(runs: Sequence[Result]) -> tuple[SignalError, ...]:
+def changes(runs: Sequence[Result]) -> tuple[SignalError, ...]:
     """Changes of the outputs from the last run but one to the last; with the order if there are three."""
     system = runs[-1].system
     nominals = {str(p): system.variable(p).nominal for p in system.ports("output")}
