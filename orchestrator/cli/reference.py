@@ -48,7 +48,6 @@ def reference(
     check_suffix(out)
     make_folder(out.parent)
     options = case.options()
-    result = solve(
-        system_file(system), case.scenario, **options, record_step=record_step, tolerance=tolerance
-    )
+    options |= {"record_step": record_step, "tolerance": tolerance}
+    result = solve(system_file(system), case.scenario, **options, progress=True)
     print(f"{result.card.text()}\n\n{result.write(out)}")

@@ -18,6 +18,7 @@ signal, a rate with peaks, at a tolerance of 3e-14, 2e-8 at 1e-13 and 1e-7 at 1e
 from __future__ import annotations
 
 import time as wall_time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,7 +33,7 @@ from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import Card, Result
-from orchestrator.engine.run import ScenarioSource, prepare, run
+from orchestrator.engine.run import ProgressBar, ScenarioSource, prepare, run
 from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
 from orchestrator.fmi.description import Value
@@ -64,6 +65,7 @@ def reference(
     cut: Sequence[str] = (),
     record_step: float = RECORD_STEP,
     tolerance: float = TOLERANCE,
+    progress: bool = False,
 ) -> Result:
     """Solve a system as one ODE, for comparison with co-simulations.
 
@@ -77,6 +79,7 @@ def reference(
     cut           patterns of inputs whose connections are removed before anything else
     record_step   interval of the trace [s]
     tolerance     of the solver: relative; absolute, times the magnitude that the FMU gives for each state
+    progress      show a progress bar if it takes longer than a second
 
     The trace has all outputs, connected inputs and states. At the time of an event it has the values after
     the event.
@@ -99,6 +102,7 @@ def reference(
         return with_swaps(loaded.without(*cut), swap or {}, exchange)
 
     options: dict[str, Any] = {"start": start, "stop": stop, "parameters": parameters, "set": set}
+    options |= {"progress": progress}
     try:
         return _solve(ready(exchange=True), scenario, record_step, tolerance, options)
     except NotExchangeable as problem:
@@ -112,7 +116,8 @@ def _solve(
     job, times = prepare(system, scenario, step=record_step, isolate=False, **options)
     plant = Plant(job.system, [*_inlets(job.system, job.scenario)])
     try:
-        result = _Integration(plant, job.scenario, times, tolerance).run()
+        with ProgressBar(times.stop - times.start, job.execution.progress) as bar:
+            result = _Integration(plant, job.scenario, times, tolerance).run(bar)
         return replace(result, provenance=job.provenance)
     finally:
         plant.close()
@@ -215,8 +220,13 @@ class _Integration:
 
     # ---- the integration
 
-    def run(self) -> Result:
+    def run(self, bar: ProgressBar) -> Result:
         """The result from start to stop."""
+
+        def check(t: float) -> None:
+            interrupts.check()
+            bar.update(t - times.start)
+
         began, plant, times = wall_time.perf_counter(), self.plant, self.times
         system = plant.system
         plant.start(
@@ -228,21 +238,22 @@ class _Integration:
         self._same = SAME_TIME * max(times.stop - times.start, abs(times.stop), 1e-9)
         self._rows = list[Array]()
         breaks = self._breaks()
+        changes = {*breaks}
         t, x, repeated = times.start, plant.x.copy(), 0
         self.settle(t, x)
         self._record(t, x)
         with DeferredInterrupts() as interrupts:
             while t < times.stop - self._same and not plant.ended:
-                interrupts.check()
+                check(t)
                 target = min(
-                    times.stop, plant.next_event, next((b for b in breaks if b > t + self._same), np.inf)
+                    times.stop, plant.next_event, *breaks[bisect_right(breaks, t + self._same) :][:1]
                 )
                 before = t
                 if target > t + self._same:
-                    t, x, event = self._advance(t, x, target, interrupts.check)
+                    t, x, event = self._advance(t, x, target, check)
                 else:
                     t, event = target, True
-                event |= abs(t - plant.next_event) <= self._same or bool(self._sampled and t in breaks)
+                event |= abs(t - plant.next_event) <= self._same or bool(self._sampled and t in changes)
                 if event:
                     x = self._event(t, x)
                 repeated = repeated + 1 if t - before <= self._same else 0
@@ -283,14 +294,14 @@ class _Integration:
         return solver
 
     def _advance(
-        self, t: float, x: Array, target: float, check: Callable[[], None]
+        self, t: float, x: Array, target: float, check: Callable[[float], None]
     ) -> tuple[float, Array, bool]:
         """Integrate to `target` [s] or to the first event; returns time, states, and True for an event."""
         if not len(x):
             return self._without_states(t, x, target)
         solver = self._solver(t, x)
         while t < target - self._same:
-            check()
+            check(t)
             step = self._solved(solver.step(target, method="onestep", tstop=target), t)
             if step.t <= t and step.status != 2:
                 continue
@@ -307,8 +318,9 @@ class _Integration:
         """Outputs alone over the recorded points; an event indicator is evaluated only there."""
         before, after = (np.zeros(self.plant.indicator_count) for _ in range(2))
         self.plant.indicators(before)
-        inside = (p for p in self._points if t + self._same < p < target - self._same)
-        for point in [*inside, target]:
+        points = self._points
+        first, last = (bisect_right(points, end) for end in (t + self._same, target - self._same))
+        for point in [*points[first:last], target]:
             self.settle(point, x)
             self.plant.indicators(after)
             if self.plant.completed_step(point, x) or ((before > 0) != (after > 0)).any():
@@ -322,7 +334,8 @@ class _Integration:
         if not step.success:
             if self._problem is not None:
                 raise self._problem
-            raise Problem(f"{self.plant.system.name}: the solver failed after t = {t:.9g} s: {step.message}")
+            where = f"{self.plant.system.name}: the solver failed after t = {t:.9g} s"
+            raise Problem(f"{where}: {step.message.rstrip('.')}; a larger tolerance may help")
         if isinstance(self._problem, KeyboardInterrupt):
             raise self._problem
         self._problem = None
