@@ -106,7 +106,12 @@ def reference(
     try:
         return _solve(ready(exchange=True), scenario, record_step, tolerance, options)
     except NotExchangeable as problem:
-        return _co_simulate(ready(exchange=False), scenario, record_step, tolerance, options, str(problem))
+        reason = str(problem)
+    try:
+        other = ready(exchange=False)
+    except Problem as problem:
+        raise Problem(f"neither a monolithic solution ({reason}) nor a co-simulation ({problem})") from None
+    return _co_simulate(other, scenario, record_step, tolerance, options, reason)
 
 
 def _solve(

@@ -206,6 +206,23 @@ def test_an_fmu_for_co_simulation_only_is_co_simulated(fmu_dir, tmp_path):
             assert error.rms < 2 * estimates[name] + 1e-9, name
 
 
+def test_an_fmu_that_hides_its_states_is_co_simulated(fmu_dir, tmp_path):
+    """Its states cannot be set by name, so that nothing else remains."""
+    fmu = edited(fmu_dir / "manipulator.fmu", tmp_path / "manipulator.fmu", (r' derivative="\d+"', ""))
+    note = reference(fmu, stop=0.02).card.notes[-1]
+    assert note.startswith("no monolithic solution, but a co-simulation with a small step")
+    assert "that lists all continuous states and their derivatives" in note
+
+
+def test_fmus_without_a_common_interface_are_told(fmu_dir, tmp_path):
+    """One for Co-Simulation only, one for Model Exchange only."""
+    swing = edited(fmu_dir / "swing.fmu", tmp_path / "swing.fmu", CO_SIMULATION)
+    exchange = ("<CoSimulation.*?</CoSimulation>", "")
+    supply = edited(fmu_dir / "supply.fmu", tmp_path / "supply.fmu", exchange)
+    with pytest.raises(Problem, match=r"neither a monolithic solution \(swap swing: .*nor a co-.*supply"):
+        reference(fmu_dir / "harvester.ssp", swap={"swing": swing, "supply": supply}, stop=0.1)
+
+
 def steps_of(errors: Mapping[float, float]) -> Callable[[float], Result]:
     """A co-simulation of y = t + error over 1 s that fails with a step that has no error in `errors`."""
     time = np.linspace(0.0, 1.0, 11)
