@@ -40,7 +40,7 @@ _BINARY = {
     ca.OP_COPYSIGN: "copysign({}, {})",
     ca.OP_ATAN2: "atan2({}, {})",
     ca.OP_HYPOT: "hypot({}, {})",
-    ca.OP_IF_ELSE_ZERO: "{} != 0.0 ? {} : 0.0",
+    ca.OP_IF_ELSE_ZERO: "where({} != 0.0, {})",
 }
 _FUNCTIONS = (
     *("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),

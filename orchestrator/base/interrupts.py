@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
+POLL_INTERVAL = 0.05  # [s] between two checks for an interrupt
 _ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -78,3 +80,18 @@ class DeferredInterrupts:
         if self._pending and self.second_at_once:
             self.check()
         self._pending = self._pending or (number, frame)
+
+
+def in_threads(tasks: Sequence[Callable[[], None]], stop: Callable[[], Any]) -> None:
+    """Call functions in threads; an exception of one of them, or an interrupt, is raised after `stop`."""
+    with DeferredInterrupts() as interrupts, ThreadPoolExecutor(len(tasks)) as threads:
+        waiting: set[Future[None]] = {threads.submit(task) for task in tasks}
+        try:
+            while waiting:
+                done, waiting = wait(waiting, POLL_INTERVAL, FIRST_COMPLETED)
+                for future in done:
+                    future.result()
+                interrupts.check()
+        except BaseException:
+            stop()
+            raise

@@ -74,21 +74,30 @@ class Struct(ctypes.Structure):
 
 @cache
 def _header() -> str:
-    text = (FOLDER / "engine.h").read_text(encoding="utf-8")
-    return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    return without_comments((FOLDER / "engine.h").read_text(encoding="utf-8"))
+
+
+def without_comments(header: str) -> str:
+    """C code without its comments."""
+    return re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL)
 
 
 @cache
 def engine_h() -> Any:
     """All structures and constants of engine.h, by name; a pointer is an address."""
+    return structures(_header())
+
+
+def structures(header: str) -> Any:
+    """All structures and constants of a C header without comments, by name; a pointer is an address."""
     names_of_header: dict[str, Any] = {}
-    for names in re.findall(r"enum \{([^}]*)\}", _header()):
+    for names in re.findall(r"enum \{([^}]*)\}", header):
         value = -1
         for entry in names.split(","):
             name, _, number = (part.strip() for part in entry.partition("="))
             value = int(number) if number else value + 1
             names_of_header[name] = value
-    for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", _header(), flags=re.DOTALL):
+    for name, body in re.findall(r"typedef struct (\w+) \{(.*?)\} \1;", header, flags=re.DOTALL):
         fields = [
             field for line in body.split(";") if line.strip() for field in _fields(line, names_of_header)
         ]

@@ -31,6 +31,7 @@ from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
 
+ENDS_EARLY = "the run ends early: "  # begins the note on a run that an FMU asked to end
 FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
 
 FEWEST_STEPS = 2  # between two evaluations of the estimated errors
@@ -189,7 +190,7 @@ class Job:
             except KeyboardInterrupt:
                 interrupted = True
             except Ended as ended:
-                opened.notes += (f"the run ends early: {ended}",)
+                opened.notes += (f"{ENDS_EARLY}{ended}",)
             except Problem as raised:
                 problem = raised
             opened.recorder.finish()
@@ -251,7 +252,7 @@ class Job:
             initialise(self.system, slaves, driven, (times.start, times.stop), self.execution.tolerance)
             energy = EnergyMonitor(network, inputs.varying, self._bonds(network))
             recorder = Recorder(network, times, sink, selected)
-            control = self._control(inputs, times)
+            control = self.control(inputs, times)
             stack.callback(network.free_saved_states)
             loop = SimulationLoop(network, plan, inputs, prediction, times, recorder, energy, control)
             errors = self._error_propagation(network, inputs, times)
@@ -308,7 +309,7 @@ class Job:
         tolerance = None if c.tolerance is None else c.tolerance / 10
         return replace(self, coupling=replace(c, adaptive=c.adaptive / 10, tolerance=tolerance))
 
-    def _control(self, inputs: CouplingInputs, times: Grid) -> StepControl | None:
+    def control(self, inputs: CouplingInputs, times: Grid) -> StepControl | None:
         """Parameters of adaptive steps, or of the divided steps of a guarded run; None: equal steps."""
         c = self.coupling
         if c.adaptive is None:

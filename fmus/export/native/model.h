@@ -17,6 +17,10 @@
 /* <model>_fmu.c includes all other files, so all functions except those of FMI can be static. */
 #define LOCAL static
 
+/* The value if the condition holds, else 0. A function, because code for several machines at once, with vectors in
+   place of double, cannot branch. */
+static inline double where(int condition, double value) { return condition ? value : 0.0; }
+
 /* Length of an array for n values: C99 has no arrays of length zero. */
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 

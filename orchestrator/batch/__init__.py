@@ -1,0 +1,1 @@
+"""Many machines with different parameters at once: `batch`."""

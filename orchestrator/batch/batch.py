@@ -1,0 +1,253 @@
+"""`batch`: simulates many machines that differ in parameters and start values.
+
+Machines of native FMUs of this project run in the vector lanes of all cores (`lanes`), others one by one in
+processes (`one_by_one`).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orchestrator.base.coupling import Coupling
+from orchestrator.base.errors import Problem, UnknownSignal, suggest
+from orchestrator.base.interrupts import in_threads
+from orchestrator.batch.lanes import OK, Ended, Group, Lanes, NotInLanes, lanes_of_group
+from orchestrator.batch.one_by_one import run_one_by_one
+from orchestrator.data.trace import Trace
+from orchestrator.engine.job import Job
+from orchestrator.engine.run import ScenarioSource, prepare
+from orchestrator.engine.time_grid import Grid
+from orchestrator.fmi.description import Value
+from orchestrator.ssp.system import Port, System, check_bounds, check_settable
+from orchestrator.worker.process import machine_memory
+
+MEMORY_SHARE = 0.5  # of the memory of this computer, for the arrays of a result
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """The signals of n machines at m points.
+
+    time      shape (m,) [s]
+    signals   name -> shape (n, m); NaN after the end of a machine that ended early
+    status    of each machine: "ok", "early" (an FMU asked for the end) or "failed", shape (n,)
+    reasons   why each machine ended early; empty if it did not
+    units     name -> unit of the FMU
+    notes     remarks, such as why the machines ran one by one
+    wall      wall time of the simulation [s]
+    """
+
+    time: Array
+    signals: Mapping[str, Array]
+    status: NDArray[np.str_]
+    reasons: Sequence[str]
+    units: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    wall: float = 0.0
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.signals:
+            raise UnknownSignal(name, self.signals)
+        return self.signals[name]
+
+    def trace(self, machine: int) -> Trace:
+        """The signals of one machine, up to its failure."""
+        values = {name: signal[machine] for name, signal in self.signals.items()}
+        points = len(self.time)
+        for signal in values.values():
+            points = min(points, int(np.argmin(np.isfinite(signal))) if not np.isfinite(signal).all() else points)
+        return Trace(self.time[:points], {n: v[:points] for n, v in values.items()}, self.units)
+
+
+def batch(
+    system: System | str | Path,
+    parameters: Mapping[str, ArrayLike],
+    scenario: ScenarioSource = None,
+    *,
+    master: str | Coupling | None = None,
+    step: float | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    swap: Mapping[str, str | Path] | None = None,
+    sets: Sequence[str | Path] = (),
+    set: Mapping[str, Value | str] | None = None,
+    record: Sequence[str] | None = None,
+    record_step: float | None = None,
+    tolerance: float | None = None,
+    workers: int | None = None,
+    lanes: bool | None = None,
+) -> BatchResult:
+    """Co-simulate n machines that differ in parameters or start values.
+
+    parameters   name -> n values in the unit of the FMU; names as in `set` of `run`
+    sets         parameter sets of all machines, as `parameters` of `run`
+    record       recorded signals; default: all outputs
+    workers      number of cores to use; default: all
+    lanes        True: only in the vector lanes, else NotInLanes; False: one by one; default: in lanes if the
+                 FMUs are native FMUs of this project, and the compiler is installed
+
+    The other arguments are those of `run`, and hold for all machines. A machine that fails does not stop the
+    others. Raises Problem for a mistake.
+
+    from orchestrator import batch
+
+    masses = {"manipulator.head_mass": [300.0, 350.0, 400.0]}
+    result = batch("build/harvester.ssp", masses, stop=10.0, record=["manipulator.swing_angle"])
+    print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
+    """
+    job, times = prepare(
+        system, scenario, master, step, start, stop, swap, sets, set, record,
+        record_step=record_step, tolerance=tolerance, isolate=False,
+    )  # fmt: skip
+    if times.free:
+        raise Problem("batch: expected a record step for adaptive steps, so that all machines have the same points")
+    values, count = machine_values(job, parameters)
+    signals = recorded(job.system, record)
+    rows = _allocate(signals, count, times.rows)
+    began = time.perf_counter()
+    ended, notes = _simulate(job, times, values, count, [*signals.values()], rows, workers or cores(), lanes)
+    wall = time.perf_counter() - began
+    units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
+    status = np.array([ended[i].status if i in ended else OK for i in range(count)])
+    reasons = [ended[i].reason if i in ended else "" for i in range(count)]
+    all_notes = (*job.system.notes, *times.notes, *notes)
+    arrays = dict(zip(signals, rows, strict=True))
+    return BatchResult(recorded_times(times), arrays, status, reasons, units, all_notes, wall)
+
+
+def _simulate(
+    job: Job,
+    times: Grid,
+    values: Mapping[Port, Array],
+    count: int,
+    signals: Sequence[Port],
+    rows: Sequence[Array],
+    workers: int,
+    lanes: bool | None,
+) -> tuple[dict[int, Ended], tuple[str, ...]]:
+    """Fill the rows; returns those that ended early, and remarks."""
+    notes: tuple[str, ...] = ()
+    if lanes is not False:
+        try:
+            return run_in_lanes(Lanes(job, times, signals), values, count, rows, workers), ()
+        except NotInLanes as reason:
+            if lanes:
+                raise
+            notes = (f"the machines ran one by one: {reason}",)
+    return run_one_by_one(job, times, values, count, signals, rows, workers), notes
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+# ---- what differs and what is recorded
+
+
+def machine_values(job: Job, parameters: Mapping[str, ArrayLike]) -> tuple[dict[Port, Array], int]:
+    """The value of each variable for each machine, in the unit of the FMU, and the number of machines."""
+    if not parameters:
+        raise Problem("parameters: expected a name with a value for each machine, got none")
+    driven = job.scenario.columns if job.scenario else {}
+    connected = {c.target: c for c in job.system.connections}
+    values: dict[Port, Array] = {}
+    names: dict[Port, str] = {}
+    first, count = "", 0
+    for name, given in parameters.items():
+        array = _numbers(name, given)
+        if not first:
+            first, count = name, len(array)
+        if len(array) != count:
+            raise Problem(f"parameters: {name}: expected {count} values, as {first} has, got {len(array)}")
+        for port, linear in job.system.targets(name):
+            if port in connected:
+                raise Problem(f"parameters: {name}: the input is connected ({connected[port]})")
+            if port in driven:
+                raise Problem(f"parameters: {name}: the scenario drives {port}")
+            if port in names:
+                raise Problem(f"parameters: {port} is set twice, by {names[port]} and {name}")
+            check_settable(port, job.system.components[port.component].interface)
+            names[port], values[port] = name, linear.factor * array + linear.offset
+            for value in (values[port].min(), values[port].max()):
+                check_bounds(f"parameters: {name}", job.system.variable(port), float(value))
+        _check_shared(job.system, name)
+    return values, count
+
+
+def _numbers(name: str, given: ArrayLike) -> Array:
+    try:
+        array = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise Problem(f"parameters: {name}: expected numbers, got {given!r}"[:200]) from None
+    if array.ndim != 1 or not len(array):
+        raise Problem(f"parameters: {name}: expected one value for each machine, got the shape {array.shape}")
+    if not np.isfinite(array).all():
+        i = int(np.argmin(np.isfinite(array)))
+        raise Problem(f"parameters: {name}: expected finite numbers, got {array[i]} for machine {i}")
+    return array
+
+
+def _check_shared(system: System, name: str) -> None:
+    """Refuse a name that sets one of several variables that are the same physical quantity."""
+    ports = {port for port, _ in system.targets(name)}
+    for common in system.shared:
+        shared = system.sharing(common)
+        if ports & {*shared} and not ports >= {*shared}:
+            parts = " and ".join(port.component for port in shared)
+            raise Problem(f"parameters: expected {common}, one value for {parts}, got {name}")
+
+
+def recorded(system: System, record: Sequence[str] | None) -> dict[str, Port]:
+    """The variables of the recorded signals, by name."""
+    if record is None:
+        return {str(port): port for port in system.ports("output")}
+    return {name: system.port(name) for name in record}
+
+
+def recorded_times(times: Grid) -> Array:
+    """The recorded points [s], shape (m,)."""
+    points = [*range(0, times.steps + 1, times.every)]
+    if points[-1] != times.steps:
+        points.append(times.steps)
+    return times.start + np.array(points) * times.step
+
+
+def _allocate(signals: Mapping[str, Port], count: int, points: int) -> list[Array]:
+    """An array for each signal, shape (machines, points)."""
+    size = 8.0 * len(signals) * count * points
+    if size > MEMORY_SHARE * machine_memory():
+        expected = f"expected at most {MEMORY_SHARE * machine_memory() / 1e9:.3g} GB"
+        advice = "choose fewer signals by record or a longer record_step"
+        raise Problem(f"batch: {len(signals)} signals of {count} machines at {points} points: {expected}, "
+                      f"got {size / 1e9:.3g} GB; {advice}")
+    return [np.full((count, points), np.nan) for _ in signals]
+
+
+# ---- in lanes
+
+
+def run_in_lanes(
+    lanes: Lanes, values: Mapping[Port, Array], count: int, rows: Sequence[Array], workers: int
+) -> dict[int, Ended]:
+    """Simulate all machines in groups, in threads; returns those that ended early."""
+    firsts = iter(range(0, count, lanes_of_group()))
+    ended: dict[int, Ended] = {}
+
+    def work(group: Group) -> None:
+        for first in firsts:
+            ended.update(group.run(first, values, count, rows))
+
+    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // lanes_of_group()))))]
+    in_threads([partial(work, group) for group in groups], lambda: [group.stop() for group in groups])
+    return ended

@@ -1,0 +1,388 @@
+/* Co-simulation of a group of machines in the lanes of a processor: what communication_step.c, coupling_input.c and
+   simulation_loop.c of the engine do for one machine, with equal results up to the tolerance of the FMUs. The plan of
+   the master is that of the engine (orchestrator/engine/masters.py). There are no calls: all values are in the
+   instances of the models. FMUs follow cubics, and slopes of all outputs are known. */
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "group.h"
+
+namespace engine {
+#include "engine.h"
+#include "step_size.c"
+}
+
+static Lanes &input_value(const Group *g, const Plan *plan, int component, int input) {
+    return g->instances[component]->values[plan->models[component]->parameters + input];
+}
+
+static void set_input(const Group *g, const Plan *plan, int component, int input, Lanes value) {
+    input_value(g, plan, component, input) = g->instances[component]->last_set[input] = value;
+}
+
+static Lanes source_value(const Group *g, const Connection *c) {
+    return g->instances[c->source]->values[c->reference] * c->factor + c->offset;
+}
+
+static Lanes source_slope(const Group *g, const Connection *c) {
+    return g->instances[c->source]->slopes[c->reference] * c->factor;
+}
+
+/* A machine that has failed in one component is left out in all of them; begin: of the communication step [s]. */
+static void collect_failures(const Plan *plan, Group *g, int component, double begin) {
+    const Mask failed = *g->alive && !*g->instances[component]->alive;
+    if (!any(failed)) return;
+    for (int i = 0; i < LANES; i++) {
+        if (!failed.bits[i]) continue;
+        g->failures[i] = g->instances[component]->failures[i];
+        g->failures[i].component = component;
+        g->failures[i].time += begin;
+    }
+    *g->alive = *g->alive && !failed;
+    for (int k = 0; k < plan->component_count; k++) *g->instances[k]->alive = *g->alive;
+}
+
+/* ---- polynomials of the inputs, as in coupling_input.c ----------------------------------------- */
+
+static void set(Lanes *c, Lanes c0, Lanes c1, Lanes c2, Lanes c3) { c[0] = c0, c[1] = c1, c[2] = c2, c[3] = c3; }
+static Lanes value_at(const Lanes *c, double s) { return c[0] + s * (c[1] + s * (c[2] + s * c[3])); }
+static Lanes slope_at(const Lanes *c, double s) { return c[1] + s * (2.0 * c[2] + s * (3.0 * c[3])); }
+
+static void continued(const Course *s, int order, double length, Lanes *c) {
+    const Lanes a = s->slope, b = s->slope_before, chord = s->chord_before;
+    if (order == 0) set(c, s->value, 0.0, 0.0, 0.0);
+    else if (order == 1) set(c, s->value, a, 0.0, 0.0);
+    else if (order == 2) set(c, s->value, a, (a - b) / (2.0 * length), 0.0);
+    else set(c, s->value, a, (2.0 * a + b - 3.0 * chord) / length, (a + b - 2.0 * chord) / (length * length));
+}
+
+static void between_ends(const Course *s, int degree, double h, Lanes *c) {
+    const Lanes chord = (s->value_end - s->value) / h, a = s->slope, b = s->slope_end;
+    if (degree == 1) set(c, s->value, chord, 0.0, 0.0);
+    else if (degree == 2) set(c, s->value, a, (chord - a) / h, 0.0);
+    else set(c, s->value, a, (3.0 * chord - 2.0 * a - b) / h, (a + b - 2.0 * chord) / (h * h));
+}
+
+static void extrapolate(const Group *g, Course *s, int order, double h) {
+    continued(s, order < g->history ? order : g->history, g->length, s->c);
+    s->expected = value_at(s->c, h);
+    s->weight = 1.0;
+}
+
+/* Machines for which an autonomous source is a straight line over the step. */
+static Mask is_straight(const Course *s, double h) {
+    const Lanes chord = (s->value_end - s->value) / h;
+    const Lanes tolerance = 1e-6 * (fabs(chord) + fabs(s->slope) + fabs(s->slope_end));
+    return fmin(fabs(chord - s->slope), fabs(chord - s->slope_end)) <= tolerance;
+}
+
+static void interpolate_at(const Group *g, Course *s, int degree, double h) {
+    Lanes past[FOLLOWED + 1];
+    double weight = 0.25;
+    between_ends(s, degree, h, s->c);
+    continued(s, degree < g->history ? degree : g->history, g->length, past);
+    for (int i = 1; i < degree; i++) weight *= h / (h + g->length);
+    s->expected = value_at(past, h);
+    s->weight = weight;
+}
+
+static void interpolate(const Group *g, Course *s, int degree, int autonomous, double h) {
+    const int usable = g->history ? degree : 1;
+    const Mask straight = autonomous && usable > 1 ? is_straight(s, h) : s->value != s->value;
+    interpolate_at(g, s, usable, h);
+    if (!any(straight)) return;
+    const Course curved = *s;
+    interpolate_at(g, s, 1, h);
+    for (int k = 0; k <= FOLLOWED; k++) s->c[k] = where(straight, s->c[k], curved.c[k]);
+    s->expected = where(straight, s->expected, curved.expected);
+    s->weight = where(straight, s->weight, curved.weight);
+}
+
+static void accept(Course *s, double h) {
+    s->chord_before = (s->value_end - s->value) / h;
+    s->slope_before = s->slope;
+    s->slope = s->slope_end;
+    s->value = s->value_end;
+    s->scale = fmax(s->scale, fabs(s->value));
+}
+
+static Lanes relative(const Course *s, Lanes deviation) {
+    const Lanes magnitude = fmax(s->scale, fabs(s->value_end));
+    return where(magnitude > 0.0, fabs(deviation) / magnitude);
+}
+
+/* ---- the scenario ------------------------------------------------------------------------------ */
+
+static int64_t interval_at(const Plan *plan, Group *g, double t) {
+    int64_t low = 0, high = plan->samples;
+    const int64_t last = g->interval;
+    if ((last == 0 || plan->time[last - 1] <= t) && (last == plan->samples || t < plan->time[last])) return last;
+    while (low < high) {
+        const int64_t middle = (low + high) / 2;
+        if (t < plan->time[middle]) high = middle;
+        else low = middle + 1;
+    }
+    return g->interval = low;
+}
+
+static Lanes command(const Plan *plan, Group *g, int i, double t) {
+    const Drive *d = &plan->drives[i];
+    Lanes value;
+    if (g->commands) {
+        memcpy((void *)&value, g->commands + (size_t)i * LANES, sizeof value);
+        return value * d->factor + d->offset;
+    }
+    const int64_t k = interval_at(plan, g, t), column = k * plan->width + d->column;
+    return (plan->base[column] + (t - plan->anchor[k]) * plan->slopes[column]) * d->factor + d->offset;
+}
+
+static void set_driven_inputs(const Plan *plan, Group *g, double t) {
+    for (int i = 0; i < plan->drive_count; i++)
+        set_input(g, plan, plan->drives[i].component, plan->drives[i].input, command(plan, g, i, t));
+}
+
+static void set_driven_courses(const Plan *plan, Group *g, double h) {
+    for (int i = 0; i < plan->drive_count; i++) {
+        Course *s = &g->courses[plan->drives[i].coupling_input];
+        const Lanes middle = command(plan, g, i, g->t + 0.5 * h);
+        s->value_end = command(plan, g, i, g->t + h);
+        if (g->commands) s->value = s->value_end; /* a held command jumps at the beginning of a step */
+        between_ends(s, 1, h, s->c);
+        s->expected = s->value_end + (middle - 0.5 * (s->value + s->value_end));
+        s->weight = 1.0;
+    }
+}
+
+/* ---- one communication step, as in communication_step.c ---------------------------------------- */
+
+static void copy(const Plan *plan, Group *g, const Connection *connections, int count) {
+    for (int i = 0; i < count; i++)
+        set_input(g, plan, connections[i].target, connections[i].input, source_value(g, &connections[i]));
+}
+
+/* Exchanges all outputs and inputs at t [s]. */
+static void exchange(const Plan *plan, Group *g, double t) {
+    set_driven_inputs(plan, g, t);
+    for (int i = 0; i < plan->exchange_count; i++) {
+        const Instruction *p = &plan->exchange[i];
+        if (p->type == COPY) copy(plan, g, plan->connections + p->index, p->count);
+        else if (p->type == OUTPUTS) plan->models[p->index]->outputs_now(g->instances[p->index]);
+        else plan->models[p->index]->derivatives_now(g->instances[p->index]);
+    }
+}
+
+static void read_slopes(const Plan *plan, Group *g) {
+    for (int k = 0; k < plan->component_count; k++)
+        if (plan->needs_slopes[k]) plan->models[k]->slopes_now(g->instances[k]);
+}
+
+/* The outputs of a component, or of all (-1), are the ends of the inputs that they feed. */
+static void set_source_ends(const Plan *plan, Group *g, int component) {
+    for (int i = 0; i < plan->input_count; i++) {
+        const Connection *from = &plan->inputs[i].from;
+        if (from->source == DRIVEN || (component >= 0 && from->source != component)) continue;
+        g->courses[i].value_end = source_value(g, from);
+        if (plan->needs_slopes[from->source]) g->courses[i].slope_end = source_slope(g, from);
+    }
+}
+
+static void set_courses(const Plan *plan, Group *g, int component, int pass, double h) {
+    for (int i = plan->first_input[component]; i < plan->first_input[component + 1]; i++) {
+        const Input *input = &plan->inputs[i];
+        Course *s = &g->courses[i];
+        if (input->from.source == DRIVEN) continue;
+        if (input->requested_degree && (pass || (plan->sequential && input->in_order)))
+            interpolate(g, s, plan->degree, input->autonomous, h);
+        else extrapolate(g, s, input->order, h);
+    }
+}
+
+static void set_coupling_inputs(const Plan *plan, Group *g, int component) {
+    Instance *instance = g->instances[component];
+    for (int i = plan->first_input[component]; i < plan->first_input[component + 1]; i++) {
+        const Input *input = &plan->inputs[i];
+        const Course *s = &g->courses[i];
+        if (!input->requested_degree) continue;
+        Lanes *derivatives = instance->derivatives + 3 * input->from.input;
+        if (g->commands) set_input(g, plan, component, input->from.input, s->c[0]);
+        derivatives[0] = s->c[1], derivatives[1] = 2.0 * s->c[2], derivatives[2] = 6.0 * s->c[3];
+        instance->has_derivatives[input->from.input] = 1;
+    }
+}
+
+static void advance_component(const Plan *plan, Group *g, int k, double h) {
+    set_coupling_inputs(plan, g, k);
+    plan->models[k]->step(g->instances[k], h);
+    collect_failures(plan, g, k, g->t);
+}
+
+static void pass_over_components(const Plan *plan, Group *g, int pass, double h) {
+    for (int i = 0; i < plan->component_count; i++) {
+        const int k = plan->order[i];
+        if (pass && !plan->repeated[k]) continue;
+        if (plan->sequential || i == 0)
+            for (int j = 0; j < plan->component_count; j++)
+                if (j == k || !plan->sequential) set_courses(plan, g, j, pass, h);
+        if (pass) plan->models[k]->restore(g->instances[k]);
+        copy(plan, g, plan->held + plan->first_held[k], plan->first_held[k + 1] - plan->first_held[k]);
+        advance_component(plan, g, k, h);
+        if (!plan->sequential) continue;
+        if (plan->needs_slopes[k]) plan->models[k]->slopes_now(g->instances[k]);
+        set_source_ends(plan, g, k);
+    }
+}
+
+static double worst(const Group *g, Lanes error) {
+    return largest(where(*g->alive, where(error <= HUGE_VAL, error, HUGE_VAL), 0.0));
+}
+
+/* The largest relative change of an input that a further pass could make. */
+static double largest_mismatch(const Plan *plan, const Group *g, double h) {
+    Lanes most = 0.0;
+    for (int i = 0; i < plan->input_count; i++) {
+        const Course *s = &g->courses[i];
+        if (plan->inputs[i].from.source == DRIVEN) continue;
+        Lanes deviation = fabs(value_at(s->c, h) - s->value_end);
+        if (!plan->inputs[i].autonomous) deviation = fmax(deviation, h * fabs(slope_at(s->c, h) - s->slope_end));
+        most = fmax(most, relative(s, deviation));
+    }
+    return worst(g, most);
+}
+
+static void communication_step(const Plan *plan, Group *g, double h) {
+    set_driven_courses(plan, g, h);
+    for (int pass = 0; pass < plan->passes && any(*g->alive); pass++) {
+        pass_over_components(plan, g, pass, h);
+        g->pass_count++;
+        if (plan->passes > 1 && !(largest_mismatch(plan, g, h) > plan->pass_tolerance)) break;
+    }
+}
+
+/* The estimated error of the step. */
+static double step_error(const Plan *plan, const Group *g, double h) {
+    Lanes most = 0.0;
+    for (int i = 0; i < plan->input_count; i++) {
+        const Course *s = &g->courses[i];
+        const Lanes by_past = s->weight * (s->expected - s->value_end), at_end = value_at(s->c, h) - s->value_end;
+        const Mask further = plan->passes > 1 ? fabs(at_end) > fabs(by_past) : at_end != at_end;
+        const Lanes error = relative(s, where(further, at_end, by_past));
+        most = where(error <= most, most, error);
+    }
+    return worst(g, most);
+}
+
+/* ---- the run, as in simulation_loop.c ---------------------------------------------------------- */
+
+static void save(const Plan *plan, Group *g) {
+    for (int k = 0; k < plan->component_count; k++) plan->models[k]->save(g->instances[k]);
+}
+
+static void record(const Plan *plan, Group *g) {
+    if (!g->rows || g->row >= g->points) return;
+    const Mask left = *g->alive;
+    for (int i = 0; i < plan->signal_count; i++) {
+        const Signal *signal = &plan->signals[i];
+        const Lanes value = where(left, g->instances[signal->component]->values[signal->reference], NAN);
+        double *to = g->rows[i] + g->machine * g->points + g->row;
+        for (int lane = 0; lane < g->machines; lane++) to[lane * g->points] = value[lane];
+    }
+    g->row++;
+}
+
+static void begin_course(const Plan *plan, const Group *g, int i) {
+    const Input *input = &plan->inputs[i];
+    const int driven = input->from.source == DRIVEN, with_slope = !driven && plan->needs_slopes[input->from.source];
+    Course *s = &g->courses[i];
+    s->value = driven ? input_value(g, plan, input->from.target, input->from.input) : source_value(g, &input->from);
+    s->slope = with_slope ? source_slope(g, &input->from) : 0.0;
+    s->slope_before = s->chord_before = s->slope; /* until there is a history: a straight line */
+    s->scale = fmax(input->nominal, fabs(s->value));
+    set(s->c, s->value, s->slope, 0.0, 0.0);
+}
+
+extern "C" {
+
+/* Makes start values, inputs and outputs consistent: computes the initial states and copies values along the
+   connections until nothing changes. Returns 0 if they keep changing: there is an algebraic loop. */
+EXPORT int32_t group_initialise(const Plan *plan, Group *g) {
+    const int rounds = plan->component_count + 2;
+    for (int k = 0; k < plan->component_count; k++) plan->models[k]->prepare(g->instances[k]);
+    set_driven_inputs(plan, g, plan->start);
+    for (int round = 0; round < rounds; round++) {
+        int changed = 0;
+        for (int k = 0; k < plan->component_count; k++) {
+            plan->models[k]->start(g->instances[k]);
+            plan->models[k]->outputs_now(g->instances[k]);
+        }
+        for (int i = 0; i < plan->connection_count; i++) {
+            const Connection *c = &plan->connections[i];
+            const Lanes before = input_value(g, plan, c->target, c->input), now = source_value(g, c);
+            changed |= any(before != now && (before == before || now == now));
+            set_input(g, plan, c->target, c->input, now);
+        }
+        if (!changed) return 1;
+    }
+    return 0;
+}
+
+/* Begins the run at the consistent values, and records them. */
+EXPORT void group_begin(const Plan *plan, Group *g) {
+    g->t = plan->start;
+    exchange(plan, g, g->t);
+    for (int n = 0; n < plan->initial_rounds; n++) {
+        read_slopes(plan, g);
+        for (int i = 0; i < plan->input_count; i++) begin_course(plan, g, i);
+        for (int k = 0; k < plan->component_count; k++) set_coupling_inputs(plan, g, k);
+    }
+    g->history = 1;
+    for (int k = 0; k < plan->component_count; k++) {
+        plan->models[k]->check(g->instances[k], 0.0);
+        collect_failures(plan, g, k, g->t);
+    }
+    record(plan, g);
+}
+
+/* Takes a step of length h; 0: its error is too large, and the group is back at its beginning. */
+static int try_step(const Plan *plan, Group *g, double h) {
+    if (plan->passes > 1 || plan->adaptive) save(plan, g);
+    communication_step(plan, g, h);
+    exchange(plan, g, g->t + h);
+    read_slopes(plan, g);
+    set_source_ends(plan, g, -1);
+    if (plan->adaptive && !engine::step_size_accepts((engine::StepSize *)g->step_size, step_error(plan, g, h) / plan->guard, h)) {
+        for (int k = 0; k < plan->component_count; k++) {
+            plan->models[k]->restore(g->instances[k]);
+            plan->models[k]->outputs_now(g->instances[k]);
+        }
+        exchange(plan, g, g->t);
+        return 0;
+    }
+    for (int i = 0; i < plan->input_count; i++) accept(&g->courses[i], h);
+    g->history = FOLLOWED;
+    g->length = h;
+    return 1;
+}
+
+/* Tries the next communication step once, up to the next point or event at most. */
+static void next_step(const Plan *plan, Group *g) {
+    const double point = plan->start + (double)(g->done + 1) * plan->step;
+    while (g->event < plan->event_count && plan->events[g->event] <= g->t) g->event++;
+    const double target = g->event < plan->event_count ? fmin(point, plan->events[g->event]) : point;
+    const double remaining = target - g->t;
+    const double h = plan->adaptive ? engine::step_size_next((engine::StepSize *)g->step_size, remaining) : remaining;
+    if (!try_step(plan, g, h)) return;
+    g->t = h == remaining ? target : g->t + h;
+    g->step_count++;
+    if (g->t != point) return;
+    g->done++;
+    if (g->done % plan->every == 0 || g->done == plan->steps) record(plan, g);
+}
+
+/* Steps up to a communication point, until all machines have failed, or until another thread stops it. */
+EXPORT void group_advance(const Plan *plan, Group *g, int64_t point) {
+    while (g->done < point && any(*g->alive) && !*(volatile int32_t *)&g->stop) next_step(plan, g);
+}
+}

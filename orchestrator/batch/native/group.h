@@ -1,0 +1,121 @@
+/* What the library of a model (model.cpp) and the library that couples models (group.cpp) share: a group of LANES
+   machines, each in one lane of the vectors. All machines of a group take the same steps; the worst one decides on
+   their lengths. A machine that fails is left out from then on. */
+
+#ifndef GROUP_H
+#define GROUP_H
+
+#include <stdint.h>
+
+#include "lanes.h"
+
+enum { NO_FAILURE, DERIVATIVE_NOT_FINITE, TOLERANCE_NOT_REACHED, SINGULAR_SYSTEM, TOO_MANY_INNER_STEPS,
+       REQUIREMENT_VIOLATED, VALUE_NOT_FINITE }; /* kinds of failures */
+
+typedef struct Failure { /* why a machine failed */
+    int32_t kind, component;
+    int32_t index;   /* value reference; REQUIREMENT_VIOLATED: number of the requirement */
+    int32_t unused;
+    double value;    /* of the variable or of the requirement */
+    double derivative, step;
+    double time;     /* [s] from the beginning of the communication step, then of the run */
+} Failure;
+
+/* The part of an instance that is not private to its model; the arrays have one element per value reference, input or
+   state of the model. */
+typedef struct Instance {
+    Lanes *values;            /* parameters, inputs, states, derivatives, outputs, by value reference */
+    Lanes *start;             /* start values of the states */
+    Lanes *slopes;            /* time derivatives of states and outputs, by value reference */
+    Lanes *last_set;          /* inputs as last set: their values at the beginning of the next step */
+    Lanes *derivatives;       /* time derivatives of inputs of order 1 to 3 for the next step */
+    int32_t *has_derivatives; /* 1 if they are set */
+    Mask *alive;              /* machines that have not failed */
+    Failure *failures;        /* one per lane */
+    double tolerance;
+    double step;              /* proposal for the next inner step [s]; 0: none */
+    int64_t inner_steps;
+} Instance;
+
+typedef Instance *Create(void *memory, double tolerance);
+typedef void Action(Instance *);
+typedef void TimedAction(Instance *, double);
+typedef const char *Description(int32_t);
+
+typedef struct Model { /* the functions of a model */
+    int64_t size; /* of an instance [bytes] */
+    int32_t lanes, parameters, inputs, states, outputs, requirements;
+    Create *create;           /* an instance with default values for all machines */
+    Action *prepare;          /* to be called when parameters have changed */
+    Action *start;            /* computes the initial states from start values, inputs and parameters */
+    Action *outputs_now, *derivatives_now;
+    Action *slopes_now;       /* of states and outputs, from the derivatives of the inputs */
+    Action *save, *restore;
+    TimedAction *step;        /* over a length [s]; computes the outputs, and checks them */
+    TimedAction *check;       /* outputs and requirements; machines that violate them fail, at a time [s] */
+    Description *requirement; /* by its number */
+} Model;
+
+enum { FOLLOWED = 3, DRIVEN = -1 };
+enum { COPY, OUTPUTS, DERIVATIVES }; /* types of instructions */
+
+typedef struct Connection { /* an output of a component that feeds an input of another */
+    int32_t source, reference, target, input;
+    double factor, offset;
+} Connection;
+
+typedef struct Input { /* an input that varies inside a communication step, or that is watched, as CouplingInput of engine.h */
+    Connection from; /* source DRIVEN: by the scenario */
+    double nominal;
+    int32_t requested_degree, order, autonomous, in_order; /* in_order: the source steps before the target */
+} Input;
+
+typedef struct Instruction {
+    int32_t type, index, count; /* COPY: connections; others: of a component */
+} Instruction;
+
+typedef struct Drive { /* a column of the scenario that drives an input */
+    int32_t column, component, input, coupling_input;
+    double factor, offset;
+} Drive;
+
+typedef struct Signal {
+    int32_t component, reference;
+} Signal;
+
+typedef struct Plan { /* what all groups of a system have in common */
+    const Model *const *models;
+    const Input *inputs;
+    const Connection *connections, *held; /* held: set to the newest value before the target steps */
+    const Instruction *exchange;
+    const int32_t *order, *first_input, *first_held; /* first_...: by component, and the end */
+    const int32_t *repeated, *needs_slopes;          /* by component */
+    const Drive *drives;
+    const double *time, *base, *slopes, *anchor; /* of the scenario, see scenario.c */
+    const Signal *signals;                       /* recorded */
+    const double *events;
+    int64_t samples, width, steps, every, event_count;
+    double start, step, pass_tolerance, guard;
+    int32_t component_count, input_count, connection_count, exchange_count, drive_count, signal_count;
+    int32_t degree, sequential, passes, initial_rounds, adaptive;
+} Plan;
+
+typedef struct { /* one input in a group, as CouplingInput of engine.h */
+    Lanes value, slope, value_end, slope_end, slope_before, chord_before, expected, weight, scale, c[FOLLOWED + 1];
+} Course;
+
+typedef struct Group {
+    Instance *const *instances;
+    Course *courses;
+    Mask *alive;            /* machines that have not failed */
+    const double *commands; /* of each drive for each machine, held; NULL: the scenario drives */
+    double *const *rows;    /* recorded signals: each an array of shape (machines, points) */
+    Failure *failures;
+    int64_t machine, machines, points, row; /* number of the first machine; machines in use; shape of the arrays */
+    int64_t done, event, step_count, pass_count, interval;
+    double t, length, shorter;
+    void *step_size; /* StepSize of engine.h */
+    int32_t history, stop; /* order of extrapolation that the history allows; stop: set by another thread */
+} Group;
+
+#endif
