@@ -6,7 +6,6 @@ processes (`one_by_one`).
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,9 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.coupling import Coupling
-from orchestrator.base.errors import Problem, UnknownSignal, suggest
+from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.interrupts import in_threads
-from orchestrator.batch.lanes import OK, Ended, Group, Lanes, NotInLanes, lanes_of_group
+from orchestrator.base.processes import available_cores
+from orchestrator.batch.compiled import NotInLanes, lane_count
+from orchestrator.batch.group import OK, Ended, Group
+from orchestrator.batch.lanes import Lanes
 from orchestrator.batch.one_by_one import run_one_by_one
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Job
@@ -65,7 +67,9 @@ class BatchResult:
         values = {name: signal[machine] for name, signal in self.signals.items()}
         points = len(self.time)
         for signal in values.values():
-            points = min(points, int(np.argmin(np.isfinite(signal))) if not np.isfinite(signal).all() else points)
+            points = min(
+                points, int(np.argmin(np.isfinite(signal))) if not np.isfinite(signal).all() else points
+            )
         return Trace(self.time[:points], {n: v[:points] for n, v in values.items()}, self.units)
 
 
@@ -110,12 +114,16 @@ def batch(
         record_step=record_step, tolerance=tolerance, isolate=False,
     )  # fmt: skip
     if times.free:
-        raise Problem("batch: expected a record step for adaptive steps, so that all machines have the same points")
+        raise Problem(
+            "batch: expected a record step for adaptive steps, so that all machines have the same points"
+        )
     values, count = machine_values(job, parameters)
     signals = recorded(job.system, record)
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
-    ended, notes = _simulate(job, times, values, count, [*signals.values()], rows, workers or cores(), lanes)
+    ended, notes = _simulate(
+        job, times, values, count, [*signals.values()], rows, workers or available_cores(), lanes
+    )
     wall = time.perf_counter() - began
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
     status = np.array([ended[i].status if i in ended else OK for i in range(count)])
@@ -145,11 +153,6 @@ def _simulate(
                 raise
             notes = (f"the machines ran one by one: {reason}",)
     return run_one_by_one(job, times, values, count, signals, rows, workers), notes
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 # ---- what differs and what is recorded
@@ -229,8 +232,10 @@ def _allocate(signals: Mapping[str, Port], count: int, points: int) -> list[Arra
     if size > MEMORY_SHARE * machine_memory():
         expected = f"expected at most {MEMORY_SHARE * machine_memory() / 1e9:.3g} GB"
         advice = "choose fewer signals by record or a longer record_step"
-        raise Problem(f"batch: {len(signals)} signals of {count} machines at {points} points: {expected}, "
-                      f"got {size / 1e9:.3g} GB; {advice}")
+        raise Problem(
+            f"batch: {len(signals)} signals of {count} machines at {points} points: {expected}, "
+            f"got {size / 1e9:.3g} GB; {advice}"
+        )
     return [np.full((count, points), np.nan) for _ in signals]
 
 
@@ -241,13 +246,18 @@ def run_in_lanes(
     lanes: Lanes, values: Mapping[Port, Array], count: int, rows: Sequence[Array], workers: int
 ) -> dict[int, Ended]:
     """Simulate all machines in groups, in threads; returns those that ended early."""
-    firsts = iter(range(0, count, lanes_of_group()))
+    firsts = iter(range(0, count, lane_count()))
     ended: dict[int, Ended] = {}
 
     def work(group: Group) -> None:
         for first in firsts:
-            ended.update(group.run(first, values, count, rows))
+            ended.update(group.run(first, values, rows, count))
 
-    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // lanes_of_group()))))]
-    in_threads([partial(work, group) for group in groups], lambda: [group.stop() for group in groups])
+    groups = [Group(lanes) for _ in range(max(1, min(workers, -(-count // lane_count()))))]
+
+    def stop() -> None:
+        for group in groups:
+            group.stop()
+
+    in_threads([partial(work, group) for group in groups], stop)
     return ended

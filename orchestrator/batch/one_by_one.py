@@ -1,4 +1,4 @@
-"""Machines one by one, in processes of the engine: for any FMUs. An FMU that crashes ends only its machine."""
+"""Machines one by one, in processes of the engine, for any FMUs. A crash of an FMU ends only one machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, temporary_folder
 from orchestrator.base.interrupts import in_threads
-from orchestrator.batch.lanes import EARLY, FAILED, Ended
+from orchestrator.batch.group import EARLY, FAILED, Ended
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine import simulation_loop
 from orchestrator.engine.job import ENDS_EARLY, Job, Record
@@ -25,7 +25,9 @@ from orchestrator.worker.main import Channel
 from orchestrator.worker.process import Worker, WorkerLimits
 
 Array = NDArray[np.float64]
-THREADS = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}  # there is a process on each core
+THREADS = {
+    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")
+}  # there is a process on each core
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,11 @@ def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[Array, Ended | N
     except Problem as problem:
         time = sink.last if sink.rows else task.times.start
         end = Ended(FAILED, " ".join(str(problem).split()), time)
-    rows = np.array([sink.trace[name] for name in task.signals]) if sink.rows else np.zeros((len(task.signals), 0))
+    rows = (
+        np.array([sink.trace[name] for name in task.signals])
+        if sink.rows
+        else np.zeros((len(task.signals), 0))
+    )
     return rows, end
 
 

@@ -41,6 +41,9 @@ class Sample:
     factors: Mapping[str, Value]
 
 
+Unit = tuple[Sample, ...]  # samples that are run together: one, or a group in lanes with the same options
+
+
 @dataclass(frozen=True)
 class StudyCase:
     """The system and scenario of one combination of options, with the values that do not vary."""

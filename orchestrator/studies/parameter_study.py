@@ -27,11 +27,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from orchestrator.base.errors import Stopped
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import TextTable, display_unit
+from orchestrator.batch.compiled import lane_count
 from orchestrator.studies import design, pool, store
 from orchestrator.studies.analysis.results import without_numbers
-from orchestrator.studies.cases import Sample, resolve
+from orchestrator.studies.cases import Options, Sample, Unit, resolve
 from orchestrator.studies.payload import Payload, payload
-from orchestrator.studies.single_run import EARLY, FAILED, OK, RunOutcome
+from orchestrator.studies.single_run import EARLY, FAILED, OK, RunOutcome, group_size
 from orchestrator.studies.study import Study, read
 
 FOLDER = Path("build/sweeps")
@@ -104,34 +105,57 @@ def sweep(
         results.forget_stopped()
         if not store.finished(folder):
             connection = nullcontext(client) if client else pool.client(workers)
-            _run_missing(prepared, results, connection, watch or (lambda *_: None))
+            _run_missing(prepared, results, connection, watch or (lambda *_: None), lanes=client is None)
             results.finish(*prepared.inputs())
         return store.read(folder)
 
 
 def _run_missing(
-    prepared: PreparedStudy, results: store.Store, connection: AbstractContextManager[Client], watch: Watch
+    prepared: PreparedStudy,
+    results: store.Store,
+    connection: AbstractContextManager[Client],
+    watch: Watch,
+    lanes: bool,
 ) -> None:
-    """Run the samples without stored results."""
+    """Run the samples without stored results; lanes: the processes are on this computer."""
     done, total = results.done(), len(prepared.samples)
-    missing = [s for s in prepared.samples if s.run not in done]
     count = len(done)
     watch(total, count, ())
-    if not missing:
+    if count == total:
         return
+    units = units_of(prepared, lanes)
+    missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
     try:
         with (
             connection as client,
             DeferredInterrupts() as interrupts,  # Dask's callbacks would swallow a KeyboardInterrupt
             closing(pool.outcomes(client, prepared.payload, missing, interrupts.check)) as batches,
         ):
-            for batch in batches:
+            for outcomes in batches:
+                batch = [outcome for outcome in outcomes if outcome.run not in done]
                 results.add(batch)
                 count += len(batch)
                 watch(total, count, batch)
     except KeyboardInterrupt:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
         raise Stopped(f"{stored}; the same command continues the study") from None
+
+
+def units_of(prepared: PreparedStudy, lanes: bool) -> list[Unit]:
+    """The samples that are run together: where possible groups in lanes, of samples with equal options.
+
+    The groups do not depend on which samples have results already, so neither do the results.
+    """
+    study, cases = prepared.payload.study, prepared.payload.cases
+    by_options: dict[Options, list[Sample]] = {}
+    for sample in prepared.samples:
+        by_options.setdefault(sample.options, []).append(sample)
+    units = list[Unit]()
+    for options, samples in by_options.items():
+        together = lanes and len(samples) >= lane_count()  # fewer are not worth a compilation
+        size = group_size(study, cases[options]) if together else 1
+        units += [tuple(samples[i : i + size]) for i in range(0, len(samples), size)]
+    return sorted(units, key=lambda unit: unit[0].run)
 
 
 # ---- the command line

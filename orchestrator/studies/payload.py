@@ -17,8 +17,8 @@ from pathlib import Path
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.engine import simulation_loop
-from orchestrator.studies.cases import Options, Sample, StudyCase
-from orchestrator.studies.single_run import outcome
+from orchestrator.studies.cases import Options, StudyCase, Unit
+from orchestrator.studies.single_run import outcomes
 from orchestrator.studies.study import Study
 from orchestrator.worker.main import Channel
 
@@ -96,13 +96,14 @@ def _archive(source: Location) -> bytes:
 
 
 def main(channel: Channel) -> None:
-    """Child process: read the payload, then samples, and send the outcome of each."""
+    """Child process: read the payload, then samples that are run together, and send their outcomes."""
     simulation_loop.CORES = 1  # there is a process on every core
     study_payload: Payload = channel.get()
     cases, originals = study_payload.unpacked(channel.folder / "fmus")
     channel.put(originals)
     while True:
-        sample: Sample = channel.get()
+        unit: Unit = channel.get()
         began = time.perf_counter()
-        result = outcome(study_payload.study, cases[sample.options], sample)
-        channel.put(replace(result, wall=time.perf_counter() - began))
+        results = outcomes(study_payload.study, cases[unit[0].options], unit)
+        wall = (time.perf_counter() - began) / len(unit)
+        channel.put([replace(result, wall=wall) for result in results])

@@ -7,7 +7,6 @@ On this machine the workers of the cluster are threads of this process, and noth
 from __future__ import annotations
 
 import logging
-import os
 import pickle
 import tempfile
 import time
@@ -22,7 +21,8 @@ from distributed.client import ClosedClientError
 from distributed.scheduler import KilledWorker
 
 from orchestrator.base.errors import Problem
-from orchestrator.studies.cases import Sample
+from orchestrator.base.processes import available_cores
+from orchestrator.studies.cases import Unit
 from orchestrator.studies.payload import Payload, digest
 from orchestrator.studies.processes import ProcessPool, run_batch
 from orchestrator.studies.single_run import RunOutcome, failed
@@ -99,7 +99,7 @@ def client(workers: int | None = None, scheduler: str | None = None) -> Iterator
             with (
                 tempfile.TemporaryDirectory(prefix="sweep-") as folder,
                 dask.config.set({"temporary-directory": folder}),
-                local(workers or available()) as cluster,
+                local(workers or available_cores()) as cluster,
                 _Client(cluster) as connection,
             ):
                 yield connection
@@ -117,15 +117,12 @@ def client(workers: int | None = None, scheduler: str | None = None) -> Iterator
             yield remote
 
 
-def available() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def outcomes(
-    connection: Client, payload: Payload, samples: Sequence[Sample], poll: Callable[[], None] = lambda: None
+    connection: Client, payload: Payload, units: Sequence[Unit], poll: Callable[[], None] = lambda: None
 ) -> Generator[list[RunOutcome], None, None]:
     """Run samples; yields the outcomes of each finished batch, in any order, each sample once.
+
+    units   samples that are run together
 
     poll  called repeatedly while batches run; an exception that it raises ends the runs
     """
@@ -133,7 +130,7 @@ def outcomes(
     pool = ProcessPool(f"sweep-{digest(data)[:16]}", data)
     try:
         connection.register_plugin(pool, name=pool.name)
-        yield from Batches(connection, pool.name, payload.study, samples, poll).outcomes()
+        yield from Batches(connection, pool.name, payload.study, units, poll).outcomes()
     finally:
         with suppress(Exception):  # the cluster may be gone
             connection.unregister_worker_plugin(pool.name)
@@ -147,13 +144,13 @@ class Batches:
         connection: Client,
         name: str,
         study: Study,
-        samples: Sequence[Sample],
+        units: Sequence[Unit],
         poll: Callable[[], None],
     ) -> None:
         self._connection, self._name, self._study, self._poll = connection, name, study, poll
-        self._waiting = list(samples)[::-1]
-        self._retried: list[Sample] = []  # samples of batches whose worker died; they are run one by one
-        self._running: dict[Future, list[Sample]] = {}
+        self._waiting = list(units)[::-1]
+        self._retried: list[Unit] = []  # samples of batches whose worker died; they are run one by one
+        self._running: dict[Future, list[Unit]] = {}
         self._size = FIRST_RUNS
 
     def outcomes(self) -> Iterator[list[RunOutcome]]:
@@ -196,21 +193,22 @@ class Batches:
             self._running[future] = batch
             queue.add(future)
 
-    def _result(self, future: Future, batch: list[Sample]) -> list[RunOutcome]:
+    def _result(self, future: Future, batch: list[Unit]) -> list[RunOutcome]:
         """The outcomes of a batch; empty if its worker died and the samples are run one by one."""
         error = future.exception()
         if error is None:
             outcomes: list[RunOutcome] = future.result()
-            mean_wall = sum(r.wall for r in outcomes) / len(outcomes)
+            mean_wall = sum(r.wall for r in outcomes) / len(batch)
             if mean_wall > 0:
                 self._size = max(1, min(MOST_RUNS, round(BATCH_TIME / mean_wall)))
             return outcomes
         if not isinstance(error, KilledWorker):
             raise error if isinstance(error, Problem) else Problem(f"Dask: {_line(error)}")
-        if len(batch) > 1:
-            self._retried += batch
+        samples = [sample for unit in batch for sample in unit]
+        if len(samples) > 1:
+            self._retried += [(sample,) for sample in samples]
             return []
-        return [failed(self._study, batch[0].run, "the Dask worker died")]
+        return [failed(self._study, samples[0].run, "the Dask worker died")]
 
 
 def _line(error: BaseException) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 
 from orchestrator.base.errors import Problem
-from orchestrator.studies.cases import Sample
+from orchestrator.studies.cases import Unit
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
@@ -50,25 +50,25 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         for process in tuple(self._processes):
             self._close(process)
 
-    def run(self, batch: Sequence[Sample]) -> list[RunOutcome]:
+    def run(self, batch: Sequence[Unit]) -> list[RunOutcome]:
         """Run samples; if a sample ends its process, the next one runs in another process."""
-        outcomes: list[RunOutcome] = []
-        for sample in batch:
-            process = self._process()
-            process.forget_printed()  # by the run before
-            process.put(sample)
-            originals = self._processes[process]
-            try:
-                outcome: RunOutcome = self._answer(process, self._limits)
-                self._idle.put(process)
-            except ProcessEnded as ended:
-                outcome = failed(self._study, sample.run, str(ended))
-                self._close(process)
-            reason = outcome.reason
-            for unpacked, original in originals.items():  # folders differ from process to process
-                reason = reason.replace(unpacked, original)
-            outcomes.append(replace(outcome, reason=reason))
-        return outcomes
+        return [outcome for unit in batch for outcome in self._run(unit)]
+
+    def _run(self, unit: Unit) -> list[RunOutcome]:
+        """Run samples together; if they end their process or exceed a limit, each one by itself."""
+        process = self._process()
+        process.forget_printed()  # by the run before
+        process.put(unit)
+        originals = self._processes[process]
+        try:
+            outcomes: list[RunOutcome] = self._answer(process, self._limits)
+            self._idle.put(process)
+        except ProcessEnded as ended:
+            self._close(process)
+            if len(unit) > 1:
+                return [outcome for sample in unit for outcome in self._run((sample,))]
+            outcomes = [failed(self._study, unit[0].run, str(ended))]
+        return [replace(o, reason=_with_originals(o.reason, originals)) for o in outcomes]
 
     def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
         """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
@@ -102,6 +102,13 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         self._processes.pop(process, None)
 
 
+def _with_originals(reason: str, originals: Mapping[str, str]) -> str:
+    """A reason with the names of the original FMUs, as folders differ from process to process."""
+    for unpacked, original in originals.items():
+        reason = reason.replace(unpacked, original)
+    return reason
+
+
 def run_limits(study: Study) -> WorkerLimits:
     """The limits of a run of a study on this machine."""
     memory = MEMORY_SHARE * machine_memory() if study.memory_limit is None else 1e9 * study.memory_limit
@@ -123,7 +130,7 @@ class ProcessEnded(Exception):
     """A process ended, or was stopped because it exceeded a limit."""
 
 
-def run_batch(name: str, batch: Sequence[Sample]) -> list[RunOutcome]:
+def run_batch(name: str, batch: Sequence[Unit]) -> list[RunOutcome]:
     """The Dask task: run samples in the processes of this Dask worker."""
     pool = get_worker().plugins.get(name)
     if not isinstance(pool, ProcessPool):

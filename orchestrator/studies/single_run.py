@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.engine.run import run
-from orchestrator.studies.cases import Sample, StudyCase, signal
+from orchestrator.batch.batch import machine_values, recorded_times
+from orchestrator.batch.compiled import lane_count
+from orchestrator.batch.group import Group
+from orchestrator.batch.lanes import Lanes
+from orchestrator.engine.job import ENDS_EARLY
+from orchestrator.engine.run import prepare, run
+from orchestrator.engine.time_grid import Grid
+from orchestrator.studies.cases import Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
 
 OK, EARLY, FAILED = "ok", "early", "failed"
@@ -45,39 +53,97 @@ def failed(study: Study, run: int, reason: str) -> RunOutcome:
     return RunOutcome(run, FAILED, " ".join(reason.split()), np.full(len(study.outputs), NAN))
 
 
+def outcomes(study: Study, case: StudyCase, unit: Unit) -> list[RunOutcome]:
+    """Run samples with equal options, several in lanes. One that fails there is run again by itself."""
+    found: dict[int, RunOutcome] = {}
+    if len(unit) > 1:
+        with suppress(Problem):  # a value is not allowed: its own run tells the reason
+            found = _in_lanes(study, case, unit)
+    return [found.get(sample.run) or outcome(study, case, sample) for sample in unit]
+
+
+def _in_lanes(study: Study, case: StudyCase, unit: Unit) -> dict[int, RunOutcome]:
+    """The outcomes of the samples that come to their end."""
+    group, times = _lane_group(study, case)
+    names = unit[0].factors
+    values, _ = machine_values(group.lanes.job, {n: [float(s.factors[n]) for s in unit] for n in names})
+    rows = [np.full((len(unit), times.rows), NAN) for _ in group.lanes.signals]
+    ended = group.run(0, values, rows, len(unit))
+    time = recorded_times(times)
+    signals = dict(zip(map(str, group.lanes.signals), rows, strict=True))
+    return {
+        sample.run: _outcome(study, case, sample.run, time, {n: v[i] for n, v in signals.items()})
+        for i, sample in enumerate(unit)
+        if i not in ended
+    }
+
+
+def group_size(study: Study, case: StudyCase) -> int:
+    """How many samples of a case are run together: those of a group in lanes, or one."""
+    try:
+        _lane_group(study, case)
+    except Problem:
+        return 1
+    return lane_count()
+
+
+def _lane_group(study: Study, case: StudyCase) -> tuple[Group, Grid]:
+    """A group of machines of a case, and their communication points; raises Problem if that is impossible."""
+    if id(case) not in _groups:
+        job, times = prepare(case.system, case.scenario, **_options(study, case))
+        lanes = Lanes(job, times, [job.system.port(name) for name in job.record.signals or ()])
+        _groups[id(case)] = case, Group(lanes), times
+    return _groups[id(case)][1:]
+
+
+_groups: dict[int, tuple[StudyCase, Group, Grid]] = {}  # by the id of the case
+
+
+def _options(study: Study, case: StudyCase) -> dict[str, Any]:
+    """Arguments of `run` that all samples of a case have in common."""
+    return {
+        "step": study.step,
+        "stop": study.stop,
+        "record": list(dict.fromkeys(str(signal(case.system, o.signal)) for o in study.outputs)),
+        "record_step": study.record_step,
+        "bonds": (),
+        "isolate": False,  # the process of the study is one already
+    }
+
+
 def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
     """Run a sample; an error becomes its outcome."""
-    system = case.system
     try:
-        result = run(
-            system,
-            case.scenario,
-            step=study.step,
-            stop=study.stop,
-            set=sample.factors,
-            record=list(dict.fromkeys(str(signal(system, o.signal)) for o in study.outputs)),
-            record_step=study.record_step,
-            bonds=(),
-            isolate=False,  # the process of the study is one already
-        )
-        # In a trace, outputs of the system have the name and unit that the system declares.
-        names = {o.signal: o.signal for o in study.outputs if o.signal in system.outputs}
-        names |= {o.signal: str(signal(system, o.signal)) for o in study.outputs if o.signal not in names}
-        trace, marker = result.trace, "the run ends early: "
-        early = [note for note in result.card.notes if note.startswith(marker)]
-        outputs = [measure(o, trace.time, trace[names[o.signal]]) for o in study.outputs]
-        return RunOutcome(
-            run=sample.run,
-            status=EARLY if early else OK,
-            reason=" ".join(early[0].removeprefix(marker).split()) if early else "",
-            outputs=np.array(outputs, np.float64),
-            bands=_bands(study, trace.time, [trace[names[name]] for name in study.bands]),
-            start=float(trace.time[0]),
-        )
+        result = run(case.system, case.scenario, set=sample.factors, **_options(study, case))
+        early = [note for note in result.card.notes if note.startswith(ENDS_EARLY)]
+        found = _outcome(study, case, sample.run, result.trace.time, result.trace.signals)
+        if not early:
+            return found
+        return replace(found, status=EARLY, reason=" ".join(early[0].removeprefix(ENDS_EARLY).split()))
     except Problem as problem:
         return failed(study, sample.run, str(problem))
     except Exception as defect:  # a defect ends this run only
         return failed(study, sample.run, f"{type(defect).__name__}: {defect}")
+
+
+def _outcome(
+    study: Study, case: StudyCase, run: int, time: Array, signals: Mapping[str, Array]
+) -> RunOutcome:
+    """The outcome of a complete run; signals: by `component.variable`."""
+
+    def values(name: str) -> Array:
+        outlet = case.system.outputs.get(name)
+        values = signals[str(signal(case.system, name))]
+        return values if outlet is None else outlet.map.factor * values + outlet.map.offset
+
+    return RunOutcome(
+        run=run,
+        status=OK,
+        reason="",
+        outputs=np.array([measure(o, time, values(o.signal)) for o in study.outputs], np.float64),
+        bands=_bands(study, time, [values(name) for name in study.bands]),
+        start=float(time[0]),
+    )
 
 
 def _bands(study: Study, time: Array, signals: list[Array]) -> Array | None:

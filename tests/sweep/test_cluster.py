@@ -159,7 +159,7 @@ def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
     monkeypatch.setattr(pool, "as_completed", Nothing)
     monkeypatch.setattr(pool, "WORKER_TIMEOUT", 0.0)
-    batches = pool.Batches(Deserted(), "study", None, [Sample(0, (), {})], lambda: None)
+    batches = pool.Batches(Deserted(), "study", None, [(Sample(0, (), {}),)], lambda: None)
     with pytest.raises(
         Problem, match=r"^the Dask cluster has no workers left; finished runs are stored; the"
     ):

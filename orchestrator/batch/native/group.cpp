@@ -15,6 +15,8 @@ namespace engine {
 #include "step_size.c"
 }
 
+static_assert(sizeof(Course) == COURSE_VECTORS * sizeof(Lanes), "memory for courses");
+
 static Lanes &input_value(const Group *g, const Plan *plan, int component, int input) {
     return g->instances[component]->values[plan->models[component]->parameters + input];
 }
@@ -159,18 +161,25 @@ static void set_driven_courses(const Plan *plan, Group *g, double h) {
 /* ---- one communication step, as in communication_step.c ---------------------------------------- */
 
 static void copy(const Plan *plan, Group *g, const Connection *connections, int count) {
-    for (int i = 0; i < count; i++)
-        set_input(g, plan, connections[i].target, connections[i].input, source_value(g, &connections[i]));
+    for (int i = 0; i < count; i++) {
+        const Connection *c = &connections[i];
+        const Lanes now = source_value(g, c);
+        if (c->checked && any(input_value(g, plan, c->target, c->input) != now)) g->changed[c->target] = 1;
+        set_input(g, plan, c->target, c->input, now);
+    }
 }
 
-/* Exchanges all outputs and inputs at t [s]. */
+/* Exchanges all outputs and inputs at t [s], after outputs have been computed from the inputs at the end of a step. */
 static void exchange(const Plan *plan, Group *g, double t) {
+    memset(g->changed, 0, (size_t)plan->component_count * sizeof *g->changed);
     set_driven_inputs(plan, g, t);
     for (int i = 0; i < plan->exchange_count; i++) {
         const Instruction *p = &plan->exchange[i];
         if (p->type == COPY) copy(plan, g, plan->connections + p->index, p->count);
-        else if (p->type == OUTPUTS) plan->models[p->index]->outputs_now(g->instances[p->index]);
-        else plan->models[p->index]->derivatives_now(g->instances[p->index]);
+        if (p->type == DERIVATIVES) plan->models[p->index]->derivatives_now(g->instances[p->index]);
+        if (p->type != OUTPUTS || !g->changed[p->index]) continue;
+        plan->models[p->index]->outputs_now(g->instances[p->index]);
+        g->changed[p->index] = 0;
     }
 }
 
@@ -329,7 +338,7 @@ EXPORT int32_t group_initialise(const Plan *plan, Group *g) {
 }
 
 /* Begins the run at the consistent values, and records them. */
-EXPORT void group_begin(const Plan *plan, Group *g) {
+EXPORT int32_t group_begin(const Plan *plan, Group *g) {
     g->t = plan->start;
     exchange(plan, g, g->t);
     for (int n = 0; n < plan->initial_rounds; n++) {
@@ -343,6 +352,7 @@ EXPORT void group_begin(const Plan *plan, Group *g) {
         collect_failures(plan, g, k, g->t);
     }
     record(plan, g);
+    return 1;
 }
 
 /* Takes a step of length h; 0: its error is too large, and the group is back at its beginning. */
@@ -382,7 +392,11 @@ static void next_step(const Plan *plan, Group *g) {
 }
 
 /* Steps up to a communication point, until all machines have failed, or until another thread stops it. */
-EXPORT void group_advance(const Plan *plan, Group *g, int64_t point) {
+EXPORT int32_t group_advance(const Plan *plan, Group *g, int64_t point) {
     while (g->done < point && any(*g->alive) && !*(volatile int32_t *)&g->stop) next_step(plan, g);
+    if (any(*g->alive)) return 1;
+    g->done = point;
+    g->t = plan->start + (double)point * plan->step;
+    return 0;
 }
 }

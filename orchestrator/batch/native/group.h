@@ -56,12 +56,13 @@ typedef struct Model { /* the functions of a model */
     Description *requirement; /* by its number */
 } Model;
 
-enum { FOLLOWED = 3, DRIVEN = -1 };
+enum { FOLLOWED = 3, DRIVEN = -1, COURSE_VECTORS = 13 }; /* COURSE_VECTORS: in a Course */
 enum { COPY, OUTPUTS, DERIVATIVES }; /* types of instructions */
 
 typedef struct Connection { /* an output of a component that feeds an input of another */
     int32_t source, reference, target, input;
     double factor, offset;
+    int32_t checked, unused; /* checked: outputs of the target depend on the input, which a step may leave at another value */
 } Connection;
 
 typedef struct Input { /* an input that varies inside a communication step, or that is watched, as CouplingInput of engine.h */
@@ -71,7 +72,7 @@ typedef struct Input { /* an input that varies inside a communication step, or t
 } Input;
 
 typedef struct Instruction {
-    int32_t type, index, count; /* COPY: connections; others: of a component */
+    int32_t type, index, count; /* COPY: connections; others: of a component, if its inputs have changed */
 } Instruction;
 
 typedef struct Drive { /* a column of the scenario that drives an input */
@@ -111,9 +112,10 @@ typedef struct Group {
     const double *commands; /* of each drive for each machine, held; NULL: the scenario drives */
     double *const *rows;    /* recorded signals: each an array of shape (machines, points) */
     Failure *failures;
+    int32_t *changed; /* by component: an input has changed since its outputs were computed */
     int64_t machine, machines, points, row; /* number of the first machine; machines in use; shape of the arrays */
     int64_t done, event, step_count, pass_count, interval;
-    double t, length, shorter;
+    double t, length;
     void *step_size; /* StepSize of engine.h */
     int32_t history, stop; /* order of extrapolation that the history allows; stop: set by another thread */
 } Group;

@@ -1,0 +1,156 @@
+"""C++ libraries of a batch: the models of native FMUs in vector lanes, and the code that couples them.
+
+A native FMU of this project contains its C sources. native/model.cpp includes them with a vector type in
+place of double. The libraries are compiled for the processor of this computer, and kept in the user's cache.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from orchestrator.base.compiler import (
+    PLATFORMS,
+    SUFFIX,
+    CompilerError,
+    host,
+    linker_arguments,
+    shared_library,
+)
+from orchestrator.base.errors import Problem
+from orchestrator.engine.c_library import structures, without_comments
+from orchestrator.ssp.system import Component
+
+FOLDER = Path(__file__).parent / "native"
+ENGINE = Path(__file__).parents[1] / "engine" / "native"
+# C files of a native FMU that model.cpp includes
+SOURCES = (
+    *("sizes.h", "model.h", "model.c", "start.h", "start.c", "opening_curve.h"),
+    *("solver.h", "inputs.h", "inputs.c", "rosenbrock.c"),
+)
+FLAGS = (
+    *("-x", "c++", "-std=gnu++20", "-O2", "-g0", "-s", "-shared", "-fvisibility=hidden"),
+    *("-nostdinc++", "-nostdlib++", "-fno-exceptions", "-fno-rtti"),
+    *("-Wall", "-Wextra", "-Werror", "-Wno-unused-function"),
+    # divisions dominate: a vector of reciprocals takes as long as two of products
+    *("-freciprocal-math", "-ffp-contract=fast", "-fno-signed-zeros"),
+    *("-fno-math-errno", "-fno-trapping-math"),
+)
+# instruction sets of x86-64, the best one first -> the features of NumPy that they need, and further flags
+LEVELS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "x86_64_v4": (("AVX512_SKX",), ("-mprefer-vector-width=512",)),  # the default is 256
+    "x86_64_v3": (("AVX2", "FMA3"), ()),
+}
+
+
+class NotInLanes(Problem):
+    """The machines cannot be simulated in lanes; the message says why."""
+
+
+@cache
+def processor() -> str:
+    """The instruction set to compile for: one of LEVELS, or `baseline`."""
+    if not host().startswith("x86_64"):
+        return "baseline"
+    try:
+        features = import_module("numpy._core._multiarray_umath").__cpu_features__
+    except (ImportError, AttributeError):  # not part of the interface of NumPy
+        return "baseline"
+    return next((name for name, (needed, _) in LEVELS.items() if all(map(features.get, needed))), "baseline")
+
+
+def recipe(
+    name: str, file: str, code: Mapping[str, bytes], cpu: str
+) -> tuple[str, dict[str, bytes], list[str]]:
+    """The library of a C++ file of this package for an instruction set, as arguments of `shared_library`."""
+    target, library = PLATFORMS[host()], f"{name}_lanes{SUFFIX}"
+    headers = {path.name: path.read_bytes() for path in FOLDER.glob("*.h")}
+    flags = ["-target", target.target, f"-mcpu={cpu}", *FLAGS, *LEVELS.get(cpu, ((), ()))[1]]
+    flags += ["-fPIC"] if SUFFIX != ".dll" else []
+    sources = {**code, **headers, file: (FOLDER / file).read_bytes()}
+    return library, sources, [*flags, file, *linker_arguments(library, target, ("-lm",))]
+
+
+@cache
+def header() -> Any:
+    """Structures and constants of group.h, by name."""
+    texts = [(FOLDER / name).read_text(encoding="utf-8") for name in ("lanes.h", "group.h")]
+    return structures(without_comments("\n".join(texts)))
+
+
+def lane_count() -> int:
+    """Number of machines in a group."""
+    return int(header().LANES)
+
+
+@cache
+def group_library() -> ctypes.CDLL:
+    """The functions of group.cpp."""
+    code = {name: (ENGINE / name).read_bytes() for name in ("engine.h", "step_size.c")}
+    return _loaded("", *recipe("group", "group.cpp", code, processor()))
+
+
+@dataclass(frozen=True)
+class Model:
+    """The compiled model of a component.
+
+    struct   `Model` of group.h
+    names    variable name -> value reference
+    """
+
+    component: str
+    library: ctypes.CDLL
+    struct: Any
+    names: Mapping[str, int]
+
+    def requirement(self, index: int) -> str:
+        """The description of a requirement."""
+        describe = ctypes.CFUNCTYPE(ctypes.c_char_p, ctypes.c_int32)(self.struct.requirement)
+        return (describe(index) or b"").decode()
+
+    def name(self, reference: int) -> str:
+        """The name of a variable."""
+        return next(name for name, r in self.names.items() if r == reference)
+
+    def is_derivative(self, reference: int) -> bool:
+        """Is this the derivative of a state?"""
+        s = self.struct
+        return bool(0 <= reference - s.parameters - s.inputs - s.states < s.states)
+
+
+def sources_of(component: Component) -> dict[str, bytes]:
+    """The C files of a native FMU; raises NotInLanes for another one."""
+    assert component.source is not None
+    try:
+        return {name: component.source.member(f"sources/{name}").read() for name in SOURCES}
+    except Problem:
+        reason = f"{component.name} ({component.source}) has no C sources of this version of harvester-cosim"
+        raise NotInLanes(reason) from None
+
+
+def compiled_model(component: Component) -> Model:
+    """The compiled model of a component; raises NotInLanes if that is impossible."""
+    if component.source is None:
+        raise NotInLanes(f"{component.name} is not an FMU")
+    variables = component.interface.variables.values()
+    if others := [v.name for v in variables if not v.is_real]:
+        raise NotInLanes(f"{component.name}.{others[0]} is not a Real variable")
+    code = sources_of(component)
+    library = _loaded(
+        f"{component.name}: ", *recipe(component.interface.identifier, "model.cpp", code, processor())
+    )
+    library.lane_model.restype = ctypes.c_void_p
+    struct = header().Model.from_address(library.lane_model())
+    return Model(component.name, library, struct, {v.name: v.reference for v in variables})
+
+
+def _loaded(context: str, *library: Any) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(shared_library(*library)))
+    except (CompilerError, OSError) as error:
+        raise NotInLanes(f"{context}{error}") from None
