@@ -8,8 +8,8 @@ write_trace(result.trace, "build/trace.csv")
 print(validate(result, "data/reference/work_cycle.csv").verdict)
 
 `load` reads a system, `assemble` makes one from FMUs, `write_ssp` writes it. `compare` compares traces,
-`sweep` runs a `Study`, `linearize` computes A, B, C, D and modes at an operating point, `reference` solves a
-system as one ODE.
+`sweep` runs a `Study`, `batch` simulates many machines at once, `linearize` computes A, B, C, D and modes at
+an operating point, `reference` solves a system as one ODE.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from orchestrator.engine.job import Execution, Record
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
+    from orchestrator.lanes import BatchResult, batch
     from orchestrator.linear.linearize import linearize
     from orchestrator.linear.model import Linear, LinearModel
     from orchestrator.monolithic.reference import reference
@@ -47,6 +48,7 @@ _MODULES = {
     "engine.job": "Execution Record",
     "engine.result": "Card Interrupted Result RunFailed",
     "engine.run": "run",
+    "lanes": "BatchResult batch",
     "linear.linearize": "linearize",
     "linear.model": "Linear LinearModel",
     "monolithic.reference": "reference",
@@ -62,10 +64,10 @@ _MODULES = {
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 __all__ = [
-    "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem", "Record", "Recording",
-    "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble", "compare", "linearize",
-    "load", "read", "read_recording", "read_study", "read_trace", "reference", "run", "sweep", "validate",
-    "with_swaps", "write", "write_ssp", "write_trace",
+    "BatchResult", "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem",
+    "Record", "Recording", "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble",
+    "batch", "compare", "linearize", "load", "read", "read_recording", "read_study", "read_trace",
+    "reference", "run", "sweep", "validate", "with_swaps", "write", "write_ssp", "write_trace",
 ]  # fmt: skip
 
 

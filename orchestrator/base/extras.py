@@ -15,6 +15,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "identify": ("lmfit", "statsmodels", "ziglang"),
     "files": ("h5py", "pandas", "pyarrow"),
     "control": ("control",),
+    "learn": ("gymnasium",),
     "reference": ("sksundae",),
 }
 

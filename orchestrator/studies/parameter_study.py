@@ -27,7 +27,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from orchestrator.base.errors import Stopped
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.text import TextTable, display_unit
-from orchestrator.batch.compiled import lane_count
+from orchestrator.lanes.compiled import lane_count
 from orchestrator.studies import design, pool, store
 from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, resolve

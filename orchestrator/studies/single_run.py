@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.batch.batch import machine_values, recorded_times
-from orchestrator.batch.compiled import lane_count
-from orchestrator.batch.group import Group
-from orchestrator.batch.lanes import Lanes
 from orchestrator.engine.job import ENDS_EARLY
 from orchestrator.engine.run import prepare, run
 from orchestrator.engine.time_grid import Grid
+from orchestrator.lanes.batch import machine_values, recorded_times
+from orchestrator.lanes.compiled import lane_count
+from orchestrator.lanes.group import Group
+from orchestrator.lanes.plan import Lanes
 from orchestrator.studies.cases import Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
 

@@ -51,7 +51,9 @@ def test_only_missing_runs_take_place(file, one):
 def rows_of(file, client):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(file))
-    return {r.run: r for batch in outcomes(client, ready.payload, [(s,) for s in ready.samples]) for r in batch}
+    return {
+        r.run: r for batch in outcomes(client, ready.payload, [(s,) for s in ready.samples]) for r in batch
+    }
 
 
 def store_of(file, folder):
@@ -245,7 +247,9 @@ def test_a_larger_limit_runs_stopped_runs_again(file, one):
 
 def test_a_run_stopped_at_its_time_limit_runs_again(file, one):
     """The reason of a stopped run names the limit, by which a start with a larger one finds it."""
-    text = file.read_text().replace("step = 0.01", "step = 2e-6")  # a run outlasts an interval between two checks
+    text = file.read_text().replace(
+        "step = 0.01", "step = 2e-6"
+    )  # a run outlasts an interval between two checks
     file.write_text(f"time_limit = 1e-9\n{text}")
     results, _ = run(file, one)
     again = [i for i, r in enumerate(results.table["reason"]) if r.startswith("time_limit = 1e-09: not done")]

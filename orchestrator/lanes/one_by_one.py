@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, temporary_folder
 from orchestrator.base.interrupts import in_threads
-from orchestrator.batch.group import EARLY, FAILED, Ended
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine import simulation_loop
 from orchestrator.engine.job import ENDS_EARLY, Job, Record
 from orchestrator.engine.run import finished
 from orchestrator.engine.time_grid import Grid
+from orchestrator.lanes.group import EARLY, FAILED, Ended
 from orchestrator.ssp.system import Port, System
 from orchestrator.worker.main import Channel
 from orchestrator.worker.process import Worker, WorkerLimits
@@ -68,7 +68,7 @@ def run_one_by_one(
                     if stop.is_set():
                         return
                     if worker is None or not worker.alive:
-                        worker = Worker("orchestrator.batch.one_by_one:main", "batch", environment=THREADS)
+                        worker = Worker("orchestrator.lanes.one_by_one:main", "batch", environment=THREADS)
                         processes.callback(worker.close)
                         worker.put(data)
                     worker.put({port: float(array[machine]) for port, array in values.items()})

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.processes import available_cores
-from orchestrator.batch.compiled import NotInLanes, compiled_model, header
 from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import Job
 from orchestrator.engine.masters import MASTERS, Plan
 from orchestrator.engine.network import Network
 from orchestrator.engine.time_grid import Grid
+from orchestrator.lanes.compiled import NotInLanes, compiled_model, header
 from orchestrator.ssp.system import Connection, Port, System
 
 MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")

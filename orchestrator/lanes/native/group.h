@@ -1,6 +1,6 @@
 /* What the library of a model (model.cpp) and the library that couples models (group.cpp) share: a group of LANES
-   machines, each in one lane of the vectors. All machines of a group take the same steps; the worst one decides on
-   their lengths. A machine that fails is left out from then on. */
+   machines, each in one lane of the vectors. All machines of a group take the same communication steps. A machine
+   that fails is left out from then on. */
 
 #ifndef GROUP_H
 #define GROUP_H
@@ -33,13 +33,13 @@ typedef struct Instance {
     Mask *alive;              /* machines that have not failed */
     Failure *failures;        /* one per lane */
     double tolerance;
-    double step;              /* proposal for the next inner step [s]; 0: none */
     int64_t inner_steps;
 } Instance;
 
 typedef Instance *Create(void *memory, double tolerance);
 typedef void Action(Instance *);
 typedef void TimedAction(Instance *, double);
+typedef void Adoption(Instance *, const Instance *from, Mask machines);
 typedef const char *Description(int32_t);
 
 typedef struct Model { /* the functions of a model */
@@ -53,6 +53,7 @@ typedef struct Model { /* the functions of a model */
     Action *save, *restore;
     TimedAction *step;        /* over a length [s]; computes the outputs, and checks them */
     TimedAction *check;       /* outputs and requirements; machines that violate them fail, at a time [s] */
+    Adoption *adopt;          /* replaces machines by those of another instance */
     Description *requirement; /* by its number */
 } Model;
 
@@ -109,7 +110,7 @@ typedef struct Group {
     Instance *const *instances;
     Course *courses;
     Mask *alive;            /* machines that have not failed */
-    const double *commands; /* of each drive for each machine, held; NULL: the scenario drives */
+    const double *commands; /* in place of the columns of the scenario, for each machine, held; NULL: none */
     double *const *rows;    /* recorded signals: each an array of shape (machines, points) */
     Failure *failures;
     int32_t *changed; /* by component: an input has changed since its outputs were computed */

@@ -19,15 +19,15 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.processes import available_cores
-from orchestrator.batch.compiled import NotInLanes, lane_count
-from orchestrator.batch.group import OK, Ended, Group
-from orchestrator.batch.lanes import Lanes
-from orchestrator.batch.one_by_one import run_one_by_one
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Job
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import Value
+from orchestrator.lanes.compiled import NotInLanes, lane_count
+from orchestrator.lanes.group import OK, Ended, Group
+from orchestrator.lanes.one_by_one import run_one_by_one
+from orchestrator.lanes.plan import Lanes
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.worker.process import machine_memory
 
@@ -158,21 +158,27 @@ def _simulate(
 # ---- what differs and what is recorded
 
 
-def machine_values(job: Job, parameters: Mapping[str, ArrayLike]) -> tuple[dict[Port, Array], int]:
-    """The value of each variable for each machine, in the unit of the FMU, and the number of machines."""
-    if not parameters:
+def machine_values(
+    job: Job, parameters: Mapping[str, ArrayLike], count: int | None = None
+) -> tuple[dict[Port, Array], int]:
+    """The value of each variable for each machine, in the unit of the FMU, and the number of machines.
+
+    count   number of machines, if it is known
+    """
+    if not parameters and count is None:
         raise Problem("parameters: expected a name with a value for each machine, got none")
     driven = job.scenario.columns if job.scenario else {}
     connected = {c.target: c for c in job.system.connections}
     values: dict[Port, Array] = {}
     names: dict[Port, str] = {}
-    first, count = "", 0
+    first = ""
     for name, given in parameters.items():
         array = _numbers(name, given)
-        if not first:
-            first, count = name, len(array)
+        first = first or name
+        count = len(array) if count is None else count
         if len(array) != count:
-            raise Problem(f"parameters: {name}: expected {count} values, as {first} has, got {len(array)}")
+            expected = f"{count} values" + (f", as {first} has" if name != first else "")
+            raise Problem(f"parameters: {name}: expected {expected}, got {len(array)}")
         for port, linear in job.system.targets(name):
             if port in connected:
                 raise Problem(f"parameters: {name}: the input is connected ({connected[port]})")
@@ -185,7 +191,7 @@ def machine_values(job: Job, parameters: Mapping[str, ArrayLike]) -> tuple[dict[
             for value in (values[port].min(), values[port].max()):
                 check_bounds(f"parameters: {name}", job.system.variable(port), float(value))
         _check_shared(job.system, name)
-    return values, count
+    return values, count or 0
 
 
 def _numbers(name: str, given: ArrayLike) -> Array:

@@ -1,8 +1,8 @@
 /* The model of an FMU for LANES machines at once, from the C files in the FMU: sizes.h, model.h, model.c, start.c,
    solver.h, inputs.c and rosenbrock.c, in which double becomes Lanes. Each model is compiled to a library of its own.
 
-   The solver is that of the FMU (solver.c, kutta.c) with common inner steps: the largest error of all machines decides
-   on their lengths. */
+   The solver is that of the FMU (solver.c, kutta.c). Each machine has its own inner steps, so its results do not depend
+   on the others. */
 
 #include <float.h>
 #include <math.h>
@@ -76,8 +76,7 @@ static Lanes opening_curve_along(Lanes v, const Lanes *t, Lanes dv, const Lanes 
 typedef struct {
     Lanes x[ROOM(NX)], u[ROOM(NU)], last_set[ROOM(NU)], end_derivative[ROOM(NU)];
     int32_t had_derivatives[ROOM(NU)];
-    double step;
-    int32_t pause, next_pause;
+    Lanes step, pause, next_pause;
 } Memory;
 
 typedef struct {
@@ -87,7 +86,8 @@ typedef struct {
     Mask alive;
     Lanes c[ROOM(NC)], require[ROOM(NREQUIRE)];
     int32_t has_derivatives[ROOM(NU)], had_derivatives[ROOM(NU)];
-    int32_t pause, next_pause; /* inner steps before the explicit method is tried again, see solver.c */
+    Lanes step;              /* proposal for the next inner step [s]; 0: none */
+    Lanes pause, next_pause; /* inner steps before the explicit method is tried again, see solver.c */
     Failure failures[LANES];
     InputPolynomials inputs;
     Work work;
@@ -184,15 +184,15 @@ static void plan_inputs(Own *s) {
 
 enum { MOST_INNER_STEPS = 1000000, SHORTEST_PAUSE = 8, LONGEST_PAUSE = 1024 };
 
-/* The machine has failed: the reason is stored, and it is left out from now on. */
-static void fail(Own *s, Mask failed, int kind, int index, Lanes value, Lanes derivative, double step, double time) {
+/* Machines have failed: the reason is stored, and they are left out from now on. */
+static void fail(Own *s, Mask failed, int kind, int index, Lanes value, Lanes derivative, Lanes step, Lanes time) {
     failed = failed && s->alive;
     for (int i = 0; i < LANES; i++)
-        if (failed.bits[i]) s->failures[i] = {kind, 0, index, 0, value[i], derivative[i], step, time};
+        if (failed.bits[i]) s->failures[i] = {kind, 0, index, 0, value[i], derivative[i], step[i], time[i]};
     s->alive = s->alive && !failed;
 }
 
-/* Weighted root mean square of the error estimate of each machine; `worst`: the state with its largest part. */
+/* Weighted root mean square of the error estimate; `worst`: the state with its largest part. */
 static Lanes error_norm(const Own *s, Lanes *worst) {
     Lanes sum = 0.0, most = -1.0;
     for (int i = 0; i < NX; i++) {
@@ -206,11 +206,12 @@ static Lanes error_norm(const Own *s, Lanes *worst) {
     return sqrt(sum / (double)ROOM(NX));
 }
 
-/* Kutta's method, see kutta.c; infinite for machines for which it is unstable. */
-static Lanes kutta(Own *s, double tau, double h, Lanes *worst) {
+/* Kutta's method, see kutta.c; its error, infinite where it is unstable. */
+static Lanes kutta(Own *s, Lanes tau, Lanes h, Lanes *worst) {
     Work *w = &s->work;
     const Lanes *x = states(s), *p = parameters(s), *k1 = w->f0;
     Lanes change = 0.0, moved = 0.0, *k2 = w->k[0], *k3 = w->k[1];
+    model_dynamics(x, w->u, p, s->c, w->f0);
     for (int i = 0; i < NX; i++) w->x[i] = x[i] + 0.5 * h * k1[i];
     inputs_update(&s->inputs, tau + 0.5 * h, w->u);
     model_dynamics(w->x, w->u, p, s->c, k2);
@@ -228,95 +229,92 @@ static Lanes kutta(Own *s, double tau, double h, Lanes *worst) {
     return where(change <= moved, error_norm(s, worst), INFINITY);
 }
 
-/* The largest error of the machines that have not failed; infinite if it is not a number. */
-static double largest_error(const Own *s, Lanes error) {
-    return largest(where(s->alive, where(error <= DBL_MAX, error, INFINITY), 0.0));
+static void update_pause(Own *s, Mask tried, Mask success) {
+    const Lanes pause = fmin(fmax(s->next_pause, (double)SHORTEST_PAUSE), (double)LONGEST_PAUSE);
+    s->pause = where(tried, where(success, 0.0, pause), s->pause);
+    s->next_pause = where(tried, where(success, pause - 1.0, 2.0 * pause), s->next_pause);
 }
 
-static void update_pause(Own *s, bool success) {
-    int pause = s->next_pause;
-    if (pause < SHORTEST_PAUSE) pause = SHORTEST_PAUSE;
-    if (pause > LONGEST_PAUSE) pause = LONGEST_PAUSE;
-    s->pause = success ? 0 : pause;
-    s->next_pause = success ? pause - 1 : 2 * pause;
+/* Tries the explicit method where it is due; returns where it succeeded. */
+static Mask explicit_step(Own *s, Mask active, Lanes tau, Lanes h, Lanes *error, Lanes *worst) {
+    const Mask due = active && s->pause <= 0.0;
+    s->pause = where(active && !due, s->pause - 1.0, s->pause);
+    if (!any(due)) return due;
+    *error = where(due, kutta(s, tau, h, worst), *error);
+    const Mask success = due && *error <= 1.0;
+    update_pause(s, due, success);
+    for (int i = 0; i < NX; i++) states(s)[i] = where(success, s->work.x[i], states(s)[i]);
+    return success;
 }
 
-static void fail_state(Own *s, Mask failed, int kind, Lanes worst, double step, double tau) {
+static void fail_state(Own *s, Mask failed, int kind, Lanes worst, Lanes step, Lanes tau) {
     for (int i = 0; i < NX; i++)
         fail(s, failed && worst == (double)i, kind, FIRST_STATE + i, states(s)[i], s->work.f0[i], step, tau);
 }
 
 /* Linearises at tau; machines whose derivatives are not finite fail. */
-static void linearise(Own *s, double tau) {
+static void linearise(Own *s, Mask active, Lanes tau) {
     Work *w = &s->work;
     inputs_update(&s->inputs, tau, w->u);
     inputs_derivative(&s->inputs, tau, w->du);
     model_jacobian(states(s), w->u, parameters(s), s->c, w->du, w->f0, w->jac, w->ft);
     Lanes sum = 0.0, worst = 0.0;
     for (int i = 0; i < NX; i++) sum += w->f0[i] - w->f0[i];
-    if (!any(s->alive && sum != 0.0)) return;
+    const Mask bad = active && s->alive && sum != 0.0;
+    if (!any(bad)) return;
     for (int i = NX - 1; i >= 0; i--) worst = where(finite(w->f0[i]), worst, (double)i);
-    fail_state(s, sum != 0.0, DERIVATIVE_NOT_FINITE, worst, 0.0, tau);
+    fail_state(s, bad, DERIVATIVE_NOT_FINITE, worst, 0.0, tau);
 }
 
-/* One inner step of the implicit method; its error, infinite for machines whose linear system is not solved accurately
-   enough. */
-static Lanes implicit_step(Own *s, double tau, double h, Lanes *accurate, Lanes *worst) {
-    Work *w = &s->work;
+/* A step of the implicit method; its error, infinite where the linear system is not solved accurately enough. */
+static Lanes implicit_step(Own *s, Lanes tau, Lanes h, Lanes *accurate, Lanes *worst) {
     const Lanes diagonal = 4.0 / h; /* 1 / gamma of RODAS */
-    model_factorise(&diagonal, w->jac, w->lu, accurate);
-    rosenbrock(states(s), parameters(s), s->c, &s->inputs, tau, h, w);
+    model_factorise(&diagonal, s->work.jac, s->work.lu, accurate);
+    rosenbrock(states(s), parameters(s), s->c, &s->inputs, tau, h, &s->work);
     return where(*accurate != 0.0, error_norm(s, worst), INFINITY);
 }
 
-/* Advances the states by `length` [s], see solver.c. */
+/* Advances the states by `length` [s], as solver.c: each machine by its own inner steps. */
 static void solve(Own *s, double length) {
     Work *w = &s->work;
     const double minimum = fmax(1e-14 * length, DBL_MIN);
-    double tau = 0.0, proposal = s->shared.step > 0.0 ? s->shared.step : length;
-    bool linearised = false, rejected = false;
-    for (int count = 0; tau < length && any(s->alive); count++) {
-        const double parts = ceil((length - tau) / proposal * (1.0 - 1e-9));
-        const double h = parts > 1.0 ? (length - tau) / parts : length - tau;
-        Lanes errors = 0.0, accurate = 1.0, worst = 0.0;
-        double error = INFINITY;
-        if (!linearised) {
-            inputs_value(&s->inputs, tau, w->u);
-            if (EXPLICIT_FIRST && (s->pause <= 0 || s->pause-- <= 0)) {
-                model_dynamics(states(s), w->u, parameters(s), s->c, w->f0);
-                error = largest_error(s, kutta(s, tau, h, &worst));
-                update_pause(s, error <= 1.0);
-            }
+    Lanes tau = 0.0, proposal = where(s->step > 0.0, s->step, length);
+    Mask linearised = tau != tau, rejected = linearised;
+    for (int count = 0;; count++) {
+        Mask active = s->alive && tau < length;
+        if (!any(active)) break;
+        const Lanes parts = ceil((length - tau) / proposal * (1.0 - 1e-9));
+        const Lanes rest = where(parts > 1.0, (length - tau) / parts, length - tau);
+        const Lanes h = where(active, rest, length); /* any for machines that are done or have failed */
+        Lanes error = INFINITY, accurate = 1.0, worst = 0.0;
+        Mask explicitly = tau != tau;
+        inputs_value(&s->inputs, tau, w->u);
+        if (EXPLICIT_FIRST) explicitly = explicit_step(s, active && !linearised, tau, h, &error, &worst);
+        const Mask implicitly = active && !explicitly;
+        if (any(implicitly)) {
+            if (any(implicitly && !linearised)) linearise(s, implicitly, tau);
+            linearised = linearised || implicitly;
+            error = where(implicitly, implicit_step(s, tau, h, &accurate, &worst), error);
+            const Mask success = implicitly && error <= 1.0;
+            for (int i = 0; i < NX; i++) states(s)[i] = where(success, w->x[i], states(s)[i]);
         }
-        if (!(error <= 1.0)) {
-            if (!linearised) linearise(s, tau);
-            linearised = true;
-            errors = implicit_step(s, tau, h, &accurate, &worst);
-            error = largest_error(s, errors);
-        }
-        if (error <= 1.0) {
-            const double growth = fmin(5.0, 0.9 / sqrt(sqrt(fmax(error, 1e-8))));
-            const double next = h * (rejected ? fmin(1.0, growth) : growth);
-            proposal = growth < 5.0 || rejected ? next : fmax(next, proposal);
-            memcpy((void *)states(s), w->x, NX * sizeof *w->x);
-            tau = parts > 1.0 ? tau + h : length;
-            linearised = rejected = false;
-            s->shared.inner_steps++;
-        } else {
-            const double shorter = h * (error < DBL_MAX ? fmax(0.2, 0.9 / sqrt(sqrt(error))) : 0.2);
-            const Mask bad = !(errors <= 1.0);
-            proposal = shorter;
-            rejected = true;
-            if (shorter < minimum || count == MOST_INNER_STEPS) {
-                const int kind = shorter < minimum ? TOLERANCE_NOT_REACHED : TOO_MANY_INNER_STEPS;
-                fail_state(s, bad && accurate == 0.0, SINGULAR_SYSTEM, worst, h, tau);
-                fail_state(s, bad, kind, worst, h, tau);
-                proposal = length - tau;
-                count = 0;
-            }
-        }
+        const Mask accepted = active && error <= 1.0, repeat = active && !accepted;
+        const Lanes growth = fmin(0.9 / sqrt(sqrt(fmax(error, 1e-8))), 5.0);
+        const Lanes next = h * where(rejected, fmin(growth, 1.0), growth);
+        const Lanes longer = where(growth < 5.0 || rejected, next, fmax(next, proposal));
+        const Lanes shorter = h * where(error < DBL_MAX, fmax(0.9 / sqrt(sqrt(error)), 0.2), 0.2);
+        proposal = where(accepted, longer, where(repeat, shorter, proposal));
+        tau = where(accepted, where(parts > 1.0, tau + h, length), tau);
+        linearised = linearised && !accepted;
+        rejected = repeat || (rejected && !accepted);
+        s->shared.inner_steps++;
+        const Mask tiny = repeat && shorter < minimum;
+        if (!any(tiny) && count < MOST_INNER_STEPS) continue;
+        fail_state(s, tiny && accurate == 0.0, SINGULAR_SYSTEM, worst, h, tau);
+        fail_state(s, tiny, TOLERANCE_NOT_REACHED, worst, h, tau);
+        if (count >= MOST_INNER_STEPS) fail_state(s, tau < length, TOO_MANY_INNER_STEPS, worst, h, tau);
     }
-    s->shared.step = proposal;
+    s->step = proposal;
 }
 
 /* ---- a communication step ---------------------------------------------------------------------- */
@@ -357,7 +355,7 @@ static void save(Instance *self) {
     memcpy((void *)m->last_set, s->last_set, sizeof m->last_set);
     memcpy((void *)m->end_derivative, s->end_derivative, sizeof m->end_derivative);
     memcpy(m->had_derivatives, s->had_derivatives, sizeof m->had_derivatives);
-    m->step = self->step, m->pause = s->pause, m->next_pause = s->next_pause;
+    m->step = s->step, m->pause = s->pause, m->next_pause = s->next_pause;
 }
 
 static void restore(Instance *self) {
@@ -369,14 +367,32 @@ static void restore(Instance *self) {
     memcpy((void *)s->end_derivative, m->end_derivative, sizeof m->end_derivative);
     memcpy(s->had_derivatives, m->had_derivatives, sizeof m->had_derivatives);
     memset(s->has_derivatives, 0, sizeof s->has_derivatives);
-    self->step = m->step, s->pause = m->pause, s->next_pause = m->next_pause;
+    s->step = m->step, s->pause = m->pause, s->next_pause = m->next_pause;
+}
+
+static void blend(Lanes *to, const Lanes *from, int count, Mask machines) {
+    for (int i = 0; i < count; i++) to[i] = where(machines, from[i], to[i]);
+}
+
+static void adopt(Instance *self, const Instance *other, Mask machines) {
+    Own *s = own(self);
+    const Own *from = (const Own *)other;
+    blend(s->values, from->values, NUMBER_OF_VARIABLES, machines);
+    blend(s->slopes, from->slopes, NUMBER_OF_VARIABLES, machines);
+    blend(s->start, from->start, NX, machines);
+    blend(s->last_set, from->last_set, NU, machines);
+    blend(s->end_derivative, from->end_derivative, NU, machines);
+    blend(s->c, from->c, NC, machines);
+    blend(&s->step, &from->step, 1, machines);
+    blend(&s->pause, &from->pause, 1, machines);
+    blend(&s->next_pause, &from->next_pause, 1, machines);
 }
 
 static const char *requirement(int32_t i) { return model_statements[i]; }
 
 static const Model MODEL = {
     sizeof(Own), LANES, NP, NU, NX, NY, NREQUIRE, create, prepare, start, outputs_now, derivatives_now, slopes_now,
-    save, restore, step, check, requirement};
+    save, restore, step, check, adopt, requirement};
 
 #ifdef _WIN32
 extern "C" __declspec(dllexport) const Model *lane_model(void) { return &MODEL; }

@@ -10,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.batch.compiled import NotInLanes, group_library, header, lane_count
-from orchestrator.batch.lanes import Lanes
+from orchestrator.lanes.compiled import NotInLanes, group_library, header, lane_count
+from orchestrator.lanes.plan import Lanes
 from orchestrator.ssp.system import Port
 
 ALIGNMENT = 64  # bytes, of a vector
@@ -48,7 +48,6 @@ class Group:
         self._alive, self._failures = aligned(8 * lane), (h.Failure * lane)()
         self._instances = np.zeros(len(lanes.models), np.uint64)
         self._changed = np.zeros(len(lanes.models), np.int32)
-        self.commands = np.zeros((max(lanes.plan.drive_count, 1), lane))
         self.struct = h.Group(
             instances=self._instances.ctypes.data,
             courses=self._courses.ctypes.data,
@@ -101,11 +100,6 @@ class Group:
         elif number >= 0:
             self._view(k, "start", number - model.inputs + 1)[number - model.inputs] = value
 
-    def signal(self, port: Port) -> Array:
-        """The present value of a variable, shape (lanes,), as a view."""
-        reference = self.lanes.reference(port)
-        return self._view(self.lanes.index[port.component], "values", reference + 1)[reference]
-
     # ---- the run
 
     def begin(self) -> None:
@@ -118,9 +112,29 @@ class Group:
         """Step up to a communication point."""
         self._call("group_advance", ctypes.c_int64(point))
 
+    def move(self, point: int) -> None:
+        """Begin at a communication point instead of the first one."""
+        times = self.lanes.times
+        self.struct.done, self.struct.t = point, times.start + point * times.step
+
     def _call(self, function: str, *arguments: Any) -> int:
         plan, group = ctypes.byref(self.lanes.plan), ctypes.byref(self.struct)
         return int(getattr(group_library(), function)(plan, group, *arguments))
+
+    def adopt(self, other: Group, lanes: NDArray[np.bool_]) -> None:
+        """Replace machines by those in the same lanes of another group, which has just begun."""
+        self._call("group_adopt", ctypes.byref(other.struct), lanes.astype(np.int64).ctypes)
+
+    def record(self, first: int, rows: Sequence[Array], count: int) -> None:
+        """Record signals of the machines from `first` on in arrays of shape (count, points)."""
+        self._rows = np.array([row.ctypes.data for row in rows], np.uint64)
+        self.struct.rows, self.struct.points = self._rows.ctypes.data, rows[0].shape[1] if rows else 0
+        self.struct.machine, self.struct.machines = first, min(lane_count(), count - first)
+
+    def command(self, values: Array) -> None:
+        """Hold commands in place of the scenario from now on, shape (columns of the scenario, lanes)."""
+        self._commands = np.ascontiguousarray(values, np.float64)
+        self.struct.commands = self._commands.ctypes.data
 
     def stop(self) -> None:
         """End a run in another thread as soon as possible, for good."""
@@ -142,14 +156,17 @@ class Group:
         self.reset()
         for port, array in values.items():
             self.set(port, array[lanes])
-        addresses = np.array([row.ctypes.data for row in rows], np.uint64)
-        self.struct.rows, self.struct.points = addresses.ctypes.data, rows[0].shape[1] if rows else 0
-        self.struct.machine, self.struct.machines = first, min(lane_count(), count - first)
+        self.record(first, rows, count)
         self.begin()
         self.advance(self.lanes.times.steps)
         return {first + lane: ended for lane, ended in self.ended() if first + lane < count}
 
     # ---- failures
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Machines that have failed, shape (lanes,)."""
+        return self._alive.view(np.int64) == 0
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""

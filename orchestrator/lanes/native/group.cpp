@@ -134,7 +134,7 @@ static Lanes command(const Plan *plan, Group *g, int i, double t) {
     const Drive *d = &plan->drives[i];
     Lanes value;
     if (g->commands) {
-        memcpy((void *)&value, g->commands + (size_t)i * LANES, sizeof value);
+        memcpy((void *)&value, g->commands + (size_t)d->column * LANES, sizeof value);
         return value * d->factor + d->offset;
     }
     const int64_t k = interval_at(plan, g, t), column = k * plan->width + d->column;
@@ -391,12 +391,37 @@ static void next_step(const Plan *plan, Group *g) {
     if (g->done % plan->every == 0 || g->done == plan->steps) record(plan, g);
 }
 
-/* Steps up to a communication point, until all machines have failed, or until another thread stops it. */
+/* Steps up to a communication point, or until another thread stops it. With commands only the last point is
+   recorded. Returns 0 if all machines have failed. */
 EXPORT int32_t group_advance(const Plan *plan, Group *g, int64_t point) {
+    if (g->commands) g->row = g->points;
     while (g->done < point && any(*g->alive) && !*(volatile int32_t *)&g->stop) next_step(plan, g);
-    if (any(*g->alive)) return 1;
-    g->done = point;
-    g->t = plan->start + (double)point * plan->step;
-    return 0;
+    if (!any(*g->alive)) {
+        g->done = point;
+        g->t = plan->start + (double)point * plan->step;
+    }
+    if (g->commands) {
+        g->row = 0;
+        record(plan, g);
+    }
+    return any(*g->alive);
+}
+
+/* Replaces machines by those in the same lanes of another group, which have just begun; lanes: 1 to replace, else 0. */
+EXPORT int32_t group_adopt(const Plan *plan, Group *g, const Group *from, const int64_t *lanes) {
+    Bits bits;
+    memcpy((void *)&bits, lanes, sizeof bits);
+    const Mask chosen = {bits != 0};
+    *g->alive = (*g->alive && !chosen) || (*from->alive && chosen);
+    for (int i = 0; i < LANES; i++)
+        if (lanes[i]) g->failures[i] = from->failures[i];
+    for (int k = 0; k < plan->component_count; k++) {
+        plan->models[k]->adopt(g->instances[k], from->instances[k], chosen);
+        *g->instances[k]->alive = *g->alive;
+    }
+    Lanes *to = (Lanes *)g->courses;
+    const Lanes *new_ones = (const Lanes *)from->courses;
+    for (int i = 0; i < plan->input_count * COURSE_VECTORS; i++) to[i] = where(chosen, new_ones[i], to[i]);
+    return any(*g->alive);
 }
 }

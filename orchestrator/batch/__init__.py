@@ -1,1 +1,0 @@
-"""Many machines with different parameters at once: `batch`."""

@@ -1,0 +1,130 @@
+"""`Machines`: many machines in lanes that are stepped with commands for each of them, as an environment needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orchestrator.base.errors import Problem
+from orchestrator.base.processes import available_cores
+from orchestrator.engine.run import prepare
+from orchestrator.lanes.batch import machine_values
+from orchestrator.lanes.compiled import lane_count
+from orchestrator.lanes.group import Group
+from orchestrator.lanes.plan import Lanes
+from orchestrator.ssp.system import System
+
+FOREVER = 1e6  # [s], stop time: steps of 1 ms are equal to 1e-7 until then
+
+Array = NDArray[np.float64]
+
+
+class Machines:
+    """n machines of native FMUs, with commands that are held over each call of `advance`.
+
+    count     number of machines
+    step      communication step [s]
+    commands, signals   names of the inputs that are set, and of the variables that are read
+    """
+
+    def __init__(
+        self,
+        system: System | str | Path,
+        count: int,
+        commands: Sequence[str],
+        signals: Sequence[str],
+        *,
+        workers: int | None = None,
+        **options: Any,
+    ) -> None:
+        """Raises NotInLanes if the system has other than native FMUs, or the compiler is missing.
+
+        commands   inputs, with names as the columns of a scenario
+        signals    variables, `component.variable`
+        workers    number of cores to use; default: all
+        options    arguments of `run`: master, step, swap, parameters, set, tolerance
+        """
+        if count < 1 or not commands or not signals:
+            got = f"{count} machines, {len(commands)} commands and {len(signals)} signals"
+            raise Problem(f"machines: expected at least one machine, command and signal, got {got}")
+        held = {"time": [0.0, FOREVER], **dict.fromkeys(commands, [0.0, 0.0])}
+        self._job, times = prepare(system, held, record=signals, isolate=False, stop=FOREVER, **options)
+        lanes = Lanes(self._job, times, [self._job.system.port(name) for name in signals])
+        self.count, self.step, self.commands, self.signals = count, times.step, tuple(commands), tuple(signals)
+        self._rows = np.full((len(signals), count, 1), np.nan)
+        self._groups = [Group(lanes) for _ in range(0, count, lane_count())]
+        self._fresh = Group(lanes)  # in it machines start before they replace others
+        self._threads = ThreadPoolExecutor(max(1, min(workers or available_cores(), len(self._groups))))
+        self._point = 0
+        for group, first in zip(self._groups, range(0, count, lane_count()), strict=True):
+            group.record(first, [*self._rows], count)
+        self.start()
+
+    def start(self, values: Mapping[str, ArrayLike] | None = None, machines: ArrayLike | None = None) -> Array:
+        """Start machines, with commands of zero; returns the signals of all, shape (n, signals).
+
+        values     name -> parameter or start value of each machine, shape (n,), as in `batch`
+        machines   which ones, shape (n,) of bool; default: all
+        """
+        given, _ = machine_values(self._job, values or {}, self.count)
+        chosen = np.ones(self.count, np.bool_) if machines is None else np.asarray(machines, np.bool_)
+        if chosen.shape != (self.count,):
+            raise Problem(f"machines: expected the shape ({self.count},), got {chosen.shape}")
+        for k, group in enumerate(self._groups):
+            lanes = self._lanes(k)
+            if not chosen[lanes].any():
+                continue
+            target = group if chosen[lanes].all() else self._fresh
+            target.reset()
+            for port, array in given.items():
+                target.set(port, array[lanes])
+            target.command(np.zeros((len(self.commands), lane_count())))
+            target.begin()
+            if target is group:
+                group.move(self._point)
+            else:
+                group.adopt(target, chosen[lanes])
+        return self._read(self._point)
+
+    def advance(self, commands: ArrayLike, steps: int = 1) -> Array:
+        """Hold commands, shape (n, commands), for some steps; returns the signals, shape (n, signals).
+
+        The signals of a machine that has failed are NaN.
+        """
+        table = np.asarray(commands, np.float64)
+        if table.shape != (self.count, len(self.commands)):
+            expected = f"({self.count}, {len(self.commands)})"
+            raise Problem(f"commands: expected the shape {expected}, got {table.shape}")
+        for k, group in enumerate(self._groups):
+            group.command(table[self._lanes(k)].T)
+        self._point += steps
+        return self._read(self._point)
+
+    def _lanes(self, group: int) -> NDArray[np.intp]:
+        """The machine in each lane of a group; lanes in excess repeat the last one."""
+        first = group * lane_count()
+        return np.minimum(first + np.arange(lane_count()), self.count - 1)
+
+    def _read(self, point: int) -> Array:
+        """The signals at a communication point, to which all groups step."""
+        list(self._threads.map(lambda group: group.advance(point), self._groups))
+        return self._rows[:, :, 0].T.copy()
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why each machine has failed; empty if it has not."""
+        found = {
+            k * lane_count() + lane: ended.reason
+            for k, group in enumerate(self._groups)
+            for lane, ended in group.ended()
+        }
+        return [found.get(machine, "") for machine in range(self.count)]
+
+    def close(self) -> None:
+        """End the threads."""
+        self._threads.shutdown()
