@@ -67,12 +67,16 @@ def processor() -> str:
 def recipe(
     name: str, file: str, code: Mapping[str, bytes], cpu: str
 ) -> tuple[str, dict[str, bytes], list[str]]:
-    """The library of a C++ file of this package for an instruction set, as arguments of `shared_library`."""
+    """A library for an instruction set, as arguments of `shared_library`.
+
+    file   in `code`, or of this package
+    """
     target, library = PLATFORMS[host()], f"{name}_lanes{SUFFIX}"
     headers = {path.name: path.read_bytes() for path in FOLDER.glob("*.h")}
     flags = ["-target", target.target, f"-mcpu={cpu}", *FLAGS, *LEVELS.get(cpu, ((), ()))[1]]
     flags += ["-fPIC"] if SUFFIX != ".dll" else []
-    sources = {**code, **headers, file: (FOLDER / file).read_bytes()}
+    own = {} if file in code else {file: (FOLDER / file).read_bytes()}
+    sources = {**code, **headers, **own}
     return library, sources, [*flags, file, *linker_arguments(library, target, ("-lm",))]
 
 

@@ -110,6 +110,7 @@ def main(channel: Channel) -> None:
 def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[Array, Ended | None]:
     """Signals of a machine up to its end, shape (signals, points), and why it ended early."""
     sink, end = TraceInMemory(), None
+    sink.rows = 0  # until the run begins
     try:
         job = replace(task.job, system=_with_values(task.job.system, values))
         outcome = job.run(task.times, sink)

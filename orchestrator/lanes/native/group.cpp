@@ -91,6 +91,13 @@ static void interpolate_at(const Group *g, Course *s, int degree, double h) {
     s->weight = weight;
 }
 
+/* Goes back to another polynomial for machines that are not in the mask. */
+static void keep(Course *s, const Course *before, Mask changed) {
+    for (int k = 0; k <= FOLLOWED; k++) s->c[k] = where(changed, s->c[k], before->c[k]);
+    s->expected = where(changed, s->expected, before->expected);
+    s->weight = where(changed, s->weight, before->weight);
+}
+
 static void interpolate(const Group *g, Course *s, int degree, int autonomous, double h) {
     const int usable = g->history ? degree : 1;
     const Mask straight = autonomous && usable > 1 ? is_straight(s, h) : s->value != s->value;
@@ -98,9 +105,7 @@ static void interpolate(const Group *g, Course *s, int degree, int autonomous, d
     if (!any(straight)) return;
     const Course curved = *s;
     interpolate_at(g, s, 1, h);
-    for (int k = 0; k <= FOLLOWED; k++) s->c[k] = where(straight, s->c[k], curved.c[k]);
-    s->expected = where(straight, s->expected, curved.expected);
-    s->weight = where(straight, s->weight, curved.weight);
+    keep(s, &curved, straight);
 }
 
 static void accept(Course *s, double h) {
@@ -198,14 +203,17 @@ static void set_source_ends(const Plan *plan, Group *g, int component) {
     }
 }
 
-static void set_courses(const Plan *plan, Group *g, int component, int pass, double h) {
+/* Makes the polynomials of the inputs of a component, for those machines that compute it in this pass. */
+static void set_courses(const Plan *plan, Group *g, int component, int pass, double h, Mask machines) {
     for (int i = plan->first_input[component]; i < plan->first_input[component + 1]; i++) {
         const Input *input = &plan->inputs[i];
         Course *s = &g->courses[i];
         if (input->from.source == DRIVEN) continue;
+        const Course before = *s;
         if (input->requested_degree && (pass || (plan->sequential && input->in_order)))
             interpolate(g, s, plan->degree, input->autonomous, h);
         else extrapolate(g, s, input->order, h);
+        if (pass) keep(s, &before, machines);
     }
 }
 
@@ -222,22 +230,16 @@ static void set_coupling_inputs(const Plan *plan, Group *g, int component) {
     }
 }
 
-static void advance_component(const Plan *plan, Group *g, int k, double h) {
-    set_coupling_inputs(plan, g, k);
-    plan->models[k]->step(g->instances[k], h);
-    collect_failures(plan, g, k, g->t);
-}
-
-static void pass_over_components(const Plan *plan, Group *g, int pass, double h) {
+static void pass_over_components(const Plan *plan, Group *g, int pass, double h, Mask machines) {
     for (int i = 0; i < plan->component_count; i++) {
         const int k = plan->order[i];
         if (pass && !plan->repeated[k]) continue;
-        if (plan->sequential || i == 0)
-            for (int j = 0; j < plan->component_count; j++)
-                if (j == k || !plan->sequential) set_courses(plan, g, j, pass, h);
-        if (pass) plan->models[k]->restore(g->instances[k]);
+        if (plan->sequential) set_courses(plan, g, k, pass, h, machines);
+        if (pass) plan->models[k]->restore(g->instances[k], machines);
         copy(plan, g, plan->held + plan->first_held[k], plan->first_held[k + 1] - plan->first_held[k]);
-        advance_component(plan, g, k, h);
+        set_coupling_inputs(plan, g, k);
+        plan->models[k]->step(g->instances[k], h, machines);
+        collect_failures(plan, g, k, g->t);
         if (!plan->sequential) continue;
         if (plan->needs_slopes[k]) plan->models[k]->slopes_now(g->instances[k]);
         set_source_ends(plan, g, k);
@@ -248,8 +250,8 @@ static double worst(const Group *g, Lanes error) {
     return largest(where(*g->alive, where(error <= HUGE_VAL, error, HUGE_VAL), 0.0));
 }
 
-/* The largest relative change of an input that a further pass could make. */
-static double largest_mismatch(const Plan *plan, const Group *g, double h) {
+/* Machines for which a further pass could change an input by more than the tolerance. */
+static Mask mismatched(const Plan *plan, const Group *g, double h) {
     Lanes most = 0.0;
     for (int i = 0; i < plan->input_count; i++) {
         const Course *s = &g->courses[i];
@@ -258,15 +260,17 @@ static double largest_mismatch(const Plan *plan, const Group *g, double h) {
         if (!plan->inputs[i].autonomous) deviation = fmax(deviation, h * fabs(slope_at(s->c, h) - s->slope_end));
         most = fmax(most, relative(s, deviation));
     }
-    return worst(g, most);
+    return *g->alive && most > plan->pass_tolerance;
 }
 
 static void communication_step(const Plan *plan, Group *g, double h) {
+    Mask machines = *g->alive;
     set_driven_courses(plan, g, h);
-    for (int pass = 0; pass < plan->passes && any(*g->alive); pass++) {
-        pass_over_components(plan, g, pass, h);
+    for (int k = 0; k < plan->component_count && !plan->sequential; k++) set_courses(plan, g, k, 0, h, machines);
+    for (int pass = 0; pass < plan->passes && any(machines); pass++) {
+        pass_over_components(plan, g, pass, h, machines);
         g->pass_count++;
-        if (plan->passes > 1 && !(largest_mismatch(plan, g, h) > plan->pass_tolerance)) break;
+        if (plan->passes > 1) machines = machines && mismatched(plan, g, h);
     }
 }
 
@@ -364,7 +368,7 @@ static int try_step(const Plan *plan, Group *g, double h) {
     set_source_ends(plan, g, -1);
     if (plan->adaptive && !engine::step_size_accepts((engine::StepSize *)g->step_size, step_error(plan, g, h) / plan->guard, h)) {
         for (int k = 0; k < plan->component_count; k++) {
-            plan->models[k]->restore(g->instances[k]);
+            plan->models[k]->restore(g->instances[k], *g->alive);
             plan->models[k]->outputs_now(g->instances[k]);
         }
         exchange(plan, g, g->t);

@@ -38,7 +38,9 @@ typedef struct Instance {
 
 typedef Instance *Create(void *memory, double tolerance);
 typedef void Action(Instance *);
-typedef void TimedAction(Instance *, double);
+typedef void Step(Instance *, double length, Mask machines);
+typedef void Restoration(Instance *, Mask machines);
+typedef void Check(Instance *, double time);
 typedef void Adoption(Instance *, const Instance *from, Mask machines);
 typedef const char *Description(int32_t);
 
@@ -50,9 +52,10 @@ typedef struct Model { /* the functions of a model */
     Action *start;            /* computes the initial states from start values, inputs and parameters */
     Action *outputs_now, *derivatives_now;
     Action *slopes_now;       /* of states and outputs, from the derivatives of the inputs */
-    Action *save, *restore;
-    TimedAction *step;        /* over a length [s]; computes the outputs, and checks them */
-    TimedAction *check;       /* outputs and requirements; machines that violate them fail, at a time [s] */
+    Action *save;
+    Restoration *restore;
+    Step *step;               /* over a length [s]; computes the outputs, and checks them */
+    Check *check;             /* outputs and requirements; machines that violate them fail, at a time [s] */
     Adoption *adopt;          /* replaces machines by those of another instance */
     Description *requirement; /* by its number */
 } Model;

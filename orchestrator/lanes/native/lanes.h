@@ -4,8 +4,8 @@
    truth value per machine; `where` is the only way to choose by it. The compiler maps the vectors to AVX-512, to two
    registers of AVX2, to four of SSE2 or NEON.
 
-   exp, log, sin, cos and pow have errors of a few units in the last place. Other functions of the C library are
-   called for one machine after the other. */
+   exp, log, sin and cos have errors of a few units in the last place, pow that of its logarithm. Other functions of the
+   C library are called for one machine after the other. */
 
 #ifndef LANES_H
 #define LANES_H
@@ -131,7 +131,7 @@ INLINE Lanes log(Lanes a) {
     Lanes result = n * 0.6931471803691238 + small;
     result = where(a == INFINITY, a, result);
     result = where(a == 0.0, -INFINITY, result);
-    return where(a < 0.0, NAN, result);
+    return where(a >= 0.0, result, NAN);
 }
 
 /* x = k pi/2 + r with |r| <= pi/4, pi/2 in three parts; Taylor series of sine and cosine with a remainder below 1e-17.

@@ -274,11 +274,11 @@ static Lanes implicit_step(Own *s, Lanes tau, Lanes h, Lanes *accurate, Lanes *w
     return where(*accurate != 0.0, error_norm(s, worst), INFINITY);
 }
 
-/* Advances the states by `length` [s], as solver.c: each machine by its own inner steps. */
-static void solve(Own *s, double length) {
+/* Advances the states of machines by `length` [s], as solver.c: each machine by its own inner steps. */
+static void solve(Own *s, double length, Mask machines) {
     Work *w = &s->work;
     const double minimum = fmax(1e-14 * length, DBL_MIN);
-    Lanes tau = 0.0, proposal = where(s->step > 0.0, s->step, length);
+    Lanes tau = where(machines, 0.0, length), proposal = where(s->step > 0.0, s->step, length);
     Mask linearised = tau != tau, rejected = linearised;
     for (int count = 0;; count++) {
         Mask active = s->alive && tau < length;
@@ -335,10 +335,10 @@ static void check(Instance *self, double time) {
         fail(s, !finite(outputs(s)[i]), VALUE_NOT_FINITE, FIRST_OUTPUT + i, outputs(s)[i], 0.0, 0.0, time);
 }
 
-static void step(Instance *self, double length) {
+static void step(Instance *self, double length, Mask machines) {
     Own *s = own(self);
     plan_inputs(s);
-    if (NX > 0) solve(s, length);
+    if (NX > 0) solve(s, length, machines);
     inputs_value(&s->inputs, length, inputs_of(s));
     inputs_derivative(&s->inputs, length, s->end_derivative);
     memcpy(s->had_derivatives, s->has_derivatives, sizeof s->had_derivatives);
@@ -358,20 +358,22 @@ static void save(Instance *self) {
     m->step = s->step, m->pause = s->pause, m->next_pause = s->next_pause;
 }
 
-static void restore(Instance *self) {
-    Own *s = own(self);
-    const Memory *m = &s->saved;
-    memcpy((void *)states(s), m->x, NX * sizeof *m->x);
-    memcpy((void *)inputs_of(s), m->u, NU * sizeof *m->u);
-    memcpy((void *)s->last_set, m->last_set, sizeof m->last_set);
-    memcpy((void *)s->end_derivative, m->end_derivative, sizeof m->end_derivative);
-    memcpy(s->had_derivatives, m->had_derivatives, sizeof m->had_derivatives);
-    memset(s->has_derivatives, 0, sizeof s->has_derivatives);
-    s->step = m->step, s->pause = m->pause, s->next_pause = m->next_pause;
-}
-
 static void blend(Lanes *to, const Lanes *from, int count, Mask machines) {
     for (int i = 0; i < count; i++) to[i] = where(machines, from[i], to[i]);
+}
+
+static void restore(Instance *self, Mask machines) {
+    Own *s = own(self);
+    const Memory *m = &s->saved;
+    blend(states(s), m->x, NX, machines);
+    blend(inputs_of(s), m->u, NU, machines);
+    blend(s->last_set, m->last_set, NU, machines);
+    blend(s->end_derivative, m->end_derivative, NU, machines);
+    memcpy(s->had_derivatives, m->had_derivatives, sizeof m->had_derivatives);
+    memset(s->has_derivatives, 0, sizeof s->has_derivatives);
+    blend(&s->step, &m->step, 1, machines);
+    blend(&s->pause, &m->pause, 1, machines);
+    blend(&s->next_pause, &m->next_pause, 1, machines);
 }
 
 static void adopt(Instance *self, const Instance *other, Mask machines) {

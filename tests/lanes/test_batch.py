@@ -1,0 +1,300 @@
+"""`batch`: results in lanes equal those of single runs, whatever the other machines do; mistakes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator import Coupling, Problem, batch, load, run, with_swaps
+from orchestrator.base.compiler import CompilerError
+from orchestrator.lanes import compiled
+from orchestrator.lanes.compiled import NotInLanes
+
+# full strokes: cylinders hit their stops, chambers cavitate, and valves close fast
+STROKES = {
+    "time": [0.0, 0.3, 0.4, 2.2, 2.3, 4.0],
+    "boom_command": [0.0, 0.0, -10.0, -10.0, 10.0, 10.0],
+    "stick_command": [0.0, 0.0, 10.0, 10.0, -10.0, -10.0],
+}
+MASS = "manipulator.head_mass"
+MASSES = {MASS: np.linspace(300.0, 1200.0, 3)}
+OTHERS = {
+    "swing": "quasistatic",
+    "boom_stick": "compensated",
+    "manipulator": "friction",
+    "supply": "engine_pump",
+}
+# Lanes take the inner steps of the scalar FMUs, with other rounding, which stops and cavities amplify to 1e-11
+# of the range; the tolerance of the FMUs is 1e-6
+SAME = 1e-8
+
+
+def differences(system, result, scenario=None, machines=(0, -1), **options):
+    """Largest root mean square difference to single runs over range or nominal value, by signal."""
+    found = {}
+    for machine in machines:
+        start = {name: float(values[machine]) for name, values in MASSES.items()}
+        single = run(system, scenario, set=start, record=[*result.signals], isolate=False, **options).trace
+        np.testing.assert_array_equal(single.time, result.time)
+        for name, values in result.signals.items():
+            size = max(np.ptp(single[name]), abs(system.variable(system.port(name)).nominal or 1.0))
+            error = np.sqrt(np.mean((values[machine] - single[name]) ** 2)) / size
+            found[name] = max(error, found.get(name, 0.0))
+    return found
+
+
+@pytest.fixture(scope="module")
+def system(fmu_dir):
+    """The usual machine."""
+    return load(fmu_dir / "harvester.ssp")
+
+
+@pytest.mark.parametrize(
+    ("swap", "options"),
+    [
+        ({}, {}),
+        (OTHERS, {}),
+        ({}, {"master": "jacobi", "step": 5e-4, "record_step": 5e-3}),
+        ({}, {"master": Coupling("gauss-seidel", order=3), "step": 2e-3}),
+        ({}, {"master": Coupling("hermite", guard=0.0), "step": 5e-3}),
+    ],
+)
+def test_machines_in_lanes_have_the_results_of_single_runs(system, swap, options):
+    """Every output at every point, by each master, through stops, cavities and closed valves."""
+    system = with_swaps(system, swap)
+    result = batch(system, MASSES, STROKES, stop=2.5, lanes=True, **options)
+    assert set(result.status) == {"ok"}
+    assert max(differences(system, result, STROKES, stop=2.5, **options).values()) < SAME
+    assert result["boom_stick.boom_rod_pressure"].min() < 0.0  # a cavity, relative to the atmosphere
+    assert np.abs(result["manipulator.boom_stop_force"]).max() > 1e4  # [N]
+
+
+@pytest.mark.parametrize("options", [{"step": 5e-3}, {"adaptive": 1e-3}])
+def test_steps_that_the_worst_machine_divides_are_as_accurate_as_those_of_one(system, options):
+    """These steps are common to a group: each machine is as near to a fine solution as by itself."""
+    step = options.get("step")
+    coupling = Coupling("hermite", adaptive=options.get("adaptive"))
+    common = {"stop": 1.5, "record_step": 0.05, "record": ["boom_stick.boom_force", "manipulator.boom_speed"]}
+    result = batch(system, MASSES, STROKES, lanes=True, master=coupling, step=step, **common)
+    for machine in (0, -1):
+        start = {name: float(values[machine]) for name, values in MASSES.items()}
+        fine, single = (
+            run(system, STROKES, set=start, isolate=False, master=m, step=h, **common).trace
+            for m, h in (("hermite", 5e-4), (coupling, step))
+        )
+        for name, values in result.signals.items():
+            error, alone = (np.abs(v - fine[name]).max() for v in (values[machine], single[name]))
+            assert error < 1.1 * alone + 1e-9 * np.ptp(
+                fine[name]
+            )  # shorter steps may meet a peak of the error
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("variants", range(4))
+def test_every_variant_runs_in_lanes(system, variants):
+    """All variants of all parts, four combinations in which each occurs, over both work cycle and strokes."""
+    names = {
+        "swing": ("lumped", "quasistatic", "detailed", "compensated"),
+        "boom_stick": ("quasistatic", "detailed", "compensated", "lumped"),
+        "manipulator": ("friction", "pendulum", "pendulum_friction", "rigid"),
+        "supply": ("load_sensing", "ideal", "engine_pump", "load_sensing"),
+    }
+    swapped = with_swaps(system, {part: options[variants] for part, options in names.items()})
+    for scenario in (None, STROKES):
+        result = batch(swapped, MASSES, scenario, stop=4.0, lanes=True)
+        assert max(differences(swapped, result, scenario, stop=4.0).values()) < SAME
+
+
+def test_the_fmus_of_fmi_3_run_in_lanes(fmi3_dir):
+    """The sources of both versions are the same, and so are the results."""
+    system = load(fmi3_dir / "harvester.ssp")
+    result = batch(system, MASSES, stop=1.0, lanes=True)
+    assert max(differences(system, result, stop=1.0).values()) < SAME
+
+
+def test_the_whole_machine_in_one_fmu_runs_in_lanes(fmu_dir):
+    """A system of one component, without connections."""
+    system = load(fmu_dir / "harvester.fmu")
+    options = {"stop": 1.0, "record": ["harvester.boom_angle"]}
+    result = batch(system, {"harvester.head_mass": [300.0, 400.0]}, lanes=True, **options)
+    single = run(system, set={"harvester.head_mass": 400.0}, isolate=False, **options).trace
+    np.testing.assert_allclose(result["harvester.boom_angle"][1], single["harvester.boom_angle"], rtol=1e-9)
+
+
+def test_the_results_of_a_machine_do_not_depend_on_the_others(system):
+    """Bit for bit: alone, as the second of eleven, in another place, and on one core."""
+    masses = np.linspace(250.0, 900.0, 11)
+    options = {"scenario": STROKES, "stop": 1.0, "record": ["boom_stick.boom_head_pressure"], "lanes": True}
+    whole = batch(system, {MASS: masses}, **options)
+    turned = batch(system, {MASS: masses[::-1]}, workers=1, **options)
+    alone = batch(system, {MASS: masses[1:2]}, **options)
+    pressure = whole["boom_stick.boom_head_pressure"]
+    np.testing.assert_array_equal(pressure[::-1], turned["boom_stick.boom_head_pressure"])
+    np.testing.assert_array_equal(pressure[1:2], alone["boom_stick.boom_head_pressure"])
+    assert pressure.shape == (11, len(whole.time))
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_a_machine_that_fails_does_not_stop_the_others(system, lanes):
+    """Its signals end, the reason names the requirement, and the others run on."""
+    stiffness = {"manipulator.stop_stiffness": [2e7, 1e5, 2e7]}  # [N/m]: the piston leaves the cylinder
+    options = {"scenario": STROKES, "stop": 2.0, "record": ["manipulator.boom_angle"], "lanes": lanes}
+    result = batch(system, stiffness, **options)
+    assert list(result.status) == ["ok", "failed", "ok"]
+    told = "head chamber of the boom cylinder has a positive volume at boom_position"
+    assert f'requirement "{told}" is violated at t = 1.331 s' in result.reasons[1]
+    assert result.reasons[1].startswith("boom_stick: ")
+    assert result.reasons[0] == ""
+    angle = result["manipulator.boom_angle"]
+    finite = np.isfinite(angle)
+    assert finite[[0, 2]].all()
+    assert finite[1].sum() == 1331  # up to 1.330 s
+    assert finite[1][:1331].all()
+    assert result.trace(1).time[-1] == pytest.approx(1.33)
+    np.testing.assert_array_equal(angle[0], angle[2])
+
+
+def test_a_start_that_violates_a_requirement_fails_at_once(system):
+    """No point is recorded."""
+    result = batch(
+        system, {"manipulator.initial_boom_angle": [0.4, 3.0]}, stop=0.1, record=["manipulator.boom_angle"]
+    )
+    assert list(result.status) == ["ok", "failed"]
+    assert "at t = 0 s" in result.reasons[1]
+    assert np.isnan(result["manipulator.boom_angle"][1]).all()
+
+
+def test_a_tighter_tolerance_is_passed_to_the_models(system):
+    """As `tolerance` of a run."""
+    result = batch(system, MASSES, STROKES, stop=1.0, lanes=True, tolerance=1e-8)
+    assert max(differences(system, result, STROKES, stop=1.0, tolerance=1e-8).values()) < SAME
+    coarse = batch(system, MASSES, STROKES, stop=1.0, lanes=True)
+    name = "boom_stick.boom_head_pressure"
+    assert 0 < np.abs(result[name] - coarse[name]).max() < 1e-4 * np.ptp(result[name])
+
+
+def test_without_a_compiler_the_machines_run_one_by_one(system, monkeypatch):
+    """With a note that says how to install it, and the same results."""
+
+    def missing(*_):
+        raise CompilerError("no C compiler: the package ziglang is not installed")
+
+    monkeypatch.setattr(compiled, "shared_library", missing)
+    result = batch(system, MASSES, stop=0.2)
+    (note,) = [note for note in result.notes if "one by one" in note]
+    assert note.endswith("no C compiler: the package ziglang is not installed")
+    assert max(differences(system, result, stop=0.2).values()) == 0.0
+
+
+# ---- other FMUs, one by one
+
+
+def test_other_fmus_run_one_by_one(gain):
+    """Any FMU, with a note why."""
+    result = batch(gain, {"gain.factor": [1.0, 2.0, 3.0], "gain.u": [1.0, 2.0, 4.0]}, stop=0.1, step=0.01)
+    np.testing.assert_array_equal(result["gain.y"], [[1.0] * 11, [4.0] * 11, [12.0] * 11])
+    assert any("one by one: gain" in note and "no C sources" in note for note in result.notes)
+    with pytest.raises(NotInLanes, match="no C sources"):
+        batch(gain, {"gain.factor": [1.0]}, stop=0.1, step=0.01, lanes=True)
+
+
+@pytest.mark.parametrize(
+    ("how", "status", "told"),
+    [(3, "failed", "the pump broke"), (6, "early", "fails"), (10, "failed", "abort")],
+)
+def test_a_crash_ends_only_its_machine(fails, how, status, told):
+    """An error status, an FMU that asks for the end, a crash of its process: the others run on."""
+    values = {"fails.how": [0, how, 0], "fails.when": [0.05] * 3}
+    result = batch(fails, values, stop=0.1, step=0.01, record=["fails.y"])
+    assert list(result.status) == ["ok", status, "ok"]
+    assert told in result.reasons[1]
+    assert np.isfinite(result["fails.y"][[0, 2]]).all()
+
+
+# ---- mistakes
+
+
+@pytest.mark.parametrize(
+    ("parameters", "options", "told"),
+    [
+        ({}, {}, "parameters: expected a name with a value for each machine, got none"),
+        (
+            {"manipulator.head_mas": [1.0]},
+            {},
+            "unknown variable 'manipulator.head_mas'; did you mean manipulator.head_mass",
+        ),
+        (
+            {"manipulator.head_mass": 300.0},
+            {},
+            r"manipulator.head_mass: expected one value for each machine, got the shape \(\)",
+        ),
+        ({"manipulator.head_mass": ["a"]}, {}, "manipulator.head_mass: expected numbers"),
+        (
+            {"manipulator.head_mass": [300.0, np.nan]},
+            {},
+            "head_mass: expected finite numbers, got nan for machine 1",
+        ),
+        (
+            {"manipulator.head_mass": [300.0, -1.0]},
+            {},
+            "manipulator.head_mass: expected at least 0.001 kg, got -1 kg",
+        ),
+        (
+            {"manipulator.head_mass": [300.0], "supply.pressure_setting": [17e6, 17e6]},
+            {},
+            "pressure_setting: expected 1 values, as manipulator.head_mass has, got 2",
+        ),
+        (
+            {"boom_stick.boom_stroke": [0.6]},
+            {},
+            "boom_stroke, one value for boom_stick and manipulator",
+        ),
+        ({"manipulator.boom_force": [1.0]}, {}, "manipulator.boom_force: the input is connected"),
+        (
+            {"boom_stick.boom_command": [1.0]},
+            {"scenario": STROKES},
+            "the scenario drives boom_stick.boom_command",
+        ),
+        ({"manipulator.boom_angle": [0.4]}, {}, "manipulator.boom_angle cannot be set"),
+        ({MASS: [300.0]}, {"record": ["boom_angle"]}, "unknown variable 'boom_angle'"),
+        (
+            {MASS: [300.0] * 1000},
+            {"stop": 1e6},
+            "signals of 1000 machines .* choose fewer signals by record or a longer record_step",
+        ),
+        (
+            {MASS: [300.0]},
+            {"master": Coupling("hermite", adaptive=1e-3)},
+            "expected a record step for adaptive steps",
+        ),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(system, parameters, options, told):
+    """The line names the parameter, what was expected, and what was found."""
+    with pytest.raises(Problem, match=told) as raised:
+        batch(system, parameters, **{"stop": 0.1, **options})
+    assert "\n" not in str(raised.value)
+
+
+def test_what_lanes_lack_is_told(system):
+    """One line; by default the machines then run one by one."""
+    with pytest.raises(NotInLanes, match="the master interface-jacobian"):
+        batch(system, MASSES, stop=0.1, master="interface-jacobian", lanes=True)
+    result = batch(
+        system, MASSES, stop=0.02, step=0.01, master="interface-jacobian", record=["manipulator.boom_angle"]
+    )
+    assert any("one by one: the master interface-jacobian" in note for note in result.notes)
+
+
+def test_the_documented_example_runs(fmu_dir, monkeypatch, capsys):
+    """The lines in the docstring of `batch`."""
+    monkeypatch.chdir(fmu_dir.parent)
+    lines = [line.strip() for line in batch.__doc__.split("mistake.\n")[1].splitlines() if line.strip()]
+    code = "\n".join(lines).replace("build/", f"{fmu_dir.name}/").replace("stop=10.0", "stop=0.1")
+    exec(code, {})
+    assert len(capsys.readouterr().out.split()) == 3
+
+
+def test_the_processor_is_recognised():
+    """A level of x86-64, or what the compiler calls baseline."""
+    assert compiled.processor() in (*compiled.LEVELS, "baseline")

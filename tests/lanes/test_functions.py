@@ -1,0 +1,105 @@
+"""Elementary functions of vectors (orchestrator/lanes/native/lanes.h) against those of NumPy."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from orchestrator.base.compiler import shared_library
+from orchestrator.lanes.compiled import lane_count, processor, recipe
+
+CODE = """
+#include <string.h>
+#include "lanes.h"
+#define EACH(name, expression)                                                                      \\
+    extern "C" __attribute__((visibility("default")))                                               \\
+    void name##_of(const double *x, const double *y, double *out, int count) {                      \\
+        for (int i = 0; i < count; i++) {                                                           \\
+            Lanes a, b, r;                                                                          \\
+            memcpy((void *)&a, x + i * LANES, sizeof a), memcpy((void *)&b, y + i * LANES, sizeof b); \\
+            r = expression;                                                                         \\
+            memcpy(out + i * LANES, &r, sizeof r);                                                  \\
+        }                                                                                           \\
+    }
+EACH(exp, exp(a)) EACH(log, log(a)) EACH(sin, sin(a)) EACH(cos, cos(a)) EACH(tanh, tanh(a))
+EACH(pow, pow(a, b)) EACH(fmax, fmax(a, b)) EACH(fmin, fmin(a, b))
+EACH(where, where(a < b, a)) EACH(both, Lanes(a < b && b != 2.0))
+"""
+
+
+@pytest.fixture(scope="module")
+def functions():
+    """name -> function of arrays of equal length."""
+    library = ctypes.CDLL(
+        str(shared_library(*recipe("functions", "f.cpp", {"f.cpp": CODE.encode()}, processor())))
+    )
+
+    def call(name, x, y=None):
+        x = np.broadcast_arrays(np.asarray(x, float), np.zeros(1 if y is None else np.shape(y)))[0]
+        y = np.broadcast_to(np.asarray(0.0 if y is None else y, float), x.shape)
+        count = -(-x.size // lane_count())
+        padded = [np.resize(v, count * lane_count()).astype(float) for v in (x, y)]
+        out = np.zeros(count * lane_count())
+        pointers = [v.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for v in (*padded, out)]
+        getattr(library, f"{name}_of")(*pointers, count)
+        return out[: x.size]
+
+    return call
+
+
+SPECIAL = np.array([0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 5e-324, 1e-310, 1e308])
+
+
+@pytest.mark.parametrize(
+    ("name", "x", "digits"),
+    [
+        ("exp", np.linspace(-745, 709.7, 100_003), 1e-15),
+        ("exp", np.linspace(-1e-3, 1e-3, 1001), 1e-15),
+        ("log", np.geomspace(5e-324, 1e308, 100_003), 1e-15),
+        ("log", np.linspace(0.99, 1.01, 1001), 1e-15),
+        ("sin", np.linspace(-1e4, 1e4, 100_003), 1e-15),
+        ("cos", np.linspace(-1e4, 1e4, 100_003), 1e-15),
+        ("sin", np.geomspace(1e-300, 1e300, 2003), 1e-15),
+        ("tanh", np.linspace(-3, 3, 101), 1e-15),
+    ],
+)
+def test_a_function_agrees_with_numpy(functions, name, x, digits):
+    """A few units in the last place; near a zero of sine and cosine an absolute error of that size."""
+    expected = getattr(np, name)(x)
+    circular = name in ("sin", "cos")
+    smallest = 2e-16 if circular else 5e-324  # the latter: the spacing of the results of exp near zero
+    np.testing.assert_allclose(functions(name, x), expected, rtol=digits, atol=smallest)
+
+
+@pytest.mark.parametrize("name", ["exp", "log", "sin", "cos"])
+def test_special_values_are_those_of_numpy(functions, name):
+    """Zeros, infinities, NaN and the ends of the range."""
+    with np.errstate(all="ignore"):
+        expected = getattr(np, name)(SPECIAL)
+    np.testing.assert_allclose(functions(name, SPECIAL), expected, rtol=1e-15)
+
+
+def test_a_power_has_the_error_of_its_logarithm(functions):
+    """exp(y ln x): the rounding of the exponent, up to |y ln x| units in the last place."""
+    rng = np.random.default_rng(1)
+    x, y = 10 ** rng.uniform(-12, 12, 10_000), rng.uniform(-5, 5, 10_000)
+    error = np.abs(functions("pow", x, y) / x**y - 1)
+    assert (error < 2.3e-16 * (3 + np.abs(y * np.log(x)))).all()
+
+
+def test_a_power_of_zero_and_of_negative_numbers(functions):
+    """As the C library computes them."""
+    x, y = np.array([0.0, 0.0, 0.0, -2.0, -2.0, 2.0, np.inf]), np.array([0.25, -1.0, 0.0, 3.0, 0.5, 0.0, 2.0])
+    with np.errstate(all="ignore"):
+        np.testing.assert_allclose(functions("pow", x, y), x**y, rtol=1e-15)
+
+
+def test_comparisons_choose_for_each_machine(functions):
+    """`where` keeps the value of those for which the condition holds; a comparison with NaN does not hold."""
+    x, y = np.array([1.0, 2.0, 3.0, np.nan, 1.0]), np.array([2.0, 2.0, 2.0, 2.0, np.nan])
+    np.testing.assert_array_equal(functions("where", x, y), [1.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(functions("both", x, y + 1), [1.0, 1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(functions("fmax", x[:3], y[:3]), [2.0, 2.0, 3.0])
+    np.testing.assert_array_equal(functions("fmin", x[:3], y[:3]), [1.0, 2.0, 2.0])

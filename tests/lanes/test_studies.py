@@ -1,0 +1,82 @@
+"""Studies in lanes: results and failures as of single runs, also after an interruption."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.studies import Choice, Factor, Output, Study, pool, store, sweep
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.parameter_study import prepare, units_of
+from orchestrator.studies.single_run import outcome, outcomes
+
+MASS = Factor("manipulator.head_mass", "uniform", {"minimum": 300, "maximum": 900})
+OUTPUTS = (
+    Output("peak", "swing.swing_pressure_a", "maximum", band=True),
+    Output("mean", "boom_stick.boom_force", "mean", start=0.2),
+    Output("angle", "manipulator.swing_angle", "final"),
+)
+
+
+@pytest.fixture
+def study(fmu_dir):
+    """Twenty machines, so that the last group has lanes in excess."""
+    return Study("Mass", str(fmu_dir / "harvester.ssp"), runs=20, stop=1.0, factors=(MASS,), outputs=OUTPUTS)
+
+
+def test_a_study_in_lanes_has_the_results_of_single_runs(study, tmp_path):
+    """Each output, and the stored signals; the difference is that of the lanes, 1e-11 of the range."""
+    prepared = prepare(study)
+    assert [len(unit) for unit in units_of(prepared, lanes=True)] == [8, 8, 4]
+    results = sweep(study, tmp_path / "out", workers=2)
+    assert set(results.table["status"]) == {"ok"}
+    (case,) = prepared.payload.cases.values()
+    for run in (0, 7, 19):
+        single = outcome(prepared.payload.study, case, prepared.samples[run])
+        row = results.table[results.table["run"] == run].iloc[0]
+        found = [row[f"output:{name}"] for name in ("peak", "mean", "angle")]
+        np.testing.assert_allclose(found, single.outputs, rtol=1e-9, atol=1e-12)
+        band = results.bands[results.bands["run"] == run]["swing.swing_pressure_a"]
+        np.testing.assert_allclose(band, single.bands[0], rtol=1e-9)
+
+
+def test_the_results_do_not_depend_on_the_number_of_workers_or_on_an_interruption(study, tmp_path):
+    """Bit for bit: one worker, two, and a study that was stopped when two runs of a group were stored."""
+    one, two = (sweep(study, tmp_path / str(n), workers=n) for n in (1, 2))
+    assert one.table.equals(two.table)
+    prepared = prepare(study)
+    (case,) = prepared.payload.cases.values()
+    unit = units_of(prepared, lanes=True)[1]
+    (tmp_path / "stopped").mkdir()
+    fingerprint = store.fingerprint(prepared.payload, prepared.table)
+    begun = store.Store(tmp_path / "stopped", prepared.payload.study, fingerprint)
+    begun.add(outcomes(prepared.payload.study, case, unit)[2:4])
+    assert begun.done() == {10, 11}
+    assert sweep(study, tmp_path / "stopped", workers=1).table.equals(one.table)
+
+
+def test_a_run_that_fails_in_lanes_has_the_reason_of_a_single_run(study, tmp_path):
+    """The other machines of its group go on."""
+    stiffness = Factor("manipulator.stop_stiffness", "values", {"values": [*np.linspace(2e7, 4e7, 7), 1e5]})
+    scenario = tmp_path / "down.csv"
+    scenario.write_text("time,boom_command\n0,0\n0.1,-10\n2,-10\n")
+    grid = Study(
+        "Stops", study.system, "grid", stop=2.0, factors=(stiffness,), outputs=OUTPUTS[2:],
+        choices=(Choice("scenario", (str(scenario),)),),
+    )  # fmt: skip
+    results = sweep(grid, tmp_path / "out", workers=1)
+    assert list(results.table["status"]) == ["ok"] * 7 + ["failed"]
+    resolved, cases = resolve(grid)
+    prepared = prepare(grid)
+    (case,) = cases.values()
+    assert results.table["reason"].iloc[-1] == outcome(resolved, case, prepared.samples[-1]).reason
+
+
+def test_a_cluster_runs_one_sample_at_a_time(study):
+    """Its computers may have no compiler, and other processors."""
+    assert {len(unit) for unit in units_of(prepare(study), lanes=False)} == {1}
+    with pool.client(1) as client:
+        prepared = prepare(study)
+        units = units_of(prepared, lanes=False)[:2]
+        found = [r.run for batch in pool.outcomes(client, prepared.payload, units) for r in batch]
+    assert sorted(found) == [0, 1]
