@@ -24,7 +24,7 @@ OTHERS = {
     "manipulator": "friction",
     "supply": "engine_pump",
 }
-# Lanes take the inner steps of the scalar FMUs, with other rounding, which stops and cavities amplify to 1e-11
+# Lanes take the inner steps of the scalar FMUs with other rounding, which stops and cavities amplify to 1e-11
 # of the range; the tolerance of the FMUs is 1e-6
 SAME = 1e-8
 
@@ -74,7 +74,7 @@ def test_steps_that_the_worst_machine_divides_are_as_accurate_as_those_of_one(sy
     """These steps are common to a group: each machine is as near to a fine solution as by itself."""
     step = options.get("step")
     coupling = Coupling("hermite", adaptive=options.get("adaptive"))
-    common = {"stop": 1.5, "record_step": 0.05, "record": ["boom_stick.boom_force", "manipulator.boom_speed"]}
+    common = {"stop": 2.5, "record_step": 0.05, "record": ["boom_stick.boom_force", "manipulator.boom_speed"]}
     result = batch(system, MASSES, STROKES, lanes=True, master=coupling, step=step, **common)
     for machine in (0, -1):
         start = {name: float(values[machine]) for name, values in MASSES.items()}
@@ -83,10 +83,8 @@ def test_steps_that_the_worst_machine_divides_are_as_accurate_as_those_of_one(sy
             for m, h in (("hermite", 5e-4), (coupling, step))
         )
         for name, values in result.signals.items():
-            error, alone = (np.abs(v - fine[name]).max() for v in (values[machine], single[name]))
-            assert error < 1.1 * alone + 1e-9 * np.ptp(
-                fine[name]
-            )  # shorter steps may meet a peak of the error
+            error, alone = (np.sum((v - fine[name]) ** 2) for v in (values[machine], single[name]))
+            assert error < 1.1 * alone  # the division of a step changes the next ones, too
 
 
 @pytest.mark.long
