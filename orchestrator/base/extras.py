@@ -15,7 +15,6 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "identify": ("lmfit", "statsmodels", "ziglang"),
     "files": ("h5py", "pandas", "pyarrow"),
     "control": ("control",),
-    "learn": ("gymnasium",),
     "reference": ("sksundae",),
 }
 

@@ -166,7 +166,7 @@ class Group:
     @property
     def failed(self) -> NDArray[np.bool_]:
         """Machines that have failed, shape (lanes,)."""
-        return self._alive.view(np.int64) == 0
+        return np.asarray(self._alive.view(np.int64) == 0)
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""

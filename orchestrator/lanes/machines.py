@@ -1,4 +1,4 @@
-"""`Machines`: many machines in lanes that are stepped with commands for each of them, as an environment needs."""
+"""`Machines`: many machines in lanes that are stepped with commands for each of them."""
 
 from __future__ import annotations
 
@@ -52,10 +52,15 @@ class Machines:
         if count < 1 or not commands or not signals:
             got = f"{count} machines, {len(commands)} commands and {len(signals)} signals"
             raise Problem(f"machines: expected at least one machine, command and signal, got {got}")
-        held = {"time": [0.0, FOREVER], **dict.fromkeys(commands, [0.0, 0.0])}
+        held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
         self._job, times = prepare(system, held, record=signals, isolate=False, stop=FOREVER, **options)
         lanes = Lanes(self._job, times, [self._job.system.port(name) for name in signals])
-        self.count, self.step, self.commands, self.signals = count, times.step, tuple(commands), tuple(signals)
+        self.count, self.step, self.commands, self.signals = (
+            count,
+            times.step,
+            tuple(commands),
+            tuple(signals),
+        )
         self._rows = np.full((len(signals), count, 1), np.nan)
         self._groups = [Group(lanes) for _ in range(0, count, lane_count())]
         self._fresh = Group(lanes)  # in it machines start before they replace others
@@ -65,7 +70,9 @@ class Machines:
             group.record(first, [*self._rows], count)
         self.start()
 
-    def start(self, values: Mapping[str, ArrayLike] | None = None, machines: ArrayLike | None = None) -> Array:
+    def start(
+        self, values: Mapping[str, ArrayLike] | None = None, machines: ArrayLike | None = None
+    ) -> Array:
         """Start machines, with commands of zero; returns the signals of all, shape (n, signals).
 
         values     name -> parameter or start value of each machine, shape (n,), as in `batch`

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import closing
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,10 @@ from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.group import EARLY, FAILED, Ended
 from orchestrator.ssp.system import Port, System
 from orchestrator.worker.main import Channel
-from orchestrator.worker.process import Worker, WorkerLimits
+from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 
 Array = NDArray[np.float64]
-THREADS = {
-    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")
-}  # there is a process on each core
+THREADS = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}  # a process is on each core
 
 
 @dataclass(frozen=True)
@@ -55,48 +54,76 @@ def run_one_by_one(
     """
     ended: dict[int, Ended] = {}
     machines, stop = iter(range(count)), threading.Event()
-    with ExitStack() as stack:
-        system = _unpacked(job.system, stack)
-        record = Record(tuple(map(str, signals)), job.record.step, ())
-        task = Task(replace(job, system=system, record=record), times, tuple(map(str, signals)))
+    with temporary_folder("batch-", "the FMUs") as folder:
+        system, originals = _unpacked(job.system, folder)
+        names = tuple(map(str, signals))
+        task = Task(replace(job, system=system, record=Record(names, job.record.step, ())), times, names)
         data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
 
         def work() -> None:
-            with ExitStack() as processes:
-                worker: Worker | None = None
+            with closing(MachineProcess(data, stop)) as process:
                 for machine in machines:
                     if stop.is_set():
                         return
-                    if worker is None or not worker.alive:
-                        worker = Worker("orchestrator.lanes.one_by_one:main", "batch", environment=THREADS)
-                        processes.callback(worker.close)
-                        worker.put(data)
-                    worker.put({port: float(array[machine]) for port, array in values.items()})
-                    answer = next(worker.messages(WorkerLimits(), stop), None)
-                    if answer is None:  # the process has ended
-                        answer = np.zeros((len(rows), 0)), Ended(FAILED, worker.report, times.start)
-                        worker.close()
-                        worker = None
-                    found, end = answer
-                    for row, signal in zip(rows, found, strict=True):
+                    own = {port: float(array[machine]) for port, array in values.items()}
+                    found, end = process.outcome(own)
+                    for row, signal in zip(rows, found, strict=False):  # nothing is found after a crash
                         row[machine, : len(signal)] = signal
                     if end is not None:
-                        ended[machine] = end
+                        ended[machine] = replace(end, reason=_with_originals(end.reason, originals))
 
         in_threads([work] * max(1, min(workers, count)), stop.set)
     return ended
 
 
-def _unpacked(system: System, stack: ExitStack) -> System:
-    """The system with FMUs in folders; each component has its own copy of the libraries."""
-    components = dict(system.components)
-    folder = stack.enter_context(temporary_folder("batch-", str(system.name)))
+class MachineProcess:
+    """A process that runs machines, replaced by another one if it crashes."""
+
+    def __init__(self, data: bytes, stop: threading.Event) -> None:
+        """data: pickled Task; stop: set to end a run."""
+        self._data, self._stop = data, stop
+        self._worker: Worker | None = None
+
+    def outcome(self, values: Mapping[Port, float]) -> tuple[Sequence[Array], Ended | None]:
+        """Signals of a machine up to its end, and why it ended early."""
+        if self._worker is None:
+            self._worker = Worker("orchestrator.lanes.one_by_one:main", "batch", environment=THREADS)
+            self._worker.put(self._data)
+        worker = self._worker
+        worker.put(dict(values))
+        try:
+            for answer in worker.messages(WorkerLimits(), self._stop):
+                found: tuple[Sequence[Array], Ended | None] = answer
+                return found
+        except LimitExceeded:  # the user has stopped it
+            pass
+        self.close()
+        return (), Ended(FAILED, worker.report, float("nan"))
+
+    def close(self) -> None:
+        """End the process."""
+        if self._worker is not None:
+            self._worker.close()
+        self._worker = None
+
+
+def _unpacked(system: System, folder: Path) -> tuple[System, dict[str, str]]:
+    """The system with FMUs in folders, each component with its own copy; folder -> original FMU."""
+    components, originals = dict(system.components), dict[str, str]()
     for number, (name, component) in enumerate(components.items()):
         if component.source is not None:
             place = folder / str(number)
             component.source.extract(place)
             components[name] = replace(component, source=Location(place))
-    return replace(system, components=components)
+            originals[str(place)] = str(component.source)
+    return replace(system, components=components), originals
+
+
+def _with_originals(reason: str, originals: Mapping[str, str]) -> str:
+    """A reason with the names of the original FMUs."""
+    for place, original in originals.items():
+        reason = reason.replace(place, original)
+    return reason
 
 
 def main(channel: Channel) -> None:
@@ -107,8 +134,8 @@ def main(channel: Channel) -> None:
         channel.put(_outcome(task, channel.get()))
 
 
-def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[Array, Ended | None]:
-    """Signals of a machine up to its end, shape (signals, points), and why it ended early."""
+def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[list[Array], Ended | None]:
+    """Signals of a machine up to its end, and why it ended early."""
     sink, end = TraceInMemory(), None
     sink.rows = 0  # until the run begins
     try:
@@ -120,12 +147,7 @@ def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[Array, Ended | N
     except Problem as problem:
         time = sink.last if sink.rows else task.times.start
         end = Ended(FAILED, " ".join(str(problem).split()), time)
-    rows = (
-        np.array([sink.trace[name] for name in task.signals])
-        if sink.rows
-        else np.zeros((len(task.signals), 0))
-    )
-    return rows, end
+    return [sink.trace[name] for name in task.signals] if sink.rows else [], end
 
 
 def _with_values(system: System, values: Mapping[Port, float]) -> System:
