@@ -161,7 +161,8 @@ def compiled():
     text = "".join(c_function(Routine(name, {"v": v, "c": c}, {"y": y}), {}) for name, y in results.items())
     assert "opening_curve(" in text
     assert "opening_curve_slope(" in text
-    head = ("#include <math.h>", '#include "opening_curve.h"', "#define LOCAL")
+    where = "#define where(condition, value) ((condition) ? (value) : 0.0)"  # as the function of model.h
+    head = ("#include <math.h>", '#include "opening_curve.h"', "#define LOCAL", where)
     code = {
         "all.c": "\n".join([*head, text]).encode(),
         "opening_curve.h": native_sources(2)["opening_curve.h"].encode(),
