@@ -33,6 +33,7 @@ SOURCES = (
     *("sizes.h", "model.h", "model.c", "start.h", "start.c", "opening_curve.h"),
     *("solver.h", "inputs.h", "inputs.c", "rosenbrock.c"),
 )
+MARK = b"static inline double where("  # in model.h; earlier versions branch instead, which vectors cannot
 FLAGS = (
     *("-x", "c++", "-std=gnu++20", "-O2", "-g0", "-s", "-shared", "-fvisibility=hidden"),
     *("-nostdinc++", "-nostdlib++", "-fno-exceptions", "-fno-rtti"),
@@ -130,11 +131,14 @@ class Model:
 def sources_of(component: Component) -> dict[str, bytes]:
     """The C files of a native FMU; raises NotInLanes for another one."""
     assert component.source is not None
+    where = f"{component.name} ({component.source})"
     try:
-        return {name: component.source.member(f"sources/{name}").read() for name in SOURCES}
+        code = {name: component.source.member(f"sources/{name}").read() for name in SOURCES}
     except Problem:
-        reason = f"{component.name} ({component.source}) has no C sources of this version of harvester-cosim"
-        raise NotInLanes(reason) from None
+        raise NotInLanes(f"{where} has no C sources of harvester-cosim") from None
+    if MARK not in code["model.h"]:
+        raise NotInLanes(f"{where} was built by an earlier version of harvester-cosim")
+    return code
 
 
 def compiled_model(component: Component) -> Model:
