@@ -14,9 +14,9 @@ first and the third is divided by that one's estimate plus the RMS error OWN of 
 difference and the ratio of the signal with the largest ratio. Limits: EQUAL for the difference, WITHIN for
 the ratio. Exit status 1 if one is missed.
 
-The estimate halves the step, so it does not see errors that do not depend on the step. Three of them are made
-small: those of the FMUs' solvers and of the passes by tolerances, that of the first step by the guard, which
-divides it (in a machine with `engine_pump` flows settle within 1 us after the start).
+The estimate halves the step, so it does not see errors that do not depend on the step. Those of the FMUs'
+solvers and of the passes are made small by tolerances. A guard that gets stricter with the step divides the
+first one (in a machine with `engine_pump` flows settle within 1 us after the start).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from fmus.machine.parts import FAMILIES, parts, wiring
 from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
 from orchestrator.engine.result import SignalError, compare
-from orchestrator.monolithic.tight import MASTER, changes, estimated_error
+from orchestrator.monolithic.tight import changes, estimated_error, master
 from orchestrator.ssp.load import load
 
 EQUAL = 1e-8  # of the range of each signal
@@ -81,7 +81,7 @@ def by_fmus(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Re
 def by_hermite(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Result:
     """The co-simulation; its card has the change of each signal when the step is halved, and the order."""
     options = {"swap": variants, "stop": stop, "record_step": RECORD, "tolerance": TOLERANCE}
-    runs = [run(system, STROKES, MASTER, STEP * factor, **options) for factor in (2.0, 1.0, 0.5)]
+    runs = [run(system, STROKES, master(h / STEP), h, **options) for h in (2 * STEP, STEP, STEP / 2)]
     return replace(runs[1], card=replace(runs[1].card, errors=changes(runs)))
 
 

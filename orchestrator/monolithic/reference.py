@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
@@ -39,7 +40,7 @@ from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
 from orchestrator.fmi.description import Value
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.monolithic.plant import Plant
-from orchestrator.monolithic.tight import FMU_TOLERANCE, MASTER, first_step, tightened
+from orchestrator.monolithic.tight import FMU_TOLERANCE, first_step, tightened
 from orchestrator.ssp.load import load
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Inlet, System
@@ -139,8 +140,8 @@ def _co_simulate(
     """The tight co-simulation."""
     options |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
 
-    def co_simulated(step: float) -> Result:
-        return run(system, scenario, MASTER, step, **options)
+    def co_simulated(step: float, master: Coupling) -> Result:
+        return run(system, scenario, master, step, **options)
 
     return tightened(co_simulated, first_step(record_step, step_length(system, None)), bound, reason)
 

@@ -4,7 +4,7 @@ For systems with an FMU that has no Model Exchange, or does not list its states 
 step is halved until the estimate meets a bound, hardly falls any more, or the next run would cost too much.
 The estimate of a run compares it with those at half and at twice its step. It does not see errors that do not
 depend on the step. So the solvers of the FMUs and the passes of the master get tight tolerances, and steps in
-which an input jumps are divided.
+which an input jumps are divided by a guard.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from math import ceil, inf
 from orchestrator.base.coupling import Coupling
 from orchestrator.engine.result import Result, RunFailed, SignalError, compare
 
-# the master of the highest order that works with all FMUs; the guard divides steps
-MASTER = Coupling("hermite", guard=1e-7, tolerance=1e-9)
+GUARD = 1e-6  # estimated relative error of an input above which the first run divides a step
+PASS_TOLERANCE = 1e-9  # relative mismatch of an input at which the passes over a step end
 MASTER_ORDER = 4.0  # of convergence; a larger measured order is a coincidence
 FMU_TOLERANCE = 1e-10  # of the solvers in the FMUs, relative
 BOUND = 1e-6  # smallest bound of the estimated RMS error, relative to the range of a signal
@@ -31,10 +31,22 @@ def first_step(record_step: float, suggested: float) -> float:
     return record_step / ceil(record_step / min(record_step, suggested, LARGEST_STEP) - 1e-9)
 
 
-def tightened(run: Callable[[float], Result], first: float, bound: float, reason: str) -> Result:
+def master(refinement: float) -> Coupling:
+    """The master of the highest order that works with all FMUs; refinement: step over that of the first run.
+
+    The guard gets stricter with the square of the step. Otherwise errors of divided steps, of which there are
+    many if FMUs hold their inputs, would not fall with the step, and the estimate would miss them.
+    """
+    return Coupling("hermite", guard=GUARD * refinement**2, tolerance=PASS_TOLERANCE)
+
+
+CoSimulate = Callable[[float, Coupling], Result]  # a run with a step [s] and a master
+
+
+def tightened(run: CoSimulate, first: float, bound: float, reason: str) -> Result:
     """The run with the smallest estimated error; raises RunFailed if no run is complete.
 
-    run      co-simulates with a step [s]; `first`: the step of the first run
+    run      co-simulates; `first`: the step of the first run [s]
     bound    of the estimated RMS error of each signal, relative to its range; at least BOUND
     reason   why there is no monolithic solution, for the card
     """
@@ -56,13 +68,13 @@ def tightened(run: Callable[[float], Result], first: float, bound: float, reason
     return _with_note(best, reason)
 
 
-def _runs(run: Callable[[float], Result], step: float) -> Iterator[Result]:
+def _runs(run: CoSimulate, first: float) -> Iterator[Result]:
     """Complete runs, each at half the step of the one before; the first ones may fail at too large a step."""
-    complete, failure = False, None
+    complete, failure, step = False, None, first
     spent = last = 0
     while spent + 2 * last <= MAX_STEPS:
         try:
-            result = run(step)
+            result = run(step, master(step / first))
         except RunFailed as failed:
             if complete:
                 return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from itertools import product
 from math import exp, inf, log, sqrt
@@ -16,12 +16,12 @@ from scipy.integrate import solve_ivp
 
 from benchmarks import monolithic
 from monolithic.hybrid import build
-from orchestrator import Result, RunFailed, Trace
+from orchestrator import Coupling, Result, RunFailed, Trace
 from orchestrator.base.errors import Problem
 from orchestrator.engine.result import Card
 from orchestrator.fmi.description import FmuInterface, FmuVariable
 from orchestrator.monolithic.reference import reference
-from orchestrator.monolithic.tight import BOUND, estimated_error, tightened
+from orchestrator.monolithic.tight import BOUND, GUARD, CoSimulate, estimated_error, tightened
 from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.system import Component, System
 
@@ -223,12 +223,13 @@ def test_fmus_without_a_common_interface_are_told(fmu_dir, tmp_path):
         reference(fmu_dir / "harvester.ssp", swap={"swing": swing, "supply": supply}, stop=0.1)
 
 
-def steps_of(errors: Mapping[float, float]) -> Callable[[float], Result]:
+def steps_of(errors: Mapping[float, float]) -> CoSimulate:
     """A co-simulation of y = t + error over 1 s that fails with a step that has no error in `errors`."""
     time = np.linspace(0.0, 1.0, 11)
     system = System("line", {"a": Component("a", FmuInterface({"y": FmuVariable("y", causality="output")}))})
 
-    def run(step: float) -> Result:
+    def run(step: float, coupling: Coupling) -> Result:
+        assert coupling.guard == GUARD * step**2
         card = Card("hermite", step, 0.1, round(1 / step), 1.0, 0.1)
         result = Result(system, Trace(time, {"a.y": time * (1 + errors.get(step, 0.0))}), card)
         if step not in errors:

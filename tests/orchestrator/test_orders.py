@@ -8,8 +8,9 @@ long that the error stays above that of the FMUs themselves, which is 4e-10 of t
 import numpy as np
 import pytest
 
-from orchestrator import assemble, run
+from orchestrator import assemble, reference, run
 from orchestrator.base.coupling import Coupling
+from orchestrator.monolithic.tight import estimated_error
 
 FINE = (2e-3, 1e-3)  # [s]; 0.066 and 0.033 rad of the fast oscillation
 COARSE = (3.2e-2, 1.6e-2, 8e-3)  # for iterated masters, whose errors are small
@@ -134,3 +135,18 @@ def test_without_slopes_iterated_hermite_keeps_order_four(oscillators, exact):
         found = errors(oscillators(follow, slopes=False), exact, coupling, (1.6e-2, 8e-3, 4e-3))
         first, second = np.log2(np.array(found[:-1]) / found[1:])
         assert 3.9 < second < first < 4.4, found
+
+
+@pytest.mark.parametrize("able", [{}, {"slopes": False}, {"canGetAndSetFMUstate": "false"}])
+@pytest.mark.parametrize("follow", ["curves", "rates", "held"])
+def test_the_reference_without_model_exchange_is_as_exact_as_it_says(oscillators, exact, follow, able):
+    """Whatever the FMUs can do, the true error is near the estimate on the card."""
+    result = reference(oscillators(follow, **able), stop=1.0, record_step=0.01)
+    truth = exact(result.trace.time)
+    estimates = {e.name: estimated_error(e) for e in result.card.errors}
+    for signal, values in (("a.x", truth[:, 0]), ("b.x", truth[:, 1])):
+        error = np.sqrt(np.mean((result.trace[signal] - values) ** 2)) / np.ptp(values)
+        # 4e-10: the error of the FMUs themselves, here over the range
+        assert error < 1.5 * estimates[signal] + 4e-10, (signal, error, estimates[signal])
+    note = result.card.notes[-1]
+    assert "co-simulation with a small step: estimated RMS error at most" in note
