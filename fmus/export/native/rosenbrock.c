@@ -33,27 +33,47 @@ static const double C[STAGES][STAGES - 1] = {
 
 LOCAL void rosenbrock(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
                       double h, Work *w) {
-    for (int s = 0; s < STAGES; s++) {
-        if (s == 0) {
-            for (int i = 0; i < NX; i++) w->b[i] = w->f0[i];
-        } else {
-            for (int i = 0; i < NX; i++) w->x[i] = x[i];
-            for (int j = 0; j < s; j++)
-                for (int i = 0; i < NX; i++) w->x[i] += A[s][j] * w->k[j][i];
-            if (s < STAGES - 1) inputs_update(inputs, tau + ALPHA[s] * h, w->u);
-            model_dynamics(w->x, w->u, p, c, w->b);
-            double sum[ROOM(NX)] = {0.0};
-            for (int j = 0; j < s; j++)
-                for (int i = 0; i < NX; i++) sum[i] += C[s][j] * w->k[j][i];
-            for (int i = 0; i < NX; i++) w->b[i] += sum[i] / h;
-        }
-        if (inputs->count > 0 && s < 4)
-            for (int i = 0; i < NX; i++) w->b[i] += G[s] * h * w->ft[i];
-        model_solve(w->lu, w->b, w->k[s]);
-    }
+    double(*k)[ROOM(NX)] = w->k;
+    const double r = 1.0 / h;
+    double at[ROOM(NX)], f[ROOM(NX)], b[ROOM(NX)];
+    for (int i = 0; i < NX; i++) b[i] = w->f0[i] + G[0] * h * w->ft[i];
+    model_solve(w->lu, b, k[0]);
+
+    for (int i = 0; i < NX; i++) at[i] = x[i] + A[1][0] * k[0][i];
+    inputs_update(inputs, tau + ALPHA[1] * h, w->u);
+    model_dynamics(at, w->u, p, c, f);
+    for (int i = 0; i < NX; i++) b[i] = f[i] + G[1] * h * w->ft[i] + r * (C[1][0] * k[0][i]);
+    model_solve(w->lu, b, k[1]);
+
+    for (int i = 0; i < NX; i++) at[i] = x[i] + A[2][0] * k[0][i] + A[2][1] * k[1][i];
+    inputs_update(inputs, tau + ALPHA[2] * h, w->u);
+    model_dynamics(at, w->u, p, c, f);
+    for (int i = 0; i < NX; i++) b[i] = f[i] + G[2] * h * w->ft[i] + r * (C[2][0] * k[0][i] + C[2][1] * k[1][i]);
+    model_solve(w->lu, b, k[2]);
+
+    for (int i = 0; i < NX; i++) at[i] = x[i] + A[3][0] * k[0][i] + A[3][1] * k[1][i] + A[3][2] * k[2][i];
+    inputs_update(inputs, tau + ALPHA[3] * h, w->u);
+    model_dynamics(at, w->u, p, c, f);
+    for (int i = 0; i < NX; i++)
+        b[i] = f[i] + G[3] * h * w->ft[i] + r * (C[3][0] * k[0][i] + C[3][1] * k[1][i] + C[3][2] * k[2][i]);
+    model_solve(w->lu, b, k[3]);
+
+    for (int i = 0; i < NX; i++)
+        at[i] = x[i] + A[4][0] * k[0][i] + A[4][1] * k[1][i] + A[4][2] * k[2][i] + A[4][3] * k[3][i];
+    inputs_update(inputs, tau + h, w->u);
+    model_dynamics(at, w->u, p, c, f);
+    for (int i = 0; i < NX; i++)
+        b[i] = f[i] + r * (C[4][0] * k[0][i] + C[4][1] * k[1][i] + C[4][2] * k[2][i] + C[4][3] * k[3][i]);
+    model_solve(w->lu, b, k[4]);
+
+    for (int i = 0; i < NX; i++) at[i] += k[4][i]; /* the rows of A are equal but for this one */
+    model_dynamics(at, w->u, p, c, f);
+    for (int i = 0; i < NX; i++)
+        b[i] = f[i] + r * (C[5][0] * k[0][i] + C[5][1] * k[1][i] + C[5][2] * k[2][i] + C[5][3] * k[3][i] +
+                           C[5][4] * k[4][i]);
+    model_solve(w->lu, b, k[5]);
     for (int i = 0; i < NX; i++) {
-        w->error[i] = w->k[STAGES - 1][i];
-        w->x[i] += w->error[i];
+        w->error[i] = k[5][i];
+        w->x[i] = at[i] + k[5][i];
     }
 }
-
