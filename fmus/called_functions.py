@@ -50,10 +50,8 @@ def without_zero_calls(values: ca.SX) -> ca.SX:
     return rebuilt(values)
 
 
-def rebuilt(
-    values: ca.SX, binary: Callable[[int, ca.SX, ca.SX], ca.SX] = ca.SX.binary
-) -> ca.SX:
-    """The same values, instruction by instruction; `binary` makes the result of an operation of two values."""
+def rebuilt(values: ca.SX, binary: Callable[[int, ca.SX, ca.SX], ca.SX] = ca.SX.binary) -> ca.SX:
+    """The same values, instruction by instruction; `binary` makes the results of operations of two values."""
     symbols = ca.symvar(values)
     function = ca.Function("f", symbols, [values])
     calls = called(function)

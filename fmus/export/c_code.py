@@ -78,7 +78,11 @@ def model_equations(interface: Interface) -> Equations:
     values, arguments["z"], observed = _split_by_inputs(values, model)
     main, adjoint = (
         [
-            Routine(name, model | {i: arguments[i] for i in inputs}, {o.partition("_inputs")[0]: values[o] for o in outputs})
+            Routine(
+                name,
+                model | {i: arguments[i] for i in inputs},
+                {o.partition("_inputs")[0]: values[o] for o in outputs},
+            )
             for name, (outputs, inputs) in table.items()
         ]
         for table in (_ROUTINES, _ADJOINT)
@@ -98,7 +102,7 @@ def model_equations(interface: Interface) -> Equations:
 def _split_by_inputs(
     values: Mapping[str, ca.SX], model: Mapping[str, ca.SX]
 ) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
-    """Derivatives, outputs and requirements with symbols z for subexpressions that do not depend on the inputs.
+    """Derivatives, outputs, requirements, with symbols z for subexpressions that do not depend on the inputs.
 
     Returns the values, z, and these subexpressions. Two columns take the place of y, sparse and as long as y:
     `y_states`, the outputs that do not depend on the inputs, and `y_inputs`, the others. `dx_inputs` are the
@@ -172,7 +176,7 @@ _ORDER = [
     "adjoint",
     "inputs",
     "rosenbrock",
-    "kutta",
+    "runge_kutta",
     "solver",
     "core",
     "snapshot",

@@ -136,7 +136,9 @@ def _statements(
     written: set[tuple[int, int]] = set()
     calls = called(function)
     divisors = _common_divisors(function)
-    rows = [function.sparsity_out(n).row() for n in range(len(outputs))]  # of a sparse column some are missing
+    rows = [
+        function.sparsity_out(n).row() for n in range(len(outputs))
+    ]  # of a sparse column some are missing
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
         o, i = function.instruction_output(k), function.instruction_input(k)
@@ -183,7 +185,11 @@ def _common_divisors(function: ca.Function) -> set[int]:
 
 
 def _expression(
-    operation: int, i: Sequence[int], inputs: Sequence[str], work: Mapping[int, str], inverse: Mapping[str, str]
+    operation: int,
+    i: Sequence[int],
+    inputs: Sequence[str],
+    work: Mapping[int, str],
+    inverse: Mapping[str, str],
 ) -> str:
     if operation == ca.OP_INPUT:
         return f"{inputs[i[0]]}[{i[1]}]"
@@ -327,7 +333,8 @@ def hoist(expressions: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX],
     all_rows = ca.cse(without_zero_calls(ca.vertcat(*expressions.values())))
     all_rows, inverses, divisors = _by_multiplication(all_rows, p)
     reduced, symbols, subexpressions = ca.extract_parametric(all_rows, ca.vertcat(p, inverses))
-    symbols, subexpressions = [*symbols, *ca.vertsplit(inverses)], [*subexpressions, *ca.vertsplit(1 / divisors)]
+    symbols = [*symbols, *ca.vertsplit(inverses)]
+    subexpressions = [*subexpressions, *ca.vertsplit(1 / divisors)]
     order = _call_order(reduced, symbols)
     c, prepared = (column(*(values[i] for i in order)) for values in (symbols, subexpressions))
     while ca.depends_on(prepared, c):  # subexpressions of subexpressions

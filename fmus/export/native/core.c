@@ -338,7 +338,7 @@ static double after_inner_step(void *owner, double tau, double length) {
 LOCAL int core_step(Core *core, double length) {
     State *s = &core->s;
     StepContext context = {core, s->time};
-    const StepCallback callback = {core->intermediate_update ? after_inner_step : 0, &context};
+    const StepCallback callback = {core->intermediate_update ? after_inner_step : 0, &context, 0};
     const double minimum_step = fmax(1e-14 * length, DBL_MIN); /* a smaller one does not change the time */
     double tau = length;
     prepare(core);

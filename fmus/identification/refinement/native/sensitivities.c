@@ -133,7 +133,7 @@ EXPORTED int simulate(int n, const double *time, const double *input_samples, do
     InputPolynomials inputs = {.count = 0};
     Trajectory t = {.p = p, .d = d, .inputs = &inputs, .sensitivities = sensitivities};
     StepMemory memory = {0};
-    const StepCallback callback = {after_step, &t};
+    const StepCallback callback = {after_step, &t, 1};
     model_prepare(p, c);
     sens_prepare(p, d);
     for (int i = 0; i < NX; i++) put((double *)t.dx, NX, (int[2]){i, NQ + i}, 1.0);
