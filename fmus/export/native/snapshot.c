@@ -6,7 +6,7 @@
 
 #include "core.h"
 
-enum { VERSION = 6 };
+enum { VERSION = 5 };
 
 typedef struct {
     char magic[8];
