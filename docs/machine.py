@@ -31,41 +31,19 @@ PAGE = Path(__file__).with_suffix(".md")
 NUMBERS = (
     ("supply", "ideal", "pressure_setting", "bar"),
     ("supply", "engine_pump", "engine_rated_torque", "N.m"),
-    ("supply", "engine_pump", "engine_rated_speed", "rpm"),
-    ("supply", "engine_pump", "pump_displacement", "cm3/rad"),
-    ("supply", "load_sensing", "main_pump_displacement", "cm3/rad"),
-    ("supply", "load_sensing", "margin", "bar"),
     ("boom_stick", "lumped", "density", "kg/m3"),
-    ("boom_stick", "lumped", "bulk_modulus", "bar"),
     ("boom_stick", "lumped", "valve_area", "mm2"),
     ("boom_stick", "lumped", "valve_dead_band", "V"),
     ("boom_stick", "lumped", "boom_bore", "mm"),
-    ("boom_stick", "lumped", "boom_rod", "mm"),
-    ("boom_stick", "lumped", "boom_stroke", "mm"),
     ("boom_stick", "lumped", "stick_bore", "mm"),
-    ("boom_stick", "lumped", "stick_rod", "mm"),
-    ("boom_stick", "lumped", "stick_stroke", "mm"),
-    ("boom_stick", "lumped", "boom_hose_length", "m"),
     ("boom_stick", "lumped", "boom_hose_bore", "mm"),
-    ("boom_stick", "detailed", "spool_frequency", "Hz"),
-    ("boom_stick", "detailed", "hose_wall_modulus", "bar"),
-    ("boom_stick", "detailed", "relief_pressure", "bar"),
-    ("boom_stick", "compensated", "compensator_setting", "bar"),
-    ("boom_stick", "compensated", "boom_section_flow", "L/min"),
-    ("boom_stick", "compensated", "stick_section_flow", "L/min"),
-    ("boom_stick", "compensated", "counterbalance_pressure", "bar"),
-    ("boom_stick", "compensated", "counterbalance_pilot_ratio", "1"),
     ("swing", "lumped", "motor_displacement", "cm3/rad"),
-    ("swing", "lumped", "gear_ratio", "1"),
-    ("swing", "lumped", "internal_leakage_resistance", "Pa.s/m3"),
     ("swing", "compensated", "swing_section_flow", "L/min"),
-    ("swing", "compensated", "brake_torque", "N.m"),
     ("manipulator", "rigid", "boom_mass", "kg"),
     ("manipulator", "rigid", "stick_mass", "kg"),
-    ("manipulator", "rigid", "stick_length", "m"),
     ("manipulator", "rigid", "head_mass", "kg"),
 )
-FACTORS = {"bar": 1e-5, "mm": 1e3, "mm2": 1e6, "L/min": 6e4, "rpm": 9.549296585513721, "cm3/rad": 1e6}
+FACTORS = {"bar": 1e-5, "mm": 1e3, "mm2": 1e6, "L/min": 6e4, "cm3/rad": 1e6}
 
 
 def numbers() -> Iterator[list[str]]:
