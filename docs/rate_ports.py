@@ -154,12 +154,12 @@ def _trace(axes: Axes, stick: Mapping[str, np.ndarray]) -> None:
 def print_table(errors: Errors) -> None:
     """The table of the page."""
     steps = sorted({h for found in errors.values() for h in found})
-    print("| |" + "".join(f" {1e3 * h:.3g} ms |" for h in steps))
+    print("||" + "".join(f"{1e3 * h:.3g} ms|" for h in steps))
     print("|---|" + "---|" * len(steps))
     for (tool, rates), found in errors.items():
         texts = {h: "diverges" if np.isinf(e) else f"{e:.2g} %" for h, e in found.items()}
         cells = [texts.get(h, "") for h in steps]
-        print(f"| {tool}, rate ports {rates} | " + " | ".join(cells) + " |")
+        print(f"|{tool}, rate ports {rates}|" + "|".join(cells) + "|")
 
 
 if __name__ == "__main__":

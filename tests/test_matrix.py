@@ -86,7 +86,7 @@ def test_a_table_is_written_between_its_marks(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("a\n<!-- matrix: t -->\nold\n<!-- end: t -->\nb\n")
     matrix.write(page, "t", table(("h",), [("1",)]))
-    assert page.read_text() == "a\n<!-- matrix: t -->\n| h |\n| --- |\n| 1 |\n<!-- end: t -->\nb\n"
+    assert page.read_text() == "a\n<!-- matrix: t -->\n|h|\n|---|\n|1|\n<!-- end: t -->\nb\n"
 
 
 def test_the_page_merges_versions_of_fmi_that_agree():

@@ -158,7 +158,7 @@ class TextTable:
     def markdown(self) -> str:
         """The table in Markdown."""
         bold = [[f"**{c}**" if c in self.strong else c for c in row] for row in (self.head, *self.rows)]
-        lines = ["| " + " | ".join(row) + " |" for row in bold]
+        lines = ["|" + "|".join(row) + "|" for row in bold]
         rule = "|" + "|".join("---" if i in self.left else "--:" for i in range(len(self.head))) + "|"
         return "\n".join([lines[0], rule, *lines[1:]])
 

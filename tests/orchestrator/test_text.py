@@ -62,7 +62,7 @@ def test_words_become_sentences() -> None:
 def test_one_table_for_terminal_document_and_page() -> None:
     """Numbers end below each other; what stands out is bold or red; a page escapes what is no markup."""
     assert TABLE.lines() == ["name     value", "a            1", "<b>   unstable"]
-    assert TABLE.markdown().splitlines()[1:] == ["|---|--:|", "| a | 1 |", "| <b> | **unstable** |"]
+    assert TABLE.markdown().splitlines()[1:] == ["|---|--:|", "|a|1|", "|<b>|**unstable**|"]
     assert "<td>&lt;b&gt;</td>" in TABLE.html()
     assert "<td><code>" in TextTable(["x"], [[Markup("<code>y</code>")]]).html()
 
