@@ -7,7 +7,7 @@ notice that such a call gives zero because all its seeds are zero. `without_zero
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 
 import casadi as ca
@@ -44,11 +44,17 @@ def _bounds(sizes: Sequence[int]) -> list[tuple[int, int]]:
 
 def without_zero_calls(values: ca.SX) -> ca.SX:
     """The same values without calls of derivatives whose seeds are all zero, and what follows from that."""
+    function = ca.Function("f", ca.symvar(values), [values])
+    if not any(f.name().startswith(("fwd1_", "adj1_")) for f in called(function)):
+        return values
+    return rebuilt(values)
+
+
+def rebuilt(values: ca.SX, binary: Callable[[int, ca.SX, ca.SX], ca.SX] = ca.SX.binary) -> ca.SX:
+    """The same values, instruction by instruction; `binary` makes the results of operations of two values."""
     symbols = ca.symvar(values)
     function = ca.Function("f", symbols, [values])
     calls = called(function)
-    if not any(f.name().startswith(("fwd1_", "adj1_")) for f in calls):
-        return values
     work = [ca.SX(0)] * function.sz_w()
     result = [ca.SX(0)] * values.nnz()
     for k in range(function.n_instructions()):
@@ -68,7 +74,7 @@ def without_zero_calls(values: ca.SX) -> ca.SX:
         elif len(i) == 1:
             work[o[0]] = ca.SX.unary(operation, work[i[0]])
         else:
-            work[o[0]] = ca.SX.binary(operation, work[i[0]], work[i[1]])
+            work[o[0]] = binary(operation, work[i[0]], work[i[1]])
     return ca.SX(values.sparsity(), ca.vertcat(*result))
 
 

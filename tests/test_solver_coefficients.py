@@ -1,6 +1,8 @@
-"""The numbers of both methods: conditions that they obey; the C code has the same numbers of RODAS."""
+"""The numbers of the methods: conditions that they obey; the C code has the same numbers."""
 
+import math
 import re
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -8,67 +10,118 @@ import pytest
 
 from fmus import solver
 
-NATIVE = Path(solver.__file__).parent / "export" / "native" / "rosenbrock.c"
+NATIVE = Path(solver.__file__).parent / "export" / "native"
 
 
 def square(rows) -> np.ndarray:
-    """Rows of a strictly lower triangle as a matrix, shape (6, 6)."""
-    return np.array([[*row, *[0.0] * (solver.STAGES - len(row))] for row in rows])
+    """Rows of a strictly lower triangle as a matrix."""
+    return np.array([[*row, *[0.0] * (len(rows) - len(row))] for row in rows])
 
 
-A, C = square(solver.A), square(solver.C)
-GAMMA = np.linalg.inv(np.eye(solver.STAGES) / solver.GAMMA - C)  # gamma_ij of the untransformed method
-STEPS = A @ GAMMA  # alpha_ij
-WEIGHTS = np.append(A[-1, :-1], 1.0) @ GAMMA  # b_i of the solution: x + its last argument + k_6
-EMBEDDED = A[-1] @ GAMMA  # of the embedded one: without k_6
-# exact identities of the method; its coefficients are printed with 16 digits, and are up to 60
+class Untransformed:
+    """A Rosenbrock method in the notation of Hairer and Wanner, section IV.7, (7.4).
+
+    gamma, steps   gamma_ij and alpha_ij
+    b, embedded    weights of the solution, x + its last argument + the last k, and of the embedded one
+    """
+
+    def __init__(self, method: solver.Rosenbrock) -> None:
+        a, n = square(method.a), len(method.alpha)
+        self.gamma = np.linalg.inv(np.eye(n) / method.gamma - square(method.c))
+        self.steps = a @ self.gamma
+        self.b = np.append(a[-1, :-1], 1.0) @ self.gamma
+        self.embedded = a[-1] @ self.gamma
+
+
+METHODS = {"RODAS": solver.RODAS, "RODAS3": solver.RODAS3}
+# exact identities of the methods; the coefficients are printed with 16 digits, and are up to 60
 EXACT = {"rtol": 0, "atol": 1e-12}
 
 
-def test_places_and_slopes_are_row_sums():
+@pytest.mark.parametrize("name", METHODS)
+def test_places_and_slopes_are_row_sums(name):
     """alpha_i = sum_j alpha_ij, g_i = sum_j gamma_ij: each coefficient of A and C counts in one of them."""
-    np.testing.assert_allclose(STEPS.sum(axis=1), solver.ALPHA, **EXACT)
-    np.testing.assert_allclose(GAMMA.sum(axis=1), solver.G, **EXACT)
+    m = Untransformed(METHODS[name])
+    np.testing.assert_allclose(m.steps.sum(axis=1), METHODS[name].alpha, **EXACT)
+    np.testing.assert_allclose(m.gamma.sum(axis=1), METHODS[name].g, **EXACT)
 
 
-@pytest.mark.parametrize(("b", "order"), [(WEIGHTS, 4), (EMBEDDED, 3)])
-def test_order_conditions(b, order):
-    """Hairer and Wanner, section IV.7, (7.11): up to order 4 of the solution, 3 of the embedded one."""
-    alpha, beta = STEPS.sum(axis=1), (STEPS + GAMMA).sum(axis=1)
-    full = STEPS + GAMMA
-    conditions = {
-        "1": (b.sum(), 1.0),
-        "2": (b @ beta, 1 / 2),
-        "3a": (b @ alpha**2, 1 / 3),
-        "3b": (b @ full @ beta, 1 / 6),
-    }
-    if order == 4:
-        conditions |= {
-            "4a": (b @ alpha**3, 1 / 4),
-            "4b": (b @ (alpha * (STEPS @ beta)), 1 / 8),
-            "4c": (b @ full @ alpha**2, 1 / 12),
-            "4d": (b @ full @ full @ beta, 1 / 24),
-        }
-    for name, (found, wanted) in conditions.items():
-        assert found == pytest.approx(wanted, abs=1e-12), name
+@pytest.mark.parametrize(
+    ("name", "which", "order"),
+    [("RODAS", "b", 4), ("RODAS", "embedded", 3), ("RODAS3", "b", 3), ("RODAS3", "embedded", 2)],
+)
+def test_order_conditions(name, which, order):
+    """Hairer and Wanner, section IV.7, (7.11): up to the order of the solution and of the embedded one."""
+    m = Untransformed(METHODS[name])
+    b, alpha, full = getattr(m, which), m.steps.sum(axis=1), m.steps + m.gamma
+    beta = full.sum(axis=1)
+    conditions = [
+        [(b.sum(), 1.0)],
+        [(b @ beta, 1 / 2)],
+        [(b @ alpha**2, 1 / 3), (b @ full @ beta, 1 / 6)],
+        [
+            (b @ alpha**3, 1 / 4),
+            (b @ (alpha * (m.steps @ beta)), 1 / 8),
+            (b @ full @ alpha**2, 1 / 12),
+            (b @ full @ full @ beta, 1 / 24),
+        ],
+    ]
+    for found, wanted in chain(*conditions[:order]):
+        assert found == pytest.approx(wanted, abs=1e-12)
+    # no more than that: else the difference of both solutions would not estimate the error
+    assert any(abs(found - wanted) > 1e-3 for found, wanted in [*conditions, [(0.0, 1.0)]][order])
 
 
-def test_the_last_stages_are_stiffly_accurate():
+@pytest.mark.parametrize("name", METHODS)
+def test_the_last_stages_are_stiffly_accurate(name):
     """The solution is the last stage: R(infinity) = 0, so stiff components are damped out in one step."""
-    np.testing.assert_allclose(WEIGHTS, (STEPS + GAMMA)[-1], **EXACT)
+    m = Untransformed(METHODS[name])
+    np.testing.assert_allclose(m.b, (m.steps + m.gamma)[-1], **EXACT)
 
 
-def test_the_c_code_has_the_same_numbers():
-    """GAMMA, ALPHA, G, A and C as in native/rosenbrock.c, digit by digit."""
-    code = NATIVE.read_text(encoding="utf-8")
+@pytest.mark.parametrize("order", [5, 4, 3])
+def test_order_conditions_of_cash_and_karp(order):
+    """Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.2.2: all trees."""
+    a, c = square(solver.CK_STAGES), np.array(solver.CK_NODES)
+    b = np.array({5: solver.CK_ORDER_5, 4: solver.CK_ORDER_4, 3: solver.CK_ORDER_3}[order])
+    np.testing.assert_allclose(a.sum(axis=1), c, rtol=0, atol=1e-15)
+    conditions = [
+        [(b.sum(), 1)],
+        [(b @ c, 2)],
+        [(b @ c**2, 3), (b @ a @ c, 6)],
+        [(b @ c**3, 4), (b @ (c * (a @ c)), 8), (b @ a @ c**2, 12), (b @ a @ a @ c, 24)],
+        [
+            *((b @ c**4, 5), (b @ (c**2 * (a @ c)), 10), (b @ (c * (a @ c**2)), 15)),
+            *((b @ (c * (a @ a @ c)), 30), (b @ (a @ c) ** 2, 20), (b @ a @ c**3, 20)),
+            *((b @ a @ (c * (a @ c)), 40), (b @ a @ a @ c**2, 60), (b @ a @ a @ a @ c, 120)),
+        ],
+    ]
+    for found, divisor in chain(*conditions[:order]):
+        assert found == pytest.approx(1 / divisor, abs=1e-15)  # rounding of numbers of the size of 1
+    assert any(abs(found - 1 / d) > 1e-4 for found, d in [*conditions, [(0.0, 1)]][order])
 
-    def numbers(name: str) -> list[float]:
-        (text,) = re.findall(rf"static const double {name}\b[^=]*= ([^;]*);", code)
-        return [float(n) for n in re.findall(r"-?\d+(?:\.\d+)?(?:e-?\d+)?", text)]
 
-    flat = {"A": [0.0, *np.concatenate(solver.A)], "C": [0.0, *np.concatenate(solver.C)]}
-    for name in ("GAMMA", "ALPHA", "G", "A", "C"):
-        assert numbers(name) == [*np.ravel(flat.get(name, getattr(solver, name)))], name
+@pytest.mark.parametrize(
+    ("file", "prefix", "numbers"),
+    [
+        ("rosenbrock.c", "", solver.RODAS),
+        ("rosenbrock.c", "RODAS3_", solver.RODAS3),
+        ("runge_kutta.c", "CK_", {n[3:]: getattr(solver, n) for n in vars(solver) if n.startswith("CK_")}),
+    ],
+)
+def test_the_c_code_has_the_same_numbers(file, prefix, numbers):
+    """All coefficients as in the C code, digit by digit; numbers that are not given are zero there."""
+    code = (NATIVE / file).read_text(encoding="utf-8")
+    named = numbers if isinstance(numbers, dict) else {n.upper(): v for n, v in vars(numbers).items()}
+    for name, expected in named.items():
+        (text,) = re.findall(rf"static const double {prefix}{name}\b[^=]*= ([^;]*);", code)
+        found = [
+            float(top) / float(bottom or 1.0)
+            for top, bottom in re.findall(r"(-?\d+(?:\.\d+)?)(?: / (\d+(?:\.\d+)?))?", text)
+        ]
+        rows = expected if isinstance(expected, tuple) else (expected,)
+        flat = [x for row in rows for x in (row or (0.0,) if isinstance(row, tuple) else (row,))]
+        assert found == flat, name
 
 
 class Linear:
@@ -101,18 +154,49 @@ def test_kuttas_method_is_the_series_of_the_exponential(z):
     assert stable == (abs(z) < 1)
 
 
+@pytest.mark.parametrize("z", [-3.1, -2.9, -0.3, 0.5])
+def test_cash_and_karps_method_is_the_series_of_the_exponential(z):
+    """Of dx/dt = lambda x all three solutions take as many terms as their order; stable to |z| = 3."""
+    new, fourth, third, stable = solver.cash_karp(Linear(z / 0.2), inputs(0.0), 0.0, np.array([3.0]), 0.2)
+    terms = np.cumsum([z**n / math.factorial(n) for n in range(6)])
+    # the coefficients of z^5 and z^6 that the orders leave free: b A^4 1 and b A^5 1 of the table
+    a = square(solver.CK_STAGES)
+
+    def tail(b, first):
+        return sum(z**n * (b @ np.linalg.matrix_power(a, n - 1)).sum() for n in range(first, 7))
+
+    fifth, lower, lowest = (
+        terms[order] + tail(np.array(getattr(solver, f"CK_ORDER_{order}")), order + 1) for order in (5, 4, 3)
+    )
+    # exact identities: rounding only
+    assert new[0] == pytest.approx(3 * fifth, rel=1e-13)
+    assert fourth[0] == pytest.approx(3 * (fifth - lower), abs=1e-13)
+    assert third[0] == pytest.approx(3 * (fifth - lowest), abs=1e-13)
+    assert stable == (abs(z) < 3)
+
+
 def test_inputs_that_move_are_integrated_exactly():
-    """Of dx/dt = u(t) Kutta and the embedded method integrate a parabola exactly, RODAS a cubic."""
+    """Of dx/dt = u(t) Kutta and RODAS3 integrate a parabola exactly, RODAS a cubic, Cash and Karp too.
+
+    So do the embedded methods with one degree less; those of Cash and Karp of order 4 and 3.
+    """
     h, late, x = 0.7, 0.4, np.array([2.0])
     for degree in (2, 3):
         coefficients = (5.0, -3.0, 2.0, 4.0 * (degree - 2))
         motion, integral = inputs(*coefficients), np.polynomial.Polynomial(coefficients).integ()
         exact = x[0] + integral(late + h) - integral(late)
-        new, estimate = solver._linearised(Linear(0.0), motion, late, x).advance(x, h)
+        new, estimate = solver._linearised(Linear(0.0), motion, late, x).advance(solver.RODAS, x, h)
         # exact identities but for the 16 digits of the coefficients, which are up to 60
         assert new[0] == pytest.approx(exact, abs=1e-12)
         assert (abs(estimate[0]) < 1e-12) == (degree == 2)
+        new, fourth, third, _ = solver.cash_karp(Linear(0.0), motion, late, x, h)
+        assert new[0] == pytest.approx(exact, abs=1e-12)
+        assert abs(fourth[0]) < 1e-12
+        assert (abs(third[0]) < 1e-12) == (degree == 2)
         if degree == 2:
+            low, estimate = solver._linearised(Linear(0.0), motion, late, x).advance(solver.RODAS3, x, h)
+            assert low[0] == pytest.approx(exact, abs=1e-12)
+            assert abs(estimate[0]) > 1e-3
             new, estimate, _ = solver.kutta(Linear(0.0), motion, late, x, h)
             assert new[0] == pytest.approx(exact, rel=1e-14)
             # Simpson's rule less the midpoint rule: h^3 u''/24

@@ -20,7 +20,7 @@ import casadi as ca
 
 from fmus import called_functions
 from fmus.called_functions import without_zero_calls
-from fmus.contract import Symbolic
+from fmus.contract import Symbolic, column
 from fmus.export import c_functions, elimination
 from fmus.export.c_functions import Routine, c_function, hoist, number, split
 from fmus.export.elimination import eliminate
@@ -42,7 +42,9 @@ _ROUTINES: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "model_start": (["x0"], []),
     "model_dynamics": (["dx"], []),
     "model_jacobian": (["dx", "jac", "ft"], ["du"]),
-    "model_observe": (["y", "require"], []),
+    "model_observe": (["y_inputs"], ["z"]),
+    "model_require": (["require"], ["z"]),
+    "model_derivatives": (["dx_inputs"], ["z"]),
     "model_time_event": (["delay"], []),
     "model_forward": (["vdx", "vy"], ["vx", "vu"]),
     "model_start_forward": (["vx0", "vdx0", "vy0"], ["vx", "vu", "vp"]),
@@ -73,21 +75,57 @@ def model_equations(interface: Interface) -> Equations:
     }
     values, c, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, sym.p)
     model = {"x": sym.x, "u": sym.u, "p": sym.p, "c": c}
+    values, arguments["z"], observed = _split_by_inputs(values, model)
     main, adjoint = (
         [
-            Routine(name, model | {i: arguments[i] for i in inputs}, {o: values[o] for o in outputs})
+            Routine(
+                name,
+                model | {i: arguments[i] for i in inputs},
+                {o.partition("_inputs")[0]: values[o] for o in outputs},
+            )
             for name, (outputs, inputs) in table.items()
         ]
         for table in (_ROUTINES, _ADJOINT)
     )
     matrix = {"diagonal": system.diagonal, "jac": system.jac}
+    states = {"x": sym.x, "p": sym.p, "c": c}
     others = [
         Routine("model_prepare", {"p": sym.p}, {"c": prepared}),
+        Routine("model_observe_states", states, {"y": values["y_states"], "z": observed}),
         Routine("model_factorise", matrix, {"lu": system.factors, "accurate": system.accurate}),
         Routine("model_solve", {"lu": system.lu, "b": system.b}, {"k": system.k}),
     ]
-    lengths = {"NC": c.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
+    lengths = {"NC": c.numel(), "NZ": observed.numel(), "NJ": system.jac.numel(), "NLU": system.lu.numel()}
     return Equations([*others, *main], adjoint, lengths)
+
+
+def _split_by_inputs(
+    values: Mapping[str, ca.SX], model: Mapping[str, ca.SX]
+) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
+    """Derivatives, outputs, requirements, with symbols z for subexpressions that do not depend on the inputs.
+
+    Returns the values, z, and these subexpressions. Two columns take the place of y, sparse and as long as y:
+    `y_states`, the outputs that do not depend on the inputs, and `y_inputs`, the others. `dx_inputs` are the
+    derivatives in terms of z.
+    """
+    y = values["y"]
+    rows = [i for i in range(y.numel()) if ca.depends_on(y[i], model["u"])]
+    others = [i for i in range(y.numel()) if i not in rows]
+    parts = [column(*(y[i] for i in rows)), values["require"], values["dx"]]
+    known = column(*(model[name] for name in ("x", "p", "c")))
+    reduced, symbols, subexpressions = ca.extract_parametric(ca.cse(column(*parts)), known)
+    z, observed = column(*symbols), column(*subexpressions)
+    while ca.depends_on(observed, z):  # subexpressions of subexpressions
+        observed = ca.substitute(observed, z, observed)
+    on_inputs, require, dx = split(reduced, parts)
+    columns = {"require": require, "dx_inputs": dx, "y_inputs": _sparse_column(on_inputs, rows, y.numel())}
+    columns["y_states"] = _sparse_column(column(*(y[i] for i in others)), others, y.numel())
+    return dict(values) | columns, z, observed
+
+
+def _sparse_column(entries: ca.SX, rows: Sequence[int], length: int) -> ca.SX:
+    """A column with these entries; the others are structural zeros."""
+    return ca.SX(ca.Sparsity(length, 1, [0, len(rows)], list(rows)), entries)
 
 
 def _directional(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
@@ -138,7 +176,7 @@ _ORDER = [
     "adjoint",
     "inputs",
     "rosenbrock",
-    "kutta",
+    "runge_kutta",
     "solver",
     "core",
     "snapshot",
@@ -287,6 +325,7 @@ def _sizes(interface: Interface, lengths: Mapping[str, int]) -> str:
         "NX": (len(interface.states), "states"),
         "NY": (len(interface.outputs), "outputs that are not states"),
         "NC": (lengths["NC"], "quantities that depend on parameters alone"),
+        "NZ": (lengths["NZ"], "quantities that depend on states and parameters alone"),
         "NJ": (lengths["NJ"], "entries of df/dx that are not constant"),
         "NLU": (lengths["NLU"], "entries of the factors that are not constant"),
         "NREQUIRE": (len(interface.equations.statements), "requirements"),

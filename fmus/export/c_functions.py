@@ -10,13 +10,14 @@ code in native/opening_curve.h, because only one of its pieces must be evaluated
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
 import casadi as ca
 
-from fmus.called_functions import called, callee, input_bounds, output_bounds, without_zero_calls
+from fmus.called_functions import called, callee, input_bounds, output_bounds, rebuilt, without_zero_calls
 from fmus.contract import column
 from orchestrator.base.errors import Problem
 
@@ -58,8 +59,8 @@ _UNARY = {
 }
 
 
-_VALUE = re.compile(r"const double (v\d+) =")
-_NAME = re.compile(r"\bv\d+\b")
+_VALUE = re.compile(r"const double ([vr]\d+) =")
+_NAME = re.compile(r"\b[vr]\d+\b")
 
 
 @dataclass(frozen=True)
@@ -129,16 +130,21 @@ def _used(lines: Sequence[str]) -> list[str]:
 def _statements(
     function: ca.Function, inputs: Sequence[str], outputs: Sequence[str], names: Mapping[str, Sequence[str]]
 ) -> Iterator[str]:
+    inverse: dict[str, str] = {}  # C expression of a value -> that of its inverse
     work: dict[int, str] = {}  # index in the work vector of CasADi -> C expression of its current value
     origin: dict[int, tuple[int, int]] = {}  # index in the work vector -> input vector and entry
     written: set[tuple[int, int]] = set()
     calls = called(function)
+    divisors = _common_divisors(function)
+    rows = [
+        function.sparsity_out(n).row() for n in range(len(outputs))
+    ]  # of a sparse column some are missing
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
         o, i = function.instruction_output(k), function.instruction_input(k)
         if operation == ca.OP_OUTPUT:
             written.add((o[0], o[1]))
-            yield f"{outputs[o[0]]}[{o[1]}] = {work[i[0]]};"
+            yield f"{outputs[o[0]]}[{rows[o[0]][o[1]]}] = {work[i[0]]};"
             continue
         if operation == ca.OP_CALL:
             call = _Call(k, callee(calls, i, o), [work[j] for j in i], _pointers(origin, inputs, i), o)
@@ -149,8 +155,11 @@ def _statements(
         else:
             has_name = operation == ca.OP_INPUT and inputs[i[0]] in names
             comment = f" /* {names[inputs[i[0]]][i[1]]} */" if has_name else ""
-            yield f"const double v{k} = {_expression(operation, i, inputs, work)};{comment}"
+            yield f"const double v{k} = {_expression(operation, i, inputs, work, inverse)};{comment}"
             results = {o[0]: f"v{k}"}
+            if k in divisors:
+                inverse[f"v{k}"] = f"r{k}"
+                yield f"const double r{k} = 1.0 / v{k};"
         for j, value in results.items():
             work[j] = value
             origin.pop(j, None)
@@ -159,12 +168,35 @@ def _statements(
     for n, name in enumerate(outputs):
         for j in range(function.nnz_out(n)):
             if (n, j) not in written:
-                yield f"{name}[{j}] = 0.0;"
+                yield f"{name}[{rows[n][j]}] = 0.0;"
 
 
-def _expression(operation: int, i: Sequence[int], inputs: Sequence[str], work: Mapping[int, str]) -> str:
+def _common_divisors(function: ca.Function) -> set[int]:
+    """The instructions whose results several others divide by."""
+    made: dict[int, int] = {}  # index in the work vector of CasADi -> the instruction that made its value
+    count = Counter[int]()
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        if operation in (ca.OP_DIV, ca.OP_INV):
+            count[made[function.instruction_input(k)[-1]]] += 1
+        if operation != ca.OP_OUTPUT:
+            made.update(dict.fromkeys(function.instruction_output(k), k))
+    return {k for k, uses in count.items() if uses > 1}
+
+
+def _expression(
+    operation: int,
+    i: Sequence[int],
+    inputs: Sequence[str],
+    work: Mapping[int, str],
+    inverse: Mapping[str, str],
+) -> str:
     if operation == ca.OP_INPUT:
         return f"{inputs[i[0]]}[{i[1]}]"
+    if operation == ca.OP_INV and work[i[0]] in inverse:
+        return inverse[work[i[0]]]
+    if operation == ca.OP_DIV and work[i[1]] in inverse:
+        return f"{work[i[0]]} * {inverse[work[i[1]]]}"
     if operation in _UNARY:
         return str(_UNARY[operation].format(work[i[0]]))
     if operation in _BINARY:
@@ -299,12 +331,41 @@ def hoist(expressions: Mapping[str, ca.SX], p: ca.SX) -> tuple[dict[str, ca.SX],
     expressions   dense columns
     """
     all_rows = ca.cse(without_zero_calls(ca.vertcat(*expressions.values())))
-    reduced, symbols, subexpressions = ca.extract_parametric(all_rows, p)
+    all_rows, inverses, divisors = _by_multiplication(all_rows, p)
+    reduced, symbols, subexpressions = ca.extract_parametric(all_rows, ca.vertcat(p, inverses))
+    symbols = [*symbols, *ca.vertsplit(inverses)]
+    subexpressions = [*subexpressions, *ca.vertsplit(1 / divisors)]
     order = _call_order(reduced, symbols)
     c, prepared = (column(*(values[i] for i in order)) for values in (symbols, subexpressions))
     while ca.depends_on(prepared, c):  # subexpressions of subexpressions
         prepared = ca.substitute(prepared, c, prepared)
     return dict(zip(expressions, split(reduced, expressions.values()), strict=True)), c, prepared
+
+
+def _by_multiplication(values: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Replaces divisions by subexpressions of the parameters alone by multiplications with new symbols.
+
+    Returns the new values, the symbols, and the divisors, whose inverses the symbols are.
+    """
+    symbols: list[ca.SX] = []
+    divisors: list[ca.SX] = []
+    known: dict[int, ca.SX] = {}  # hash of a divisor -> its symbol
+    parameters = {s.element_hash() for s in ca.vertsplit(p)}
+
+    def parametric(value: ca.SX) -> bool:
+        return all(s.element_hash() in parameters for s in ca.symvar(value))
+
+    def binary(operation: int, a: ca.SX, b: ca.SX) -> ca.SX:
+        if operation != ca.OP_DIV or b.is_constant() or parametric(a) or not parametric(b):
+            return ca.SX.binary(operation, a, b)
+        if b.element_hash() not in known:
+            known[b.element_hash()] = ca.SX.sym("inverse")
+            symbols.append(known[b.element_hash()])
+            divisors.append(b)
+        return a * known[b.element_hash()]
+
+    new = rebuilt(values, binary)
+    return new, column(*symbols), column(*divisors)
 
 
 def _call_order(expression: ca.SX, symbols: Sequence[ca.SX]) -> list[int]:

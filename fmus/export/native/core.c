@@ -19,8 +19,11 @@ LOCAL void core_message(Core *core, Status kind, const char *format, ...) {
     va_end(arguments);
 }
 
+LOCAL void core_invalidate_states(Core *core) { core->z_valid = core->dx_valid = core->y_valid = 0; }
+
 LOCAL void core_invalidate(Core *core) {
-    core->c_valid = core->start_valid = core->dx_valid = core->y_valid = 0;
+    core->c_valid = core->start_valid = 0;
+    core_invalidate_states(core);
 }
 
 LOCAL void core_reset(Core *core) {
@@ -47,18 +50,32 @@ LOCAL void core_start(Core *core) {
         model_start(core->s.x, core->s.u, core->s.p, core->c, start);
         memcpy(core->s.x, start, NX * sizeof *start);
         core->start_valid = 1;
+        core_invalidate_states(core);
     }
 }
 
+static void observe_states(Core *core) {
+    if (!core->z_valid) model_observe_states(core->s.x, core->s.p, core->c, core->y, core->z);
+    core->z_valid = 1;
+}
+
 LOCAL void core_derivatives(Core *core) {
+    const State *s = &core->s;
     core_start(core);
-    if (!core->dx_valid) model_dynamics(core->s.x, core->s.u, core->s.p, core->c, core->dx);
+    if (core->dx_valid) return;
     core->dx_valid = 1;
+    if (core->in_steps) {
+        observe_states(core);
+        model_derivatives(s->x, s->u, s->p, core->c, core->z, core->dx);
+    } else {
+        model_dynamics(s->x, s->u, s->p, core->c, core->dx);
+    }
 }
 
 LOCAL void core_outputs(Core *core) {
     core_start(core);
-    if (!core->y_valid) model_observe(core->s.x, core->s.u, core->s.p, core->c, core->y, core->require);
+    observe_states(core);
+    if (!core->y_valid) model_observe(core->s.x, core->s.u, core->s.p, core->c, core->z, core->y);
     core->y_valid = 1;
 }
 
@@ -79,23 +96,28 @@ LOCAL void core_forward(Core *core, int starting) {
 /* ---- values ---------------------------------------------------------------------------------- */
 
 static double value_of(Core *core, int r) {
-    if (r < FIRST_INPUT) return core->s.p[r - FIRST_PARAMETER];
-    if (r < FIRST_STATE) return core->s.u[r - FIRST_INPUT];
-    if (r < FIRST_DERIVATIVE) {
-        core_start(core);
-        return core->s.x[r - FIRST_STATE];
+    if (r >= FIRST_OUTPUT) {
+        if (!core->y_valid) core_outputs(core);
+        return core->y[r - FIRST_OUTPUT];
     }
-    if (r < FIRST_OUTPUT) {
-        core_derivatives(core);
+    if (r >= FIRST_DERIVATIVE) {
+        if (!core->dx_valid) core_derivatives(core);
         return core->dx[r - FIRST_DERIVATIVE];
     }
-    core_outputs(core);
-    return core->y[r - FIRST_OUTPUT];
+    if (r < FIRST_INPUT) return core->s.p[r - FIRST_PARAMETER];
+    if (r < FIRST_STATE) return core->s.u[r - FIRST_INPUT];
+    core_start(core);
+    return core->s.x[r - FIRST_STATE];
 }
 
-/* 1 if the requirement holds, else 0 and a message. */
-static int requirement_holds(Core *core, int i) {
-    if (core->require[i] > 0.0) return 1;
+/* Computes the values that must be positive. */
+static void compute_requirements(Core *core) {
+    core_outputs(core);
+    model_require(core->s.x, core->s.u, core->s.p, core->c, core->z, core->require);
+}
+
+/* Reports that a requirement is violated; returns 0. */
+static int violated(Core *core, int i) {
     core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
                  model_statements[i], core->s.time, core->require[i]);
     return 0;
@@ -109,9 +131,9 @@ LOCAL int core_get(Core *core, unsigned reference, double *value) {
     }
     *value = value_of(core, (int)reference);
     if (isfinite(*value)) return 1;
-    core_outputs(core);
+    compute_requirements(core);
     for (int i = 0; i < NREQUIRE; i++) /* a violated requirement explains the value better */
-        if (core->require[i] <= 0.0) return requirement_holds(core, i);
+        if (core->require[i] <= 0.0) return violated(core, i);
     core_message(core, ERROR, "%s is %g at t = %.9g s, expected a finite number",
                  model_variables[reference].name, *value, core->s.time);
     return 0;
@@ -167,14 +189,17 @@ LOCAL void core_set(Core *core, unsigned reference, double value) {
         core->c_valid = 0;
         break;
     case INPUT:
+        if (s->u[reference - FIRST_INPUT] != value) {
+            core->start_valid &= s->start_fixed;
+            core->dx_valid = core->y_valid = 0;
+        }
         s->u[reference - FIRST_INPUT] = s->last_set[reference - FIRST_INPUT] = value;
         core->inputs_changed = 1;
-        core->start_valid &= s->start_fixed;
-        core->dx_valid = core->y_valid = 0;
         return;
     default: s->x[reference - FIRST_STATE] = value;
     }
-    core->start_valid = core->dx_valid = core->y_valid = 0;
+    core->start_valid = 0;
+    core_invalidate_states(core);
 }
 
 /* ---- inputs over a step ---------------------------------------------------------------------- */
@@ -229,28 +254,27 @@ static void watch(Core *core) {
         const Variable *v = &model_variables[r];
         const double value = value_of(core, r);
         const int above = fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
-        if (above && !core->s.warned[r])
+        if (above && !core->s.warned[k])
             core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s", v->name, value, v->unit,
                          core->s.time, v->warn_above, v->unit);
-        core->s.warned[r] = above;
+        core->s.warned[k] = above;
     }
 }
 
-/* 1 if all values are finite: x - x is NaN for any other x. */
 static int all_finite(const double *values, int count) {
-    double sum = 0.0;
-    for (int i = 0; i < count; i++) sum += values[i] - values[i];
-    return sum == 0.0;
+    int finite = 1;
+    for (int i = 0; i < count; i++) finite &= isfinite(values[i]) != 0;
+    return finite;
 }
 
 LOCAL int core_check_state(Core *core) {
     double value;
-    core_outputs(core);
+    compute_requirements(core);
     if (!all_finite(core->s.x, NX))
         for (unsigned r = FIRST_STATE; r < FIRST_DERIVATIVE; r++)
             if (!core_get(core, r, &value)) return 0;
     for (int i = 0; i < NREQUIRE; i++)
-        if (!requirement_holds(core, i)) return 0;
+        if (!(core->require[i] > 0.0)) return violated(core, i);
     if (!all_finite(core->y, NY))
         for (unsigned r = FIRST_OUTPUT; r < NUMBER_OF_VARIABLES; r++)
             if (!core_get(core, r, &value)) return 0;
@@ -291,7 +315,8 @@ static void set_time(Core *core, double begin, double tau) {
     s->time = begin + tau;
     inputs_value(&core->inputs, tau, s->u);
     inputs_derivative(&core->inputs, tau, s->end_derivative);
-    core->start_valid = core->dx_valid = core->y_valid = 0;
+    core->start_valid = 0;
+    core_invalidate_states(core);
 }
 
 typedef struct {
@@ -313,16 +338,20 @@ static double after_inner_step(void *owner, double tau, double length) {
 LOCAL int core_step(Core *core, double length) {
     State *s = &core->s;
     StepContext context = {core, s->time};
-    const StepCallback callback = {core->intermediate_update ? after_inner_step : 0, &context};
+    const StepCallback callback = {core->intermediate_update ? after_inner_step : 0, &context, 0};
     const double minimum_step = fmax(1e-14 * length, DBL_MIN); /* a smaller one does not change the time */
     double tau = length;
     prepare(core);
     plan_inputs(s, s->last_set, 0.0, &core->inputs);
-    core->start_valid = core->dx_valid = core->y_valid = 0;
     if (NX > 0) {
+        if (EXPLICIT_FIRST) {
+            observe_states(core);
+            model_derivatives(s->x, s->last_set, s->p, core->c, core->z, core->work.f0);
+        }
         const Report report = solve(s->x, s->p, core->c, &core->inputs, length, s->tolerance, minimum_step,
                                     &callback, &s->memory, &core->work);
         s->time = context.begin;
+        core_invalidate_states(core);
         if (report.outcome != SOLVED) {
             report_failure(core, &report);
             return 0;

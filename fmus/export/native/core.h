@@ -29,7 +29,7 @@ typedef struct {
     double input_derivatives[ROOM(NU)][3]; /* derivatives of order 1 to 3 that were set for the next step */
     int has_derivatives[ROOM(NU)];         /* 1 if such derivatives were set */
     int had_derivatives[ROOM(NU)];         /* 1 if they were set for the last step */
-    int warned[ROOM(NUMBER_OF_VARIABLES)]; /* 1 while a watched input or output is above its limit */
+    int warned[ROOM(NWATCHED)];            /* 1 while a watched input or output is above its limit */
     int initial;     /* 1 while fixed parameters may be set and the states are computed from start values */
     int start_fixed; /* 1 once the importer has the initial states: inputs no longer change them */
     int phase, type; /* state of the FMI state machine and kind of instance, see instance.h */
@@ -38,8 +38,9 @@ typedef struct {
 typedef struct Core {
     State s;
     /* Quantities that follow from `s`; computed on demand. */
-    int c_valid, start_valid, dx_valid, y_valid;
-    double c[ROOM(NC)], dx[ROOM(NX)], y[ROOM(NY)], require[ROOM(NREQUIRE)];
+    int c_valid, start_valid, z_valid, dx_valid, y_valid; /* z_valid: also of the outputs without inputs */
+    int in_steps; /* 1 in co-simulation: z is known when derivatives are asked for */
+    double c[ROOM(NC)], z[ROOM(NZ)], dx[ROOM(NX)], y[ROOM(NY)], require[ROOM(NREQUIRE)];
     double direction[ROOM(NUMBER_OF_VARIABLES)]; /* seed and result of a derivative, by value reference */
     InputPolynomials inputs;
     int inputs_changed; /* 1 if an input was set inside the step: `inputs` must be computed anew */
@@ -62,6 +63,9 @@ LOCAL void core_reset(Core *core);
 /* Invalidates all computed quantities; to be called after `s` was replaced. */
 LOCAL void core_invalidate(Core *core);
 
+/* Invalidates what was computed from the states; to be called after they were changed. */
+LOCAL void core_invalidate_states(Core *core);
+
 /* Gets the value of a variable; 0 and a message if it is not finite. */
 LOCAL int core_get(Core *core, unsigned reference, double *value);
 
@@ -75,7 +79,7 @@ LOCAL double core_input_derivative(const Core *core, int input);
 
 LOCAL void core_start(Core *core);       /* computes the initial states, before the initialisation is over */
 LOCAL void core_derivatives(Core *core); /* computes dx */
-LOCAL void core_outputs(Core *core);     /* computes y and require */
+LOCAL void core_outputs(Core *core);     /* computes y */
 
 /* Checks that the requirements hold and that states and outputs are finite; else 0 and a message. */
 LOCAL int core_check_state(Core *core);

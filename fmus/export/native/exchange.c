@@ -117,7 +117,7 @@ Status exchange_set_states(Instance *self, const double x[], size_t n) {
             return refuse(self, "%s is not a finite number", model_variables[FIRST_STATE + i].name);
     if (end_initialisation(self) != OK) return ERROR;
     if (NX > 0) memcpy(self->core.s.x, x, NX * sizeof *x);
-    self->core.dx_valid = self->core.y_valid = 0;
+    core_invalidate_states(&self->core);
     return OK;
 }
 

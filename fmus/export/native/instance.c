@@ -107,6 +107,7 @@ const char *instance_problem(const char *name, const char *guid) {
 static void initialise(Instance *self, int type) {
     core_reset(&self->core);
     self->core.s.type = type;
+    self->core.in_steps = type == CO_SIMULATION;
     self->core.s.phase = INSTANTIATED;
 }
 

@@ -4,9 +4,9 @@
 
    sizes.h, model.c, adjoint.c, start.h and start.c are generated; all other files are the same for every model.
    model.c also defines three tables: model_variables (by value reference), model_watched (value references of the
-   variables with a warning limit) and model_statements (descriptions of the requirements; model_observe computes
+   variables with a warning limit) and model_statements (descriptions of the requirements; model_require computes
    the values that must be positive). start.c holds all that another set of parameter values changes.
-   Vectors: x states, u inputs, p parameters, c quantities that depend on p alone. */
+   Vectors: x states, u inputs, p parameters, c quantities that depend on p alone, z on x and p alone. */
 
 #ifndef MODEL_H
 #define MODEL_H
@@ -73,8 +73,19 @@ LOCAL void model_factorise(const double *diagonal, const double *jac, double *lu
 /* Solves (I * diagonal - df/dx) k = b. */
 LOCAL void model_solve(const double *lu, const double *b, double *k);
 
-/* Computes y = g(x, u, p) and the values that must be positive. */
-LOCAL void model_observe(const double *x, const double *u, const double *p, const double *c, double *y,
+/* Computes the outputs y that do not depend on the inputs, and z: quantities that depend on x and p alone. */
+LOCAL void model_observe_states(const double *x, const double *p, const double *c, double *y, double *z);
+
+/* Computes the other outputs of y = g(x, u, p). */
+LOCAL void model_observe(const double *x, const double *u, const double *p, const double *c, const double *z,
+                         double *y);
+
+/* Computes dx as model_dynamics does, in less time if z is known; the rounding errors differ. */
+LOCAL void model_derivatives(const double *x, const double *u, const double *p, const double *c, const double *z,
+                             double *dx);
+
+/* Computes the values that must be positive. */
+LOCAL void model_require(const double *x, const double *u, const double *p, const double *c, const double *z,
                          double *require);
 
 /* Computes the delay [s] until the next time event, at which a derivative jumps; infinite if there is none. */

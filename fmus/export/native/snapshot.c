@@ -6,7 +6,7 @@
 
 #include "core.h"
 
-enum { VERSION = 5 };
+enum { VERSION = 6 };
 
 typedef struct {
     char magic[8];

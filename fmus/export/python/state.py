@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.solver import Array
+from fmus.solver import MEMORY_SIZE, Array
 from orchestrator.base.errors import Problem
 
 _MAGIC = b"FMUstate python 1 "
@@ -50,7 +50,7 @@ class InstanceState:
     start_time: float = 0.0
     stop_time: float = np.inf
     tolerance: float = 0.0
-    memory: Array = field(default_factory=lambda: np.zeros(3))
+    memory: Array = field(default_factory=lambda: np.zeros(MEMORY_SIZE))
     initial: float = 1.0
     phase: float = 1.0
 

@@ -41,7 +41,7 @@ COMPILER_FLAGS = (
     "-fno-trapping-math",
     "-mcpu=native",  # widest vector registers; the build cache is keyed by processor
 )
-C_FILES = ("model.c", "inputs.c", "rosenbrock.c", "kutta.c", "solver.c", "sens.c", "sensitivities.c")
+C_FILES = ("model.c", "inputs.c", "rosenbrock.c", "runge_kutta.c", "solver.c", "sens.c", "sensitivities.c")
 SENS_H = """/* Lengths. Generated. */
 
 #ifndef SENS_H

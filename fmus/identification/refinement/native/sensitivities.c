@@ -133,16 +133,17 @@ EXPORTED int simulate(int n, const double *time, const double *input_samples, do
     InputPolynomials inputs = {.count = 0};
     Trajectory t = {.p = p, .d = d, .inputs = &inputs, .sensitivities = sensitivities};
     StepMemory memory = {0};
-    const StepCallback callback = {after_step, &t};
+    const StepCallback callback = {after_step, &t, 1};
     model_prepare(p, c);
     sens_prepare(p, d);
     for (int i = 0; i < NX; i++) put((double *)t.dx, NX, (int[2]){i, NQ + i}, 1.0);
     for (int k = 0; k < n; k++) {
         const double *u = input_samples + k * NU;
-        double none[1], require[ROOM(NREQUIRE)];
+        double none[1], z[ROOM(NZ)], require[ROOM(NREQUIRE)];
         report[0] = time[k];
         report[1] = t.steps;
-        model_observe(x, u, p, c, none, require);
+        model_observe_states(x, p, c, none, z);
+        model_require(x, u, p, c, z, require);
         for (int i = 0; i < NREQUIRE; i++)
             if (!(require[i] > 0.0)) {
                 report[2] = i;
