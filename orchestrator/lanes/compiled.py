@@ -31,9 +31,9 @@ ENGINE = Path(__file__).parents[1] / "engine" / "native"
 # C files of a native FMU that model.cpp includes
 SOURCES = (
     *("sizes.h", "model.h", "model.c", "start.h", "start.c", "opening_curve.h"),
-    *("solver.h", "inputs.h", "inputs.c", "rosenbrock.c"),
+    *("solver.h", "inputs.h", "inputs.c", "rosenbrock.c", "runge_kutta.c"),
 )
-MARK = b"static inline double where("  # in model.h; earlier versions branch instead, which vectors cannot
+MARK = b"#define CONDITION int"  # in model.h; earlier versions are written for one machine
 FLAGS = (
     *("-x", "c++", "-std=gnu++20", "-O2", "-g0", "-s", "-shared", "-fvisibility=hidden"),
     *("-nostdinc++", "-nostdlib++", "-fno-exceptions", "-fno-rtti"),

@@ -21,6 +21,11 @@
    place of double, cannot branch. */
 static inline double where(int condition, double value) { return condition ? value : 0.0; }
 
+/* Type of a comparison of doubles; another one if vectors take their place. */
+#ifndef CONDITION
+#define CONDITION int
+#endif
+
 /* Length of an array for n values: C99 has no arrays of length zero. */
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 

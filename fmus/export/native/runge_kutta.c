@@ -34,7 +34,7 @@ static const double CK_ORDER_4[6] = {2825.0 / 27648.0,  0.0, 18575.0 / 48384.0, 
 static const double CK_ORDER_3[6] = {19.0 / 54.0, 0.0, -10.0 / 27.0, 55.0 / 54.0, 0.0, 0.0};
 
 /* 1 if |lambda h| is within the limit, where df = lambda dx: differences between two stages. */
-static int is_stable(const double *df, const double *dx, double h, double limit) {
+static CONDITION is_stable(const double *df, const double *dx, double h, double limit) {
     double sum_f = 0.0, sum_x = 0.0;
     for (int i = 0; i < NX; i++) {
         const double scale = 1.0 / model_variables[FIRST_STATE + i].nominal;
@@ -44,8 +44,8 @@ static int is_stable(const double *df, const double *dx, double h, double limit)
     return h * h * sum_f <= limit * limit * sum_x;
 }
 
-LOCAL int kutta(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
-                double h, Work *w) {
+LOCAL CONDITION kutta(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
+                      double h, Work *w) {
     const double *k1 = w->f0;
     double *k2 = w->k[0], *k3 = w->k[1], at[ROOM(NX)], df[ROOM(NX)], dx[ROOM(NX)];
     for (int i = 0; i < NX; i++) at[i] = x[i] + 0.5 * h * k1[i];
@@ -63,8 +63,8 @@ LOCAL int kutta(const double *x, const double *p, const double *c, const InputPo
     return is_stable(df, dx, h, KUTTA_LIMIT);
 }
 
-LOCAL int cash_karp(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
-                    double h, Work *w) {
+LOCAL CONDITION cash_karp(const double *x, const double *p, const double *c, const InputPolynomials *inputs,
+                          double tau, double h, Work *w) {
     const double *k1 = w->f0;
     double *k2 = w->k[0], *k3 = w->k[1], *k4 = w->k[2], *k5 = w->k[3], *k6 = w->k[4];
     double at[ROOM(NX)], df[ROOM(NX)], dx[ROOM(NX)];

@@ -53,10 +53,10 @@ LOCAL void rodas(const double *x, const double *p, const double *c, const InputP
                  double h, Work *w);
 LOCAL void rodas3(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
                   double h, Work *w);
-LOCAL int kutta(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
-                double h, Work *w);
-LOCAL int cash_karp(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
-                    double h, Work *w);
+LOCAL CONDITION kutta(const double *x, const double *p, const double *c, const InputPolynomials *inputs, double tau,
+                      double h, Work *w);
+LOCAL CONDITION cash_karp(const double *x, const double *p, const double *c, const InputPolynomials *inputs,
+                          double tau, double h, Work *w);
 
 /* Advances x by `length` [s] or until `callback` ends the integration. A step below `minimum_step` [s] is a
    failure. If the explicit methods are tried first, w->f0 must hold dx/dt at the start. */

@@ -183,7 +183,7 @@ static void exchange(const Plan *plan, Group *g, double t) {
         if (p->type == COPY) copy(plan, g, plan->connections + p->index, p->count);
         if (p->type == DERIVATIVES) plan->models[p->index]->derivatives_now(g->instances[p->index]);
         if (p->type != OUTPUTS || !g->changed[p->index]) continue;
-        plan->models[p->index]->outputs_now(g->instances[p->index]);
+        plan->models[p->index]->outputs_again(g->instances[p->index]);
         g->changed[p->index] = 0;
     }
 }

@@ -38,7 +38,7 @@ typedef struct Instance {
 
 typedef Instance *Create(void *memory, double tolerance);
 typedef void Action(Instance *);
-typedef void Step(Instance *, double length, Mask machines);
+typedef void Stepping(Instance *, double length, Mask machines);
 typedef void Restoration(Instance *, Mask machines);
 typedef void Check(Instance *, double time);
 typedef void Adoption(Instance *, const Instance *from, Mask machines);
@@ -50,11 +50,13 @@ typedef struct Model { /* the functions of a model */
     Create *create;           /* an instance with default values for all machines */
     Action *prepare;          /* to be called when parameters have changed */
     Action *start;            /* computes the initial states from start values, inputs and parameters */
-    Action *outputs_now, *derivatives_now;
+    Action *outputs_now;
+    Action *outputs_again;    /* the outputs, if only inputs have changed since */
+    Action *derivatives_now;
     Action *slopes_now;       /* of states and outputs, from the derivatives of the inputs */
     Action *save;
     Restoration *restore;
-    Step *step;               /* over a length [s]; computes the outputs, and checks them */
+    Stepping *step;           /* over a length [s]; computes the outputs, and checks them */
     Check *check;             /* outputs and requirements; machines that violate them fail, at a time [s] */
     Adoption *adopt;          /* replaces machines by those of another instance */
     Description *requirement; /* by its number */

@@ -1,8 +1,9 @@
 /* The model of an FMU for LANES machines at once, from the C files in the FMU: sizes.h, model.h, model.c, start.c,
-   solver.h, inputs.c and rosenbrock.c, in which double becomes Lanes. Each model is compiled to a library of its own.
+   solver.h, inputs.c, rosenbrock.c and runge_kutta.c, in which double becomes Lanes. Each model is compiled to a library
+   of its own.
 
-   The solver is that of the FMU (solver.c, kutta.c). Each machine has its own inner steps, so its results do not depend
-   on the others. */
+   The solver is that of the FMU (solver.c). Each machine has its own inner steps, so its results do not depend on the
+   others. */
 
 #include <float.h>
 #include <math.h>
@@ -65,18 +66,27 @@ static Lanes opening_curve_along(Lanes v, const Lanes *t, Lanes dv, const Lanes 
 
 /* ---- the model of the FMU ---------------------------------------------------------------------- */
 
+#undef CONDITION
+#define CONDITION Mask
 #define double Lanes
 #include "model.c"
 #include "solver.h"
 #include "inputs.c"
 #include "rosenbrock.c"
+#include "runge_kutta.c"
 #undef double
+
+/* Inner steps before a method is tried again, and the next pause; see solver.c. */
+typedef struct {
+    Lanes left, next;
+} Rest;
 
 /* What a rollback restores. */
 typedef struct {
-    Lanes x[ROOM(NX)], u[ROOM(NU)], last_set[ROOM(NU)], end_derivative[ROOM(NU)];
+    Lanes x[ROOM(NX)], u[ROOM(NU)], z[ROOM(NZ)], last_set[ROOM(NU)], end_derivative[ROOM(NU)];
     int32_t had_derivatives[ROOM(NU)];
-    Lanes step, pause, next_pause;
+    Lanes step;
+    Rest cheap, second;
 } Memory;
 
 typedef struct {
@@ -84,10 +94,10 @@ typedef struct {
     Lanes values[ROOM(NUMBER_OF_VARIABLES)], slopes[ROOM(NUMBER_OF_VARIABLES)];
     Lanes start[ROOM(NX)], last_set[ROOM(NU)], end_derivative[ROOM(NU)], derivatives[ROOM(NU)][3];
     Mask alive;
-    Lanes c[ROOM(NC)], require[ROOM(NREQUIRE)];
+    Lanes c[ROOM(NC)], z[ROOM(NZ)], require[ROOM(NREQUIRE)];
     int32_t has_derivatives[ROOM(NU)], had_derivatives[ROOM(NU)];
-    Lanes step;              /* proposal for the next inner step [s]; 0: none */
-    Lanes pause, next_pause; /* inner steps before the explicit method is tried again, see solver.c */
+    Lanes step;         /* proposal for the next inner step [s]; 0: none */
+    Rest cheap, second; /* of the method that is tried first, and of that of Cash and Karp */
     Failure failures[LANES];
     InputPolynomials inputs;
     Work work;
@@ -123,14 +133,21 @@ static void start(Instance *self) {
     model_start(s->start, inputs_of(s), parameters(s), s->c, states(s));
 }
 
+/* The outputs that depend on the inputs. */
+static void outputs_again(Instance *self) {
+    Own *s = own(self);
+    model_observe(states(s), inputs_of(s), parameters(s), s->c, s->z, outputs(s));
+}
+
 static void outputs_now(Instance *self) {
     Own *s = own(self);
-    model_observe(states(s), inputs_of(s), parameters(s), s->c, outputs(s), s->require);
+    model_observe_states(states(s), parameters(s), s->c, outputs(s), s->z);
+    outputs_again(self);
 }
 
 static void derivatives_now(Instance *self) {
     Own *s = own(self);
-    model_dynamics(states(s), inputs_of(s), parameters(s), s->c, derivatives(s));
+    model_derivatives(states(s), inputs_of(s), parameters(s), s->c, s->z, derivatives(s));
 }
 
 /* Time derivative of an input at the current time, as core_input_derivative. */
@@ -182,7 +199,10 @@ static void plan_inputs(Own *s) {
 
 /* ---- the solver -------------------------------------------------------------------------------- */
 
-enum { MOST_INNER_STEPS = 1000000, SHORTEST_PAUSE = 8, LONGEST_PAUSE = 1024 };
+enum { MOST_INNER_STEPS = 1000000, LONGEST_PAUSE = 16 };
+
+/* As in solver.c. */
+static const double LOOSE = 1e-5, RODAS3_FACTOR = 3.0, ORDER_4_FACTOR = 15.0, ORDER_3_FACTOR = 0.01;
 
 /* Machines have failed: the reason is stored, and they are left out from now on. */
 static void fail(Own *s, Mask failed, int kind, int index, Lanes value, Lanes derivative, Lanes step, Lanes time) {
@@ -192,59 +212,82 @@ static void fail(Own *s, Mask failed, int kind, int index, Lanes value, Lanes de
     s->alive = s->alive && !failed;
 }
 
-/* Weighted root mean square of the error estimate; `worst`: the state with its largest part. */
-static Lanes error_norm(const Own *s, Lanes *worst) {
-    Lanes sum = 0.0, most = -1.0;
+/* Weighted root mean square of an error of the new states, in units of the tolerance. */
+static Lanes norm(const Own *s, const Lanes *error) {
+    Lanes sum = 0.0;
     for (int i = 0; i < NX; i++) {
         const Lanes magnitude = fmax(fabs(s->values[FIRST_STATE + i]), fabs(s->work.x[i]));
-        const Lanes weight = s->shared.tolerance * (model_variables[FIRST_STATE + i].absolute_scale + magnitude);
-        const Lanes part = fabs(s->work.error[i]) / weight;
+        const Lanes part = error[i] / (model_variables[FIRST_STATE + i].absolute_scale + magnitude);
         sum += part * part;
-        *worst = where(part <= most, *worst, (double)i);
-        most = where(part <= most, most, part);
     }
-    return sqrt(sum / (double)ROOM(NX));
+    return sqrt(sum / (double)ROOM(NX)) / s->shared.tolerance;
 }
 
-/* Kutta's method, see kutta.c; its error, infinite where it is unstable. */
-static Lanes kutta(Own *s, Lanes tau, Lanes h, Lanes *worst) {
-    Work *w = &s->work;
-    const Lanes *x = states(s), *p = parameters(s), *k1 = w->f0;
-    Lanes change = 0.0, moved = 0.0, *k2 = w->k[0], *k3 = w->k[1];
-    model_dynamics(x, w->u, p, s->c, w->f0);
-    for (int i = 0; i < NX; i++) w->x[i] = x[i] + 0.5 * h * k1[i];
-    inputs_update(&s->inputs, tau + 0.5 * h, w->u);
-    model_dynamics(w->x, w->u, p, s->c, k2);
-    for (int i = 0; i < NX; i++) w->x[i] = x[i] + h * (2.0 * k2[i] - k1[i]);
-    inputs_update(&s->inputs, tau + h, w->u);
-    model_dynamics(w->x, w->u, p, s->c, k3);
+/* The state with the largest error of the last step that was tried. */
+static Lanes worst_state(const Own *s) {
+    Lanes largest = -1.0, worst = 0.0;
     for (int i = 0; i < NX; i++) {
-        w->error[i] = h / 6.0 * (k1[i] - 2.0 * k2[i] + k3[i]);
-        w->x[i] = x[i] + h * k2[i] + w->error[i];
-        const double scale = 1.0 / model_variables[FIRST_STATE + i].nominal;
-        const Lanes a = scale * (k3[i] - k2[i]), b = scale * (2.0 * k2[i] - 1.5 * k1[i]);
-        change += a * a;
-        moved += b * b;
+        const Lanes magnitude = fmax(fabs(s->values[FIRST_STATE + i]), fabs(s->work.x[i]));
+        const Lanes part = fabs(s->work.error[i]) / (model_variables[FIRST_STATE + i].absolute_scale + magnitude);
+        const Mask larger = !(part <= largest) && largest == largest;
+        worst = where(larger, (double)i, worst);
+        largest = where(larger, part, largest);
     }
-    return where(change <= moved, error_norm(s, worst), INFINITY);
+    return worst;
 }
 
-static void update_pause(Own *s, Mask tried, Mask success) {
-    const Lanes pause = fmin(fmax(s->next_pause, (double)SHORTEST_PAUSE), (double)LONGEST_PAUSE);
-    s->pause = where(tried, where(success, 0.0, pause), s->pause);
-    s->next_pause = where(tried, where(success, pause - 1.0, 2.0 * pause), s->next_pause);
+/* Machines in which the method is to be tried now. */
+static Mask due(Rest *rest, Mask machines) {
+    const Mask now = machines && rest->left <= 0.0;
+    rest->left = where(machines && !now, rest->left - 1.0, rest->left);
+    return now;
 }
 
-/* Tries the explicit method where it is due; returns where it succeeded. */
-static Mask explicit_step(Own *s, Mask active, Lanes tau, Lanes h, Lanes *error, Lanes *worst) {
-    const Mask due = active && s->pause <= 0.0;
-    s->pause = where(active && !due, s->pause - 1.0, s->pause);
-    if (!any(due)) return due;
-    *error = where(due, kutta(s, tau, h, worst), *error);
-    const Mask success = due && *error <= 1.0;
-    update_pause(s, due, success);
+static void update_rest(Rest *rest, Mask tried, Mask success) {
+    const Lanes pause = fmin(fmax(rest->next, 1.0), (double)LONGEST_PAUSE);
+    rest->left = where(tried, where(success, 0.0, pause), rest->left);
+    rest->next = where(tried, where(success, pause - 1.0, 2.0 * pause), rest->next);
+}
+
+/* One inner step of all machines, each of its own size. */
+typedef struct {
+    Lanes tau, h;    /* start and size [s] */
+    Lanes error;     /* in units of the tolerance */
+    Lanes accurate;  /* 0: the linear system was singular */
+    Mask cheap;      /* the method that is tried first has succeeded */
+    Mask linearised; /* w->jac and w->ft are those at tau */
+} Step;
+
+/* Stores the error of a method and, where it is small enough, the new states. */
+static Mask finish(Own *s, Step *step, Mask tried, Lanes error) {
+    const Mask success = tried && error <= 1.0;
+    step->error = where(tried, error, step->error);
     for (int i = 0; i < NX; i++) states(s)[i] = where(success, s->work.x[i], states(s)[i]);
     return success;
+}
+
+/* Tries the explicit methods where they do not pause; returns where they succeeded. */
+static Mask explicit_step(Own *s, Step *step, Mask machines) {
+    Work *w = &s->work;
+    const Lanes *x = states(s), *p = parameters(s);
+    if (any(machines && step->tau > 0.0)) {
+        Lanes f[ROOM(NX)];
+        model_dynamics(x, w->u, p, s->c, f);
+        for (int i = 0; i < NX; i++) w->f0[i] = where(machines && step->tau > 0.0, f[i], w->f0[i]);
+    }
+    const Mask first = due(&s->cheap, machines);
+    if (any(first)) {
+        const Mask stable = kutta(x, p, s->c, &s->inputs, step->tau, step->h, w);
+        step->cheap = finish(s, step, first, where(stable, norm(s, w->error), INFINITY));
+        update_rest(&s->cheap, first, step->cheap);
+    }
+    const Mask second = due(&s->second, machines && !step->cheap);
+    if (!any(second)) return step->cheap;
+    const Mask stable = cash_karp(x, p, s->c, &s->inputs, step->tau, step->h, w);
+    const Lanes error = fmax(ORDER_4_FACTOR * norm(s, w->error), ORDER_3_FACTOR * norm(s, w->b));
+    const Mask success = finish(s, step, second, where(stable, error, INFINITY));
+    update_rest(&s->second, second, stable);
+    return step->cheap || success;
 }
 
 static void fail_state(Own *s, Mask failed, int kind, Lanes worst, Lanes step, Lanes tau) {
@@ -253,66 +296,88 @@ static void fail_state(Own *s, Mask failed, int kind, Lanes worst, Lanes step, L
 }
 
 /* Linearises at tau; machines whose derivatives are not finite fail. */
-static void linearise(Own *s, Mask active, Lanes tau) {
+static void linearise(Own *s, Step *step, Mask machines) {
     Work *w = &s->work;
-    inputs_update(&s->inputs, tau, w->u);
-    inputs_derivative(&s->inputs, tau, w->du);
+    inputs_update(&s->inputs, step->tau, w->u);
+    inputs_derivative(&s->inputs, step->tau, w->du);
     model_jacobian(states(s), w->u, parameters(s), s->c, w->du, w->f0, w->jac, w->ft);
+    step->linearised = step->linearised || machines;
     Lanes sum = 0.0, worst = 0.0;
     for (int i = 0; i < NX; i++) sum += w->f0[i] - w->f0[i];
-    const Mask bad = active && s->alive && sum != 0.0;
+    const Mask bad = machines && s->alive && sum != 0.0;
     if (!any(bad)) return;
     for (int i = NX - 1; i >= 0; i--) worst = where(finite(w->f0[i]), worst, (double)i);
-    fail_state(s, bad, DERIVATIVE_NOT_FINITE, worst, 0.0, tau);
+    fail_state(s, bad, DERIVATIVE_NOT_FINITE, worst, 0.0, step->tau);
 }
 
-/* A step of the implicit method; its error, infinite where the linear system is not solved accurately enough. */
-static Lanes implicit_step(Own *s, Lanes tau, Lanes h, Lanes *accurate, Lanes *worst) {
-    const Lanes diagonal = 4.0 / h; /* 1 / gamma of RODAS */
-    model_factorise(&diagonal, s->work.jac, s->work.lu, accurate);
-    rosenbrock(states(s), parameters(s), s->c, &s->inputs, tau, h, &s->work);
-    return where(*accurate != 0.0, error_norm(s, worst), INFINITY);
+typedef void Rosenbrock(const Lanes *x, const Lanes *p, const Lanes *c, const InputPolynomials *inputs, Lanes tau,
+                        Lanes h, Work *w);
+
+/* Error of a step of an implicit method with this gamma; infinite where the linear system is singular. */
+static Lanes implicit_error(Own *s, Step *step, Rosenbrock *method, Lanes gamma) {
+    const Lanes diagonal = 1.0 / (gamma * step->h);
+    model_factorise(&diagonal, s->work.jac, s->work.lu, &step->accurate);
+    method(states(s), parameters(s), s->c, &s->inputs, step->tau, step->h, &s->work);
+    return where(step->accurate != 0.0, norm(s, s->work.error), INFINITY);
+}
+
+/* Tries the implicit methods; returns where they succeeded. */
+static Mask implicit_step(Own *s, Step *step, Mask machines, double length) {
+    const Mask fresh = machines && !step->linearised;
+    if (any(fresh)) linearise(s, step, fresh);
+    if (!EXPLICIT_FIRST && s->shared.tolerance >= LOOSE) {
+        const Mask first = due(&s->cheap, fresh && s->alive && step->h == length);
+        if (any(first)) {
+            step->cheap = finish(s, step, first, RODAS3_FACTOR * implicit_error(s, step, rodas3, RODAS3_GAMMA));
+            update_rest(&s->cheap, first, step->cheap);
+        }
+    }
+    const Mask rest = machines && !step->cheap;
+    if (!any(rest)) return step->cheap;
+    return step->cheap || finish(s, step, rest, implicit_error(s, step, rodas, GAMMA));
+}
+
+/* The proposal for the step after an accepted one. */
+static Lanes next_step(const Step *step, Lanes proposal, Mask rejected) {
+    const Lanes most = where(rejected, 1.0, 5.0);
+    const Lanes growth = fmin(most, 0.9 / sqrt(sqrt(fmax(step->error, 1e-8)))), next = step->h * growth;
+    return where(step->cheap || growth == 5.0, fmax(next, proposal), next);
 }
 
 /* Advances the states of machines by `length` [s], as solver.c: each machine by its own inner steps. */
 static void solve(Own *s, double length, Mask machines) {
-    Work *w = &s->work;
     const double minimum = fmax(1e-14 * length, DBL_MIN);
-    Lanes tau = where(machines, 0.0, length), proposal = where(s->step > 0.0, s->step, length);
-    Mask linearised = tau != tau, rejected = linearised;
+    const Mask none = machines && !machines;
+    Lanes proposal = where(s->step > 0.0, s->step, length);
+    Step step = {where(machines, 0.0, length), length, INFINITY, 1.0, none, none};
+    Mask rejected = none;
     for (int count = 0;; count++) {
-        Mask active = s->alive && tau < length;
+        const Mask active = s->alive && step.tau < length;
         if (!any(active)) break;
-        const Lanes parts = ceil((length - tau) / proposal * (1.0 - 1e-9));
-        const Lanes rest = where(parts > 1.0, (length - tau) / parts, length - tau);
-        const Lanes h = where(active, rest, length); /* any for machines that are done or have failed */
-        Lanes error = INFINITY, accurate = 1.0, worst = 0.0;
-        Mask explicitly = tau != tau;
-        inputs_value(&s->inputs, tau, w->u);
-        if (EXPLICIT_FIRST) explicitly = explicit_step(s, active && !linearised, tau, h, &error, &worst);
-        const Mask implicitly = active && !explicitly;
-        if (any(implicitly)) {
-            if (any(implicitly && !linearised)) linearise(s, implicitly, tau);
-            linearised = linearised || implicitly;
-            error = where(implicitly, implicit_step(s, tau, h, &accurate, &worst), error);
-            const Mask success = implicitly && error <= 1.0;
-            for (int i = 0; i < NX; i++) states(s)[i] = where(success, w->x[i], states(s)[i]);
-        }
-        const Mask accepted = active && error <= 1.0, repeat = active && !accepted;
-        const Lanes growth = fmin(0.9 / sqrt(sqrt(fmax(error, 1e-8))), 5.0);
-        const Lanes next = h * where(rejected, fmin(growth, 1.0), growth);
-        const Lanes longer = where(growth < 5.0 || rejected, next, fmax(next, proposal));
-        const Lanes shorter = h * where(error < DBL_MAX, fmax(0.9 / sqrt(sqrt(error)), 0.2), 0.2);
-        proposal = where(accepted, longer, where(repeat, shorter, proposal));
-        tau = where(accepted, where(parts > 1.0, tau + h, length), tau);
-        linearised = linearised && !accepted;
+        const Lanes rest = length - step.tau, ratio = rest / proposal * (1.0 - 1e-9);
+        const Lanes parts = where(ratio > 1.0, ceil(ratio), 1.0);
+        step.h = where(active, rest / parts, length); /* any for machines that are done or have failed */
+        step.error = INFINITY, step.accurate = 1.0, step.cheap = none;
+        inputs_value(&s->inputs, step.tau, s->work.u);
+        Mask accepted = none;
+        if (EXPLICIT_FIRST) accepted = explicit_step(s, &step, active && !step.linearised);
+        if (any(active && !accepted)) accepted = accepted || implicit_step(s, &step, active && !accepted, length);
+        const Mask repeat = active && !accepted;
+        const Lanes factor = where(step.error < DBL_MAX, fmax(0.9 / sqrt(sqrt(step.error)), 0.2), 0.2);
+        const Lanes shorter = step.h * factor;
+        const Lanes next = next_step(&step, proposal, rejected);
+        proposal = where(accepted, next, where(repeat, shorter, proposal));
+        step.tau = where(accepted, where(parts > 1.0, step.tau + step.h, length), step.tau);
+        step.linearised = step.linearised && !accepted;
         rejected = repeat || (rejected && !accepted);
         s->shared.inner_steps++;
         const Mask tiny = repeat && shorter < minimum;
         if (!any(tiny) && count < MOST_INNER_STEPS) continue;
-        fail_state(s, tiny && accurate == 0.0, SINGULAR_SYSTEM, worst, h, tau);
-        fail_state(s, tiny, TOLERANCE_NOT_REACHED, worst, h, tau);
-        if (count >= MOST_INNER_STEPS) fail_state(s, tau < length, TOO_MANY_INNER_STEPS, worst, h, tau);
+        const Lanes worst = worst_state(s);
+        fail_state(s, tiny && step.accurate == 0.0, SINGULAR_SYSTEM, worst, step.h, step.tau);
+        fail_state(s, tiny, TOLERANCE_NOT_REACHED, worst, step.h, step.tau);
+        if (count >= MOST_INNER_STEPS)
+            fail_state(s, step.tau < length, TOO_MANY_INNER_STEPS, worst, step.h, step.tau);
     }
     s->step = proposal;
 }
@@ -321,6 +386,7 @@ static void solve(Own *s, double length, Mask machines) {
 
 static void check(Instance *self, double time) {
     Own *s = own(self);
+    model_require(states(s), inputs_of(s), parameters(s), s->c, s->z, s->require);
     Lanes sum = 0.0;
     for (int i = 0; i < NX; i++) sum += states(s)[i] - states(s)[i];
     for (int i = 0; i < NY; i++) sum += outputs(s)[i] - outputs(s)[i];
@@ -338,6 +404,8 @@ static void check(Instance *self, double time) {
 static void step(Instance *self, double length, Mask machines) {
     Own *s = own(self);
     plan_inputs(s);
+    if (EXPLICIT_FIRST)
+        model_derivatives(states(s), s->last_set, parameters(s), s->c, s->z, s->work.f0);
     if (NX > 0) solve(s, length, machines);
     inputs_value(&s->inputs, length, inputs_of(s));
     inputs_derivative(&s->inputs, length, s->end_derivative);
@@ -352,10 +420,11 @@ static void save(Instance *self) {
     Memory *m = &s->saved;
     memcpy((void *)m->x, states(s), NX * sizeof *m->x);
     memcpy((void *)m->u, inputs_of(s), NU * sizeof *m->u);
+    memcpy((void *)m->z, s->z, sizeof m->z);
     memcpy((void *)m->last_set, s->last_set, sizeof m->last_set);
     memcpy((void *)m->end_derivative, s->end_derivative, sizeof m->end_derivative);
     memcpy(m->had_derivatives, s->had_derivatives, sizeof m->had_derivatives);
-    m->step = s->step, m->pause = s->pause, m->next_pause = s->next_pause;
+    m->step = s->step, m->cheap = s->cheap, m->second = s->second;
 }
 
 static void blend(Lanes *to, const Lanes *from, int count, Mask machines) {
@@ -367,13 +436,14 @@ static void restore(Instance *self, Mask machines) {
     const Memory *m = &s->saved;
     blend(states(s), m->x, NX, machines);
     blend(inputs_of(s), m->u, NU, machines);
+    blend(s->z, m->z, NZ, machines);
     blend(s->last_set, m->last_set, NU, machines);
     blend(s->end_derivative, m->end_derivative, NU, machines);
     memcpy(s->had_derivatives, m->had_derivatives, sizeof m->had_derivatives);
     memset(s->has_derivatives, 0, sizeof s->has_derivatives);
     blend(&s->step, &m->step, 1, machines);
-    blend(&s->pause, &m->pause, 1, machines);
-    blend(&s->next_pause, &m->next_pause, 1, machines);
+    blend(&s->cheap.left, &m->cheap.left, 2, machines);
+    blend(&s->second.left, &m->second.left, 2, machines);
 }
 
 static void adopt(Instance *self, const Instance *other, Mask machines) {
@@ -385,15 +455,16 @@ static void adopt(Instance *self, const Instance *other, Mask machines) {
     blend(s->last_set, from->last_set, NU, machines);
     blend(s->end_derivative, from->end_derivative, NU, machines);
     blend(s->c, from->c, NC, machines);
+    blend(s->z, from->z, NZ, machines);
     blend(&s->step, &from->step, 1, machines);
-    blend(&s->pause, &from->pause, 1, machines);
-    blend(&s->next_pause, &from->next_pause, 1, machines);
+    blend(&s->cheap.left, &from->cheap.left, 2, machines);
+    blend(&s->second.left, &from->second.left, 2, machines);
 }
 
 static const char *requirement(int32_t i) { return model_statements[i]; }
 
 static const Model MODEL = {
-    sizeof(Own), LANES, NP, NU, NX, NY, NREQUIRE, create, prepare, start, outputs_now, derivatives_now, slopes_now,
+    sizeof(Own), LANES, NP, NU, NX, NY, NREQUIRE, create, prepare, start, outputs_now, outputs_again, derivatives_now, slopes_now,
     save, restore, step, check, adopt, requirement};
 
 #ifdef _WIN32
