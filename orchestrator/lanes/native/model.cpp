@@ -1,6 +1,6 @@
 /* The model of an FMU for LANES machines at once, from the C files in the FMU: sizes.h, model.h, model.c, start.c,
-   solver.h, inputs.c, rosenbrock.c and runge_kutta.c, in which double becomes Lanes. Each model is compiled to a library
-   of its own.
+   solver.h, inputs.c, rosenbrock.c and runge_kutta.c, in which double becomes Lanes. Each model is compiled to a
+   library of its own.
 
    The solver is that of the FMU (solver.c). Each machine has its own inner steps, so its results do not depend on the
    others. */
@@ -464,8 +464,8 @@ static void adopt(Instance *self, const Instance *other, Mask machines) {
 static const char *requirement(int32_t i) { return model_statements[i]; }
 
 static const Model MODEL = {
-    sizeof(Own), LANES, NP, NU, NX, NY, NREQUIRE, create, prepare, start, outputs_now, outputs_again, derivatives_now, slopes_now,
-    save, restore, step, check, adopt, requirement};
+    sizeof(Own), LANES, NP, NU, NX, NY, NREQUIRE, create, prepare, start, outputs_now, outputs_again, derivatives_now,
+    slopes_now, save, restore, step, check, adopt, requirement};
 
 #ifdef _WIN32
 extern "C" __declspec(dllexport) const Model *lane_model(void) { return &MODEL; }
