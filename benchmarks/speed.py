@@ -1,7 +1,8 @@
 """Cost of the native FMUs and of the co-simulation: `make bench`.
 
 The work cycle, in turn by the FMUs of the parts and by harvester.fmu, which is all of them in one;
-`orchestrator.studies.variants` says how the time inside an FMU is measured.
+`orchestrator.studies.variants` says how the time inside an FMU is measured. Then the throughput of `batch` on
+two cores: one by one in two processes, and in the vector lanes of two threads.
 """
 
 from __future__ import annotations
@@ -13,14 +14,19 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 from fmus.machine.build import build_machine, data
 from fmus.machine.parts import SUBSYSTEMS
-from orchestrator import System, load, run
+from orchestrator import System, batch, load, run
 from orchestrator.studies.variants import inside
 
 REPEATS = 5
 SETTINGS = (("jacobi", 1e-3), ("gauss-seidel", 1e-3), ("gauss-seidel", 5e-3))
 WHOLE = "harvester"
+SECONDS, CORES = 10.0, 2  # of each machine in the throughput
+MACHINES = {False: 64, True: 1024}  # one by one and in lanes: some seconds each
+LIMIT = 2e6  # machine-steps of 1 ms per second in lanes
 
 
 def speed(system: System, master: str, step: float) -> tuple[float, float]:
@@ -49,8 +55,33 @@ def process_costs(system: Path) -> dict[bool, float]:
     return {isolate: statistics.median(walls) for isolate, walls in times.items()}
 
 
+def throughput(system: System, mass: str, in_lanes: bool) -> float:
+    """Steps of 1 ms of all machines per second, of machines with different masses; best of the repeats."""
+    masses = {mass: np.linspace(300.0, 400.0, MACHINES[in_lanes])}
+    options = {"step": 1e-3, "stop": SECONDS, "record": [mass.replace("head_mass", "swing_angle")]}
+    walls = []
+    for _ in range(REPEATS):
+        result = batch(
+            system, masses, data("scenarios/work_cycle.csv"), lanes=in_lanes, workers=CORES, **options
+        )
+        assert set(result.status) == {"ok"}
+        walls.append(result.wall)
+    return MACHINES[in_lanes] * SECONDS / 1e-3 / min(walls)
+
+
+def print_throughput(parts: System, whole: System) -> None:
+    """Print the table of `batch`."""
+    print(
+        f"\nbatch on {CORES} cores: million machine-steps of 1 ms per second (bar in lanes {LIMIT / 1e6:g})"
+    )
+    print(f"{'':<22}{'one by one':>12}{'in lanes':>12}{'ratio':>12}")
+    for name, system, component in (("parts", parts, "manipulator"), ("whole", whole, WHOLE)):
+        single, lanes = (throughput(system, f"{component}.head_mass", way) / 1e6 for way in (False, True))
+        print(f"{name:<22}{single:>12.2f}{lanes:>12.2f}{lanes / single:>12.1f}", flush=True)
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     cycle = data("scenarios/work_cycle.csv")
     with tempfile.TemporaryDirectory() as folder:
         build_machine(Path(folder))
@@ -69,6 +100,7 @@ def main() -> None:
             (slow, slow_factor), (fast, fast_factor) = (speed(s, master, step) for s in (parts, whole))
             cells = "".join(f"{cost:>12.2f}" for cost in inside_fmus) + f"{slow:>12.1f}{fast:>12.1f}"
             print(f"{master:<14}{step * 1e3:>5g} ms{cells}{slow_factor:>12.0f}{fast_factor:>12.0f}")
+        print_throughput(parts, whole)
 
 
 if __name__ == "__main__":
