@@ -16,6 +16,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "files": ("h5py", "pandas", "pyarrow"),
     "control": ("control",),
     "reference": ("sksundae",),
+    "learn": ("gymnasium",),
 }
 
 

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 class Machines:
     """n machines of native FMUs, with commands that are held over each call of `advance`.
 
+    system    the system of each machine
     count     number of machines
     step      communication step [s]
     commands, signals   names of the inputs that are set, and of the variables that are read
@@ -54,6 +55,7 @@ class Machines:
             raise Problem(f"machines: expected at least one machine, command and signal, got {got}")
         held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
         self._job, times = prepare(system, held, record=signals, isolate=False, stop=FOREVER, **options)
+        self.system = self._job.system
         lanes = Lanes(self._job, times, [self._job.system.port(name) for name in signals])
         self.count, self.step, self.commands, self.signals = (
             count,
@@ -82,6 +84,8 @@ class Machines:
         chosen = np.ones(self.count, np.bool_) if machines is None else np.asarray(machines, np.bool_)
         if chosen.shape != (self.count,):
             raise Problem(f"machines: expected the shape ({self.count},), got {chosen.shape}")
+        if chosen.all():
+            self._point = 0  # so that equal runs are equal to the last digit
         for k, group in enumerate(self._groups):
             lanes = self._lanes(k)
             if not chosen[lanes].any():
