@@ -300,6 +300,34 @@ class StepOptions:
 
 
 @dataclass(frozen=True)
+class AccuracyOptions:
+    """How accurate a run is to be, in place of coupling, step and tolerance."""
+
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            metavar="ERROR",
+            help="Largest RMS error over the range of a signal, such as 1e-3: master, step and FMU tolerance"
+            " follow from it. Default, if neither options nor the system choose master or step, and all"
+            " FMUs have directional derivatives: 1e-3, validate: 1e-4.",
+            parser=number,
+        ),
+    ] = None
+    accuracy_of: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="With --accuracy: the outputs COMPONENT.VARIABLE that it applies to, such as '*_speed';"
+            " repeatable; default: the velocities of power bonds, else all outputs.",
+        ),
+    ] = None
+
+    def options(self) -> dict[str, Any]:
+        """Keyword arguments of the functions that the commands call."""
+        return {"accuracy": self.accuracy, "accuracy_of": tuple(self.accuracy_of or ())}
+
+
+@dataclass(frozen=True)
 class CouplingOptions:
     """How the components are coupled: the choices of `Coupling`."""
 

@@ -9,6 +9,7 @@ import typer
 
 from orchestrator.cli.options import (
     BUILD,
+    AccuracyOptions,
     CouplingOptions,
     RunOptions,
     StepOptions,
@@ -56,6 +57,7 @@ def run(
             parser=number,
         ),
     ] = None,
+    accurate: AccuracyOptions,
     coupled: CouplingOptions,
 ) -> None:
     """Co-simulate a system and record its signals."""
@@ -65,7 +67,8 @@ def run(
     start_process()  # before the slow imports
     from orchestrator.engine.run import run_to_file
 
-    options = case.options() | steps.options() | {"error_estimate": error_estimate}
+    options = case.options() | steps.options() | accurate.options()
+    options |= {"error_estimate": error_estimate, "default_accuracy": 1e-3}
     options |= {"time_limit": time_limit} if time_limit is not None else {}
     options |= {"memory_limit": 1e9 * memory_limit} if memory_limit is not None else {}
     result, file = run_to_file(system, case.scenario, out, coupling=coupled.given(), **options)

@@ -9,6 +9,7 @@ import typer
 
 from orchestrator.cli.options import (
     BUILD,
+    AccuracyOptions,
     CouplingOptions,
     RunOptions,
     StepOptions,
@@ -80,6 +81,7 @@ def validate(
     case: RunOptions,
     steps: StepOptions,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of run.csv and the report.")] = BUILD,
+    accurate: AccuracyOptions,
     coupled: CouplingOptions,
 ) -> None:
     """Co-simulate a system and compare it with a reference.
@@ -92,6 +94,7 @@ def validate(
     file = system_file(system)
     defaults = data("reference/work_cycle.csv"), data("reference/work_cycle.layout.toml")
     options = case.options() | steps.options() | {"coupling": coupled.given(), "play": play or ()}
+    options |= accurate.options() | {"default_accuracy": 1e-4}
     options |= {"monolithic": monolithic, "limit": limit}
     options |= {"default_system": file} if system is None else {}
     if not validate_system(file, case.scenario, reference, layout, out, default=defaults, **options):

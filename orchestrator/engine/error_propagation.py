@@ -19,7 +19,8 @@ from orchestrator.engine.network import Network
 from orchestrator.ssp.system import Connection, Port
 
 LONGEST_LAG = 20  # number of steps between two linearisations, at most
-STAGES = 9  # vectors of the states that C uses as working memory
+LONGEST_SECTION = 16  # number of steps over which errors are advanced at once, at most
+STAGES = 8  # vectors of the states that C uses as working memory
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class ErrorPropagation:
         n = sum(len(self._slaves[k].interface.states) for k in self._members)
         self._system = LinearSystem(n, m := len(self._inputs))
         wide, broad = self._system.n_padded, self._system.m_padded
-        self.e, self.stages, self.inverse = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((n, wide))
+        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((n, wide))
         self.w, self.diagonal = np.zeros(broad), np.zeros(n)
         self.defects, self.lengths = np.zeros((m, 2)), np.zeros(3)
         self._outputs = [
@@ -94,11 +95,9 @@ class ErrorPropagation:
 
     def errors(self) -> dict[str, EstimatedError]:
         """The estimated error of each output so far; empty before the first evaluation."""
-        if not (samples := self._struct.samples):
+        if not (time := self._struct.time):
             return {}
-        rows = zip(
-            self._outputs, np.sqrt(self.squares / samples).tolist(), self.largest.tolist(), strict=True
-        )
+        rows = zip(self._outputs, np.sqrt(self.squares / time).tolist(), self.largest.tolist(), strict=True)
         return {str(port): EstimatedError(rms, largest) for port, rms, largest in rows}
 
     def fill(self, binding: Binding) -> None:
@@ -110,10 +109,11 @@ class ErrorPropagation:
             inputs=binding.pointer(
                 binding.array(h.ErrorInput, [self._input_struct(h, u) for u in self._inputs])
             ),
-            **binding.all_at(self, "e stages inverse w defects y squares largest lengths diagonal"),
+            **binding.all_at(self, "e stages factors w defects y squares largest lengths diagonal"),
             member_count=len(self._members),
             output_count=len(self._outputs),
             lag=1,
+            longest_section=LONGEST_SECTION,
             longest_lag=LONGEST_LAG,
             sample=self._sample,
         )

@@ -73,6 +73,10 @@ class Execution:
     error_estimate   estimate the error of each output that the coupling causes: during the run if all FMUs
                      with connected inputs have directional derivatives; else by further runs, at half and at
                      twice the step, or, for adaptive steps, at a tenth of the tolerance
+    accuracy         largest RMS error over the range of a signal, such as 1e-3; master, step and tolerance of
+                     the FMUs follow from it, if necessary after several runs, see `AccuracySearch`
+    accuracy_of      patterns of the outputs that it applies to, which are recorded; default: the velocities
+                     of power bonds, else all outputs
     progress         show a progress bar if the run takes longer than a second
     isolate          run in a process of its own, so that an FMU that crashes ends only that process
     time_limit       longest wall time of the run [s], in a process of its own
@@ -83,6 +87,8 @@ class Execution:
 
     tolerance: float | None = None
     error_estimate: bool = False
+    accuracy: float | None = None
+    accuracy_of: Sequence[str] = ()
     progress: bool = False
     isolate: bool = True
     time_limit: float = math.inf
@@ -95,7 +101,9 @@ class Execution:
         return self.isolate and self.open is open_slave
 
     def check(self) -> None:
-        """Refuse limits that cannot be enforced."""
+        """Refuse options that have no effect, and limits that cannot be enforced."""
+        if self.accuracy_of and self.accuracy is None:
+            raise Problem(f"accuracy_of {self.accuracy_of[0]}: expected an accuracy, got none")
         for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
             if not limit > 0:
                 raise Problem(f"{name}: expected a positive number, got {limit:g}")

@@ -204,7 +204,7 @@ def linearisation(slave: Slave, k: int, inputs: Sequence[LinearInput], f: Buffer
     return Linearisation(slave, of_component, list(outputs), f, x)
 
 
-STAGES = 7  # vectors of the states that C uses as working memory
+STAGES = 6  # vectors of the states that C uses as working memory
 
 
 class JoinedSystem(LinearSystem):
@@ -213,7 +213,7 @@ class JoinedSystem(LinearSystem):
     def __init__(self, n: int, m: int) -> None:
         super().__init__(n, m)
         wide, broad = self.n_padded, self.m_padded
-        self.inverse = np.zeros((n, wide))
+        self.factors = np.zeros((n, wide))
         self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
         self.w, self.w0 = np.zeros(broad), np.zeros(broad)
         self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
@@ -222,7 +222,7 @@ class JoinedSystem(LinearSystem):
 
     def struct(self, binding: Binding, **members: Any) -> Any:
         """`LinearPrediction` of engine.h with these arrays and further members."""
-        arrays = "f x w f0 x0 w0 q course response forcing v v_slope stages inverse"
+        arrays = "f x w f0 x0 w0 q course response forcing v v_slope stages factors"
         system = self.system_struct(binding)
         return binding.h.LinearPrediction(system=system, **binding.all_at(self, arrays), **members)
 

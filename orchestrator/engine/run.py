@@ -21,6 +21,7 @@ from orchestrator.base.files import Location, make_folder, require_system
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
+from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import Execution, Job, Record, RunEnd, guarded, open_slave
 from orchestrator.engine.result import (
@@ -91,16 +92,66 @@ def run(
     execution    tolerance of the FMUs, error estimate, progress bar, other component classes: see
                  `Execution`
     options      fields of `Record` and `Execution` as single arguments: record_step, bonds, tolerance,
-                 error_estimate, progress, isolate, time_limit, memory_limit, open
+                 error_estimate, accuracy, accuracy_of, progress, isolate, time_limit, memory_limit, open
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
-    case = system, scenario, master, step, start, stop, swap, parameters, set, record, execution
-    job, times = prepare(*case, **options)
-    sink = TraceInMemory()
-    outcome = simulate(job, times, sink)
-    result = finished(job, times, outcome, sink, sink.trace)
-    return with_error_estimate(job, times, result) if job.execution.error_estimate else result
+    record, execution = _with_options(record, execution, options)
+    system = with_swaps(system if isinstance(system, System) else load(system), swap or {})
+    search = accuracy_search(system, execution, {"master": master, "step": step})
+    rest: dict[str, Any] = {"start": start, "stop": stop, "parameters": parameters, "set": set}
+    while True:
+        if search:
+            job, times = prepare_trial(search, system, scenario, record, execution, **rest)
+        else:
+            job, times = prepare(system, scenario, master, step, record=record, execution=execution, **rest)
+        sink = TraceInMemory()
+        try:
+            result = finished(job, times, simulate(job, times, sink), sink, sink.trace)
+        except RunFailed:
+            if search and search.goes_on():
+                continue
+            raise
+        if search is None:
+            return with_error_estimate(job, times, result) if execution.error_estimate else result
+        if accurate := search.judge(result):
+            return accurate
+
+
+def accuracy_search(
+    system: System, execution: Execution, choices: Mapping[str, Any]
+) -> AccuracySearch | None:
+    """The search for the accuracy that is asked for; None without one.
+
+    choices   of coupling and step, by name; None: no choice
+
+    Raises Problem if it is asked for together with a choice that it makes.
+    """
+    if execution.accuracy is None:
+        return None
+    for name, value in choices.items():
+        if value is not None:
+            asked = f"accuracy {execution.accuracy:g}"
+            raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")
+    return AccuracySearch(system, execution.accuracy, execution.accuracy_of, execution.tolerance)
+
+
+def prepare_trial(
+    search: AccuracySearch,
+    system: System,
+    scenario: ScenarioSource,
+    record: Record,
+    execution: Execution,
+    **options: Any,
+) -> tuple[Job, Grid]:
+    """The job of the next run of a search, and its communication points."""
+    settings = search.settings
+    if record.signals is not None:
+        record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
+    execution = replace(execution, tolerance=settings.tolerance, error_estimate=True)
+    return prepare(
+        system, scenario, settings.coupling, settings.step, record=record, execution=execution, **options
+    )
 
 
 def prepare(
@@ -135,7 +186,7 @@ def prepare(
     coupling = system.coupling or Coupling()
     coupling.check(system.components)
     if coupling.adaptive is None:
-        times = grid(system, trace, step, start, stop, record.step)
+        times = grid(system, trace, step, start, stop, record.step, execution.accuracy is not None)
         if driving and guarded(system, coupling):
             times = with_events(times, driving.table.corners())
     else:
@@ -286,6 +337,7 @@ def run_to_file(
     record_step: float | None = None,
     coupling: Mapping[str, Any] | None = None,
     every_point: bool = True,
+    default_accuracy: float | None = None,
     cut: Sequence[str] = (),
     swap: Mapping[str, str] | None = None,
     accept: Callable[[System, Grid, RowLayout], None] | None = None,
@@ -299,17 +351,23 @@ def run_to_file(
     record_step   [s]; default: the largest multiple of the step up to 5 ms, at least one step
     coupling      the user's choices, with the names of the fields of `Coupling`
     every_point   without a record step an adaptive run records every communication point, else every 5 ms
+    default_accuracy   of a run without an accuracy, if neither the user nor the system chooses step or
+                       coupling, and the FMUs declare what the estimate of errors needs
     cut           patterns of inputs whose connections are removed before anything else
     swap          replaced FMUs: component -> name of a variant, or path
     accept        called before the first step with the system, the times and the signals that the file will
                   have; a Problem that it raises ends the run
     """
     start_process()
-    file = TraceFile(out)
+    choices = {name: options.pop(name) for name in {f.name for f in fields(Execution)} & options.keys()}
+    execution = replace(Execution(progress=True), **choices)
     loaded = with_swaps(load(require_system(system)).without(*cut), swap or {})
+    if execution.accuracy is None and default_accuracy and chooses_freely(loaded, step, coupling):
+        execution = replace(execution, accuracy=default_accuracy)
+    search = accuracy_search(loaded, execution, {"step": step, **(coupling or {})})
     loaded = loaded.coupled(coupling) if coupling else loaded
     interval = record_step
-    if record_step is None and loaded.coupling and loaded.coupling.adaptive is not None:
+    if record_step is None and (search or (loaded.coupling and loaded.coupling.adaptive is not None)):
         interval = None if every_point else RECORD_STEP
     elif record_step is None:
         interval = record_interval(step_length(loaded, step))
@@ -320,26 +378,43 @@ def run_to_file(
         "cut": cut,
         "swap": swap,
         **options,
+        **choices,
         **(coupling or {}),
     }
     given["scenario"] = None if isinstance(scenario, Trace) else scenario
-    job, times = prepare(loaded, scenario, step=step, record_step=interval, progress=True, **options)
-    if accept is not None:
-        file.accept = partial(accept, job.system, times)
-    result, summary = None, ""
-    try:
-        outcome = simulate(job, times, file)
-        with DeferredInterrupts(second_at_once=False) as interrupts:
-            result, summary = _published(job, times, outcome, file, given, interrupts.check)
-        return with_error_estimate(job, times, result) if job.execution.error_estimate else result, summary
-    except KeyboardInterrupt as interrupt:  # the library of the command line would drop its message
-        file.close()
-        if result:  # the file is complete
-            print(result.card.text())
-        raise Stopped(str(interrupt) or summary) from None
-    except BaseException:
-        file.close()
-        raise
+    options["record"] = Record(step=interval)
+    while True:
+        file = TraceFile(out)
+        if search:
+            job, times = prepare_trial(search, loaded, scenario, execution=execution, **options)
+        else:
+            job, times = prepare(loaded, scenario, step=step, execution=execution, **options)
+        if accept is not None:
+            file.accept = partial(accept, job.system, times)
+        result, summary = None, ""
+        try:
+            outcome = simulate(job, times, file)
+            with DeferredInterrupts(second_at_once=False) as interrupts:
+                result, summary = _published(job, times, outcome, file, given, interrupts.check, search)
+            if result is None:
+                continue
+            estimate = execution.error_estimate and not search
+            return with_error_estimate(job, times, result) if estimate else result, summary
+        except KeyboardInterrupt as interrupt:  # the library of the command line would drop its message
+            file.close()
+            if result:  # the file is complete
+                print(result.card.text())
+            raise Stopped(str(interrupt) or summary) from None
+        except BaseException:
+            file.close()
+            raise
+
+
+def chooses_freely(system: System, step: float | None, coupling: Mapping[str, Any] | None) -> bool:
+    """May a default accuracy choose the coupling, because neither the user nor the system does?"""
+    suggestion = system.suggestion
+    chosen = step is not None or coupling or suggestion.step or suggestion.coupling or suggestion.refusal
+    return not chosen and estimates_errors(system)
 
 
 def _published(
@@ -349,14 +424,20 @@ def _published(
     file: TraceFile,
     given: Mapping[str, Any],
     check: Callable[[], None],
-) -> tuple[Result, str]:
-    """Give the file of a complete run its name; raises RunFailed or Interrupted for another one."""
+    search: AccuracySearch | None,
+) -> tuple[Result | None, str]:
+    """Give the file of a complete run its name; raises RunFailed or Interrupted for another one.
+
+    The result is None if the search needs another run.
+    """
     try:
         result = finished(
             job, times, outcome, file, file.trace(file.path if outcome.complete else file.partial)
         )
     except (RunFailed, Interrupted) as ended:
         file.close()
+        if search and isinstance(ended, RunFailed) and search.goes_on():
+            return None, ""
         if file.partial.is_file():  # CSV; Parquet contains the units
             with suppress(OSError):  # the disk may be full
                 text = metadata_text(ended.result, file.sha256, given, file.layout)
@@ -365,6 +446,11 @@ def _published(
         summary = _summary(ended.result.card, file, file.partial)
         print(f"{ended.result.card.text()}\n\nthe run ended early; the trace{end} is in {summary}")
         raise
+    accurate = search.judge(result) if search else result
+    if accurate is None:
+        file.close()
+        return None, ""
+    result = accurate
     file.origin = metadata_text(result, "", given, file.layout)
     complete, digest = file.finish(check)
     file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file.layout)})

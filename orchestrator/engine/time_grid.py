@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import isfinite, ulp
+from math import ceil, isfinite, ulp
 
 from orchestrator.base.coupling import OVERRIDE_HINT
 from orchestrator.base.errors import Problem
@@ -67,11 +67,18 @@ def grid(
     start: float | None,
     stop: float | None,
     record_step: float | None = None,
+    fitted: bool = False,
 ) -> Grid:
-    """The communication points of equal steps; default values are suggestions of the system and its FMUs."""
+    """The communication points of equal steps; default values are suggestions of the system and its FMUs.
+
+    fitted   shorten the step so that it divides the record step, else the time span
+    """
     begin, end = _span(system, scenario, start, stop)
     with _naming_suggestion(system, step):
         step = step_length(system, step)
+        if fitted:
+            whole = record_step or end - begin
+            step = whole / ceil(whole / step * (1.0 - 1e-9))
         points = _whole_steps(begin, end, step)
     points = replace(points, every=_steps_per_record(record_step, step))
     return (

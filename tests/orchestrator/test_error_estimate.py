@@ -90,12 +90,12 @@ class Propagation(LinearSystem):
     def __init__(self, n, m):
         super().__init__(n, m)
         self.e, self.stages = np.zeros(self.n_padded), np.zeros((STAGES, self.n_padded))
-        self.inverse, self.defects = np.zeros((n, self.n_padded)), np.zeros((m, 2))
+        self.factors, self.defects = np.zeros((n, self.n_padded)), np.zeros((m, 2))
         self.w = np.zeros(self.m_padded)
 
     def prepare(self):
         self.binding = Binding()
-        arrays = self.binding.all_at(self, "e stages inverse w defects")
+        arrays = self.binding.all_at(self, "e stages factors w defects")
         self.state = self.binding.h.ErrorPropagation(system=self.system_struct(self.binding), **arrays)
         library().linear_system_join(byref(self.state.system))
 
@@ -125,9 +125,13 @@ def test_errors_are_carried_with_order_four(direct):
         p.a[:, :n], p.b[:, :n], p.c[:, :m], p.d[:, :m] = a.T, b.T, c.T, d.T
         p.prepare()
         p.e[:n] = start[:n]
+        h = 0.4 / steps
         for step in range(steps):
-            p.defects[:] = np.stack([line[:, 0] + line[:, 1] * 0.4 * step / steps, line[:, 1]], axis=1)
-            p.advance(0.4 / steps)
+            first, slope = line[:, 0] + line[:, 1] * h * step, line[:, 1]
+            p.defects[:] = np.stack(
+                [first * h + slope * h**2 / 2, first * h**2 / 2 + slope * h**3 / 3], axis=1
+            )
+            p.advance(h)
         return np.abs(p.e[:n] - truth).max()
 
     errors = np.array([solved(steps) for steps in (4, 8, 16)])

@@ -139,9 +139,9 @@ typedef struct LinearPrediction { /* see linear_prediction.c */
     LinearSystem system;
     Program rate_reads, state_reads; /* read the time derivatives of the states into f, the states into x */
     const int32_t *kinds, *inputs; /* of each input: PREDICTED, ...; its coupling input, or -1: the FMU moves it */
-    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *response, *forcing, *v, *v_slope, *stages, *inverse;
+    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *response, *forcing, *v, *v_slope, *stages, *factors;
     int32_t leading_count, lag, age;
-    double age_seconds, last_step, inverse_step;
+    double age_seconds, last_step, factors_step;
 } LinearPrediction;
 
 /* A component of the error propagation. copies: errors of inputs that influence no state, from indices in y to indices
@@ -161,21 +161,22 @@ typedef struct InputStep { /* an input over a step of the master */
 
 typedef struct ErrorInput { /* an input of the error propagation, over the last three steps */
     InputStep before, step, last;
-    double usual_bend;                  /* largest `bend` before, faded */
+    double usual_bend, usual_slope;     /* largest `bend` and slope of the source before, faded */
     int32_t input, substeps, predicted; /* its coupling input, or -1: no defect; substeps of its component */
 } ErrorInput;
 
 /* Errors of n states (e) and of the outputs (y), from the defects of m inputs; see error_propagation.c.
- * lengths: of the last three steps [s]; squares, largest: sum of squares and largest magnitude of each element of y;
- * diagonal: of A + B K C at the linearisation before */
+ * defects, shape (m, 2): integral of the defect over the section so far, and its first moment about the start; lengths: of the last three steps [s]; squares, largest: time integral of the square and largest magnitude of each
+ * element of y; diagonal: of A + B K C at the linearisation before */
 typedef struct ErrorPropagation {
     LinearSystem system;
     const ErrorMember *members;
     ErrorInput *inputs;
-    double *e, *stages, *inverse, *w, *defects, *y, *squares, *largest, *lengths, *diagonal;
+    double *e, *stages, *factors, *w, *defects, *y, *squares, *largest, *lengths, *diagonal;
     int32_t member_count, output_count, lag, longest_lag, age, sample, since_sample;
-    int64_t samples;
-    double inverse_step;
+    int32_t longest_section, taken; /* steps of a section: at most, and so far */
+    double section;                 /* its length so far [s] */
+    double factors_step, time, since; /* time of the last evaluation of y from the start, time since then [s] */
 } ErrorPropagation;
 
 /* One input of a component that changes inside a communication step; all values in the unit of the input */
@@ -381,6 +382,8 @@ static inline void vector_copy(double *to, const double *from, int32_t n) {
 void matrix_add_product(const double *matrix, const double *by, double *to, int32_t columns, int32_t n_padded);
 void matrix_identity_minus(double *a, const double *matrix, double factor, int32_t n, int32_t n_padded);
 EXPORT int32_t matrix_invert(double *a, int32_t *pivots, int32_t n, int32_t n_padded);
+EXPORT int32_t matrix_factorise(double *a, int32_t *pivots, int32_t n, int32_t n_padded);
+EXPORT void matrix_solve(const double *a, const int32_t *pivots, double *b, int32_t n, int32_t n_padded);
 StateSpace state_space(const LinearSystem *);
 int linear_system_evaluate(Simulation *, const LinearSystem *);
 EXPORT void linear_system_join(LinearSystem *);

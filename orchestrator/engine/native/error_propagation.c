@@ -8,16 +8,20 @@
  * H: cubic through both ends; y4: fourth derivative of the source, from the third derivatives of H in neighbouring
  * steps. If the slope of the source changes much more than in the steps around, H is replaced by two straight lines
  * with a corner. For an input that linear_prediction.c has predicted, H(s) - u(s) is replaced by the deviation of the
- * source from the prediction; the last term, by that of a cubic through thirds of the step. To first order the errors e = truth - computed of all states are those of the linear system
+ * source from the prediction; the last term, by that of a cubic through thirds of the step. To first order the errors
+ * e = truth - computed of all states are those of the linear system
  *
  *     e' = (A + B K C) e + B d(s)                                                          (linear_system.c)
  *
  * There is no K before d, because outputs with feed-through are known for inputs without defect.
- * It is solved by one step of the L-stable Runge-Kutta method of order 4 with five stages and the same diagonal element
- * gamma (Hairer and Wanner, Solving Ordinary Differential Equations II, table 6.5), where d(s) is the straight line with
- * the same mean and the same first moment. The system is linearised anew every `lag` steps, which is adapted to its
- * changes, and at corners. e is one step behind the run, because a defect needs the step that follows. Every `sample`
- * steps the errors of the outputs follow from e by directional derivatives. Errors inside the FMUs are not included.
+ *
+ * A section consists of as many steps as change the slopes of the sources by a part of their magnitude. Over a section
+ * d(s) is the straight line with the same mean and the same first moment, and the system is solved by one step of the
+ * L-stable Runge-Kutta method of order 4 with five stages and the same diagonal element gamma (Hairer and Wanner, Solving
+ * Ordinary Differential Equations II, table 6.5). The system is linearised anew every `lag` steps, which is adapted to
+ * its changes, and at corners. e is one step behind the run, because a defect needs the step that follows. After
+ * `sample` steps the errors of the outputs follow from e by directional derivatives. Errors inside the FMUs are not
+ * included.
  */
 
 #include <math.h>
@@ -42,6 +46,9 @@ static const double CORNER = 4.0, FADING = 0.9;
 /* Largest diagonal element of A + B K C times h. While a cavity collapses, the element is positive and grows to the
  * inverse of the remaining time, where the method would amplify an error without limit. */
 static const double GROWTH = 0.25;
+/* Change of the slopes over a section, over their magnitude; the magnitude of past steps fades by the second factor. */
+static const double RESOLVED = 0.8, SLOPE_FADING = 0.95;
+static const double COMPARABLE = 0.3; /* shortest step over the next one from which a fourth derivative follows */
 static const double MUCH = 0.3, LITTLE = 0.1; /* relative change of a diagonal element that halves, doubles the lag */
 
 /* The line nearest to a course that is straight up to a corner at tau [s] and straight from there on. */
@@ -74,6 +81,8 @@ static void note_step(const CouplingInput *s, ErrorInput *p, double h) {
     }
     input_true_course(s, h, course);
     step->third = course[DEGREE], step->bend = fabs(s->slope_end - s->slope) / h;
+    if (s->source_slope)
+        p->usual_slope = larger(SLOPE_FADING * p->usual_slope, larger(fabs(s->slope), fabs(s->slope_end)));
     step->smooth = s->source_slope && !s->autonomous && s->history_order > 1;
     if (s->predicted && s->source_slope) {
         find_prediction_error(s, h, step->line);
@@ -86,60 +95,80 @@ static void note_step(const CouplingInput *s, ErrorInput *p, double h) {
     for (int i = 0; i < 2; i++) step->line[i] = course[i] - used[i], step->corner[i] -= used[i];
 }
 
-/* The defect of an input in the step before the last one; 1: its source has a corner there. */
-static int find_defect(const ErrorInput *p, const double h[], double d[]) {
-    const InputStep *before = &p->before, *step = &p->step, *after = &p->last;
-    memcpy(d, step->line, sizeof step->line);
-    if (step->has_corner && step->bend > CORNER * larger(p->usual_bend, after->bend)) {
-        memcpy(d, step->corner, sizeof step->corner);
-        return 1;
-    }
-    if (!step->smooth || !before->smooth) return 0;
-    const double left = (step->third - before->third) / (h[0] + h[1]);
-    const double right = (after->third - step->third) / (h[1] + h[2]);
-    const double fourth = 12.0 * (fabs(left) > fabs(right) ? left : right);
-    d[0] += h[1] * h[1] * h[1] * h[1] * fourth / (p->predicted ? -6480.0 : 720.0);
-    return 0;
+/* Does the source have a corner in the step before the last one? */
+static int has_corner(const ErrorInput *p) {
+    return p->step.has_corner && p->step.bend > CORNER * larger(p->usual_bend, p->last.bend);
 }
 
-/* B times constant and slope of the defects, shape (2, n). */
-static void find_forcing(const ErrorPropagation *p, double *forcing) {
+/* The defect of an input in the step before the last one. */
+static void find_defect(const ErrorInput *p, const double h[], double d[]) {
+    const InputStep *before = &p->before, *step = &p->step, *after = &p->last;
+    memcpy(d, has_corner(p) ? step->corner : step->line, sizeof step->line);
+    if (has_corner(p) || !step->smooth || !before->smooth) return;
+    double change = 0.0; /* of the third derivative; a much shorter step does not resolve it */
+    if (h[0] > COMPARABLE * h[1]) change = (step->third - before->third) / (h[0] + h[1]);
+    if (h[2] > COMPARABLE * h[1]) {
+        const double right = (after->third - step->third) / (h[1] + h[2]);
+        if (fabs(right) > fabs(change)) change = right;
+    }
+    const double fourth = 12.0 * change;
+    d[0] += h[1] * h[1] * h[1] * h[1] * fourth / (p->predicted ? -6480.0 : 720.0);
+}
+
+/* Adds the line d over a step of length h [s], which begins at `start` [s], to the defect over the section. */
+static void add_defect(double sum[], const double d[], double start, double h) {
+    const double mean = d[0] + d[1] * h / 2.0;
+    sum[0] += mean * h;
+    sum[1] += h * (mean * (start + h / 2.0) + d[1] * h * h / 12.0);
+}
+
+/* The line over a section of length h [s] with the same integral and the same first moment. */
+static void find_line(const double sum[], double h, double d[]) {
+    d[1] = 12.0 * (sum[1] - sum[0] * h / 2.0) / (h * h * h);
+    d[0] = sum[0] / h - d[1] * h / 2.0;
+}
+
+/* B times constant and slope of the defects over a section of length h [s], shape (2, n). */
+static void find_forcing(const ErrorPropagation *p, double h, double *forcing) {
     const LinearSystem *system = &p->system;
     vector_zero(forcing, 2 * system->n_padded);
     for (int k = 0; k < 2; k++) {
         vector_zero(p->w, system->m_padded);
-        for (int32_t i = 0; i < system->m; i++) p->w[i] = p->defects[2 * i + k];
+        for (int32_t i = 0; i < system->m; i++) {
+            double d[LINE + 1];
+            find_line(&p->defects[2 * i], h, d);
+            p->w[i] = d[k];
+        }
         matrix_add_product(state_space(system).b, p->w, forcing + k * system->n_padded, system->m, system->n_padded);
     }
 }
 
 static void prepare(ErrorPropagation *p, double h) {
-    if (!p->system.usable || fabs(h - p->inverse_step) <= SAME_STEP * h) return;
-    p->inverse_step = h;
+    if (!p->system.usable || fabs(h - p->factors_step) <= SAME_STEP * h) return;
+    p->factors_step = h;
     for (int32_t i = 0; i < p->system.n; i++) {
         double *diagonal = &p->system.closed_loop[i * p->system.n_padded + i];
         *diagonal = smaller(*diagonal, GROWTH / h);
     }
-    matrix_identity_minus(p->inverse, p->system.closed_loop, GAMMA * h, p->system.n, p->system.n_padded);
-    p->system.usable = matrix_invert(p->inverse, p->system.pivots, p->system.n, p->system.n_padded);
+    matrix_identity_minus(p->factors, p->system.closed_loop, GAMMA * h, p->system.n, p->system.n_padded);
+    p->system.usable = matrix_factorise(p->factors, p->system.pivots, p->system.n, p->system.n_padded);
 }
 
 /* Advances the errors of the states over a step of length h [s]. */
 void error_advance(ErrorPropagation *p, double h) {
     const int32_t n = p->system.n, n_padded = p->system.n_padded;
-    double *base = p->stages, *rhs = base + n_padded, *forcing = rhs + n_padded, *rates = forcing + 2 * n_padded;
+    double *base = p->stages, *forcing = base + n_padded, *rates = forcing + 2 * n_padded;
     prepare(p, h);
     if (!p->system.usable) return;
-    find_forcing(p, forcing);
+    find_forcing(p, h, forcing);
     for (int k = 0; k < STAGES; k++) {
         double *rate = rates + k * n_padded; /* the stage, then h de/ds there */
         vector_copy(base, p->e, n_padded);
         for (int j = 0; j < k; j++)
             for (int32_t i = 0; i < n_padded; i++) base[i] += WEIGHTS[k][j] * rates[j * n_padded + i];
         for (int32_t i = 0; i < n_padded; i++)
-            rhs[i] = base[i] + GAMMA * h * (forcing[i] + NODES[k] * h * forcing[n_padded + i]);
-        vector_zero(rate, n_padded);
-        matrix_add_product(p->inverse, rhs, rate, n, n_padded);
+            rate[i] = base[i] + GAMMA * h * (forcing[i] + NODES[k] * h * forcing[n_padded + i]);
+        matrix_solve(p->factors, p->system.pivots, rate, n, n_padded);
         if (k == STAGES - 1) vector_copy(p->e, rate, n_padded);
         for (int32_t i = 0; i < n_padded; i++) rate[i] = (rate[i] - base[i]) / GAMMA;
     }
@@ -165,10 +194,10 @@ static int sample(Simulation *sim, ErrorPropagation *p) {
             if (verdict) return verdict;
         }
     for (int32_t i = 0; i < p->output_count; i++) {
-        p->squares[i] += p->y[i] * p->y[i];
+        p->squares[i] += p->y[i] * p->y[i] * p->since;
         p->largest[i] = larger(p->largest[i], fabs(p->y[i]));
     }
-    p->samples++;
+    p->time += p->since, p->since = 0.0;
     return CONTINUE;
 }
 
@@ -179,7 +208,7 @@ static int relinearise(Simulation *sim, ErrorPropagation *p) {
     const int verdict = linear_system_evaluate(sim, &p->system);
     if (verdict) return verdict;
     linear_system_join(&p->system);
-    p->inverse_step = 0.0;
+    p->factors_step = 0.0;
     double change = 0.0;
     const double least = 1.0 / (p->lag * p->lengths[2]);
     for (int32_t i = 0; i < n && p->lengths[2] > 0.0; i++) {
@@ -194,19 +223,50 @@ static int relinearise(Simulation *sim, ErrorPropagation *p) {
 
 int error_begin(Simulation *sim) { return relinearise(sim, sim->errors); }
 
-/* Advances the errors over the step before the last one, which is known to be accepted. */
-static int advance(Simulation *sim, ErrorPropagation *p) {
-    int corners = 0;
-    for (int32_t i = 0; i < p->system.m; i++) corners += find_defect(&p->inputs[i], p->lengths, &p->defects[2 * i]);
-    if (corners) {
-        const int verdict = relinearise(sim, p);
-        if (verdict) return verdict;
-    }
-    error_advance(p, p->lengths[1]);
-    p->age++, p->since_sample++;
+/* Advances the errors over the section. */
+static int end_section(Simulation *sim, ErrorPropagation *p) {
+    if (!p->taken) return CONTINUE;
+    error_advance(p, p->section);
+    memset(p->defects, 0, 2 * (size_t)p->system.m * sizeof *p->defects);
+    p->since += p->section, p->since_sample += p->taken;
+    p->section = 0.0, p->taken = 0;
     if (p->since_sample < p->sample) return CONTINUE;
     p->since_sample = 0;
     return sample(sim, p);
+}
+
+/* The number of steps in which the slopes of the sources, and with them the errors, change by a part of their
+ * magnitude. */
+static int32_t steps_together(const ErrorPropagation *p) {
+    double sum = 0.0;
+    int32_t count = 0;
+    for (int32_t i = 0; i < p->system.m; i++) {
+        const ErrorInput *input = &p->inputs[i];
+        if (input->input < 0 || !(input->usual_slope > 0.0)) continue;
+        const double change = larger(input->step.bend, input->usual_bend) * p->lengths[1] / input->usual_slope;
+        sum += change * change;
+        count++;
+    }
+    if (sum == 0.0) return 1;
+    return (int32_t)smaller(RESOLVED / sqrt(sum / count), p->longest_section);
+}
+
+/* Adds the step before the last one, which is known to be accepted, to the section. At a corner a new one begins. */
+static int advance(Simulation *sim, ErrorPropagation *p) {
+    const double h = p->lengths[1];
+    int corners = 0, verdict = CONTINUE;
+    for (int32_t i = 0; i < p->system.m; i++) corners += has_corner(&p->inputs[i]);
+    if (corners) verdict = end_section(sim, p);
+    if (corners && !verdict) verdict = relinearise(sim, p);
+    if (verdict) return verdict;
+    for (int32_t i = 0; i < p->system.m; i++) {
+        double d[LINE + 1];
+        if (p->inputs[i].input < 0) continue;
+        find_defect(&p->inputs[i], p->lengths, d);
+        add_defect(&p->defects[2 * i], d, p->section, h);
+    }
+    p->section += h, p->taken++, p->age++;
+    return corners || p->taken >= steps_together(p) ? end_section(sim, p) : CONTINUE;
 }
 
 /* Takes note of an accepted step of length h [s], before its end becomes the beginning of the next one. */
@@ -220,6 +280,5 @@ int error_propagate(Simulation *sim, double h) {
         if (input->input >= 0) note_step(&sim->inputs[input->input], input, h);
     }
     int verdict = p->lengths[1] > 0.0 ? advance(sim, p) : CONTINUE;
-    if (!verdict && p->age >= p->lag) verdict = relinearise(sim, p);
-    return verdict;
+    return verdict || p->taken || p->age < p->lag ? verdict : relinearise(sim, p);
 }

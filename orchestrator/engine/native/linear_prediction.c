@@ -6,8 +6,8 @@
  *
  * where w(s) are the changes of the inputs whose course over the step is given. The system
  * is solved up to h/3, 2h/3 and h by one step each of the L-stable Runge-Kutta method of order 3 whose three stages
- * have the same diagonal element (Alexander 1977, SIAM J. Numer. Anal. 14(6) 1006-1021). All stages use the matrix
- * W = 1 / (1 - gamma h/3 (A + B K C)),  which is kept as long as the linearisation and h.
+ * have the same diagonal element (Alexander 1977, SIAM J. Numer. Anal. 14(6) 1006-1021). All stages use the triangular
+ * factors of  1 - gamma h/3 (A + B K C),  which are kept as long as the linearisation and h.
  *
  * The drift is the error of an old linearisation. Until now it has grown in proportion to the age T of the
  * linearisation, and it is assumed to do so over the step: drift(s) = q (T s + s^2/2).
@@ -21,9 +21,9 @@
  *
  * In LinearPrediction: f, x: derivatives and values of the states. w: given inputs, course: their coefficients of s, s^2
  * and s^3, shape (3, m); response: K times course; forcing: B times response. v: changes of all inputs until h/3, 2h/3
- * and h, v_slope: slopes at h. inverse: W. f0, x0, w0: values at the previous communication point. age: steps since the linearisation,
- * age_seconds: time since then [s]. last_step: length of the previous step [s], inverse_step: of the one that W is made
- * for.
+ * and h, v_slope: slopes at h. f0, x0, w0: values at the previous communication point. age: steps since the
+ * linearisation, age_seconds: time since then [s]. last_step: length of the previous step [s], factors_step: of the one
+ * that the factors are made for.
  */
 
 #include <math.h>
@@ -56,10 +56,10 @@ void prediction_find_drift(const LinearPrediction *p) {
 }
 
 void prediction_prepare(LinearPrediction *p, double h) {
-    if (!p->system.usable || fabs(h - p->inverse_step) <= SAME_STEP * h) return;
-    p->inverse_step = h;
-    matrix_identity_minus(p->inverse, p->system.closed_loop, GAMMA * (h / 3.0), p->system.n, p->system.n_padded);
-    p->system.usable = matrix_invert(p->inverse, p->system.pivots, p->system.n, p->system.n_padded);
+    if (!p->system.usable || fabs(h - p->factors_step) <= SAME_STEP * h) return;
+    p->factors_step = h;
+    matrix_identity_minus(p->factors, p->system.closed_loop, GAMMA * (h / 3.0), p->system.n, p->system.n_padded);
+    p->system.usable = matrix_factorise(p->factors, p->system.pivots, p->system.n, p->system.n_padded);
 }
 
 /* Value at s of polynomial i with the coefficients c of s, s^2 and s^3. */
@@ -69,9 +69,9 @@ static double polynomial_at(const double *c, int32_t i, int32_t n, double s) {
 
 void prediction_solve(const LinearPrediction *p) {
     const int32_t n_padded = p->system.n_padded, m_padded = p->system.m_padded;
-    double *d = p->stages, *base = d + n_padded, *stage = base + n_padded, *rhs = stage + n_padded;
-    double *rates[] = {rhs + n_padded, rhs + 2 * n_padded, rhs + 3 * n_padded};
-    const double delta = p->inverse_step / 3.0, diagonal = GAMMA * delta;
+    double *d = p->stages, *base = d + n_padded, *stage = base + n_padded;
+    double *rates[] = {stage + n_padded, stage + 2 * n_padded, stage + 3 * n_padded};
+    const double delta = p->factors_step / 3.0, diagonal = GAMMA * delta;
     vector_zero(d, n_padded);
     vector_zero(p->forcing, 3 * n_padded);
     for (int k = 0; k < 3; k++) {
@@ -88,9 +88,8 @@ void prediction_solve(const LinearPrediction *p) {
                 for (int32_t i = 0; i < n_padded; i++) base[i] += weight * rates[j][i];
             }
             for (int32_t i = 0; i < n_padded; i++)
-                rhs[i] = base[i] + diagonal * (p->f[i] + drift * p->q[i] + polynomial_at(p->forcing, i, n_padded, s));
-            vector_zero(stage, n_padded);
-            matrix_add_product(p->inverse, rhs, stage, p->system.n, n_padded);
+                stage[i] = base[i] + diagonal * (p->f[i] + drift * p->q[i] + polynomial_at(p->forcing, i, n_padded, s));
+            matrix_solve(p->factors, p->system.pivots, stage, p->system.n, n_padded);
             for (int32_t i = 0; i < n_padded; i++) rates[k][i] = (stage[i] - base[i]) / diagonal;
         }
         vector_copy(d, stage, n_padded);
@@ -98,7 +97,7 @@ void prediction_solve(const LinearPrediction *p) {
         for (int32_t i = 0; i < m_padded; i++) v[i] = polynomial_at(p->response, i, m_padded, delta * (third + 1));
         matrix_add_product(p->system.kc, d, v, p->system.n, m_padded);
     }
-    const double h = p->inverse_step;
+    const double h = p->factors_step;
     for (int32_t i = 0; i < m_padded; i++)
         p->v_slope[i] = p->response[i] + h * (2.0 * p->response[m_padded + i] + 3.0 * h * p->response[2 * m_padded + i]);
     matrix_add_product(p->system.kc, rates[2], p->v_slope, p->system.n, m_padded);
@@ -133,7 +132,7 @@ int predict_inputs(Simulation *sim, double h) {
         verdict = linear_system_evaluate(sim, &p->system);
         if (verdict) return verdict;
         linear_system_join(&p->system);
-        p->inverse_step = 0.0, p->age = 0, p->age_seconds = 0.0;
+        p->factors_step = 0.0, p->age = 0, p->age_seconds = 0.0;
     }
     if (p->lag > 1) prediction_find_drift(p);
     prediction_prepare(p, h);

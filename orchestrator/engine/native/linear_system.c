@@ -68,6 +68,65 @@ int32_t matrix_invert(double *a, int32_t *pivots, int32_t n, int32_t n_padded) {
     return 1;
 }
 
+static void subtract_part(double *restrict to, const double *restrict from, double factor, int32_t first, int32_t end) {
+    for (int32_t i = first; i < end; i++) to[i] -= from[i] * factor;
+}
+
+/* Replaces a matrix by its triangular factors, with the inverse of each pivot; 0 if it is singular. */
+int32_t matrix_factorise(double *a, int32_t *pivots, int32_t n, int32_t n_padded) {
+    for (int32_t k = 0; k < n; k++) {
+        double *column = a + k * n_padded;
+        int32_t best = k;
+        for (int32_t i = k + 1; i < n; i++)
+            if (fabs(column[i]) > fabs(column[best])) best = i;
+        pivots[k] = best;
+        if (best != k) exchange(a + k, a + best, n, n_padded);
+        if (column[k] == 0.0 || !(fabs(column[k]) < INFINITY)) return 0;
+        const double inverse = column[k] = 1.0 / column[k];
+        for (int32_t i = k + 1; i < n; i++) column[i] *= inverse;
+        for (int32_t j = k + 1; j < n; j++) {
+            double *other = a + j * n_padded;
+            if (other[k] != 0.0) subtract_part(other, column, other[k], k + 1, n);
+        }
+    }
+    return 1;
+}
+
+/* block -= part of the columns `from` to `end` of a matrix, times x */
+static void subtract_product(const double *rows, const double *x, double block[], int32_t from, int32_t end, int32_t n_padded) {
+    for (int32_t j = from; j < end; j++)
+        for (int i = 0; i < BLOCK; i++) block[i] -= rows[j * n_padded + i] * x[j];
+}
+
+/* Solves a x = b with the factors of a, by blocks of rows; x replaces b. */
+void matrix_solve(const double *a, const int32_t *pivots, double *b, int32_t n, int32_t n_padded) {
+    double block[BLOCK];
+    for (int32_t k = 0; k < n; k++) {
+        const double old = b[k];
+        b[k] = b[pivots[k]], b[pivots[k]] = old;
+    }
+    for (int32_t first = 0; first < n_padded; first += BLOCK) {
+        const double *rows = a + first;
+        const int32_t count = n - first < BLOCK ? n - first : BLOCK;
+        memcpy(block, b + first, sizeof block);
+        subtract_product(rows, b, block, 0, first, n_padded);
+        for (int32_t k = 0; k < count; k++)
+            for (int32_t i = k + 1; i < count; i++) block[i] -= rows[(first + k) * n_padded + i] * block[k];
+        memcpy(b + first, block, sizeof block);
+    }
+    for (int32_t first = n_padded - BLOCK; first >= 0; first -= BLOCK) {
+        const double *rows = a + first;
+        const int32_t count = n - first < BLOCK ? n - first : BLOCK;
+        memcpy(block, b + first, sizeof block);
+        subtract_product(rows, b, block, first + count, n, n_padded);
+        for (int32_t k = count - 1; k >= 0; k--) {
+            block[k] *= rows[(first + k) * n_padded + k];
+            for (int32_t i = 0; i < k; i++) block[i] -= rows[(first + k) * n_padded + i] * block[k];
+        }
+        memcpy(b + first, block, sizeof block);
+    }
+}
+
 /* a = the identity matrix minus `factor` times a matrix */
 void matrix_identity_minus(double *a, const double *matrix, double factor, int32_t n, int32_t n_padded) {
     for (int32_t i = 0; i < n; i++)

@@ -1,0 +1,195 @@
+"""`AccuracySearch`: finds coupling, step and FMU tolerance for an accuracy that the user asks for.
+
+Runs follow each other until the estimated error of one is small enough. The first settings follow from the
+accuracy and from what the FMUs can do, later ones from the error of the last run:
+
+- FMUs with directional derivatives: each run estimates its error (`error_propagation`). Equal steps come
+  first. If their error is too large, shorter ones follow that the order of convergence gives, and adaptive
+  steps by `hermite` where these would be short.
+- other FMUs: equal steps, halved until the change by halving is small enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+from orchestrator.base.coupling import Coupling
+from orchestrator.base.errors import Problem
+from orchestrator.engine.result import Result, SignalError, compare
+from orchestrator.engine.time_grid import step_length
+from orchestrator.ssp.dependencies import influential_inputs
+from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
+from orchestrator.ssp.system import System
+
+RANGE = 1e-6, 0.1  # of an accuracy
+# Largest estimated error that is accepted, over the accuracy: estimates are not exact, least for `hermite`.
+MARGIN, MARGIN_HERMITE = 0.8, 0.5
+AIM = 0.45  # error that a further run aims at, over the accuracy
+MOST_RUNS = 10
+FMU_TOLERANCE = 1e-2  # of the solvers in FMUs, over the accuracy
+TIGHTEST, LOOSEST = 1e-8, 1e-4  # limits of that tolerance
+LEAST_RANGE = 1e-3  # to which errors are relative, over the nominal value
+# First run by least accuracy: coupling, and its step over the one that the system suggests. On the machine
+# these steps suffice in two thirds of the cases, and no others do so at a lower cost.
+FIRST = (
+    (3e-3, Coupling("gauss-seidel"), 10),
+    (3e-4, Coupling("gauss-seidel", order=2), 5),
+    (0.0, Coupling("hermite"), 5),
+)
+SHORT_STEP = 1.5  # over the suggested one; below it adaptive steps are cheaper
+FIRST_TOLERANCE = 0.1  # of adaptive steps, over the accuracy and the ratio of the last error to it
+STRICTEST = 1e-10  # tolerance of adaptive steps
+ORDER = 2.0  # assumed order of convergence
+HALVED_STEP = 10  # first step of halving over the suggested one
+UNSTABLE = 50.0  # error over the accuracy from which a step is taken for unstable
+MOST_DIVISIONS = 10.0  # of a step, or of a tolerance, between two runs
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run of the search uses; step [s]: None for adaptive steps; tolerance: of the FMUs."""
+
+    coupling: Coupling
+    step: float | None
+    tolerance: float
+
+
+class AccuracySearch:
+    """The runs until one is accurate enough.
+
+    settings   of the next run
+    """
+
+    def __init__(
+        self, system: System, accuracy: float, patterns: Sequence[str], tolerance: float | None
+    ) -> None:
+        """patterns: names of the outputs whose RMS error over their range is to be at most `accuracy`.
+
+        Default: velocities of power bonds, else all outputs.
+        tolerance: of the FMUs; default: by the accuracy.
+
+        Raises Problem for an accuracy out of range and for patterns without outputs.
+        """
+        low, high = RANGE
+        if not low <= accuracy <= high:
+            raise Problem(f"accuracy: expected {low:g} to {high:g}, got {accuracy:g}")
+        interfaces = [component.interface for component in system.components.values()]
+        self.accuracy, self.signals = accuracy, decisive_signals(system, patterns)
+        nominals = {name: system.variable(system.port(name)).nominal for name in self.signals}
+        self._scales = {name: LEAST_RANGE * abs(nominal or 0.0) for name, nominal in nominals.items()}
+        self._base, self._runs = step_length(system.coupled(Coupling()), None), 0
+        self._previous: Result | None = None
+        self._tolerance = tolerance or min(max(FMU_TOLERANCE * accuracy, TIGHTEST), LOOSEST)
+        self._repeats = all(i.rollback for i in interfaces)
+        self._adapts = self._repeats and all(i.variable_step for i in interfaces)
+        self._estimates = estimates_errors(system)
+        self.settings = self._first()
+
+    def _first(self) -> Settings:
+        if not self._estimates:
+            master = "hermite" if self._repeats else "gauss-seidel"
+            return Settings(Coupling(master), HALVED_STEP * self._base, self._tolerance)
+        coupling, steps = next((c, steps) for least, c, steps in FIRST if self.accuracy >= least)
+        return Settings(coupling, steps * self._base, self._tolerance)
+
+    def judge(self, result: Result) -> Result | None:
+        """The result with a note on its accuracy, or None if another run is needed; see `settings`."""
+        self._runs += 1
+        if self.settings.step is not None:
+            self.settings = replace(self.settings, step=result.card.step)
+        self._estimates &= result.card.errors_of_inputs
+        result, previous, self._previous = self._with_errors(result), self._previous, result
+        error = max((self._relative(e) for e in result.card.errors if e.name in self._scales), default=0.0)
+        known = result.card.errors_of_inputs or previous is not None
+        margin = MARGIN_HERMITE if self.settings.coupling.master == "hermite" else MARGIN
+        if known and error <= margin * self.accuracy:
+            reached = f"estimated RMS error {error:.1e} of the range in run {self._runs}"
+            tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
+            note = f"accuracy {self.accuracy:g} of {_named(self.signals)}: {reached}, {tolerance}"
+            return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
+        self._continue(error if known else math.inf, f"the last run has an error of {error:.1e}")
+        return None
+
+    def goes_on(self) -> bool:
+        """Choose stricter settings after a run that failed; False if there have been too many runs."""
+        self._runs += 1
+        self._next(math.inf)
+        return self._runs < MOST_RUNS
+
+    def _relative(self, e: SignalError) -> float:
+        """The RMS error over the range of a signal, or over a part of its nominal value if that is larger."""
+        span = e.change / e.largest if e.largest else 0.0
+        return e.rms * span / max(span, self._scales[e.name]) if span else 0.0
+
+    def _with_errors(self, result: Result) -> Result:
+        """The result with the errors that follow from the run before, at twice the step."""
+        if result.card.errors_of_inputs or self._previous is None:
+            return result
+        errors = tuple(_of_finer(e) for e in compare(result.trace, self._previous.trace))
+        return replace(result, card=replace(result.card, errors=errors))
+
+    def _continue(self, error: float, reason: str) -> None:
+        if self._runs >= MOST_RUNS:
+            raise Problem(f"accuracy {self.accuracy:g}: not reached in {MOST_RUNS} runs; {reason}")
+        self._next(error)
+
+    def _next(self, error: float) -> None:
+        """Change the settings after a run with this error."""
+        last, excess = self.settings, error / self.accuracy
+        if last.coupling.adaptive is not None:
+            ratio = within(AIM / excess, 1.0 / MOST_DIVISIONS, 0.5)
+            self.settings = self._adaptive(last.coupling.adaptive * ratio)
+            return
+        assert last.step is not None
+        if not self._estimates:
+            self.settings = replace(last, step=last.step / 2)
+            return
+        ratio = within((AIM / excess) ** (1.0 / ORDER), 1.0 / MOST_DIVISIONS, 0.7)
+        step = last.step * (0.5 if excess > UNSTABLE else ratio)
+        if self._adapts and (last.coupling.master == "hermite" or step < SHORT_STEP * self._base):
+            self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy / within(excess, 1.0, UNSTABLE))
+        else:
+            self.settings = Settings(Coupling("gauss-seidel"), step, self._tolerance)
+
+    def _adaptive(self, tolerance: float) -> Settings:
+        return Settings(Coupling("hermite", adaptive=max(tolerance, STRICTEST)), None, self._tolerance)
+
+
+def within(value: float, low: float, high: float) -> float:
+    """The nearest value between both limits."""
+    return min(max(value, low), high)
+
+
+def _of_finer(e: SignalError) -> SignalError:
+    """The error of the finer of two runs, from the change between them."""
+    part = 1.0 / (2.0**ORDER - 1.0)
+    return replace(e, change=part * e.change, rms=part * e.rms, largest=part * e.largest)
+
+
+def _named(signals: Sequence[str]) -> str:
+    return signals[0] if len(signals) == 1 else f"{signals[0]} and {len(signals) - 1} more"
+
+
+def estimates_errors(system: System) -> bool:
+    """Do the FMUs declare what the estimate of errors during a run needs?"""
+    fed = {port.component for port in influential_inputs(system)} & {
+        c.target.component for c in system.connections
+    }
+    return bool(fed) and all(system.components[name].interface.linearisable for name in fed)
+
+
+def decisive_signals(system: System, patterns: Sequence[str] = ()) -> list[str]:
+    """The outputs that match; without patterns the velocities of power bonds, else all outputs."""
+    names = [str(p) for p in system.ports("output") if system.variable(p).is_continuous]
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise Problem(f"accuracy of {pattern}: expected continuous outputs of the system, found none")
+    if patterns:
+        return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+    units = {bond.flow: system.variable(bond.flow).unit for bond in find_bonds(system)}
+    speeds = {port for port, unit in units.items() if unit and unit.dimension in (VELOCITY, ANGULAR_VELOCITY)}
+    sources = {str(c.source) for c in system.connections if c.target in speeds}
+    return [name for name in names if name in sources] or names
