@@ -133,12 +133,14 @@ void input_correct(CouplingInput *s, double h, double length) {
 
 /* ---- the source at communication points ---------------------------------------------------------------- */
 
-/* Sets the value and the slope of the source at the start of the run. */
+/* Sets the value and the slope of the source at the start of the run. Some FMUs give NaN for slopes before their first
+ * step. */
 void input_begin(CouplingInput *s, double value, double slope) {
-    s->value = value, s->slope = slope;
+    const int known = s->source_slope && isfinite(slope);
+    s->value = value, s->slope = known ? slope : 0.0;
     s->scale = larger(s->scale, fabs(value));
-    s->history_order = s->source_slope ? 1 : 0;
-    cubic(s->c, value, slope, 0.0, 0.0);
+    s->history_order = known;
+    cubic(s->c, value, s->slope, 0.0, 0.0);
 }
 
 /* The slope at the end of the step, by divided differences of the last four values (at the start three or two). */
@@ -153,7 +155,7 @@ static double backward_slope(const CouplingInput *s, double h, double length, do
 /* Sets the source at the end of the step; `before`: length of the step before the previous one [s]. */
 void input_set_end(CouplingInput *s, double value, double slope, double h, double length, double before) {
     s->value_end = value;
-    s->slope_end = s->source_slope ? slope : backward_slope(s, h, length, before);
+    s->slope_end = s->source_slope && isfinite(slope) ? slope : backward_slope(s, h, length, before);
 }
 
 /* The source over the step, along the computed solution: the cubic through both ends. */
