@@ -1,4 +1,4 @@
-"""`python -m benchmarks.peers`: measures, prints the tables, writes build/peers.json."""
+"""`python -m benchmarks.peers`: measures, prints the tables, writes build/peers.json, .csv and .png."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.peers.cases import Case, cases
+from benchmarks.peers.figure import draw, write_csv
 from benchmarks.peers.inside import inside
 from benchmarks.peers.machine import describe
 from benchmarks.peers.measure import Job, jobs
@@ -40,13 +41,17 @@ def main() -> None:
         sep="\n\n",
     )
     told = {"machine": about, "repeats": asked.repeats, "clock": asked.clock, "cases": {}}
+    measured = []
     with tempfile.TemporaryDirectory() as folder:
-        for case in cases(Path(folder)):
-            if not asked.case or case.name in asked.case:
-                told["cases"][case.name] = _measured(case, settings, asked, console)
+        for case in cases(Path(folder), asked.foreign and asked.foreign.resolve(), asked.case or ()):
+            todo: list[Job] = list(jobs(case, settings, asked.clock))
+            told["cases"][case.name] = _measured(case, settings, todo, asked.repeats, console)
+            measured.append((case, todo))
+    files = [asked.out.with_suffix(suffix) for suffix in (".json", ".csv", ".png")]
     asked.out.parent.mkdir(parents=True, exist_ok=True)
-    asked.out.write_text(json.dumps(told, indent=1, default=str), encoding="utf-8")
-    console.print(f"written: {asked.out}")
+    files[0].write_text(json.dumps(told, indent=1, default=str), encoding="utf-8")
+    draw(write_csv(measured, files[1]), files[2])
+    console.print("written:", *files)
 
 
 def _arguments() -> argparse.Namespace:
@@ -55,9 +60,17 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--clock", choices=("wall", "cpu"), default="wall", help="cpu: for a machine that others use"
     )
-    parser.add_argument("--case", action="append", help="wired, cut or oscillator; all by default")
+    parser.add_argument(
+        "--case", action="append", help="wired, cut, m1, oscillator, motor or truck; all by default"
+    )
+    parser.add_argument("--foreign", type=Path, help="folder of the FMUs of motor and truck: see others.py")
     parser.add_argument("--only", action="append", help="a part of the names of settings; all by default")
-    parser.add_argument("--out", type=Path, default=Path("build/peers.json"))
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("build/peers.json"),
+        help="its suffix is replaced; in the .csv and .png systems that are not run stay",
+    )
     return parser.parse_args()
 
 
@@ -74,15 +87,16 @@ def _installed(settings: Sequence[Setting], console: Console) -> list[Setting]:
 
 
 def _measured(
-    case: Case, settings: Sequence[Setting], asked: argparse.Namespace, console: Console
+    case: Case, settings: Sequence[Setting], todo: Sequence[Job], repeats: int, console: Console
 ) -> dict[str, object]:
     """All runs of a case; its table is printed."""
-    todo: list[Job] = list(jobs(case, settings, asked.clock))
-    for _ in track(range(asked.repeats), description=case.name, console=console, transient=True):
+    for _ in track(range(repeats), description=case.name, console=console, transient=True):
         for job in todo:
             job.repeat()
     found = {s.label: [job for job in todo if job.setting is s] for s in settings}
     console.print(table(case, settings, found))
+    if not case.own:
+        return plain(case, settings, found)
     spent = inside(case)
     parts = ", ".join(f"{part} {time:.2f}" for part, time in spent.items())
     console.print(f"inside the FMUs, us per step, called from C: {sum(spent.values()):.2f} ({parts})\n")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from fmus.export.compile import FLAGS
 
-PACKAGES = ("harvester-cosim", "fmpy", "ecospy", "libcosimpy", "numpy", "ziglang")
+PACKAGES = ("harvester-cosim", "fmpy", "pyfmi", "OMSimulator", "ecospy", "libcosimpy", "numpy", "ziglang")
 
 
 def describe() -> dict[str, str]:

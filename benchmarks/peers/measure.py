@@ -53,6 +53,8 @@ class Job:
             return
         record = self.case.recorded if self.record else ()
         options = {**self.setting.options, self.setting.vary: self.value}
+        if self.setting.vary != "step":  # steps of different lengths
+            options["record_step"] = self.case.sample
         try:
             run = find(self.setting.tool)(
                 self.case.system, self.case.stop, record, self.case.judged, **options

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from fmus.export.compile import PLATFORMS, host, shared_library
+from orchestrator.ssp.assembly import assemble
+from orchestrator.ssp.write import write_ssp
 
 SOURCE = Path(__file__).with_name("mass.c")
 RECORD = ("mass_a.x", "mass_a.force", "mass_b.x")
@@ -31,23 +33,7 @@ MODEL = """<?xml version="1.0" encoding="UTF-8"?>
 <ModelStructure><Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>
 </fmiModelDescription>
 """
-SYSTEM = """<?xml version="1.0" encoding="UTF-8"?>
-<ssd:SystemStructureDescription xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon"
-  xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
-  xmlns:osp="http://opensimulationplatform.com/SSP/OSPAnnotations" version="1.0" name="oscillator">
-<ssd:System name="oscillator">
-<ssd:Elements>{components}</ssd:Elements>
-<ssd:Connections>
-<ssd:Connection startElement="mass_a" startConnector="force" endElement="mass_b" endConnector="force"/>
-<ssd:Connection startElement="mass_b" startConnector="x" endElement="mass_a" endConnector="x2"/>
-</ssd:Connections>
-</ssd:System>
-<ssd:DefaultExperiment startTime="0" stopTime="10"><ssd:Annotations>
-<ssc:Annotation type="com.opensimulationplatform"><osp:Algorithm>
-<osp:FixedStepAlgorithm baseStepSize="0.001"/></osp:Algorithm></ssc:Annotation>
-</ssd:Annotations></ssd:DefaultExperiment>
-</ssd:SystemStructureDescription>
-"""
+WIRES = ("mass_a.force -> mass_b.force", "mass_b.x -> mass_a.x2")
 # name -> its variables by value reference: (name, unit, depends on the input)
 MASSES = {
     "mass_a": (("x2", "m", False), ("x", "m", False), ("v", "m/s", False), ("force", "N", True)),
@@ -57,12 +43,9 @@ MASSES = {
 
 def build(folder: Path) -> Path:
     """Write oscillator.ssp."""
-    target = folder / "oscillator.ssp"
-    with zipfile.ZipFile(target, "w") as archive:
-        archive.writestr("SystemStructure.ssd", SYSTEM.format(components="".join(map(_component, MASSES))))
-        for number, name in enumerate(MASSES):
-            archive.write(_fmu(folder, name, number), f"resources/{name}.fmu")
-    return target
+    fmus = {name: _fmu(folder, name, number) for number, name in enumerate(MASSES)}
+    system = assemble(fmus, WIRES, name="oscillator", stop=10.0, step=1e-3)
+    return write_ssp(system, folder / "oscillator.ssp")
 
 
 def exact(time: np.ndarray) -> np.ndarray:
@@ -103,13 +86,3 @@ def _description(name: str) -> str:
         for k, (_, _, feeds) in enumerate(outputs, start=2)
     )
     return MODEL.format(name=name, variables=variables, unknowns=unknowns)
-
-
-def _component(name: str) -> str:
-    kinds = ("input", "output", "output", "output")
-    connectors = "".join(
-        f'<ssd:Connector name="{n}" kind="{kind}"><ssc:Real unit="{unit}"/></ssd:Connector>'
-        for kind, (n, unit, _) in zip(kinds, MASSES[name], strict=False)
-    )
-    head = f'name="{name}" type="application/x-fmu-sharedlibrary" source="resources/{name}.fmu"'
-    return f"<ssd:Component {head}><ssd:Connectors>{connectors}</ssd:Connectors></ssd:Component>"

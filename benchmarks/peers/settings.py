@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from inspect import signature
 from typing import Any
 
-from orchestrator import Coupling
+from orchestrator import Coupling, run
 
 USUAL = 1e-3  # s; here the cost of a step is compared, with and without recording
 
@@ -14,15 +15,22 @@ USUAL = 1e-3  # s; here the cost of a step is compared, with and without recordi
 PLAIN = {
     "wired": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 8e-3, 1e-2),
     "cut": (1e-4, 2e-4, 5e-4, 1e-3),
+    "m1": (2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2),
     "oscillator": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2),
+    "motor": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2),
+    "truck": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3),
 }
-# FMPy takes a fraction of a millisecond for a step
-SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3)}
+# for tools that take a fraction of a millisecond for a step
+SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3), "cut": (2e-4, 5e-4, 1e-3)}
 # where slopes are exchanged and steps repeated
-LARGE = {case: (1e-3, 2e-3, 5e-3, 1e-2, 2e-2) for case in PLAIN}
+LARGE = {case: (1e-3, 2e-3, 5e-3, 1e-2, 2e-2) for case in PLAIN} | {
+    "truck": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3)
+}
 LARGEST = {case: (5e-3, 1e-2, 2e-2, 4e-2) for case in ("wired", "cut")}
 LAGGED = Coupling("interface-jacobian", lag=5)
-ONE_PASS = {case: (1e-3, 2e-3, 5e-3, 8e-3, 1e-2) for case in PLAIN}
+UNGUARDED = Coupling("interface-jacobian", lag=5, guard=0.0)
+ONE_PASS = LARGE | {case: (1e-3, 2e-3, 5e-3, 8e-3, 1e-2) for case in ("wired", "cut", "oscillator")}
+ACCURACIES = {case: (1e-6, 1e-5, 1e-4, 1e-3, 1e-2) for case in PLAIN}
 ONCE = {case: (USUAL,) for case in PLAIN}
 
 
@@ -34,6 +42,7 @@ class Setting:
     values    case -> values of the option `vary`; a case that is not there is left out
     options   of the tool's `run`; for ours those of `orchestrator.run`
     vary      the option that goes through the values, from the finest to the coarsest
+    drawn     label in the figure; empty: not drawn
     """
 
     label: str
@@ -41,6 +50,7 @@ class Setting:
     values: Mapping[str, tuple[float, ...]]
     options: Mapping[str, Any] = field(default_factory=dict)
     vary: str = "step"
+    drawn: str = ""
 
     @property
     def ours(self) -> bool:
@@ -49,25 +59,30 @@ class Setting:
 
 
 PEERS = (
-    Setting("FMPy", "fmpy_ssp", SLOW),
-    Setting("Ecos", "ecos", PLAIN),
+    Setting("FMPy", "fmpy_ssp", SLOW, drawn="FMPy"),
+    Setting("PyFMI", "pyfmi_master", SLOW, drawn="PyFMI"),
+    Setting("PyFMI of order 1", "pyfmi_master", SLOW, {"order": 1}, drawn="PyFMI, order 1"),
+    Setting("OMSimulator", "omsimulator", SLOW, drawn="OMSimulator"),
+    Setting("Ecos", "ecos", PLAIN, drawn="Ecos"),
     Setting("Ecos, one thread", "ecos", ONCE, {"threads": 1}),
-    Setting("libcosim, no worker", "libcosim", PLAIN, {"workers": 0}),
+    Setting("libcosim, no worker", "libcosim", PLAIN, {"workers": 0}, drawn="libcosim"),
     Setting("libcosim, 1 worker", "libcosim", ONCE, {"workers": 1}),
 )
+ORDER_3 = Coupling("gauss-seidel", 3)
+TWO_PASSES = Coupling("hermite", passes=2)
 OURS = (
-    Setting("jacobi", "ours", PLAIN, {"master": "jacobi"}),
-    Setting("gauss-seidel", "ours", PLAIN, {"master": "gauss-seidel"}),
-    Setting("gauss-seidel of order 3", "ours", ONE_PASS, {"master": Coupling("gauss-seidel", 3)}),
+    Setting("jacobi", "ours", PLAIN, {"master": "jacobi"}, drawn="jacobi"),
+    Setting("gauss-seidel", "ours", PLAIN, {"master": "gauss-seidel"}, drawn="gauss-seidel"),
+    Setting("gauss-seidel of order 3", "ours", ONE_PASS, {"master": ORDER_3}),
+    Setting("order 3, FMUs at 1e-3", "ours", ONE_PASS, {"master": ORDER_3, "tolerance": 1e-3}),
+    Setting("hermite", "ours", LARGE, {"master": "hermite"}, drawn="hermite"),
+    Setting("hermite, 2 passes", "ours", LARGE, {"master": TWO_PASSES}),
+    Setting("2 passes, FMUs at 1e-3", "ours", LARGE, {"master": TWO_PASSES, "tolerance": 1e-3}),
     Setting(
-        "order 3, FMUs at 1e-3", "ours", ONE_PASS, {"master": Coupling("gauss-seidel", 3), "tolerance": 1e-3}
+        "interface-jacobian", "ours", LARGE, {"master": "interface-jacobian"}, drawn="interface-jacobian"
     ),
-    Setting("hermite", "ours", LARGE, {"master": "hermite"}),
-    Setting("hermite, 2 passes", "ours", LARGE, {"master": Coupling("hermite", passes=2)}),
-    Setting(
-        "2 passes, FMUs at 1e-3", "ours", LARGE, {"master": Coupling("hermite", passes=2), "tolerance": 1e-3}
-    ),
-    Setting("interface-jacobian", "ours", LARGE, {"master": "interface-jacobian"}),
     Setting("lag 5, FMUs at 1e-4", "ours", LARGEST, {"master": LAGGED, "tolerance": 1e-4}),
+    Setting("the same without guard", "ours", LARGEST, {"master": UNGUARDED, "tolerance": 1e-4}),
 )
-SETTINGS = PEERS + OURS
+CHOSEN = Setting("--accuracy", "ours", ACCURACIES, vary="accuracy", drawn="--accuracy")
+SETTINGS = (*PEERS, *OURS, *((CHOSEN,) if "accuracy" in signature(run).parameters else ()))

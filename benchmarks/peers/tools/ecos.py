@@ -47,7 +47,7 @@ def run(
 
 
 def _name(signal: str) -> str:
-    return signal.replace(".", "::")
+    return signal.replace(".", "::", 1)
 
 
 def _read(file: Path, step: float, judged: Sequence[str], spent: Spent, steps: int) -> Run:
