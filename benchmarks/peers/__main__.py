@@ -69,7 +69,7 @@ def _arguments() -> argparse.Namespace:
         "--out",
         type=Path,
         default=Path("build/peers.json"),
-        help="its suffix is replaced; in the .csv and .png systems that are not run stay",
+        help="systems that are not run stay in the .csv",
     )
     return parser.parse_args()
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.transforms import Bbox
 
 from benchmarks.peers.cases import ORDER, Case
 from benchmarks.peers.measure import Job
@@ -36,7 +38,7 @@ PEERS = {
 }
 COLOURS = {**OURS, **PEERS, "--accuracy": "#111111"}
 SIZE, DPI = (10.0, 11.5), 110  # inches
-GAP = 0.042  # of the height of a panel, between the middles of two labels
+FONT = 8  # points, of the names of lines
 
 
 def write_csv(measured: Sequence[tuple[Case, Sequence[Job]]], path: Path) -> list[Row]:
@@ -68,17 +70,23 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     height = -(-len(systems) // 2)
     style = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.titlesize": 10}
     with plt.rc_context(style):
-        figure, grid = plt.subplots(height, 2, figsize=(SIZE[0], SIZE[1] * height / 3), squeeze=False)
+        figure, grid = plt.subplots(
+            height, 2, figsize=(SIZE[0], SIZE[1] * height / 3), squeeze=False, dpi=DPI
+        )
+        panels = {}
         for axes, system in zip(grid.flat, systems, strict=False):
-            _panel(axes, [row for row in rows if row["system"] == system])
+            panels[axes] = _panel(axes, [row for row in rows if row["system"] == system])
         for axes in grid.flat[len(systems) :]:
             axes.axis("off")
         figure.tight_layout(w_pad=2.5, h_pad=1.8)
+        for axes, lines in panels.items():
+            _label(axes, lines)
         figure.savefig(path, dpi=DPI)
         plt.close(figure)
 
 
-def _panel(axes: Axes, rows: Sequence[Row]) -> None:
+def _panel(axes: Axes, rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Draw the lines; return them."""
     lines = _lines(rows)
     for label, points in lines.items():
         peer = label in PEERS
@@ -96,7 +104,7 @@ def _panel(axes: Axes, rows: Sequence[Row]) -> None:
     axes.text(0, 1.02, judged, transform=axes.transAxes, fontsize=8, color="#555555")
     axes.grid(True, which="major", color="#e6e6e6", linewidth=0.7)
     axes.set_axisbelow(True)
-    _label(axes, lines)
+    return lines
 
 
 def _lines(rows: Iterable[Row]) -> dict[str, np.ndarray]:
@@ -110,33 +118,37 @@ def _lines(rows: Iterable[Row]) -> dict[str, np.ndarray]:
 
 
 def _label(axes: Axes, lines: Mapping[str, np.ndarray]) -> None:
-    """Names beside the finest run of each line, moved apart where they would overlap."""
-    if not lines:
-        return
-    low, high = axes.get_xlim()
-    axes.set_xlim(low, high * (high / low) ** 0.38)  # room for the names
-    to_axes = axes.transData + axes.transAxes.inverted()
-    ends = {label: to_axes.transform(points[-1]) for label, points in lines.items()}
-    order = sorted(ends, key=lambda label: float(ends[label][1]))
-    heights = np.array([ends[label][1] for label in order])
-    for _ in range(200):  # push neighbours apart until all keep the gap
-        lacking = GAP - np.diff(heights)
-        if (lacking <= 1e-6).all():
-            break
-        for i in np.flatnonzero(lacking > 0):
-            heights[i] -= lacking[i] / 2
-            heights[i + 1] += lacking[i] / 2
-    heights += max(0.0, 0.01 - heights[0])
-    column = max(float(end[0]) for end in ends.values()) + 0.03
-    for label, height in zip(order, heights, strict=True):
-        axes.annotate(
-            label,
-            ends[label],
-            (column, height),
-            xycoords="axes fraction",
-            textcoords="axes fraction",
-            color=COLOURS[label],
-            fontsize=8,
-            va="center",
-            arrowprops={"arrowstyle": "-", "color": COLOURS[label], "linewidth": 0.5, "alpha": 0.6},
-        )
+    """Names beside points of their lines, where they hide least of all lines and no other name."""
+    axes.margins(x=0.12, y=0.08)
+    axes.autoscale_view()
+    places = {label: axes.transData.transform(points) for label, points in lines.items()}
+    drawn = np.concatenate([_dense(points) for points in places.values()])
+    frame, taken = axes.get_window_extent(), list[Bbox]()
+    point = axes.figure.dpi / 72
+    for label, points in places.items():
+        width, height = 0.62 * FONT * point * len(label), 1.25 * FONT * point
+        boxes = [box for end in points[::-1] for box in _beside(end, width, height, 5 * point)]
+        best = min(boxes, key=lambda box: _hidden(box, drawn, frame, taken))
+        taken.append(best)
+        middle = axes.transData.inverted().transform(((best.x0 + best.x1) / 2, (best.y0 + best.y1) / 2))
+        axes.text(*middle, label, color=COLOURS[label], fontsize=FONT, ha="center", va="center")
+
+
+def _dense(points: np.ndarray) -> np.ndarray:
+    """A point each few pixels of a line, shape (n, 2)."""
+    parts = [np.linspace(a, b, 40) for a, b in pairwise(points)]
+    return np.concatenate([points, *parts])
+
+
+def _beside(point: np.ndarray, width: float, height: float, gap: float) -> list[Bbox]:
+    """Places for a name around a point, the ones at its right first."""
+    sides = [(x, y) for x in (1, 0, -1) for y in (0, 1, -1) if x or y]
+    centres = [point + np.array([x * (width / 2 + gap), y * (height / 2 + gap / 2)]) for x, y in sides]
+    return [Bbox.from_bounds(*(c - (width / 2, height / 2)), width, height) for c in centres]
+
+
+def _hidden(box: Bbox, drawn: np.ndarray, frame: Bbox, taken: Sequence[Bbox]) -> float:
+    """How much of the lines a name hides; more if it covers another name or leaves the panel."""
+    inside = frame.x0 <= box.x0 and box.x1 <= frame.x1 and frame.y0 <= box.y0 and box.y1 <= frame.y1
+    covered = ((drawn >= box.min) & (drawn <= box.max)).all(axis=1).sum()
+    return float(covered) + 1e3 * sum(box.overlaps(other) for other in taken) + (0.0 if inside else 1e4)

@@ -42,14 +42,14 @@ def _valve() -> Subsystem:
     rows = read_trace(EXAMPLE / "m1.csv")
     time, kappa = rows.time, rows["kappa"]
 
-    def observe(x: Any, u: Any, p: Any) -> Any:
+    def observe(x: Any, _u: Any, _p: Any) -> Any:
         value: Scalar = kappa[0]
         for k in np.flatnonzero(np.diff(kappa)):
             share = ca.fmin(ca.fmax((x.clock - time[k]) / (time[k + 1] - time[k]), 0), 1)
             value = value + (kappa[k + 1] - kappa[k]) * share
         return outputs(kappa=value)
 
-    def next_event(x: Any, u: Any, p: Any) -> Scalar:
+    def next_event(x: Any, _u: Any, _p: Any) -> Scalar:
         remaining: Scalar = np.inf
         for corner in time[1:-1][::-1]:
             remaining = ca.if_else(x.clock + 1e-9 < corner, corner - x.clock, remaining)
@@ -61,5 +61,5 @@ def _valve() -> Subsystem:
     groups = (none["ValveParameters"], state, none["ValveInputs"], outputs)
     text = "Valve position of the manoeuvre M1"
     return Subsystem(
-        "valve", text, *groups, lambda x, u, p: state(clock=1), observe, next_event=next_event, stiff=False
+        "valve", text, *groups, lambda *_: state(clock=1), observe, next_event=next_event, stiff=False
     )

@@ -5,8 +5,8 @@
     DC motor        stimuli, machine and mass by Dymola, an example of OMSimulator. From the repository
                     OpenModelica/OMSimulator: testsuite/tests/resources/dcmotor/resources/*.fmu
 
-The FMUs of the truck contain C code, and binaries for Windows only, so they are compiled here. They hold their
-inputs, declare no dependencies and integrate by RK4 at 1 ms or less. Those of the motor contain CVODE.
+The FMUs of the truck contain C code, and binaries for Windows only, so they are compiled here. They hold
+their inputs, declare no dependencies and integrate by RK4 at 1 ms or less. Those of the motor contain CVODE.
 """
 
 from __future__ import annotations

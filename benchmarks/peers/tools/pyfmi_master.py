@@ -1,6 +1,7 @@
 """PyFMI's `Master`: Jacobi with a fixed step, inputs held or extrapolated; results in memory.
 
-It reads no SSP, so FMUs, connections and start values are handed over. Its wall time is the one that it prints.
+It reads no SSP, so FMUs, connections and start values are handed over. Its wall time is that which
+it prints.
 """
 
 from __future__ import annotations
