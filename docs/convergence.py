@@ -2,6 +2,7 @@
 
     python docs/convergence.py                       # builds the machine first
     python docs/convergence.py build/harvester.ssp   # takes one that is built
+    python docs/convergence.py --peers               # only the figure and the table of `make bench-peers`
 
 The same studies by commands: `harvester convergence`, and `python examples/hydraulic_manipulator/steps.py`.
 """
@@ -15,11 +16,10 @@ from pathlib import Path
 
 from orchestrator.base.plotting import png
 from orchestrator.studies.convergence.convergence_study import convergence
-from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
+from orchestrator.studies.convergence.figures import draw_error
 from orchestrator.studies.convergence.runs import ConvergenceStudy
 from orchestrator.studies.convergence.tables import (
     adaptive_table,
-    cost_table,
     error_table,
     maximum_table,
 )
@@ -28,13 +28,31 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
 IMAGES = ROOT / "docs" / "images"
 PAGE = ROOT / "docs" / "convergence.md"
+PEERS = ROOT / "build" / "peers.csv"  # as `make bench-peers` writes it
 STEPS = "0.0005,0.001,0.002,0.005,0.01,0.02"  # [s]
 DPI = 110
 
-sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
+sys.path[:0] = [str(EXAMPLE), str(ROOT)]  # scripts, not installed packages
 
 
 def main() -> None:
+    """Draw and fill in what was asked for."""
+    if PEERS.exists():
+        peers()
+    if "--peers" not in sys.argv:
+        studies()
+
+
+def peers() -> None:
+    """Figure and table of all tools."""
+    from benchmarks.peers.figure import draw, equal_table, read_csv
+
+    rows = read_csv(PEERS)
+    draw(rows, IMAGES / "error-and-cost.png")
+    fill(PAGE, "equal error", equal_table(rows))
+
+
+def studies() -> None:
     """Run both studies, draw, fill in the tables."""
     from machine import build
     from steps import beside_the_published, manipulator
@@ -51,11 +69,9 @@ def main() -> None:
         systems = build(folder / "manipulator")
         benchmark = manipulator(systems["rates"])
         beside_the_published(systems, EXAMPLE / "steps.png")
-    pictures("work-cycle", cycle)
-    pictures("m1", benchmark)
-    for group in ("speed", "pressure"):
-        fill(PAGE, f"work cycle, {group}", error_table(cycle, group).markdown())
-    fill(PAGE, "work cycle, cost", cost_table(cycle).markdown())
+    picture("work-cycle", cycle)
+    picture("m1", benchmark)
+    fill(PAGE, "work cycle, speed", error_table(cycle, "speed").markdown())
     for name, study in (("work cycle", cycle), ("M1", benchmark)):
         if chosen := adaptive_table(study):
             fill(PAGE, f"{name}, adaptive step size", chosen.markdown())
@@ -63,10 +79,9 @@ def main() -> None:
     fill(EXAMPLE / "README.md", "M1, length", maximum_table(benchmark, "position").markdown())
 
 
-def pictures(name: str, study: ConvergenceStudy) -> None:
-    """Error over step, and error over wall time."""
+def picture(name: str, study: ConvergenceStudy) -> None:
+    """Error over step."""
     IMAGES.joinpath(f"convergence-{name}.png").write_bytes(png(draw_error(study), DPI))
-    IMAGES.joinpath(f"convergence-{name}-cost.png").write_bytes(png(draw_work_precision(study), DPI))
 
 
 def fill(document: Path, name: str, table: str) -> None:

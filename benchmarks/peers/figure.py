@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,21 +13,27 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
 from benchmarks.peers.cases import ORDER, Case
-from benchmarks.peers.measure import Job
+from benchmarks.peers.measure import Job, at_error
 
-HEAD = (
-    "system",
-    "title",
-    "setting",
-    "drawn",
-    "option",
-    "value",
-    "error",
-    "ms_per_simulated_second",
-    "problem",
-)
+COST = "ms_per_simulated_second"
+HEAD = ("system", "title", "setting", "drawn", "option", "value", "error", COST, "problem")
 Row = Mapping[str, str]
-OURS = {"jacobi": "#5b9bd5", "gauss-seidel": "#1f6fb4", "hermite": "#0b3c6f", "interface-jacobian": "#00897b"}
+EQUAL = "equal error"
+COLUMNS = {
+    "wired": "work cycle",
+    "cut": "without rate wires",
+    "m1": "M1",
+    "oscillator": "oscillator",
+    "motor": "DC motor",
+    "truck": "quarter truck",
+}
+OURS = {
+    "jacobi": "#5b9bd5",
+    "gauss-seidel": "#1f6fb4",
+    "gauss-seidel order 3": "#3949ab",
+    "hermite": "#0b3c6f",
+    "interface-jacobian": "#00897b",
+}
 PEERS = {
     "FMPy": "#8c8c8c",
     "PyFMI": "#c0504d",
@@ -42,12 +48,11 @@ FONT = 8  # points, of the names of lines
 
 
 def write_csv(measured: Sequence[tuple[Case, Sequence[Job]]], path: Path) -> list[Row]:
-    """A row for each run that is recorded; rows of other systems that the file has stay. All rows."""
-    kept: list[Row] = []
-    if path.exists():
-        with path.open(newline="", encoding="utf-8") as file:
-            kept = [r for r in csv.DictReader(file) if r["system"] not in {c.name for c, _ in measured}]
-    rows = [*kept, *(_row(case, job) for case, jobs in measured for job in jobs if job.record)]
+    """A row for each run that is recorded, and what each setting costs at the target error. Returns all rows,
+    also those of other systems, which stay in the file."""
+    new = {case.name for case, _ in measured}
+    kept = [row for row in read_csv(path) if row["system"] not in new] if path.exists() else []
+    rows = [*kept, *(row for case, jobs in measured for row in _rows(case, jobs))]
     rows.sort(key=lambda row: ORDER.index(row["system"]))
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, HEAD, lineterminator="\n")
@@ -56,12 +61,40 @@ def write_csv(measured: Sequence[tuple[Case, Sequence[Job]]], path: Path) -> lis
     return rows
 
 
+def read_csv(path: Path) -> list[Row]:
+    """All rows."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def _rows(case: Case, jobs: Sequence[Job]) -> Iterator[Row]:
+    yield from (_row(case, job) for job in jobs if job.record)
+    for label in dict.fromkeys(job.setting.label for job in jobs):
+        equal = at_error([job for job in jobs if job.setting.label == label], case.target)
+        if equal:
+            cells = (case.name, case.title, label, "", EQUAL, f"{equal.value:.3g}", f"{case.target:g}")
+            yield dict(zip(HEAD, (*cells, f"{equal.per_second:.3g}", ""), strict=True))
+
+
 def _row(case: Case, job: Job) -> Row:
     setting = job.setting
     error = "" if job.error is None else f"{job.error:.3g}"
     cost = f"{job.per_second:.4g}" if job.runs else ""
     cells = (case.name, case.title, setting.label, setting.drawn, setting.vary, f"{job.value:g}", error, cost)
     return dict(zip(HEAD, (*cells, job.failed.partition("\n")[0]), strict=True))
+
+
+def equal_table(rows: Sequence[Row]) -> str:
+    """Markdown: wall time for a simulated second at equal error, a column for each system."""
+    equal = [row for row in rows if row["option"] == EQUAL]
+    systems = [name for name in ORDER if any(row["system"] == name for row in equal)]
+    targets = {row["system"]: row["error"] for row in equal}
+    heads = [f"{COLUMNS[name]}, {float(targets[name]):.0e}".replace("e-0", "e-") for name in systems]
+    lines = [f"||{'|'.join(heads)}|", f"|---|{'--:|' * len(systems)}"]
+    for label in dict.fromkeys(row["setting"] for row in equal):
+        costs = {row["system"]: row[COST] for row in equal if row["setting"] == label}
+        lines.append(f"|{label}|{'|'.join(costs.get(name, '-') for name in systems)}|")
+    return "\n".join(lines)
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
@@ -111,7 +144,7 @@ def _lines(rows: Iterable[Row]) -> dict[str, np.ndarray]:
     """Label -> cost and error of each run that ended well, shape (n, 2), from the coarsest to the finest."""
     found: dict[str, list[tuple[float, float]]] = {}
     for row in sorted(rows, key=lambda row: -float(row["value"])):
-        numbers = [float(row[name] or "inf") for name in ("ms_per_simulated_second", "error")]
+        numbers = [float(row[name] or "inf") for name in (COST, "error")]
         if row["drawn"] and np.isfinite(numbers).all():
             found.setdefault(row["drawn"], []).append((numbers[0], numbers[1]))
     return {label: np.array(points) for label, points in found.items()}

@@ -73,7 +73,7 @@ TWO_PASSES = Coupling("hermite", passes=2)
 OURS = (
     Setting("jacobi", "ours", PLAIN, {"master": "jacobi"}, drawn="jacobi"),
     Setting("gauss-seidel", "ours", PLAIN, {"master": "gauss-seidel"}, drawn="gauss-seidel"),
-    Setting("gauss-seidel of order 3", "ours", ONE_PASS, {"master": ORDER_3}),
+    Setting("gauss-seidel order 3", "ours", ONE_PASS, {"master": ORDER_3}, drawn="gauss-seidel order 3"),
     Setting("order 3, FMUs at 1e-3", "ours", ONE_PASS, {"master": ORDER_3, "tolerance": 1e-3}),
     Setting("hermite", "ours", LARGE, {"master": "hermite"}, drawn="hermite"),
     Setting("hermite, 2 passes", "ours", LARGE, {"master": TWO_PASSES}),

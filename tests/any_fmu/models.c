@@ -126,6 +126,10 @@ static void rates(const Instance *m, double tau, const double *x, double *dx) {
 
 int derivative(const Instance *m, int reference, double *value) {
     double dx[STATES] = {0};
+    if ((m->model == MASS_A || m->model == MASS_B) && m->i[M_LATE] && m->time == 0) {
+        *value = NAN; /* as FMUs do that estimate slopes from their last step */
+        return 1;
+    }
     if (m->model == MASS_A && reference == A_FORCE) {
         double moves = rate(m) != 0 ? rate(m) : m->slope[0][0] != 0 ? m->slope[0][0] : m->trend;
         *value = m->r[A_COUPLING] * (moves - m->r[A_V]);

@@ -20,7 +20,7 @@ enum Call { ANYWHERE = -1, STEP, GET, SET, SAVE, RESTORE, SLOPE, CURVE }; /* whe
 enum { RATES = REALS - STATES }; /* the last reals of each model are the time derivatives of its states */
 enum { A_X2, A_FORCE, A_X, A_V, A_MASS, A_SPRING, A_COUPLING, A_RATE }; /* MASS_A: x'' = (-k x + F) / m */
 enum { B_FORCE, B_X, B_V, B_MASS, B_SPRING, B_RATE };                   /* MASS_B: x'' = (-k x - F) / m */
-enum { M_HIGHEST };                                             /* both: order of input derivatives they take */
+enum { M_HIGHEST, M_LATE }; /* both: order of input derivatives they take; no slopes before the first step */
 enum { K_V, K_FORCE, K_STRETCH, K_STIFFNESS };                 /* SPRING: stretch' = v, force = k stretch */
 /* SOURCE: y = offset + amplitude sin(omega t) + ramp max(t - bend, 0); tells its slope if it has a ramp */
 enum { S_Y, S_AMPLITUDE, S_OMEGA, S_OFFSET, S_RAMP, S_BEND };

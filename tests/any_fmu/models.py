@@ -71,6 +71,7 @@ STATES = {  # more of the masses: time derivatives of their states
     ],
 }
 HIGHEST = V("highest", "parameter", None, 3, "Integer")  # and the order of input derivatives they take
+LATE = V("late", "parameter", None, 0, "Integer", place=1)  # 1: slopes are NaN before the first step
 RAMP = [V("ramp", "parameter", "m/s", 0.0), V("bend", "parameter", "s", 0.0)]  # of a source, from a corner on
 MODELS: Mapping[str, list[V]] = {
     "mass_a": [
