@@ -21,7 +21,7 @@ PLAIN = {
     "truck": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3),
 }
 # for tools that take a fraction of a millisecond for a step
-SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3), "cut": (2e-4, 5e-4, 1e-3)}
+SLOW = PLAIN | {"wired": (5e-4, 1e-3, 2e-3, 5e-3, 8e-3), "cut": (2e-4, 5e-4, 1e-3, 2e-3)}
 # where slopes are exchanged and steps repeated
 LARGE = {case: (1e-3, 2e-3, 5e-3, 1e-2, 2e-2) for case in PLAIN} | {
     "truck": (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3)
