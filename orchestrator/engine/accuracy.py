@@ -82,7 +82,7 @@ class AccuracySearch:
         self._scales = {name: LEAST_RANGE * abs(nominal or 0.0) for name, nominal in nominals.items()}
         self._base, self._runs = step_length(system.coupled(Coupling()), None), 0
         self._previous: Result | None = None
-        self._tolerance = tolerance or min(max(FMU_TOLERANCE * accuracy, TIGHTEST), LOOSEST)
+        self._tolerance = tolerance or fmu_tolerance(accuracy)
         self._repeats = all(i.rollback for i in interfaces)
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
@@ -156,6 +156,11 @@ class AccuracySearch:
 
     def _adaptive(self, tolerance: float) -> Settings:
         return Settings(Coupling("hermite", adaptive=max(tolerance, STRICTEST)), None, self._tolerance)
+
+
+def fmu_tolerance(accuracy: float) -> float:
+    """The tolerance of the solvers in FMUs for an accuracy."""
+    return within(FMU_TOLERANCE * accuracy, TIGHTEST, LOOSEST)
 
 
 def within(value: float, low: float, high: float) -> float:

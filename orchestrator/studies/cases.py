@@ -12,11 +12,13 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from orchestrator.base.coupling import Coupling
+from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem
 from orchestrator.base.toml import quote_key
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.trace import Trace, read_trace
+from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
+from orchestrator.engine.run import chooses_freely, run
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
@@ -27,6 +29,8 @@ from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.studies.study import Factor, Output, Study, measure_unit
 
 SCENARIO, PARAMETERS = "scenario", "parameters"  # names of choices that are not components
+ACCURACY = 1e-3  # default
+SAFETY = 0.5  # over the accuracy: the error at the start values, because it varies with the samples
 TIME_ROUNDING = 1e-9  # relative to a time that is a sum of steps
 
 Options = tuple[str, ...]  # one option of each choice, in the order of the choices
@@ -46,10 +50,14 @@ Unit = tuple[Sample, ...]  # samples that are run together: one, or a group in l
 
 @dataclass(frozen=True)
 class StudyCase:
-    """The system and scenario of one combination of options, with the values that do not vary."""
+    """The system and scenario of one combination of options, with the values that do not vary.
+
+    tolerance   of the FMUs; None: their own
+    """
 
     system: System
     scenario: Trace | None
+    tolerance: float | None = None
 
 
 def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
@@ -77,6 +85,7 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
         cases = {o: replace(case, system=_with_fixed(study, case.system)) for o, case in cases.items()}
         for case in cases.values():
             _check_limits(study, case.system)
+        cases = {o: _accurate(study, case) for o, case in cases.items()}
         _check_windows(study, [_times(study, case) for case in cases.values()])
     return study, cases
 
@@ -290,6 +299,22 @@ def _checked_numbers(factor: Factor) -> Iterator[tuple[str, float]]:
 def _check_inside(system: System, name: str, where: str, value: float, remark: str = "") -> None:
     for port, conversion in system.targets(name):
         check_bounds(where, system.variable(port), conversion(value), remark)
+
+
+def _accurate(study: Study, case: StudyCase) -> StudyCase:
+    """The case with coupling, step and tolerance that are accurate enough for the signals of the study."""
+    system, accuracy = case.system, study.accuracy
+    if accuracy is None and study.master is None and chooses_freely(system, study.step, None):
+        accuracy = ACCURACY
+    if accuracy is None:
+        return case
+    outputs = set(decisive_signals(system, ["*"]))
+    signals = {str(signal(system, o.signal)) for o in study.outputs}
+    goal = {"accuracy": accuracy * SAFETY, "accuracy_of": sorted(signals & outputs)}
+    result = run(system, case.scenario, stop=study.stop, record_step=study.record_step, **goal)
+    step = result.card.step if result.coupling.adaptive is None else None
+    system = replace(system, suggestion=Suggestion(result.coupling, step))
+    return replace(case, system=system, tolerance=fmu_tolerance(accuracy * SAFETY))
 
 
 def _times(study: Study, case: StudyCase) -> Grid:

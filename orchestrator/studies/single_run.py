@@ -103,6 +103,7 @@ def _options(study: Study, case: StudyCase) -> dict[str, Any]:
     """Arguments of `run` that all samples of a case have in common."""
     return {
         "step": study.step,
+        "tolerance": case.tolerance,
         "stop": study.stop,
         "record": list(dict.fromkeys(str(signal(case.system, o.signal)) for o in study.outputs)),
         "record_step": study.record_step,

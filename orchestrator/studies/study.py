@@ -164,6 +164,8 @@ class Study:
     runs         number of samples; 0 for a grid, where it follows from the values; N of the N (k + 2) runs of
                  saltelli; trajectories of morris, with N (k + 1) runs
     stop, step   stop time and communication step of each run [s]; defaults, also of `master`, as of `run`
+    accuracy     RMS error of the outputs' signals over their range; master and step of all runs follow
+                 from it at the start values; default, if nothing chooses master or step: 1e-3
     fixed        start values of all runs: a value in the unit of the FMU, or (value, unit)
     band_step    interval at which signals are stored [s]
     record_step  sampling interval of the signals for the measures [s]; default: every communication point
@@ -183,6 +185,7 @@ class Study:
     stop: float | None = None
     step: float | None = None
     master: str | None = None
+    accuracy: float | None = None
     factors: tuple[Factor, ...] = ()
     choices: tuple[Choice, ...] = ()
     outputs: tuple[Output, ...] = ()
@@ -244,6 +247,8 @@ class Study:
         """Raise a Problem if the study contradicts itself; its system is not opened."""
         if self.method not in METHODS:
             raise Problem(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if self.accuracy is not None and (self.step is not None or self.master is not None):
+            raise Problem(f"accuracy {self.accuracy:g}: expected no step and no master, which follow from it")
         if not self.outputs:
             raise Problem("outputs: expected at least one, got none")
         if not self.dimensions and not self.crossed:
@@ -295,7 +300,8 @@ def measure_unit(measure: str, unit: str) -> str:
 
 
 KEYS = (
-    *("title", "system", "method", "runs", "seed", "stop", "step", "master", "record_step", "band_step"),
+    *("title", "system", "method", "runs", "seed", "stop", "step", "master", "accuracy"),
+    *("record_step", "band_step"),
     *("time_limit", "memory_limit", "factors", "choices", "outputs", "fixed"),
 )
 
@@ -322,6 +328,7 @@ def read(file: str | Path) -> Study:
             stop=table.number("stop"),
             step=table.number("step", positive=True),
             master=table.text("master"),
+            accuracy=table.number("accuracy", positive=True),
             factors=tuple(_factor(name, t) for name, t in table.tables("factors").items()),
             choices=tuple(_choice(table.table("choices"), name) for name in table.table("choices").data),
             outputs=tuple(_output(name, t) for name, t in table.tables("outputs").items()),

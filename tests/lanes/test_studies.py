@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from orchestrator import Problem
 from orchestrator.studies import Choice, Factor, Output, Study, pool, store, sweep
 from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import prepare, units_of
@@ -80,3 +83,24 @@ def test_a_cluster_runs_one_sample_at_a_time(study):
         units = units_of(prepared, lanes=False)[:2]
         found = [r.run for batch in pool.outcomes(client, prepared.payload, units) for r in batch]
     assert sorted(found) == [0, 1]
+
+
+def test_the_accuracy_of_a_study(study, tmp_path):
+    """Coupling and step follow from the accuracy, and the stored signals of all runs have it."""
+    study = replace(study, accuracy=1e-3)
+    (case,) = prepare(study).payload.cases.values()
+    assert case.system.step > 1e-3
+    assert case.tolerance == pytest.approx(5e-6)
+    found, true = (
+        sweep(s, tmp_path / s.title, workers=2).bands["swing.swing_pressure_a"].to_numpy()
+        for s in (study, replace(study, title="truth", accuracy=None, master="hermite", step=5e-4))
+    )
+    assert np.sqrt(np.mean(np.square(found - true))) <= 1e-3 * np.ptp(true)
+
+
+def test_an_accuracy_and_a_step(study, tmp_path):
+    """Both together are refused."""
+    with pytest.raises(
+        Problem, match=r"accuracy 0\.001: expected no step and no master, which follow from it"
+    ):
+        sweep(replace(study, accuracy=1e-3, step=1e-3), tmp_path / "out")
