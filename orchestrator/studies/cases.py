@@ -310,8 +310,14 @@ def _accurate(study: Study, case: StudyCase) -> StudyCase:
         return case
     outputs = set(decisive_signals(system, ["*"]))
     signals = {str(signal(system, o.signal)) for o in study.outputs}
-    goal = {"accuracy": accuracy * SAFETY, "accuracy_of": sorted(signals & outputs)}
-    result = run(system, case.scenario, stop=study.stop, record_step=study.record_step, **goal)
+    result = run(
+        system,
+        case.scenario,
+        stop=study.stop,
+        record_step=study.record_step,
+        accuracy=accuracy * SAFETY,
+        accuracy_of=sorted(signals & outputs),
+    )
     step = result.card.step if result.coupling.adaptive is None else None
     system = replace(system, suggestion=Suggestion(result.coupling, step))
     return replace(case, system=system, tolerance=fmu_tolerance(accuracy * SAFETY))
