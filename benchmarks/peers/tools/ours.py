@@ -21,12 +21,14 @@ def run(system: Path, stop: float, record: Sequence[str], judged: Sequence[str],
     if not record:
         options["bonds"] = ()
     begin = Spent.until_now()
+    options = {"isolate": False, **options}  # in this process, as the other tools
     result = simulate(loaded(system), stop=stop, record=list(record), **options)
     whole = Spent.until_now() - begin
     card, trace = result.card, result.trace
     # the card knows the wall time of the loop; the processor is taken to serve it as it does the whole call
-    wall = whole.wall - opening(system) if "accuracy" in options else card.wall
-    spent = Spent(wall, wall * whole.cpu / whole.wall)
+    spent = Spent(card.wall, card.wall * whole.cpu / whole.wall)
+    if "accuracy" in options:
+        spent = whole - opening(system)
     if not record:
         return nothing(spent, card.steps)
     return Run(spent, card.steps, trace.time, {name: trace[name] for name in judged})
@@ -39,11 +41,11 @@ def loaded(system: Path) -> System:
 
 
 @cache
-def opening(system: Path) -> float:
-    """Wall time [s] of a run of one step, median of five: what it takes to load and initialise the FMUs."""
+def opening(system: Path) -> Spent:
+    """What it takes to load and initialise the FMUs: the medians of five runs of one step."""
     spent = []
     for _ in range(5):
         begin = Spent.until_now()
-        simulate(loaded(system), stop=1e-3, step=1e-3, master="jacobi")
-        spent.append((Spent.until_now() - begin).wall)
-    return median(spent)
+        simulate(loaded(system), stop=1e-3, step=1e-3, master="jacobi", isolate=False)
+        spent.append(Spent.until_now() - begin)
+    return Spent(median(s.wall for s in spent), median(s.cpu for s in spent))
