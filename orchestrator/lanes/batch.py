@@ -103,11 +103,11 @@ def batch(
     The other arguments are those of `run`, and hold for all machines. A machine that fails does not stop the
     others. Raises Problem for a mistake.
 
-    from orchestrator import batch
+        from orchestrator import batch
 
-    masses = {"manipulator.head_mass": [300.0, 350.0, 400.0]}
-    result = batch("build/harvester.ssp", masses, stop=10.0, record=["manipulator.swing_angle"])
-    print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
+        masses = {"manipulator.head_mass": [300.0, 350.0, 400.0]}
+        result = batch("build/harvester.ssp", masses, stop=10.0, record=["manipulator.swing_angle"])
+        print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
     job, times = prepare(
         system, scenario, master, step, start, stop, swap, sets, set, record,
