@@ -1,6 +1,6 @@
 """From which starts does the joint refinement converge, and how long does it take?
 
-    python -m benchmarks.starts [--starts 8] [--seconds 30]
+    python -m benchmarks.starts [--starts 8] [--seconds 30] [--repeat N]
 
 The same recording of the lumped rig and the same starts, drawn about the truth with a standard deviation of
 30 % for each parameter, by two routes:
@@ -8,6 +8,9 @@ The same recording of the lumped rig and the same starts, drawn about the truth 
     exact         multiple shooting, exact sensitivities of the compiled model: the default
     differences   single shooting, forward differences between runs of the native harvester.fmu, whose
                   states cannot be set
+
+With `--repeat 6` instead the six random starts of `harvester identify --starts 6`, in two ways: each by a
+whole refinement, as before, and by `multistart`, with their times, and the distance to the reference.
 
 Without priors on the parameters, so that only the recording can lead back. A search has converged when it
 ends within one standard deviation of the best end of its route.
@@ -26,6 +29,15 @@ import numpy as np
 from benchmarks.played import Fmu
 from fmus.identification.machine import FREE, nominal, problem
 from fmus.identification.recordings.reading import read, window
+from fmus.identification.refinement.gauss_newton import Options
+from fmus.identification.refinement.multistart import (
+    EVERY,
+    ITERATIONS,
+    SPREAD,
+    multistart,
+    random_start,
+    subsampled,
+)
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.identification.refinement.simulation import BlackBox, SimulationFailed
@@ -71,7 +83,12 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--starts", type=int, default=8)
     parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--repeat", type=int, default=0)
     chosen = parser.parse_args()
+    if chosen.repeat:
+        with tempfile.TemporaryDirectory() as name:
+            compare(task(Path(name), chosen.seconds), chosen.repeat)
+        return
     random = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as name:
         given = task(Path(name), chosen.seconds)
@@ -94,6 +111,32 @@ def main() -> None:
         print()
         for route, ends in found.items():
             print(f"{route}: {_sum(ends)}")
+
+
+def compare(given: EstimationProblem, count: int) -> None:
+    """Print time and results of random starts, by whole refinements and by `multistart`."""
+    refined = refine(given)
+    coarse = subsampled(given, EVERY)
+    options = Options(iterations=ITERATIONS, model_error=any(refined.model_error.values()))
+    random, simulator = np.random.default_rng(0), compiled(coarse)
+    begun = time.process_time(), time.perf_counter()
+    reference = refine(coarse, simulator, options=options, start=refined.z)
+    whole = [
+        refine(coarse, simulator, options=options, start=random_start(coarse, random, SPREAD))
+        for _ in range(count)
+    ]
+    between = time.process_time(), time.perf_counter()
+    found = multistart(refined, count)
+    end = time.process_time(), time.perf_counter()
+    sd = reference.statistics.sd(reference.robust)
+    for name, first, last, apart in (
+        ("refinements", begun, between, [np.max(np.abs(w.z - reference.z) / sd) for w in whole]),
+        ("multistart", between, end, [start.distance for start in found.starts]),
+    ):
+        cpu, wall = (b - a for a, b in zip(first, last, strict=True))
+        times = f"processor time {cpu:6.1f} s, wall time {wall:6.1f} s"
+        print(f"{name:<12} {times}, ends within {max(apart):.1e} standard deviations of the reference")
+    print(f"ratio        {(end[0] - between[0]) / (between[0] - begun[0]):.2f} of the processor time")
 
 
 def _row(one: RefinementResult | None, spent: float) -> str:

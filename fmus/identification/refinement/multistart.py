@@ -9,7 +9,7 @@ import numpy as np
 from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.problem import EstimationProblem
-from fmus.identification.refinement.refine import RefinementResult, compiled, refine
+from fmus.identification.refinement.refine import RefinementResult, compiled, refine, search
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -62,27 +62,28 @@ def multistart(refined: RefinementResult, count: int = 8, spread: float = SPREAD
     same: list[Array] = []
     interrupted = False
 
-    def search(z: Array) -> RefinementResult:
-        result = refine(problem, simulator, options=options, start=z)
-        if result.reason == INTERRUPTED:  # ends all searches
+    def uninterrupted(reason: str) -> None:
+        if reason == INTERRUPTED:  # ends all searches
             raise KeyboardInterrupt
-        return result
 
     try:
-        reference = search(refined.z)
+        reference = refine(problem, simulator, options=options, start=refined.z)
+        uninterrupted(reference.reason)
         sd = reference.statistics.sd(reference.robust)
         for _ in range(count):
             z = random_start(problem, rng, spread)
             try:
-                result = search(z)
+                _, solution, _ = search(problem, simulator, z, options=options)
+                uninterrupted(solution.reason)
             except Problem:  # the model cannot be simulated from there
                 start = RandomStart(problem.by_name(z), {}, float("inf"), float("nan"), 0)
             else:
-                distance = float(np.max(np.abs(result.z - reference.z) / sd))
-                residual, iterations = result.history[-1].residual, len(result.history)
-                start = RandomStart(problem.by_name(z), result.values, distance, residual, iterations)
+                end, history = solution.evaluation.iterate.z, solution.history
+                residual, iterations = history[-1].residual, len(history)
+                distance = float(np.max(np.abs(end - reference.z) / sd))
+                start = RandomStart(problem.by_name(z), problem.by_name(end), distance, residual, iterations)
                 if distance < _SAME:
-                    same.append(result.z)
+                    same.append(end)
             starts.append(start)
     except KeyboardInterrupt:
         interrupted = True

@@ -149,16 +149,33 @@ def refine(
                 if the horizon is not shorter than a segment
     start       initial z, by default that of the problem
     """
-    simulator = simulator or compiled(problem)
+    z = problem.initial() if start is None else start
+    return _result(
+        *search(
+            problem, simulator or compiled(problem), z, segment, horizon, threads, loss, options, progress
+        )
+    )
+
+
+def search(
+    problem: EstimationProblem,
+    simulator: Simulator,
+    start: Array,
+    segment: float = SEGMENT,
+    horizon: float = HORIZON,
+    threads: int = 2,
+    loss: Loss = "linear",
+    options: Options | None = None,
+    progress: Callable[[Iteration], None] | None = None,
+) -> tuple[Shooting, Solution, Priors]:
+    """The search of `refine` alone, from z = `start`: without statistics and simulations of its result."""
     _check(problem, simulator)
     inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
     if not simulator.states:  # initial states of segments cannot be set
         segment = horizon = np.inf
     edges = tuple(cut(run.time, segment) for run in problem.training)
     shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
-    z = problem.initial() if start is None else start
-    solution, prior = _search(shooting, z, horizon if horizon < segment else None, options, progress)
-    return _result(shooting, solution, prior)
+    return shooting, *_search(shooting, start, horizon if horizon < segment else None, options, progress)
 
 
 def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledModel:
