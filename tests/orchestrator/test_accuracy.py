@@ -38,8 +38,10 @@ def test_steps_are_halved_without_an_estimate(moving, exact):
     assert deviation(result, exact) <= 1e-4
 
 
-@pytest.mark.parametrize("asked", [1e-2, 1e-3, 1e-4])
-@pytest.mark.parametrize("variants", [{}, {"boom_stick": "detailed", "supply": "engine_pump"}])
+@pytest.mark.parametrize(
+    ("asked", "variants"),
+    [(1e-2, {}), (1e-4, {}), (1e-3, {"boom_stick": "detailed", "supply": "engine_pump"})],
+)
 def test_the_machine_is_as_accurate_as_asked(fmu_dir, asked, variants):
     """The RMS error of the joint speeds is below the accuracy, against the monolithic solution."""
     inputs = {"time": [0.0, 0.5, 0.8, 2.0], "boom_command": [0.0, 0.0, 4.0, 4.0]}
