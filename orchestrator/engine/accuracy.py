@@ -22,7 +22,7 @@ from orchestrator.engine.result import Result, SignalError, compare
 from orchestrator.engine.time_grid import step_length
 from orchestrator.ssp.dependencies import influential_inputs
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
-from orchestrator.ssp.system import System
+from orchestrator.ssp.system import Port, System
 
 RANGE = 1e-6, 0.1  # of an accuracy
 # Largest estimated error that is accepted, over the accuracy: estimates are not exact, least for `hermite`.
@@ -42,7 +42,7 @@ FIRST = (
 SHORT_STEP = 1.5  # over the suggested one; below it adaptive steps are cheaper
 FIRST_TOLERANCE = 0.1  # of adaptive steps, over the accuracy and the ratio of the last error to it
 STRICTEST = 1e-10  # tolerance of adaptive steps
-ORDER = 2.0  # assumed order of convergence
+ORDER = 2.0  # of convergence of gauss-seidel
 HALVED_STEP = 10  # first step of halving over the suggested one
 UNSTABLE = 50.0  # error over the accuracy from which a step is taken for unstable
 MOST_DIVISIONS = 10.0  # of a step, or of a tolerance, between two runs
@@ -86,6 +86,11 @@ class AccuracySearch:
         self._repeats = all(i.rollback for i in interfaces)
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
+        targets = {connection.target for connection in system.connections}
+        rates = [
+            Port(c.name, r) for c in system.components.values() for r in c.interface.rate_inputs.values()
+        ]
+        self._has_rate_wires = not targets.isdisjoint(rates)
         self.settings = self._first()
 
     def _first(self) -> Settings:
@@ -125,10 +130,13 @@ class AccuracySearch:
         return e.rms * span / max(span, self._scales[e.name]) if span else 0.0
 
     def _with_errors(self, result: Result) -> Result:
-        """The result with the errors that follow from the run before, at twice the step."""
+        """The result with its changes since the run before, at twice the step.
+
+        At order 1 a change is the error of the finer run, at higher orders it is larger.
+        """
         if result.card.errors_of_inputs or self._previous is None:
             return result
-        errors = tuple(_of_finer(e) for e in compare(result.trace, self._previous.trace))
+        errors = compare(result.trace, self._previous.trace)
         return replace(result, card=replace(result.card, errors=errors))
 
     def _continue(self, error: float, reason: str) -> None:
@@ -147,8 +155,12 @@ class AccuracySearch:
         if not self._estimates:
             self.settings = replace(last, step=last.step / 2)
             return
+        unstable = excess > UNSTABLE
+        if unstable and self._adapts and not self._has_rate_wires:  # equal steps would have to be very short
+            self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy)
+            return
         ratio = within((AIM / excess) ** (1.0 / ORDER), 1.0 / MOST_DIVISIONS, 0.7)
-        step = last.step * (0.5 if excess > UNSTABLE else ratio)
+        step = last.step * (0.5 if unstable else ratio)
         if self._adapts and (last.coupling.master == "hermite" or step < SHORT_STEP * self._base):
             self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy / within(excess, 1.0, UNSTABLE))
         else:
@@ -166,12 +178,6 @@ def fmu_tolerance(accuracy: float) -> float:
 def within(value: float, low: float, high: float) -> float:
     """The nearest value between both limits."""
     return min(max(value, low), high)
-
-
-def _of_finer(e: SignalError) -> SignalError:
-    """The error of the finer of two runs, from the change between them."""
-    part = 1.0 / (2.0**ORDER - 1.0)
-    return replace(e, change=part * e.change, rms=part * e.rms, largest=part * e.largest)
 
 
 def _named(signals: Sequence[str]) -> str:
