@@ -185,13 +185,13 @@ class Study:
     stop: float | None = None
     step: float | None = None
     master: str | None = None
-    accuracy: float | None = None
     factors: tuple[Factor, ...] = ()
     choices: tuple[Choice, ...] = ()
     outputs: tuple[Output, ...] = ()
     fixed: Mapping[str, Any] = field(default_factory=dict)
     band_step: float = 0.05
     record_step: float | None = None
+    accuracy: float | None = None
     time_limit: float = field(default=TIME_LIMIT, compare=False)
     memory_limit: float | None = field(default=None, compare=False)
     folder: str = field(default=".", compare=False)
