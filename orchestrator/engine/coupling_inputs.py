@@ -221,7 +221,8 @@ class CouplingInputs:
         for name, component in self._network.components.items():
             names = [p.variable for p in self.ports if p.component == name]
             inputs = self.inputs[first : first + len(names)]
-            component.make_input_writes(first, names, inputs, self._plan.corrected)
+            jumps = self._plan.corrected or self._plan.halves
+            component.make_input_writes(first, names, inputs, jumps)
             first += len(names)
             outputs = {p.variable: i for p, i in self.slope_outputs.items() if p.component == name}
             if outputs:

@@ -122,9 +122,8 @@ class ErrorPropagation:
     def _input_struct(self, h: Any, u: LinearInput) -> Any:
         if u.coupling_input is None:  # the FMU varies it
             return h.ErrorInput(input=-1)
-        predicted = self._coupling.inputs[u.coupling_input].predicted
         substeps = self._network.components[u.target.component].substeps
-        return h.ErrorInput(input=u.coupling_input, predicted=predicted, substeps=substeps)
+        return h.ErrorInput(input=u.coupling_input, substeps=substeps)
 
     def _member_structs(self, binding: Binding) -> Iterator[Any]:
         """An `ErrorMember` of engine.h for each component."""

@@ -217,12 +217,11 @@ class JoinedSystem(LinearSystem):
         self.f, self.x, self.f0, self.x0, self.q = (np.zeros(wide) for _ in range(5))
         self.w, self.w0 = np.zeros(broad), np.zeros(broad)
         self.course, self.response, self.v = (np.zeros((3, broad)) for _ in range(3))
-        self.v_slope = np.zeros(broad)
         self.forcing, self.stages = np.zeros((3, wide)), np.zeros((STAGES, wide))
 
     def struct(self, binding: Binding, **members: Any) -> Any:
         """`LinearPrediction` of engine.h with these arrays and further members."""
-        arrays = "f x w f0 x0 w0 q course response forcing v v_slope stages factors"
+        arrays = "f x w f0 x0 w0 q course response forcing v stages factors"
         system = self.system_struct(binding)
         return binding.h.LinearPrediction(system=system, **binding.all_at(self, arrays), **members)
 

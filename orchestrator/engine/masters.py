@@ -70,6 +70,11 @@ class Plan:
     prediction: Prediction | None = None
 
     @property
+    def halves(self) -> bool:
+        """Do components step in two halves, so that the error of inputs of order 4 can be measured?"""
+        return self.estimates and (self.passes > 1 or self.prediction is not None)
+
+    @property
     def needs_slopes(self) -> bool:
         """Does the master use slopes of outputs?"""
         return self.extrapolation > 0 or self.degree > 1 or self.corrected or self.watches

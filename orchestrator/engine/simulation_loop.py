@@ -154,12 +154,14 @@ class SimulationLoop:
         sim, plan, network, inputs = self.state, self._plan, self._network, self._inputs
         held = inputs.held(order) if plan.sequential else [[] for _ in order]
         for k, (name, component) in enumerate(network.components.items()):
-            last = prediction is not None and k == order[-1]  # no component follows that uses its outputs
+            halved = plan.halves and component.substeps == 1 and not component.fixed_step
+            # of the last one no component uses the outputs in the same step
+            last = prediction is not None and k == order[-1] and not halved
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
             component.output_reads = network.get_output_calls(name) if reads_outputs else []
             component.fill_inputs_and_outputs(self._binding)
-            component.struct.repeated = k in plan.repeated
+            component.struct.repeated, component.struct.halved = k in plan.repeated, halved
         at = self._binding.at
         sim.inputs = self._binding.pointer(inputs.array(self._binding))
         sim.input_count = len(inputs.inputs)

@@ -12,7 +12,7 @@
  *                               predicted inputs keep their prediction
  *     2. held_inputs            inputs that cannot change inside a step get the newest value of their source
  *     3. component_advance      the FMU gets the polynomials and steps
- *     4. set_exact_ends         inputs that it followed at a lower degree are set to the end of their polynomial
+ *     4. set_exact_inputs       inputs that it followed at a lower degree are set to the end of their polynomial
  *     5. output_reads           its new outputs, and their slopes, are read
  *     6. set_source_ends        they become the ends of the inputs that they feed, for the components that follow
  *
@@ -43,34 +43,47 @@ int component_set_inputs(Simulation *sim, Component *p, double begin, double len
     return execute(sim, &p->input_writes);
 }
 
+/* Set the inputs that the FMU could only follow at a lower degree to their polynomials, `at` [s] after the start of the
+ * step, before outputs are read. */
+static int set_exact_inputs(Simulation *sim, const Component *p, double at) {
+    if (!p->simplifies_inputs) return CONTINUE;
+    double *value = p->values, *derivative = p->derivatives;
+    for (int32_t i = 0; i < p->input_count; i++) {
+        const CouplingInput *s = &sim->inputs[p->first_input + i];
+        if (s->requested_degree) *value++ = polynomial_value(s->c, at);
+        for (int32_t k = 0; k < s->fmu_degree && k < s->requested_degree; k++)
+            *derivative++ = k == 0 ? polynomial_slope(s->c, at) : 0.0;
+    }
+    return execute(sim, &p->input_writes);
+}
+
+/* Read the outputs of a component in the middle of the step, for the inputs that they feed. */
+static int read_middle(Simulation *sim, int k, double h) {
+    const Component *p = &sim->components[k];
+    int verdict = set_exact_inputs(sim, p, 0.5 * h);
+    if (!verdict) verdict = execute(sim, &p->output_reads);
+    for (int32_t i = 0; i < sim->input_count; i++) {
+        CouplingInput *s = &sim->inputs[i];
+        if (s->source_component == k) s->middle = sim->reals[s->source] * s->factor + s->offset;
+    }
+    return verdict;
+}
+
 /* Take a component over the communication step, in its own steps; `clock` is the wall time before, and after [s]. */
 int component_advance(Simulation *sim, int k, double h, double *clock) {
     Component *p = &sim->components[k];
-    const int32_t n = p->substeps;
+    const int32_t n = p->halved ? 2 : p->substeps;
     for (int32_t j = 0; j < n; j++) {
         const double begin = h * j / n, end = j == n - 1 ? h : h * (j + 1) / n, now = sim->t + begin;
         int verdict = component_set_inputs(sim, p, begin, end - begin, j == n - 1);
         if (!verdict) verdict = component_step(sim, k, now, p->fixed_step != 0.0 ? p->fixed_step : sim->t + end - now);
+        if (!verdict && p->halved && j == 0) verdict = read_middle(sim, k, h);
         if (verdict) return verdict;
     }
     const double before = *clock;
     *clock = seconds();
     p->busy += *clock - before;
     return CONTINUE;
-}
-
-/* Set the inputs that the FMU could only follow at a lower degree to the end of their polynomials, before outputs are
- * read. */
-static int set_exact_ends(Simulation *sim, const Component *p, double h) {
-    if (!p->simplifies_inputs) return CONTINUE;
-    double *value = p->values, *derivative = p->derivatives;
-    for (int32_t i = 0; i < p->input_count; i++) {
-        const CouplingInput *s = &sim->inputs[p->first_input + i];
-        if (s->requested_degree) *value++ = polynomial_value(s->c, h);
-        for (int32_t k = 0; k < s->fmu_degree && k < s->requested_degree; k++)
-            *derivative++ = k == 0 ? polynomial_slope(s->c, h) : 0.0;
-    }
-    return execute(sim, &p->input_writes);
 }
 
 /* ---- coupling inputs */
@@ -145,7 +158,7 @@ static int gauss_seidel_pass(Simulation *sim, int n, double h) {
         if (!verdict) verdict = execute(sim, &p->held_inputs);
         double clock = seconds(); /* here, so that the time of the component contains no reads of others */
         if (!verdict) verdict = component_advance(sim, k, h, &clock);
-        if (!verdict) verdict = set_exact_ends(sim, p, h);
+        if (!verdict) verdict = set_exact_inputs(sim, p, h);
         if (!verdict) verdict = execute(sim, &p->output_reads);
         if (!verdict) verdict = execute(sim, &p->slope_reads);
         if (verdict) return verdict;
@@ -188,7 +201,7 @@ int communication_step(Simulation *sim, double h, int *passes) {
     if (sim->sequential) return CONTINUE;
     for (int32_t k = 0; k < sim->component_count; k++) {
         if (!sim->components[k].slope_reads.count) continue;
-        const int verdict = set_exact_ends(sim, &sim->components[k], h); /* slopes of outputs may depend on inputs */
+        const int verdict = set_exact_inputs(sim, &sim->components[k], h); /* slopes of outputs may depend on inputs */
         if (verdict) return verdict;
     }
     return CONTINUE;

@@ -139,7 +139,7 @@ typedef struct LinearPrediction { /* see linear_prediction.c */
     LinearSystem system;
     Program rate_reads, state_reads; /* read the time derivatives of the states into f, the states into x */
     const int32_t *kinds, *inputs; /* of each input: PREDICTED, ...; its coupling input, or -1: the FMU moves it */
-    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *response, *forcing, *v, *v_slope, *stages, *factors;
+    double *f, *x, *w, *f0, *x0, *w0, *q, *course, *response, *forcing, *v, *stages, *factors;
     int32_t leading_count, lag, age;
     double age_seconds, last_step, factors_step;
 } LinearPrediction;
@@ -156,13 +156,14 @@ typedef struct ErrorMember {
 typedef struct InputStep { /* an input over a step of the master */
     double line[LINE + 1], corner[LINE + 1]; /* constant and slope of the defect, without and with a corner of the source */
     double third, bend;                /* of the source: third derivative / 6, and mean magnitude of the second one */
+    int32_t measured;                  /* the source is known in the middle, too */
     int32_t smooth, has_corner;        /* the source has slopes; it may have a corner inside the step */
 } InputStep;
 
 typedef struct ErrorInput { /* an input of the error propagation, over the last three steps */
     InputStep before, step, last;
     double usual_bend, usual_slope;     /* largest `bend` and slope of the source before, faded */
-    int32_t input, substeps, predicted; /* its coupling input, or -1: no defect; substeps of its component */
+    int32_t input, substeps;            /* its coupling input, or -1: no defect; substeps of its component */
 } ErrorInput;
 
 /* Errors of n states (e) and of the outputs (y), from the defects of m inputs; see error_propagation.c.
@@ -197,9 +198,9 @@ typedef struct CouplingInput {
     double scale;             /* magnitude: the nominal value (1 if none is declared), or the largest if larger */
     double value, slope;      /* of the source at the beginning of the step */
     double value_end, slope_end;
+    double middle;            /* of the source in the middle of the step, if its component is `halved` */
     double slope_before, chord_before, bend_before; /* of the previous step: slope at its beginning, mean slope, divided
                                                        difference of second order */
-    double predicted_slope;   /* slope at the end of the prediction */
     double expected, weight;  /* value at the end that the past lets expect, and weight of the difference to it */
     double deficit;           /* mean of the source less mean of the input over the last step */
     double correction;        /* part of c[0] that compensates the deficit */
@@ -217,6 +218,7 @@ typedef struct Component { /* a running FMU; do_step NULL: Python steps it, save
     int32_t fmi;
     int32_t never_restored;
     int32_t substeps;                   /* its own steps in one communication step */
+    int32_t halved;                     /* it takes two of them, and its outputs between them are read */
     int32_t first_input, input_count;   /* its coupling inputs */
     int32_t sets_values;                /* values of the inputs are set, not only derivatives */
     int32_t simplifies_inputs;          /* some inputs have a lower degree than the master asks for */

@@ -5,11 +5,10 @@
  *
  *     d(s) = H(s) - u(s) + s^2 (h - s)^2 y4 / 24
  *
- * H: cubic through both ends; y4: fourth derivative of the source, from the third derivatives of H in neighbouring
- * steps. If the slope of the source changes much more than in the steps around, H is replaced by two straight lines
- * with a corner. For an input that linear_prediction.c has predicted, H(s) - u(s) is replaced by the deviation of the
- * source from the prediction; the last term, by that of a cubic through thirds of the step. To first order the errors
- * e = truth - computed of all states are those of the linear system
+ * H: cubic through both ends; y4: fourth derivative of the source. Masters of order 4 step each FMU in two halves, and
+ * the value of the source between them gives y4. Else y4 follows from the third derivatives of H in neighbouring
+ * steps; and if the slope of the source changes much more than in the steps around, H is replaced by two straight lines
+ * with a corner. To first order the errors e = truth - computed of all states are those of the linear system
  *
  *     e' = (A + B K C) e + B d(s)                                                          (linear_system.c)
  *
@@ -30,6 +29,7 @@
 #include "engine.h"
 
 static const double SAME_STEP = 1e-9;           /* largest relative difference of two equal steps */
+static const double QUARTIC_MEAN = 8.0 / 15.0;  /* mean of s^2 (h - s)^2 over its value in the middle */
 enum { STAGES = 5 };
 static const double GAMMA = 0.25;
 static const double NODES[STAGES] = {0.25, 0.75, 0.55, 0.5, 1.0};
@@ -62,17 +62,8 @@ static int find_corner(const CouplingInput *s, double h, double line[]) {
     return 1;
 }
 
-/* A prediction (linear_prediction.c) deviates from its source by a s^3 + b s^4; deviations of value and slope at the end
- * give a and b. If the input was moved to the end of its source, b (s^4 - h s^3) is left. */
-static void find_prediction_error(const CouplingInput *s, double h, double line[]) {
-    const double deviation = s->value_end - s->expected, b = h * (s->slope_end - s->predicted_slope) - 3.0 * deviation;
-    const int moved = fabs(polynomial_value(s->c, h) - s->expected) > fabs(polynomial_value(s->c, h) - s->value_end);
-    const double a = moved ? -b : deviation - b; /* both times powers of h */
-    line[0] = -a / 5.0 - b / 5.0, line[1] = (0.9 * a + 0.8 * b) / h;
-}
-
-/* Notes the last step of an input, of length h [s]. */
-static void note_step(const CouplingInput *s, ErrorInput *p, double h) {
+/* Notes the last step of an input, of length h [s]; halved: its source was read in the middle. */
+static void note_step(const CouplingInput *s, ErrorInput *p, double h, int halved) {
     InputStep *step = &p->last;
     double course[DEGREE + 1], used[DEGREE + 1];
     if (s->source_component == DRIVEN) { /* a corner inside the step: Simpson's rule */
@@ -84,15 +75,14 @@ static void note_step(const CouplingInput *s, ErrorInput *p, double h) {
     if (s->source_slope)
         p->usual_slope = larger(SLOPE_FADING * p->usual_slope, larger(fabs(s->slope), fabs(s->slope_end)));
     step->smooth = s->source_slope && !s->autonomous && s->history_order > 1;
-    if (s->predicted && s->source_slope) {
-        find_prediction_error(s, h, step->line);
-        return;
-    }
+    step->measured = halved && !s->in_loop;
+    const double off_course = s->middle - polynomial_value(course, 0.5 * h);
     memcpy(used, s->c, sizeof used);
     polynomial_project(used, s->requested_degree && !s->fmu_degree && p->substeps == 1 ? 0 : 1, h);
     step->has_corner = step->smooth && find_corner(s, h, step->corner);
     polynomial_project(course, 1, h);
     for (int i = 0; i < 2; i++) step->line[i] = course[i] - used[i], step->corner[i] -= used[i];
+    if (step->measured) step->line[0] += QUARTIC_MEAN * off_course;
 }
 
 /* Does the source have a corner in the step before the last one? */
@@ -103,8 +93,8 @@ static int has_corner(const ErrorInput *p) {
 /* The defect of an input in the step before the last one. */
 static void find_defect(const ErrorInput *p, const double h[], double d[]) {
     const InputStep *before = &p->before, *step = &p->step, *after = &p->last;
-    memcpy(d, has_corner(p) ? step->corner : step->line, sizeof step->line);
-    if (has_corner(p) || !step->smooth || !before->smooth) return;
+    memcpy(d, has_corner(p) && !step->measured ? step->corner : step->line, sizeof step->line);
+    if (has_corner(p) || step->measured || !step->smooth || !before->smooth) return;
     double change = 0.0; /* of the third derivative; a much shorter step does not resolve it */
     if (h[0] > COMPARABLE * h[1]) change = (step->third - before->third) / (h[0] + h[1]);
     if (h[2] > COMPARABLE * h[1]) {
@@ -112,7 +102,7 @@ static void find_defect(const ErrorInput *p, const double h[], double d[]) {
         if (fabs(right) > fabs(change)) change = right;
     }
     const double fourth = 12.0 * change;
-    d[0] += h[1] * h[1] * h[1] * h[1] * fourth / (p->predicted ? -6480.0 : 720.0);
+    d[0] += h[1] * h[1] * h[1] * h[1] * fourth / 720.0;
 }
 
 /* Adds the line d over a step of length h [s], which begins at `start` [s], to the defect over the section. */
@@ -277,7 +267,9 @@ int error_propagate(Simulation *sim, double h) {
         ErrorInput *input = &p->inputs[i];
         input->usual_bend = larger(FADING * input->usual_bend, input->step.bend);
         input->before = input->step, input->step = input->last;
-        if (input->input >= 0) note_step(&sim->inputs[input->input], input, h);
+        if (input->input < 0) continue;
+        const CouplingInput *s = &sim->inputs[input->input];
+        note_step(s, input, h, s->source_component != DRIVEN && sim->components[s->source_component].halved);
     }
     int verdict = p->lengths[1] > 0.0 ? advance(sim, p) : CONTINUE;
     return verdict || p->taken || p->age < p->lag ? verdict : relinearise(sim, p);

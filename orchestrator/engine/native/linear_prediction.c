@@ -21,9 +21,8 @@
  *
  * In LinearPrediction: f, x: derivatives and values of the states. w: given inputs, course: their coefficients of s, s^2
  * and s^3, shape (3, m); response: K times course; forcing: B times response. v: changes of all inputs until h/3, 2h/3
- * and h, v_slope: slopes at h. f0, x0, w0: values at the previous communication point. age: steps since the
- * linearisation, age_seconds: time since then [s]. last_step: length of the previous step [s], factors_step: of the one
- * that the factors are made for.
+ * and h. f0, x0, w0: values at the previous communication point. age: steps since the linearisation, age_seconds: time
+ * since then [s]. last_step: length of the previous step [s], factors_step: of the one that the factors are made for.
  */
 
 #include <math.h>
@@ -97,10 +96,6 @@ void prediction_solve(const LinearPrediction *p) {
         for (int32_t i = 0; i < m_padded; i++) v[i] = polynomial_at(p->response, i, m_padded, delta * (third + 1));
         matrix_add_product(p->system.kc, d, v, p->system.n, m_padded);
     }
-    const double h = p->factors_step;
-    for (int32_t i = 0; i < m_padded; i++)
-        p->v_slope[i] = p->response[i] + h * (2.0 * p->response[m_padded + i] + 3.0 * h * p->response[2 * m_padded + i]);
-    matrix_add_product(p->system.kc, rates[2], p->v_slope, p->system.n, m_padded);
 }
 
 /* ---- one step */
@@ -116,7 +111,6 @@ static void set_given_course(Simulation *sim, const LinearPrediction *p, int32_t
 static void set_predicted_course(Simulation *sim, const LinearPrediction *p, int32_t i, double h) {
     CouplingInput *s = &sim->inputs[p->inputs[i]];
     const double v1 = p->v[i], v2 = p->v[p->system.m_padded + i], v3 = p->v[2 * p->system.m_padded + i];
-    s->predicted_slope = p->v_slope[i];
     if (p->system.usable && fabs(v1) + fabs(v2) + fabs(v3) < INFINITY) input_predict(s, v1, v2, v3, h);
     else input_extrapolate(s, h, sim->length);
 }
