@@ -47,6 +47,7 @@ class RunningComponent:
                         their source, for sequential masters
     substeps            how many steps the FMU takes in one communication step
     fixed_step          length of each of these steps [s] if it must be the same to the last bit, else 0
+    halved              it takes two steps, and its outputs between them are read
     rollback            its state is saved at the beginning of every step
     simplifies_inputs   some coupling inputs have a lower degree than the master asks for
     struct              `Component` of engine.h
@@ -58,7 +59,7 @@ class RunningComponent:
         self.output_reads: Sequence[Call] = ()
         self.slope_reads: Sequence[Call] = ()
         self.held_inputs: Sequence[Call] = ()
-        self.fixed_step, self.rollback, self.simplifies_inputs = 0.0, False, False
+        self.fixed_step, self.halved, self.rollback, self.simplifies_inputs = 0.0, False, False, False
         self.values, self.derivatives = np.zeros(0), np.zeros(0)
         self.input_writes: list[Call] = []
         self._saved_state: Any = None
@@ -127,6 +128,7 @@ class RunningComponent:
                 setattr(struct, name, address)
         struct.clock = binding.at(np.asarray(self.slave.log.clock))
         struct.never_restored, struct.rollback = not self.rollback, self.rollback
+        struct.halved = self.halved
         struct.fixed_step, struct.substeps = self.fixed_step, self.substeps
 
     def fill_inputs_and_outputs(self, binding: Binding) -> None:

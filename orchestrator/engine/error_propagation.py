@@ -53,7 +53,7 @@ class ErrorPropagation:
         self._system = LinearSystem(n, m := len(self._inputs))
         wide, broad = self._system.n_padded, self._system.m_padded
         self.e, self.stages, self.factors = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((n, wide))
-        self.w, self.diagonal = np.zeros(broad), np.zeros(n)
+        self.w, self.middle, self.diagonal = np.zeros(broad), np.zeros(broad), np.zeros(n)
         self.defects, self.lengths = np.zeros((m, 2)), np.zeros(3)
         self._outputs = [
             Port(name, v.name)
@@ -109,10 +109,11 @@ class ErrorPropagation:
             inputs=binding.pointer(
                 binding.array(h.ErrorInput, [self._input_struct(h, u) for u in self._inputs])
             ),
-            **binding.all_at(self, "e stages factors w defects y squares largest lengths diagonal"),
+            **binding.all_at(self, "e stages factors w middle defects y squares largest lengths diagonal"),
             member_count=len(self._members),
             output_count=len(self._outputs),
             lag=1,
+            halves=any(c.halved for c in self._network.components.values()),
             longest_section=LONGEST_SECTION,
             longest_lag=LONGEST_LAG,
             sample=self._sample,
@@ -122,8 +123,8 @@ class ErrorPropagation:
     def _input_struct(self, h: Any, u: LinearInput) -> Any:
         if u.coupling_input is None:  # the FMU varies it
             return h.ErrorInput(input=-1)
-        substeps = self._network.components[u.target.component].substeps
-        return h.ErrorInput(input=u.coupling_input, substeps=substeps)
+        target = self._network.components[u.target.component]
+        return h.ErrorInput(input=u.coupling_input, substeps=2 if target.halved else target.substeps)
 
     def _member_structs(self, binding: Binding) -> Iterator[Any]:
         """An `ErrorMember` of engine.h for each component."""

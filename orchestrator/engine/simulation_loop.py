@@ -132,13 +132,14 @@ class SimulationLoop:
             sim.by_energy = c.by_energy
 
     def _plan_rollback(self, times: Grid) -> None:
-        """Decide which components save their states, and whether all can go back."""
+        """Decide which components save their states or step in halves, and whether all can go back."""
         iterates = self._plan.passes > 1 and len(self._plan.repeated) > 0
         saves = iterates or (self._control is not None and self._control.repeats)
         for c in self._components:
             interface = c.slave.interface
             c.rollback = saves and interface.rollback
             c.fixed_step = 0.0 if interface.variable_step else times.step / c.substeps
+            c.halved = self._plan.halves and c.substeps == 1 and interface.variable_step
         self.state.saves = saves
         self.state.rollback = all(c.rollback and not c.fixed_step for c in self._components)
 
@@ -154,14 +155,13 @@ class SimulationLoop:
         sim, plan, network, inputs = self.state, self._plan, self._network, self._inputs
         held = inputs.held(order) if plan.sequential else [[] for _ in order]
         for k, (name, component) in enumerate(network.components.items()):
-            halved = plan.halves and component.substeps == 1 and not component.fixed_step
             # of the last one no component uses the outputs in the same step
-            last = prediction is not None and k == order[-1] and not halved
+            last = prediction is not None and k == order[-1] and not component.halved
             component.held_inputs = network.copy_and_set_calls(held[k])
             reads_outputs = plan.sequential and not last
             component.output_reads = network.get_output_calls(name) if reads_outputs else []
             component.fill_inputs_and_outputs(self._binding)
-            component.struct.repeated, component.struct.halved = k in plan.repeated, halved
+            component.struct.repeated = k in plan.repeated
         at = self._binding.at
         sim.inputs = self._binding.pointer(inputs.array(self._binding))
         sim.input_count = len(inputs.inputs)

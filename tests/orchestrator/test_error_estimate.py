@@ -39,9 +39,9 @@ def test_the_estimate_is_the_error(open_oscillator, exact, master, step):
     """An undamped oscillator keeps every error; the estimated RMS error is that of the exact solution."""
     result = run(open_oscillator, master=master, step=step, stop=10.0, record_step=0.1, error_estimate=True)
     assert result.card.errors_of_inputs
-    # measured 0.97 to 1.12: the fourth derivative is the larger of two differences; interface-jacobian 1.2 to
-    # 1.4, because a quarter of the period is too long for expansions in powers of the step
-    assert estimate_over_truth(result, exact) == pytest.approx(1.0, rel=0.4 if step == 5e-2 else 0.15)
+    # measured 0.89 to 1.07; interface-jacobian 0.8, because a quarter of the period is too long for expansions
+    # in powers of the step
+    assert estimate_over_truth(result, exact) == pytest.approx(1.0, rel=0.25 if step == 5e-2 else 0.15)
 
 
 def test_inputs_that_an_fmu_holds_at_their_mean(fmus, exact):
@@ -63,14 +63,15 @@ def test_inputs_that_move_by_rate_wires(fmus, exact):
 
 
 def test_the_estimate_changes_no_number(open_oscillator):
-    """The trace is the same bit by bit."""
+    """The trace is the same bit by bit, unless FMUs step in halves; then up to errors of their solvers."""
     for master, step in MASTERS:
+        halves = master.master == "interface-jacobian" or (master.master == "hermite" and master.passes != 1)
         runs = [
             run(open_oscillator, master=master, step=step, stop=2.0, record_step=0.1, error_estimate=asked)
             for asked in (False, True)
         ]
         for name, values in runs[0].trace.signals.items():
-            np.testing.assert_array_equal(values, runs[1].trace[name])
+            np.testing.assert_allclose(values, runs[1].trace[name], rtol=0, atol=1e-6 if halves else 0)
 
 
 def test_without_derivatives_the_run_is_repeated(fmus, open_oscillator):

@@ -156,6 +156,7 @@ typedef struct ErrorMember {
 typedef struct InputStep { /* an input over a step of the master */
     double line[LINE + 1], corner[LINE + 1]; /* constant and slope of the defect, without and with a corner of the source */
     double third, bend;                /* of the source: third derivative / 6, and mean magnitude of the second one */
+    double off_source, off_cubic;      /* in the middle: source, and cubic through its ends, less the input */
     int32_t measured;                  /* the source is known in the middle, too */
     int32_t smooth, has_corner;        /* the source has slopes; it may have a corner inside the step */
 } InputStep;
@@ -168,14 +169,15 @@ typedef struct ErrorInput { /* an input of the error propagation, over the last 
 
 /* Errors of n states (e) and of the outputs (y), from the defects of m inputs; see error_propagation.c.
  * defects, shape (m, 2): integral of the defect over the section so far, and its first moment about the start; lengths: of the last three steps [s]; squares, largest: time integral of the square and largest magnitude of each
- * element of y; diagonal: of A + B K C at the linearisation before */
+ * element of y; diagonal: of A + B K C at the linearisation before; middle: deviations of the sources from all inputs in
+ * the middle of the step; halves: some are measured */
 typedef struct ErrorPropagation {
     LinearSystem system;
     const ErrorMember *members;
     ErrorInput *inputs;
-    double *e, *stages, *factors, *w, *defects, *y, *squares, *largest, *lengths, *diagonal;
+    double *e, *stages, *factors, *w, *middle, *defects, *y, *squares, *largest, *lengths, *diagonal;
     int32_t member_count, output_count, lag, longest_lag, age, sample, since_sample;
-    int32_t longest_section, taken; /* steps of a section: at most, and so far */
+    int32_t halves, longest_section, taken; /* steps of a section: at most, and so far */
     double section;                 /* its length so far [s] */
     double factors_step, time, since; /* time of the last evaluation of y from the start, time since then [s] */
 } ErrorPropagation;

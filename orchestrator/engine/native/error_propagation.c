@@ -62,6 +62,12 @@ static int find_corner(const CouplingInput *s, double h, double line[]) {
     return 1;
 }
 
+/* The line nearest to a line that an FMU holds at its mean over each of n equal parts of the step. */
+static void hold_in_parts(double line[], int32_t n, double h) {
+    const double lost = line[1] / ((double)n * n);
+    line[0] += lost * h / 2.0, line[1] -= lost;
+}
+
 /* Notes the last step of an input, of length h [s]; halved: its source was read in the middle. */
 static void note_step(const CouplingInput *s, ErrorInput *p, double h, int halved) {
     InputStep *step = &p->last;
@@ -76,13 +82,14 @@ static void note_step(const CouplingInput *s, ErrorInput *p, double h, int halve
         p->usual_slope = larger(SLOPE_FADING * p->usual_slope, larger(fabs(s->slope), fabs(s->slope_end)));
     step->smooth = s->source_slope && !s->autonomous && s->history_order > 1;
     step->measured = halved && !s->in_loop;
-    const double off_course = s->middle - polynomial_value(course, 0.5 * h);
+    step->off_cubic = polynomial_value(course, 0.5 * h) - polynomial_value(s->c, 0.5 * h);
+    step->off_source = step->measured ? s->middle - polynomial_value(s->c, 0.5 * h) : step->off_cubic;
     memcpy(used, s->c, sizeof used);
-    polynomial_project(used, s->requested_degree && !s->fmu_degree && p->substeps == 1 ? 0 : 1, h);
+    polynomial_project(used, 1, h);
+    if (s->requested_degree && !s->fmu_degree) hold_in_parts(used, p->substeps, h);
     step->has_corner = step->smooth && find_corner(s, h, step->corner);
     polynomial_project(course, 1, h);
     for (int i = 0; i < 2; i++) step->line[i] = course[i] - used[i], step->corner[i] -= used[i];
-    if (step->measured) step->line[0] += QUARTIC_MEAN * off_course;
 }
 
 /* Does the source have a corner in the step before the last one? */
@@ -241,6 +248,17 @@ static int32_t steps_together(const ErrorPropagation *p) {
     return (int32_t)smaller(RESOLVED / sqrt(sum / count), p->longest_section);
 }
 
+/* Adds the fourth powers in the defects of measured inputs. What was measured contains the defects of inputs with
+ * feed-through; K removes them. */
+static void add_measured(ErrorPropagation *p) {
+    for (int32_t i = 0; i < p->system.m; i++) p->w[i] = p->inputs[i].step.off_source;
+    linear_system_respond(&p->system, p->w, p->middle);
+    for (int32_t i = 0; i < p->system.m; i++) {
+        InputStep *step = &p->inputs[i].step;
+        if (step->measured) step->line[0] += QUARTIC_MEAN * (p->middle[i] - step->off_cubic);
+    }
+}
+
 /* Adds the step before the last one, which is known to be accepted, to the section. At a corner a new one begins. */
 static int advance(Simulation *sim, ErrorPropagation *p) {
     const double h = p->lengths[1];
@@ -249,6 +267,7 @@ static int advance(Simulation *sim, ErrorPropagation *p) {
     if (corners) verdict = end_section(sim, p);
     if (corners && !verdict) verdict = relinearise(sim, p);
     if (verdict) return verdict;
+    if (p->halves) add_measured(p);
     for (int32_t i = 0; i < p->system.m; i++) {
         double d[LINE + 1];
         if (p->inputs[i].input < 0) continue;
