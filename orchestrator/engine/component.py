@@ -72,8 +72,8 @@ class RunningComponent:
         first    index of its first coupling input among those of all components
         names    the variables
         inputs   the `CouplingInput` of engine.h of each variable
-        jumps    the inputs may be discontinuous at the start of a step of the FMU, so that values must be set,
-                 not only derivatives
+        jumps    the inputs may be discontinuous at the start of a step of the FMU, so that values must be
+                 set, not only derivatives
         """
         self.inputs = range(first, first + len(inputs))
         if not inputs:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
@@ -72,7 +73,9 @@ class Execution:
     tolerance        relative tolerance for the solvers of the FMUs
     error_estimate   estimate the error of each output that the coupling causes: during the run if all FMUs
                      with connected inputs have directional derivatives; else by further runs, at half and at
-                     twice the step, or, for adaptive steps, at a tenth of the tolerance
+                     twice the step, or, for adaptive steps, at a tenth of the tolerance.
+                     "fast": without a measurement that needs two steps of each FMU by `hermite` and
+                     `interface-jacobian`
     accuracy         largest RMS error over the range of a signal, such as 1e-3; master, step and tolerance of
                      the FMUs follow from it, if necessary after several runs, see `AccuracySearch`
     accuracy_of      patterns of the outputs that it applies to, which are recorded; default: the velocities
@@ -86,7 +89,7 @@ class Execution:
     """
 
     tolerance: float | None = None
-    error_estimate: bool = False
+    error_estimate: bool | Literal["fast"] = False
     accuracy: float | None = None
     accuracy_of: Sequence[str] = ()
     progress: bool = False
@@ -104,6 +107,8 @@ class Execution:
         """Refuse options that have no effect, and limits that cannot be enforced."""
         if self.accuracy_of and self.accuracy is None:
             raise Problem(f"accuracy_of {self.accuracy_of[0]}: expected an accuracy, got none")
+        if self.error_estimate not in (True, False, "fast"):
+            raise Problem(f'error_estimate: expected True, False or "fast", got {self.error_estimate!r}')
         for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
             if not limit > 0:
                 raise Problem(f"{name}: expected a positive number, got {limit:g}")
@@ -252,7 +257,7 @@ class Job:
             )
             plan = MASTERS[self.coupling.master](self.system, self.coupling)
             if self.execution.error_estimate:
-                plan = replace(plan, watches=True, estimates=True)
+                plan = plan.with_estimate(fast=self.execution.error_estimate == "fast")
             inputs, prediction = CouplingInputs(network, plan), None
             if plan.prediction:
                 prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)

@@ -11,7 +11,7 @@ native/communication_step.c carries out a step of any plan; docs/coupling.md has
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.ssp.dependencies import influential_inputs
@@ -50,6 +50,7 @@ class Plan:
     corrected       extrapolated inputs are corrected by input_correct of native/coupling_input.c
     watches         held inputs are watched too, to estimate the error of a step
     estimates       the error of the run is estimated, which needs all slopes
+    halves          components step in two halves, with which the errors of inputs are measured
     repeated        indices of the components that further passes compute again
     notes           remarks for the accuracy card
     prediction      inputs are predicted from linearisations
@@ -65,14 +66,15 @@ class Plan:
     corrected: bool = False
     watches: bool = False
     estimates: bool = False
+    halves: bool = False
     repeated: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
     prediction: Prediction | None = None
 
-    @property
-    def halves(self) -> bool:
-        """Do components step in two halves, so that the error of inputs of order 4 can be measured?"""
-        return self.estimates and (self.passes > 1 or self.prediction is not None)
+    def with_estimate(self, fast: bool) -> Plan:
+        """The plan of a run that estimates its error; fast: without measurements for masters of order 4."""
+        of_order_four = self.passes > 1 or self.prediction is not None
+        return replace(self, watches=True, estimates=True, halves=of_order_four and not fast)
 
     @property
     def needs_slopes(self) -> bool:

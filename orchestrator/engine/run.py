@@ -148,7 +148,7 @@ def prepare_trial(
     settings = search.settings
     if record.signals is not None:
         record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
-    execution = replace(execution, tolerance=settings.tolerance, error_estimate=True)
+    execution = replace(execution, tolerance=settings.tolerance, error_estimate="fast")
     return prepare(
         system, scenario, settings.coupling, settings.step, record=record, execution=execution, **options
     )
