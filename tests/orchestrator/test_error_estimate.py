@@ -39,8 +39,8 @@ def test_the_estimate_is_the_error(open_oscillator, exact, master, step):
     """An undamped oscillator keeps every error; the estimated RMS error is that of the exact solution."""
     result = run(open_oscillator, master=master, step=step, stop=10.0, record_step=0.1, error_estimate=True)
     assert result.card.errors_of_inputs
-    # measured 0.89 to 1.07; interface-jacobian 0.8, because a quarter of the period is too long for expansions
-    # in powers of the step
+    # measured 0.89 to 1.07; interface-jacobian 0.8, because a quarter of the period is too long for
+    # expansions in powers of the step
     assert estimate_over_truth(result, exact) == pytest.approx(1.0, rel=0.25 if step == 5e-2 else 0.15)
 
 

@@ -1,15 +1,21 @@
-"""Multistart: the same search from random initial parameters, on fewer samples."""
+"""Multistart: the same search from random initial parameters, on fewer samples.
+
+A search first fits predictions, then whole recordings (`Search`). The second part depends only on the
+parameters at the end of the first part. So if the first part ends where that of the reference ended, the
+search is taken to lead to the reference, and the second part is left out.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from fmus.identification.refinement.gauss_newton import INTERRUPTED, Options
+from fmus.identification.refinement.gauss_newton import DETACHED, INTERRUPTED, Options, Solution
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.problem import EstimationProblem
-from fmus.identification.refinement.refine import RefinementResult, compiled, refine, search
+from fmus.identification.refinement.refine import RefinementResult, Search, compiled
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -25,6 +31,7 @@ class RandomStart:
 
     initial, estimated   parameters by name; nothing is estimated if the model cannot be simulated from there
     distance             largest distance from the reference, in standard deviations of the coarse problem
+    joined               its fit of predictions ended at that of the reference, whose end it gets
     """
 
     initial: dict[str, float]
@@ -32,6 +39,7 @@ class RandomStart:
     distance: float
     residual: float
     iterations: int
+    joined: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,8 +63,8 @@ def multistart(refined: RefinementResult, count: int = 8, spread: float = SPREAD
     Every fourth sample is used; the reference is the result of a search on the same samples from the optimum.
     """
     problem = subsampled(refined.problem, EVERY)
-    simulator = compiled(problem)
     options = Options(iterations=ITERATIONS, model_error=any(refined.model_error.values()))
+    search_from = partial(Search.of, problem, compiled(problem), options=options)
     rng = np.random.default_rng(0)
     starts: list[RandomStart] = []
     same: list[Array] = []
@@ -67,21 +75,29 @@ def multistart(refined: RefinementResult, count: int = 8, spread: float = SPREAD
             raise KeyboardInterrupt
 
     try:
-        reference = refine(problem, simulator, options=options, start=refined.z)
-        uninterrupted(reference.reason)
+        search = search_from(refined.z)
+        path = search.fit_predictions()
+        best = search.fit_recordings(path)
+        uninterrupted(best.reason)
+        reference = search.result(best)
         sd = reference.statistics.sd(reference.robust)
         for _ in range(count):
             z = random_start(problem, rng, spread)
             try:
-                _, solution, _ = search(problem, simulator, z, options=options)
+                search = search_from(z)
+                predictions = search.fit_predictions()
+                joined = _same_end(predictions, path)
+                solution = best if joined else search.fit_recordings(predictions)
                 uninterrupted(solution.reason)
             except Problem:  # the model cannot be simulated from there
                 start = RandomStart(problem.by_name(z), {}, float("inf"), float("nan"), 0)
             else:
-                end, history = solution.evaluation.iterate.z, solution.history
-                residual, iterations = history[-1].residual, len(history)
+                end = solution.evaluation.iterate.z
+                residual = solution.history[-1].residual
                 distance = float(np.max(np.abs(end - reference.z) / sd))
-                start = RandomStart(problem.by_name(z), problem.by_name(end), distance, residual, iterations)
+                iterations = len(predictions.history if joined and predictions else solution.history)
+                found = problem.by_name(z), problem.by_name(end)
+                start = RandomStart(*found, distance, residual, iterations, joined)
                 if distance < _SAME:
                     same.append(end)
             starts.append(start)
@@ -92,6 +108,14 @@ def multistart(refined: RefinementResult, count: int = 8, spread: float = SPREAD
     relative = np.abs(deviation * derivatives) / np.where(values == 0, np.nan, np.abs(values))
     spreads = dict(zip(problem.names, relative.tolist(), strict=True))
     return MultistartResult(tuple(starts), len(same) / max(1, len(starts)), spreads, interrupted)
+
+
+def _same_end(one: Solution | None, other: Solution | None) -> bool:
+    """Have both converged to parameters whose residuals differ by less than the tolerances of both?"""
+    if not (one and other and one.converged and other.converged):
+        return False
+    dz = one.evaluation.iterate.z - other.evaluation.iterate.z
+    return float(np.linalg.norm(other.linear.rows[:, :-1] @ dz)) < 2 * DETACHED
 
 
 def random_start(problem: EstimationProblem, rng: np.random.Generator, spread: float) -> Array:

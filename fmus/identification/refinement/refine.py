@@ -9,7 +9,8 @@ the data correct it at the start of each segment.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,32 +151,83 @@ def refine(
     start       initial z, by default that of the problem
     """
     z = problem.initial() if start is None else start
-    return _result(
-        *search(
-            problem, simulator or compiled(problem), z, segment, horizon, threads, loss, options, progress
-        )
-    )
+    simulator = simulator or compiled(problem)
+    search = Search.of(problem, simulator, z, segment, horizon, threads, loss, options, progress)
+    return search.result(search.fit_recordings(search.fit_predictions()))
 
 
-def search(
-    problem: EstimationProblem,
-    simulator: Simulator,
-    start: Array,
-    segment: float = SEGMENT,
-    horizon: float = HORIZON,
-    threads: int = 2,
-    loss: Loss = "linear",
-    options: Options | None = None,
-    progress: Callable[[Iteration], None] | None = None,
-) -> tuple[Shooting, Solution, Priors]:
-    """The search of `refine` alone, from z = `start`: without statistics and simulations of its result."""
-    _check(problem, simulator)
-    inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
-    if not simulator.states:  # initial states of segments cannot be set
-        segment = horizon = np.inf
-    edges = tuple(cut(run.time, segment) for run in problem.training)
-    shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
-    return shooting, *_search(shooting, start, horizon if horizon < segment else None, options, progress)
+@dataclass(frozen=True)
+class Search:
+    """The search of `refine`, in two parts: first it fits predictions, then whole recordings.
+
+    shooting   whole recordings in segments
+    horizon    of the predictions [s]; None: no predictions are fitted
+    start      initial z
+    """
+
+    shooting: Shooting
+    horizon: float | None
+    start: Array
+    prior: Priors
+    options: Options
+    progress: Callable[[Iteration], None] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        problem: EstimationProblem,
+        simulator: Simulator,
+        start: Array,
+        segment: float = SEGMENT,
+        horizon: float = HORIZON,
+        threads: int = 2,
+        loss: Loss = "linear",
+        options: Options | None = None,
+        progress: Callable[[Iteration], None] | None = None,
+    ) -> Search:
+        """A search from z = `start`; the other arguments are those of `refine`."""
+        _check(problem, simulator)
+        inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
+        if not simulator.states:  # initial states of segments cannot be set
+            segment = horizon = np.inf
+        edges = tuple(cut(run.time, segment) for run in problem.training)
+        shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
+        with _simulated(shooting):
+            states = [states[0] for states in shooting.measured_iterate(start).starts]
+            prior = priors(problem, simulator, states)
+        shorter = horizon if horizon < segment else None
+        return cls(shooting, shorter, start, prior, options or Options(), progress)
+
+    def fit_predictions(self) -> Solution | None:
+        """Fit predictions over the horizon from measured states."""
+        if self.horizon is None:
+            return None
+        edges = tuple(cut(run.time, self.horizon) for run in self.shooting.problem.training)
+        detached = replace(self.shooting, edges=edges, detached=True)
+        with _simulated(self.shooting):
+            start = detached.measured_iterate(self.start)
+            return minimise(detached, start, self.prior, Options(), self.progress)
+
+    def fit_recordings(self, predictions: Solution | None) -> Solution:
+        """Fit whole recordings, from the end of the fit of predictions."""
+        z = predictions.evaluation.iterate.z if predictions else self.start
+        with _simulated(self.shooting):
+            start = self.shooting.measured_iterate(z)
+            return minimise(self.shooting, start, self.prior, self.options, self.progress, predictions)
+
+    def result(self, solution: Solution) -> RefinementResult:
+        """The result: statistics, and simulations with the estimated parameters."""
+        return _result(self.shooting, solution, self.prior)
+
+
+@contextmanager
+def _simulated(shooting: Shooting) -> Iterator[None]:
+    """Raise Problem if a simulation of the start fails."""
+    try:
+        yield
+    except SimulationFailed as failed:
+        name = shooting.problem.sub.name
+        raise Problem(f"{name}: cannot be simulated with the initial parameter values: {failed}") from None
 
 
 def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledModel:
@@ -194,33 +246,8 @@ def _check(problem: EstimationProblem, simulator: Simulator) -> None:
         raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
 
 
-def _search(
-    shooting: Shooting,
-    z: Array,
-    horizon: float | None,
-    options: Options | None,
-    progress: Callable[[Iteration], None] | None,
-) -> tuple[Solution, Priors]:
-    """First fit predictions over the horizon, then whole recordings."""
-    problem, simulator = shooting.problem, shooting.simulator
-    prediction: Solution | None = None
-    try:
-        prior = priors(problem, simulator, [states[0] for states in shooting.measured_iterate(z).starts])
-        if horizon is not None:
-            edges = tuple(cut(run.time, horizon) for run in problem.training)
-            detached = replace(shooting, edges=edges, detached=True)
-            prediction = minimise(detached, detached.measured_iterate(z), prior, Options(), progress)
-            z = prediction.evaluation.iterate.z
-        start = shooting.measured_iterate(z)
-        return minimise(shooting, start, prior, options or Options(), progress, prediction), prior
-    except SimulationFailed as failed:
-        raise Problem(
-            f"{problem.sub.name}: cannot be simulated with the initial parameter values: {failed}"
-        ) from None
-
-
 def _result(shooting: Shooting, solution: Solution, prior: Priors) -> RefinementResult:
-    """The result of a search: statistics, and simulations with the estimated parameters."""
+    """The result of a search."""
     problem, simulator, last = shooting.problem, shooting.simulator, solution.evaluation.iterate
     z, p = last.z, problem.values_of(last.z)
     initial_states = [starts[0] * simulator.nominal for starts in last.starts]

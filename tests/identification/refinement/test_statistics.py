@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fmus.identification.refinement.measured_runs import smoothed
-from fmus.identification.refinement.multistart import multistart
+from fmus.identification.refinement.multistart import EVERY, multistart, subsampled
 from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import compiled, refine
 from fmus.identification.refinement.residuals import SimulatedRun, whiteness
@@ -166,6 +166,20 @@ def test_random_starts_lead_to_the_same_optimum() -> None:
     assert starts.fraction == 1
     assert max(starts.spread.values()) < 1e-3
     assert len({start.initial["gain"] for start in starts.starts}) == 4
+
+
+def test_a_search_that_joins_the_path_of_the_reference_leads_to_the_reference() -> None:
+    """A search that was ended at the path of the reference goes on to the reference if it is not ended."""
+    refined = refine(problem(run(recording())))
+    coarse = subsampled(refined.problem, EVERY)
+    sd = refined.statistics.sd(refined.robust)
+    joined = [start for start in multistart(refined, count=4, spread=0.3).starts if start.joined]
+    assert joined
+    for start in joined:
+        z = np.array([f.z_of(start.initial[f.name]) for f in coarse.free])
+        end = refine(coarse, start=z).values
+        shift = [f.z_of(end[f.name]) - f.z_of(start.estimated[f.name]) for f in coarse.free]
+        assert np.max(np.abs(shift / sd)) < 0.1  # the tolerance of a search
 
 
 def test_noise_of_an_input_is_removed() -> None:
