@@ -187,13 +187,15 @@ def _starts(refined: RefinementResult, starts: MultistartResult) -> list[dict[st
     apart      largest distance of the end from the result, in standard deviations; infinite if there is none
     residual   root mean square residual at the end, in standard deviations of the sensors
     same       whether the search led to the result, within a standard deviation
+    joined     whether the search was ended on the path that leads to the result
     """
     rows, problem = [], refined.problem
     for number, start in enumerate(starts.starts, 1):
         z = np.array([f.z_of(start.initial[f.name]) for f in problem.free])
         away = float(np.sqrt(np.mean((z - problem.initial()) ** 2)))
         end = {"apart": start.distance, "residual": start.residual, "iterations": start.iterations}
-        rows.append({"name": f"random {number}", "away": away, **end, "same": start.distance < 1})
+        end |= {"same": start.distance < 1, "joined": start.joined}
+        rows.append({"name": f"random {number}", "away": away, **end})
     return rows
 
 
