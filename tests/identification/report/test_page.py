@@ -47,7 +47,7 @@ def test_the_page_has_all_sections(text):
         "+0.25 %",
         "1 of 30 steps is masked.",
         "head_mass: the data leave it open by 80 %.",
-        "1 of 2 random starts lead to the same result",
+        "2 of 3 random starts lead to the same result",
         "123",
         "0.61 %",
         "swinging head",
