@@ -106,6 +106,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
         assert deviation < NRMSE_LIMIT, f"{signal}: {deviation:.2g} of range"
 
 
+@pytest.mark.long
 def test_the_committed_experiments_are_those_of_the_equations():
     """`python -m fmus.machine.reference` writes the same inputs, parameters and beginning of each result."""
     empty, loaded = machine_signals(), machine_signals([STEM])

@@ -38,6 +38,7 @@ def test_perfect_instruments_give_the_true_damping(joint):
     assert found(recording(joint))[0] == pytest.approx(truth(joint), rel=1e-3 if joint == "swing" else 5e-5)
 
 
+@pytest.mark.long
 def test_intervals_have_their_coverage():
     """Of 60 independent intervals 95 % cover the truth; standard deviations are neither small nor large."""
     z = []

@@ -133,6 +133,7 @@ def test_an_effect_is_identified_next_to_the_parameters(excitation, effects):
     assert explanation.shares[0].alone + explanation.parameters < 1.0
 
 
+@pytest.mark.long
 def test_the_number_of_processes_changes_no_bit():
     """Changes by parameters are those of one process, in the order of the names."""
     time = np.linspace(0.0, 0.2, 41)
