@@ -13,6 +13,9 @@ PEERS := .venv/.have-peers
 DOCUMENTING := .venv/.have-docs
 RELEASING := .venv/.have-release
 
+# With stored byte code every command starts 0.3 to 4 s sooner; the tests start hundreds of commands.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
   docs clean release constraints test-lowest test-newest audit
 
