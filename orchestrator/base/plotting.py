@@ -29,6 +29,7 @@ from orchestrator.base.figures import (
     LINE_STYLES,
     PALETTE,
     Style,
+    TraceArea,
     TraceFigure,
     TraceLine,
     TracePanel,
@@ -251,12 +252,14 @@ def plot_signals(
     units: Mapping[str, str],
     title: str = "",
     below: str = "",
+    bands: Mapping[str, Array] | None = None,
 ) -> Figure:
     """Signals over time, one panel per display unit, in the order of the signals of the first run.
 
     runs    label -> times [s] and signals; the line style distinguishes several runs, and the colour if
             each panel has one signal
     below   a short line below the figure
+    bands   signal of the first run -> half width of a band around it, in the unit of the signal
     """
     first = next(iter(runs.values()))[1]
     panels: dict[str, list[str]] = {}
@@ -268,7 +271,7 @@ def plot_signals(
     single = len(runs) > 1 and max(map(len, panels.values()), default=0) == 1
     drawn = []
     for unit, names in panels.items():
-        lines = []
+        lines, areas = list[TraceLine](), list[TraceArea]()
         for k, name in enumerate(names):
             for i, (time, signals) in enumerate(runs.values()):
                 if name in signals:
@@ -276,10 +279,18 @@ def plot_signals(
                     dashes = i if len(runs) > 1 else k // len(PALETTE.series)
                     style = styles.get(name) or _style(i if single else k, dashes)
                     lines.append(TraceLine(time, values, style, "" if i or single else labels[name]))
+                    if bands and name in bands and not i:
+                        low, high = (
+                            convert(signals[name] + sign * bands[name], units.get(name, ""), unit, name)
+                            for sign in (-1, 1)
+                        )
+                        areas.append(TraceArea(time, low, high, style["color"]))
         height = max(3.8, (LEGEND_ROW * len(names) + 0.25) / ROW_HEIGHT)
         label = "" if (word := quantity(units.get(names[0], ""))).startswith(("[", "without")) else word
         name = labels[names[0]] if single else ""
-        drawn.append(TracePanel(unit, lines, label, name, heights=(height, 0.0), key_beside=True))
+        drawn.append(
+            TracePanel(unit, lines, label, name, heights=(height, 0.0), areas=areas, key_beside=True)
+        )
     ends = [t for time, _ in runs.values() for t in (float(time[0]), float(time[-1]))]
     colours = {} if single else {"color": PALETTE.ink}
     key = [legend_entry(n, **{**_style(i, i), **colours}) for i, n in enumerate(runs)]

@@ -59,6 +59,7 @@ class Trace:
         stop: float | None = None,
         others: Mapping[str, Trace] | None = None,
         label: str = "",
+        band: Trace | None = None,
     ) -> Figure:
         """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
 
@@ -66,6 +67,7 @@ class Trace:
                       default: `plotting.default_signals`, up to six signals of each of four quantities
         start, stop   time window [s]; default: all
         others        label -> further traces, drawn with other line styles; `label`: that of this trace
+        band          half width of a band around signals of this trace, in their units
         """
         from orchestrator.base.plotting import plot_signals
 
@@ -79,7 +81,8 @@ class Trace:
             run: (trace.time, {n: trace[n] for n in names if n in trace.signals})
             for run, trace in windows.items()
         }
-        return plot_signals(curves, units, title, below)
+        around = band.at(windows[label or "1"].time).signals if band else {}
+        return plot_signals(curves, units, title, below, around)
 
     def chosen(self, patterns: Sequence[str] = ()) -> list[str]:
         """The signals that patterns name, with or without component; default: those of a figure.

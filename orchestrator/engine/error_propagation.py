@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.trace_writer import PointSink
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.linear_prediction import LinearInput, LinearSystem
@@ -21,6 +22,7 @@ from orchestrator.ssp.system import Connection, Port
 LONGEST_LAG = 20  # number of steps between two linearisations, at most
 LONGEST_SECTION = 16  # number of steps over which errors are advanced at once, at most
 STAGES = 8  # vectors of the states that C uses as working memory
+BLOCK = 256  # evaluations of the outputs between two calls of `collect`, at most
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class ErrorPropagation:
         wide, broad = self._system.n_padded, self._system.m_padded
         self.e, self.stages, self.factors = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((n, wide))
         self.w, self.middle, self.diagonal = np.zeros(broad), np.zeros(broad), np.zeros(n)
-        self.defects, self.lengths = np.zeros((m, 2)), np.zeros(3)
+        self.defects, self.lengths, self.starts = np.zeros((m, 2)), np.zeros(3), np.zeros(2)
         self._outputs = [
             Port(name, v.name)
             for name, slave in network.slaves.items()
@@ -63,6 +65,7 @@ class ErrorPropagation:
             if v.is_continuous
         ]
         self.y, self.squares, self.largest = (np.zeros(len(self._outputs)) for _ in range(3))
+        self.times, self.rows = np.zeros(BLOCK), np.zeros((BLOCK, len(self._outputs)))
         if not self.missing:
             self._connect()
 
@@ -100,6 +103,12 @@ class ErrorPropagation:
         rows = zip(self._outputs, np.sqrt(self.squares / time).tolist(), self.largest.tolist(), strict=True)
         return {str(port): EstimatedError(rms, largest) for port, rms, largest in rows}
 
+    def collect(self, sink: PointSink) -> None:
+        """Pass on the errors of the outputs at each evaluation since the last call."""
+        if filled := self._struct.filled:
+            sink.append_errors(self.times[:filled], self.rows[:filled])
+            self._struct.filled = 0
+
     def fill(self, binding: Binding) -> None:
         """Fill the C structures."""
         h = binding.h
@@ -110,11 +119,13 @@ class ErrorPropagation:
                 binding.array(h.ErrorInput, [self._input_struct(h, u) for u in self._inputs])
             ),
             **binding.all_at(self, "e stages factors w middle defects y squares largest lengths diagonal"),
+            **binding.all_at(self, "starts times rows"),
             member_count=len(self._members),
             output_count=len(self._outputs),
             lag=1,
             halves=any(c.halved for c in self._network.components.values()),
             longest_section=LONGEST_SECTION,
+            capacity=BLOCK,
             longest_lag=LONGEST_LAG,
             sample=self._sample,
         )

@@ -166,6 +166,8 @@ class _Supervision:
         """Handle one message of the child."""
         if name == "points":
             self._sink.append_points(*content)
+        elif name == "errors":
+            self._sink.append_errors(*content)
         elif name == "time":
             self._between(content)
         elif name == "begin":
@@ -297,6 +299,9 @@ def _run(channel: Channel, task: RunTask) -> None:
 
         def append_points(self, *points: Any) -> None:
             channel.put(("points", points))
+
+        def append_errors(self, *errors: Any) -> None:
+            channel.put(("errors", errors))
 
     def open_fmu(component: Component) -> Slave:
         slave = open_slave(component)

@@ -199,7 +199,7 @@ class Job:
             began = time.perf_counter()
             problem, interrupted = None, False
             try:
-                self._step_to_end(opened, between)
+                self._step_to_end(opened, sink, between)
             except KeyboardInterrupt:
                 interrupted = True
             except Ended as ended:
@@ -226,7 +226,7 @@ class Job:
             at_end(end)
         return end
 
-    def _step_to_end(self, opened: OpenJob, between: Callable[[float], None]) -> None:
+    def _step_to_end(self, opened: OpenJob, sink: PointSink, between: Callable[[float], None]) -> None:
         """Step from the start to the stop time."""
         loop = opened.loop
         with DeferredInterrupts() as interrupts:
@@ -238,6 +238,8 @@ class Job:
                 except Problem:
                     opened.recorder.collect()  # raises if a value is not finite: the cause of the failure
                     raise
+                if opened.errors:
+                    opened.errors.collect(sink)
                 between(loop.state.t)
 
     @contextmanager

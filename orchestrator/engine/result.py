@@ -46,6 +46,8 @@ class Result:
     complete   False if the run ended early; the trace then ends there. A run that an FMU asked to end is
                complete, and has a note about it
     provenance checksums of the FMUs, and values that differ from the shipped ones, with their origin
+    errors     estimated truth minus value of each recorded output, at communication points; None without an
+               estimate during the run
     """
 
     system: System
@@ -55,6 +57,7 @@ class Result:
     complete: bool = True
     coupling: Coupling = field(default_factory=Coupling)
     provenance: Provenance = field(default_factory=Provenance)
+    errors: Trace | None = None
 
     def write(self, path: str | Path) -> Path:
         """Write the trace as .csv, .parquet or .mat, and the metadata of the run next to it."""
@@ -63,8 +66,25 @@ class Result:
         return file
 
     def plot(self, *patterns: str, title: str = "", **options: Any) -> Figure:
-        """Recorded signals over time as a matplotlib figure; arguments of `Trace.plot`."""
-        return self.trace.plot(*patterns, title=title or self.system.name, **options)
+        """Recorded signals over time as a matplotlib figure, with their band; arguments of `Trace.plot`."""
+        return self.trace.plot(*patterns, title=title or self.system.name, band=self.band, **options)
+
+    @property
+    def band(self) -> Trace | None:
+        """Half width of a band around each output, shape (n,); None without an estimate during the run.
+
+        Twice the largest estimated error among the evaluations nearby. `python -m benchmarks.calibration`
+        prints the share of points at which the truth is inside.
+        """
+        if self.errors is None:
+            return None
+        from scipy.ndimage import maximum_filter1d
+
+        signals = {
+            name: BAND * maximum_filter1d(np.abs(values), 2 * NEARBY + 1)
+            for name, values in self.errors.signals.items()
+        }
+        return Trace(self.errors.time, signals, self.errors.units).at(self.trace.time)
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         """The values of a recorded signal, in its unit, shape (n,); the times are `trace.time`."""
@@ -106,6 +126,8 @@ BY_INPUTS = "estimated error of the coupling, from the errors of the inputs in e
 CONSTANT = 1e-6  # of its nominal value,
 CONSTANT_IN_UNIT = 1e-9  # or, without a nominal value, of the largest range of a signal in the same unit,
 FLOOR = 1e-12  # or, without a nominal value, in any unit
+# Half width of the band of a signal: this number times the largest of an estimated error and its neighbours
+BAND, NEARBY = 2.0, 5
 # A bond exchanges no energy if its exchange is below
 NO_EXCHANGE = 1e-9  # of the largest exchange of a bond,
 NO_EXCHANGE_ENERGY = 1e-12  # or [J]

@@ -211,7 +211,16 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
     if outcome.errors:
         nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
         card = replace(card, errors=relative_errors(outcome.errors, trace, nominals), errors_of_inputs=True)
-    result = Result(job.system, trace, card, tuple(messages), outcome.complete, job.coupling, job.provenance)
+    result = Result(
+        job.system,
+        trace,
+        card,
+        tuple(messages),
+        outcome.complete,
+        job.coupling,
+        job.provenance,
+        sink.errors(outcome.errors),
+    )
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))
     if outcome.problem:

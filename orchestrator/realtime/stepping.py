@@ -209,6 +209,9 @@ class LatestValues:
         if len(times):
             self.values[:] = self._layout.values(reals[-1:], integers[-1:])[0]
 
+    def append_errors(self, times: Array, errors: Array) -> None:
+        """Keep none."""
+
 
 class FrameStepper:
     """Steps a system of FMUs frame by frame.

@@ -44,6 +44,30 @@ def test_the_estimate_is_the_error(open_oscillator, exact, master, step):
     assert estimate_over_truth(result, exact) == pytest.approx(1.0, rel=0.25 if step == 5e-2 else 0.15)
 
 
+@pytest.mark.parametrize(("master", "step"), MASTERS[:3], ids=lambda choice: getattr(choice, "text", choice))
+def test_errors_over_time(open_oscillator, exact, master, step):
+    """Added to the values, estimated errors leave little of the true ones."""
+    result = run(open_oscillator, master=master, step=step, stop=10.0, error_estimate=True)
+    at = np.isin(result.trace.time, result.errors.time)
+    assert at.sum() == len(result.errors.time) > 100  # at communication points, exactly
+    for k, name in enumerate(("a.x", "b.x")):
+        error = exact(result.errors.time)[:, k] - result.trace[name][at]
+        # measured 0.005; a shift by one step would leave 0.03
+        assert np.linalg.norm(error - result.errors[name]) < 0.01 * np.linalg.norm(error)
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize(("master", "step"), MASTERS, ids=lambda choice: getattr(choice, "text", choice))
+def test_the_truth_is_inside_the_band(open_oscillator, exact, master, step, isolate):
+    """At every point of a linear system without jumps."""
+    options = {"stop": 10.0, "record_step": 0.1, "error_estimate": True, "isolate": isolate}
+    result = run(open_oscillator, master=master, step=step, **options)
+    for k, name in enumerate(("a.x", "b.x")):
+        error = np.abs(exact(result.trace.time)[:, k] - result.trace[name])
+        assert (error <= result.band[name] + 1e-9).all()  # errors inside the FMUs are below 1e-9 m
+    assert run(open_oscillator, master=master, step=step, stop=0.1).band is None
+
+
 def test_inputs_that_an_fmu_holds_at_their_mean(fmus, exact):
     """Their mean is right, so the error comes from the first moment of the defect alone."""
     a, b = (telling(fmus, m, f"{m}_holds", interpolates=False) for m in ("mass_a", "mass_b"))

@@ -176,6 +176,9 @@ typedef struct ErrorPropagation {
     const ErrorMember *members;
     ErrorInput *inputs;
     double *e, *stages, *factors, *w, *middle, *defects, *y, *squares, *largest, *lengths, *diagonal;
+    double *starts;       /* of the last two steps [s] */
+    double *times, *rows; /* evaluations of y since Python has collected them, shapes (capacity,) and (capacity, outputs) */
+    int32_t filled, capacity;
     int32_t member_count, output_count, lag, longest_lag, age, sample, since_sample;
     int32_t halves, longest_section, taken; /* steps of a section: at most, and so far */
     double section;                 /* its length so far [s] */

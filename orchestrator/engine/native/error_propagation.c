@@ -179,9 +179,9 @@ static int find_output_errors(Simulation *sim, const ErrorPropagation *p, const 
     return directional_derivative(sim, &member->outputs);
 }
 
-/* The errors of all outputs at a communication point. Components with further inputs, which influence no state, are
+/* The errors of all outputs at the communication point t. Components with further inputs, which influence no state, are
  * evaluated again when the errors of their sources are known. */
-static int sample(Simulation *sim, ErrorPropagation *p) {
+static int sample(Simulation *sim, ErrorPropagation *p, double t) {
     vector_zero(p->w, p->system.m_padded);
     matrix_add_product(p->system.kc, p->e, p->w, p->system.n, p->system.m_padded);
     for (int round = 0; round < 2; round++)
@@ -195,6 +195,10 @@ static int sample(Simulation *sim, ErrorPropagation *p) {
         p->largest[i] = larger(p->largest[i], fabs(p->y[i]));
     }
     p->time += p->since, p->since = 0.0;
+    if (p->filled < p->capacity) {
+        p->times[p->filled] = t;
+        memcpy(p->rows + (size_t)p->filled++ * (size_t)p->output_count, p->y, (size_t)p->output_count * sizeof *p->y);
+    }
     return CONTINUE;
 }
 
@@ -220,8 +224,8 @@ static int relinearise(Simulation *sim, ErrorPropagation *p) {
 
 int error_begin(Simulation *sim) { return relinearise(sim, sim->errors); }
 
-/* Advances the errors over the section. */
-static int end_section(Simulation *sim, ErrorPropagation *p) {
+/* Advances the errors over the section, which ends at t. */
+static int end_section(Simulation *sim, ErrorPropagation *p, double t) {
     if (!p->taken) return CONTINUE;
     error_advance(p, p->section);
     memset(p->defects, 0, 2 * (size_t)p->system.m * sizeof *p->defects);
@@ -229,7 +233,7 @@ static int end_section(Simulation *sim, ErrorPropagation *p) {
     p->section = 0.0, p->taken = 0;
     if (p->since_sample < p->sample) return CONTINUE;
     p->since_sample = 0;
-    return sample(sim, p);
+    return sample(sim, p, t);
 }
 
 /* The number of steps in which the slopes of the sources, and with them the errors, change by a part of their
@@ -264,7 +268,7 @@ static int advance(Simulation *sim, ErrorPropagation *p) {
     const double h = p->lengths[1];
     int corners = 0, verdict = CONTINUE;
     for (int32_t i = 0; i < p->system.m; i++) corners += has_corner(&p->inputs[i]);
-    if (corners) verdict = end_section(sim, p);
+    if (corners) verdict = end_section(sim, p, p->starts[0]);
     if (corners && !verdict) verdict = relinearise(sim, p);
     if (verdict) return verdict;
     if (p->halves) add_measured(p);
@@ -275,13 +279,14 @@ static int advance(Simulation *sim, ErrorPropagation *p) {
         add_defect(&p->defects[2 * i], d, p->section, h);
     }
     p->section += h, p->taken++, p->age++;
-    return corners || p->taken >= steps_together(p) ? end_section(sim, p) : CONTINUE;
+    return corners || p->taken >= steps_together(p) ? end_section(sim, p, p->starts[1]) : CONTINUE;
 }
 
 /* Takes note of an accepted step of length h [s], before its end becomes the beginning of the next one. */
 int error_propagate(Simulation *sim, double h) {
     ErrorPropagation *p = sim->errors;
     p->lengths[0] = p->lengths[1], p->lengths[1] = p->lengths[2], p->lengths[2] = h;
+    p->starts[0] = p->starts[1], p->starts[1] = sim->t;
     for (int32_t i = 0; i < p->system.m; i++) {
         ErrorInput *input = &p->inputs[i];
         input->usual_bend = larger(FADING * input->usual_bend, input->step.bend);

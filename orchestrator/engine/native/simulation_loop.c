@@ -200,6 +200,9 @@ int32_t simulation_begin(Simulation *sim) {
     return sim->errors ? error_begin(sim) : CONTINUE;
 }
 
+/* Does Python have to collect estimated errors before the next step, which may add two rows of them? */
+static int errors_are_full(const ErrorPropagation *p) { return p && p->filled + 2 > p->capacity; }
+
 /* Steps until the recorder's block is full, the run ends, or `patience` [s] of wall time have passed. */
 int32_t simulation_advance(Simulation *sim) {
     if (sim->threads > 1 && !sim->pool) sim->pool = pool_start(sim, sim->threads);
@@ -208,7 +211,7 @@ int32_t simulation_advance(Simulation *sim) {
     while (sim->done < sim->total && sim->recorder.filled < sim->recorder.capacity) {
         const int verdict = next_step(sim);
         if (verdict) return verdict;
-        if (sim->diverged || seconds() > until) break; /* Python finds the value that is not finite and ends the run */
+        if (sim->diverged || errors_are_full(sim->errors) || seconds() > until) break; /* Python finds the value that is not finite and ends the run */
     }
     return CONTINUE;
 }
