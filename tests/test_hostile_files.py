@@ -228,6 +228,13 @@ def test_the_name_in_an_extra_field_is_checked(tmp_path: Path, monkeypatch: pyte
     assert not (tmp_path / "evil").exists()
 
 
+def test_members_can_stay_packed(gain: Path) -> None:
+    """Those of the named folders; all others are unpacked."""
+    with Location(gain).unpacked(("binaries/",)) as folder:
+        found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert found == {n for n in Location(gain).names() if not n.startswith("binaries/")}
+
+
 def test_backslashes_in_names_are_slashes(gain: Path, tmp_path: Path) -> None:
     """Old packers on Windows write them; a check reports them."""
     path = tmp_path / "x.fmu"

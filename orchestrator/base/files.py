@@ -303,26 +303,33 @@ class Location:
             raise Problem(f"{context} a path inside of the archive; unpack the SSP to use other files")
         return Location(self.path, (*self.members[:-1], name))
 
-    def extract(self, folder: Path) -> None:
-        """Unpack this archive or copy this folder; refuse members with a path outside of the archive."""
+    def extract(self, folder: Path, without: tuple[str, ...] = ()) -> None:
+        """Unpack this archive or copy this folder; refuse members with a path outside of the archive.
+
+        without   first parts of the names of members of an archive that stay packed
+        """
         try:
             if self.is_folder:
                 shutil.copytree(self.path, folder)
                 return
             with self.zip() as archive:
                 for member in archive.infolist():
-                    extract_member(archive, member, folder)
+                    if not member.filename.startswith(without):
+                        extract_member(archive, member, folder)
         except ZIP_ERRORS as error:
             raise Problem(f"{self}: cannot be unpacked into {folder}: {_reason(error)}") from None
 
     @contextmanager
-    def unpacked(self) -> Iterator[Path]:
-        """This folder, or a temporary folder with the unpacked archive, which is removed at the end."""
+    def unpacked(self, without: tuple[str, ...] = ()) -> Iterator[Path]:
+        """This folder, or a temporary folder with the unpacked archive, which is removed at the end.
+
+        without   as in `extract`
+        """
         if self.is_folder:
             yield self.path.resolve()
             return
         with temporary_folder("fmu-", str(self)) as folder:
-            self.extract(folder)
+            self.extract(folder, without)
             yield folder
 
 

@@ -32,6 +32,7 @@ from orchestrator.fmi.instance import CallHook, FmuInstance, resources_location
 from orchestrator.fmi.library import load_library
 from orchestrator.fmi.messages import DISCARD, ERROR, FATAL, WARNING, Log, status_label
 
+UNUSED = ("sources/", "documentation/")  # by a running FMU
 LOG_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
 
@@ -58,7 +59,7 @@ class RunningFmu:
 
     def _open(self, fmu: Location) -> None:
         face = self.interface
-        folder = self._cleanup.enter_context(fmu.unpacked())
+        folder = self._cleanup.enter_context(fmu.unpacked(UNUSED))
         library = load_library(folder, face.identifier, face.fmi, self._label)
         self.fmu = FmuInstance(library, self.log, self.exchange, self._before, self._label)
         self._cleanup.callback(self._unless_fatal, library.close)
