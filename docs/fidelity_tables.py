@@ -201,10 +201,14 @@ def combination_table(rows: Sequence[Combination], costs: Mapping[str, Mapping[s
 def rows_of_costs(
     part: str, runs: Comparison, cost: Mapping[str, float], states: Mapping[str, int]
 ) -> list[str]:
-    """A row for each variant of a part: states, cost, worst error of each kind against the most detailed."""
+    """A row for each variant of a part: states, cost, worst error of each kind against the most detailed.
+
+    Without errors of variants that describe another machine.
+    """
     table = []
     for one in runs.runs:
-        errors = [runs.worst(one.label, kind) if one is not runs.reference else None for kind in KINDS]
+        same = one is not runs.reference and one.label not in OTHER_MACHINES
+        errors = [runs.worst(one.label, kind) if same else None for kind in KINDS]
         told = [percentage(row.metrics.nrmse) if row else "" for row in errors]
         table.append([part, one.label, str(states[one.label]), f"{cost[one.label]:.2f}", *told])
     lines = _rows(["part", "variant", "states", "µs per 1 ms", *KINDS], table).splitlines()
@@ -212,6 +216,7 @@ def rows_of_costs(
 
 
 KINDS = ("speed", "angle", "pressure")
+OTHER_MACHINES = ("compensated", "load_sensing")  # variants of which differences are no errors
 
 
 def fill(document: Path, name: str, table: str) -> None:
