@@ -10,6 +10,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from any_fmu.models import Workshop
 from check.good import DESCRIPTION, XML_2, Archive
 from test_damaged_files import INNER, LONGEST, MAPPING, MOST, OUTER, START, packed, peak
 
-from orchestrator import load
+from orchestrator import load, run
 from orchestrator.__main__ import main
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
@@ -233,6 +234,17 @@ def test_members_can_stay_packed(gain: Path) -> None:
     with Location(gain).unpacked(("binaries/",)) as folder:
         found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert found == {n for n in Location(gain).names() if not n.startswith("binaries/")}
+
+
+@pytest.mark.parametrize("folder", ["sources", "documentation"])
+def test_a_run_unpacks_no_sources_and_no_documentation(gain: Path, tmp_path: Path, folder: str) -> None:
+    """A member there that cannot be unpacked does not prevent a run; one in resources does."""
+    for place, problem in ((folder, None), ("resources", "is compressed with")):
+        fmu = Path(shutil.copy(gain, tmp_path / f"{place}.fmu"))
+        with zipfile.ZipFile(fmu, "a", zipfile.ZIP_BZIP2) as archive:
+            archive.writestr(f"{place}/odd.txt", "x" * 1000)
+        with pytest.raises(Problem, match=problem) if problem else nullcontext():
+            run(fmu, step=0.1, stop=0.1)
 
 
 def test_backslashes_in_names_are_slashes(gain: Path, tmp_path: Path) -> None:

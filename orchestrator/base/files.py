@@ -306,7 +306,8 @@ class Location:
     def extract(self, folder: Path, without: tuple[str, ...] = ()) -> None:
         """Unpack this archive or copy this folder; refuse members with a path outside of the archive.
 
-        without   first parts of the names of members of an archive that stay packed
+        without   prefixes of member names, such as "sources/"; these members stay packed and are not checked.
+                  No effect on a folder
         """
         try:
             if self.is_folder:

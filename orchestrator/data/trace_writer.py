@@ -17,7 +17,7 @@ import secrets
 import shutil
 import struct
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -90,13 +90,13 @@ class PointSink(Protocol):
     begin           receives the layout and the expected number of points
     append_points   receives times [s], shape (n,), Real and Integer values, shape (n, ...); the arrays are
                     overwritten later
-    append_errors   receives times [s], shape (n,), and estimated errors of the outputs, shape (n, outputs);
-                    the arrays are overwritten later
+    append_errors   receives names of outputs, times [s], shape (n,), and estimated errors, shape
+                    (n, outputs); the arrays are overwritten later
     """
 
     def begin(self, layout: RowLayout, rows: int) -> None: ...
     def append_points(self, times: Array, reals: Array, integers: NDArray[np.int32]) -> None: ...
-    def append_errors(self, times: Array, errors: Array) -> None: ...
+    def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None: ...
 
 
 class TraceSink:
@@ -116,12 +116,12 @@ class TraceSink:
         """Receive points of a run."""
         self.append(times, self.layout.values(reals, integers))
 
-    def append_errors(self, times: Array, errors: Array) -> None:
-        """Receive estimated errors of the outputs; only a sink in memory keeps them."""
+    def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
+        """Receive estimated errors of outputs; only a sink in memory keeps them."""
 
-    def errors(self, outputs: Iterable[str]) -> Trace | None:
-        """The estimated errors of the recorded signals among the outputs; None if they were not kept."""
-        del outputs
+    @property
+    def errors(self) -> Trace | None:
+        """The estimated errors of the recorded signals; None if there are none or they were not kept."""
         return None
 
     def append(self, times: Array, values: Array) -> None:
@@ -147,7 +147,7 @@ class TraceInMemory(TraceSink):
         """Allocate the arrays; raises Problem if they do not fit into memory."""
         super().begin(layout)
         self._times, self._values = np.zeros(0), np.zeros((layout.width, 0))
-        self._errors: list[tuple[Array, Array]] = []
+        self._outputs, self._errors = list[str](), list[tuple[Array, Array]]()
         self._allocate(rows)
 
     def append(self, times: Array, values: Array) -> None:
@@ -164,9 +164,12 @@ class TraceInMemory(TraceSink):
         self._values[:count, first : self.rows] = reals.T
         self._values[count:, first : self.rows] = integers.T
 
-    def append_errors(self, times: Array, errors: Array) -> None:
-        """Store estimated errors."""
-        self._errors.append((times.copy(), errors.copy()))
+    def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
+        """Store estimated errors of recorded signals, without times at which one is not finite."""
+        columns = {n: k for k, n in enumerate(outputs) if n in self.layout.names}
+        self._outputs, values = list(columns), errors[:, list(columns.values())]
+        finite = np.isfinite(values).all(axis=1)
+        self._errors.append((times[finite], values[finite]))
 
     def _allocate(self, rows: int) -> None:
         try:
@@ -193,13 +196,14 @@ class TraceInMemory(TraceSink):
             signals[layout.names[k]] = factor * signals[layout.names[k]] + offset
         return Trace(self._times[: self.rows], signals, layout.units)
 
-    def errors(self, outputs: Iterable[str]) -> Trace | None:
-        """The estimated errors of the recorded signals among the outputs; None without an estimate."""
+    @property
+    def errors(self) -> Trace | None:
+        """The estimated errors of the recorded signals; None if there are none."""
         if not self._errors:
             return None
         times, rows = (np.concatenate(parts) for parts in zip(*self._errors, strict=True))
-        columns = dict(zip(outputs, rows.T, strict=True))
-        return Trace(times, columns, self.layout.units).select(n for n in columns if n in self.layout.names)
+        signals = dict(zip(self._outputs, np.ascontiguousarray(rows.T), strict=True))
+        return Trace(times, signals, {n: u for n, u in self.layout.units.items() if n in signals})
 
 
 class TraceOnDisk(Trace):

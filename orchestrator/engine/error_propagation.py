@@ -106,7 +106,7 @@ class ErrorPropagation:
     def collect(self, sink: PointSink) -> None:
         """Pass on the errors of the outputs at each evaluation since the last call."""
         if filled := self._struct.filled:
-            sink.append_errors(self.times[:filled], self.rows[:filled])
+            sink.append_errors([str(p) for p in self._outputs], self.times[:filled], self.rows[:filled])
             self._struct.filled = 0
 
     def fill(self, binding: Binding) -> None:

@@ -190,7 +190,7 @@ class Job:
     ) -> RunEnd:
         """Open all FMUs, run in this process, and close them in any case.
 
-        sink       receives the recorded rows
+        sink       receives the recorded rows and the estimated errors
         between    called with the time [s] between blocks of steps; a KeyboardInterrupt ends the run
         at_end     called before the FMUs are closed
         allocate   see `Binding`
@@ -207,6 +207,8 @@ class Job:
             except Problem as raised:
                 problem = raised
             opened.recorder.finish()
+            if opened.errors:
+                opened.errors.collect(sink)
             state, network = opened.loop.state, opened.network
             end = RunEnd(
                 t=state.t,

@@ -46,8 +46,8 @@ class Result:
     complete   False if the run ended early; the trace then ends there. A run that an FMU asked to end is
                complete, and has a note about it
     provenance checksums of the FMUs, and values that differ from the shipped ones, with their origin
-    errors     estimated truth minus value of each recorded output, at communication points; None without an
-               estimate during the run
+    errors     estimate of truth minus value, of each recorded output of an FMU that declares its states, at
+               some communication points; None without an estimate during the run, or if rows went to a file
     """
 
     system: System
@@ -67,11 +67,12 @@ class Result:
 
     def plot(self, *patterns: str, title: str = "", **options: Any) -> Figure:
         """Recorded signals over time as a matplotlib figure, with their band; arguments of `Trace.plot`."""
-        return self.trace.plot(*patterns, title=title or self.system.name, band=self.band, **options)
+        options = {"title": title or self.system.name, "band": self.band} | options
+        return self.trace.plot(*patterns, **options)
 
     @property
     def band(self) -> Trace | None:
-        """Half width of a band around each output, shape (n,); None without an estimate during the run.
+        """Half width of a band around each signal of `errors`, shape (n,); None without them.
 
         Twice the largest estimated error among the evaluations nearby. `python -m benchmarks.calibration`
         prints the share of points at which the truth is inside.

@@ -219,7 +219,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
         outcome.complete,
         job.coupling,
         job.provenance,
-        sink.errors(outcome.errors),
+        sink.errors,
     )
     if outcome.interrupted:
         raise Interrupted(result, str(outcome.problem or ""))

@@ -88,7 +88,7 @@ class SimulationLoop:
         self._recorder.collect()
 
     def advance(self) -> None:
-        """Step until a block of points is full, for ADVANCE_TIME, or to the end."""
+        """Step until a block of points or estimated errors is full, for ADVANCE_TIME, or to the end."""
         self._binding.call("simulation_advance")
         self._recorder.collect()
         if self._threads_undecided and self.state.steps >= TIMED_STEPS:

@@ -209,7 +209,7 @@ class LatestValues:
         if len(times):
             self.values[:] = self._layout.values(reals[-1:], integers[-1:])[0]
 
-    def append_errors(self, times: Array, errors: Array) -> None:
+    def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
         """Keep none."""
 
 

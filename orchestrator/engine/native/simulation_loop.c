@@ -203,7 +203,8 @@ int32_t simulation_begin(Simulation *sim) {
 /* Does Python have to collect estimated errors before the next step, which may add two rows of them? */
 static int errors_are_full(const ErrorPropagation *p) { return p && p->filled + 2 > p->capacity; }
 
-/* Steps until the recorder's block is full, the run ends, or `patience` [s] of wall time have passed. */
+/* Steps until a block of points or of estimated errors is full, the run ends, or `patience` [s] of wall time have
+ * passed. If the run diverged, Python finds the value that is not finite and ends the run. */
 int32_t simulation_advance(Simulation *sim) {
     if (sim->threads > 1 && !sim->pool) sim->pool = pool_start(sim, sim->threads);
     const double until = seconds() + sim->patience;
@@ -211,7 +212,7 @@ int32_t simulation_advance(Simulation *sim) {
     while (sim->done < sim->total && sim->recorder.filled < sim->recorder.capacity) {
         const int verdict = next_step(sim);
         if (verdict) return verdict;
-        if (sim->diverged || errors_are_full(sim->errors) || seconds() > until) break; /* Python finds the value that is not finite and ends the run */
+        if (sim->diverged || errors_are_full(sim->errors) || seconds() > until) break;
     }
     return CONTINUE;
 }
