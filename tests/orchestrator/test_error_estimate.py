@@ -56,11 +56,10 @@ def test_errors_over_time(open_oscillator, exact, master, step):
         assert np.linalg.norm(error - result.errors[name]) < 0.01 * np.linalg.norm(error)
 
 
-@pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize(("master", "step"), MASTERS, ids=lambda choice: getattr(choice, "text", choice))
-def test_the_truth_is_inside_the_band(open_oscillator, exact, master, step, isolate):
+def test_the_truth_is_inside_the_band(open_oscillator, exact, master, step):
     """At every point of a linear system without jumps."""
-    options = {"stop": 10.0, "record_step": 0.1, "error_estimate": True, "isolate": isolate}
+    options = {"stop": 10.0, "record_step": 0.1, "error_estimate": True}
     result = run(open_oscillator, master=master, step=step, **options)
     for k, name in enumerate(("a.x", "b.x")):
         error = np.abs(exact(result.trace.time)[:, k] - result.trace[name])
