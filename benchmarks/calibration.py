@@ -22,13 +22,12 @@ from typing import Any, Literal
 import numpy as np
 
 from fmus.machine.build import build_machine, data
-from fmus.machine.parts import FAMILIES
+from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator import Coupling, Problem, System, Trace, load, run
 from orchestrator.base.files import VARIANTS
 from orchestrator.engine.result import Result
 
-LATER = {"compensated", "load_sensing"}  # variants that docs/fidelity.md does not combine
-PARTS = {part: [v for v in variants if v not in LATER] for part, variants in FAMILIES.items()}
+PARTS = {part: [v for v in variants if v not in OTHER_CIRCUITS] for part, variants in FAMILIES.items()}
 POINTS = np.array([0.0, 1.0, 1.4, 3.0, 3.4, 4.0, 4.2, 6.0])  # s
 STROKE = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, -0.7, -0.7])
 STROKES = {

@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.machine.parts import FAMILIES, parts, wiring
+from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS, parts, wiring
 from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
 from orchestrator.engine.result import SignalError, compare
@@ -41,7 +41,6 @@ EQUAL = 1e-8  # of the range of each signal
 WITHIN = 1.5  # times the estimate: a change at half the step is an estimate, not a bound
 OWN = 1e-9  # RMS error of the reference, over range
 TOLERANCE = 1e-12  # of the FMUs
-NEW = {"compensated", "load_sensing"}  # variants that docs/fidelity.md does not have
 STOP, RECORD, STEP = 3.0, 5e-3, 2.5e-4  # s
 SHAPE = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
 VOLTS = {"swing_command": 1.5, "boom_command": 2.0, "stick_command": -1.5}
@@ -53,7 +52,7 @@ SCALE, EXACT = 1e-3, 1e-14
 
 def combinations(every: bool = False) -> list[dict[str, str]]:
     """The variants of each part of each machine, without the default ones."""
-    names = [[v for v in family if every or v not in NEW] for family in FAMILIES.values()]
+    names = [[v for v in family if every or v not in OTHER_CIRCUITS] for family in FAMILIES.values()]
     first = {part: next(iter(family)) for part, family in FAMILIES.items()}
     chosen = (dict(zip(FAMILIES, combination, strict=True)) for combination in product(*names))
     return [{part: v for part, v in one.items() if v != first[part]} for one in chosen]

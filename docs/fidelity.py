@@ -35,7 +35,6 @@ from fidelity_cases import (
 )
 from fidelity_measures import modes
 from fidelity_tables import (
-    OTHER_MACHINES,
     Outcome,
     combination_table,
     fill,
@@ -51,7 +50,7 @@ from fidelity_tables import (
 from fmus.boom_stick.detailed import detailed
 from fmus.export.build import build
 from fmus.machine.build import build_machine
-from fmus.machine.parts import FAMILIES
+from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator import load
 from orchestrator.base.plotting import png
 from orchestrator.results.comparison import compare
@@ -151,11 +150,11 @@ def costs(system: Path) -> None:
         if part == "boom_stick":
             lines = example.table(part, runs, cost).splitlines()
             fill(EXAMPLE / "README.md", "table", "\n".join(f"    {line}" for line in lines))
-            traces = {run.label: run.trace for run in runs.runs if run.label not in OTHER_MACHINES}
+            traces = {run.label: run.trace for run in runs.runs if run.label not in OTHER_CIRCUITS}
             seen = compare(traces, runs.reference.label, SIGNALS, start=10.0, stop=20.0)
             (IMAGES / "fidelity-example.png").write_bytes(png(draw(seen)))
     fill(DOCUMENT, "costs", "\n".join(told))
-    variants = {part: [v for v in family if v not in OTHER_MACHINES] for part, family in FAMILIES.items()}
+    variants = {part: [v for v in family if v not in OTHER_CIRCUITS] for part, family in FAMILIES.items()}
     rows = list(combinations(load(system), variants, SPEEDS, step=1e-3, record_step=0.02))
     fill(DOCUMENT, "combinations", combination_table(rows, spent))
 

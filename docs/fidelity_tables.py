@@ -11,7 +11,7 @@ import numpy as np
 from fidelity_cases import IN, OUT, QUICK, SPEEDS, STICK, SWING, TURN, Case, Test, Trace, cycle, tested
 from fidelity_measures import SPLIT, Mode, Ripple, mode_of, peaks, return_ripple, together
 
-from fmus.machine.parts import FAMILIES
+from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator.base.text import percentage
 from orchestrator.results.comparison import Comparison
 from orchestrator.studies.variants import Combination
@@ -203,11 +203,11 @@ def rows_of_costs(
 ) -> list[str]:
     """A row for each variant of a part: states, cost, worst error of each kind against the most detailed.
 
-    Without errors of variants that describe another machine.
+    Without errors of variants with another circuit.
     """
     table = []
     for one in runs.runs:
-        same = one is not runs.reference and one.label not in OTHER_MACHINES
+        same = one is not runs.reference and one.label not in OTHER_CIRCUITS
         errors = [runs.worst(one.label, kind) if same else None for kind in KINDS]
         told = [percentage(row.metrics.nrmse) if row else "" for row in errors]
         table.append([part, one.label, str(states[one.label]), f"{cost[one.label]:.2f}", *told])
@@ -216,7 +216,6 @@ def rows_of_costs(
 
 
 KINDS = ("speed", "angle", "pressure")
-OTHER_MACHINES = ("compensated", "load_sensing")  # variants of which differences are no errors
 
 
 def fill(document: Path, name: str, table: str) -> None:

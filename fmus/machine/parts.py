@@ -22,6 +22,8 @@ FAMILIES: Mapping[str, Mapping[str, Subsystem]] = {
     "manipulator": manipulator.VARIANTS,
     "supply": supply.VARIANTS,
 }
+# variants with another circuit than the paper's machine: differences from the others are no errors
+OTHER_CIRCUITS = ("compensated", "load_sensing")
 # default variants: of the machine, and of the machine with supply and operator
 SUBSYSTEMS: Mapping[str, Subsystem] = {s.name: s for s in (SWING, BOOM_STICK, MANIPULATOR)}
 ALL: Mapping[str, Subsystem] = {**SUBSYSTEMS, SUPPLY.name: SUPPLY, OPERATOR.name: OPERATOR}

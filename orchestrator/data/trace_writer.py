@@ -105,7 +105,11 @@ class TraceSink:
     layout   the signals, from `begin` on
     rows     number of rows until now
     last     time of the last row [s]
+
+    keeps_errors   whether `append_errors` has an effect
     """
+
+    keeps_errors = False
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Receive the signals; `rows`: the expected number of rows."""
@@ -143,6 +147,8 @@ class TraceSink:
 class TraceInMemory(TraceSink):
     """The rows as a `Trace`, whose signals are contiguous."""
 
+    keeps_errors = True
+
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
         """Allocate the arrays; raises Problem if they do not fit into memory."""
         super().begin(layout)
@@ -166,10 +172,12 @@ class TraceInMemory(TraceSink):
 
     def append_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> None:
         """Store estimated errors of recorded signals, without times at which one is not finite."""
-        columns = {n: k for k, n in enumerate(outputs) if n in self.layout.names}
+        recorded = set(self.layout.names)
+        columns = {n: k for k, n in enumerate(outputs) if n in recorded}
         self._outputs, values = list(columns), errors[:, list(columns.values())]
         finite = np.isfinite(values).all(axis=1)
-        self._errors.append((times[finite], values[finite]))
+        if finite.any():
+            self._errors.append((times[finite], values[finite]))
 
     def _allocate(self, rows: int) -> None:
         try:

@@ -56,13 +56,20 @@ if hasattr(os, "register_at_fork"):
 
 @dataclass(frozen=True)
 class RunTask:
-    """Message to the child: the run to do, its number, the working directory, and where modules are found."""
+    """Message to the child: a run to do.
+
+    number         of the run
+    directory      the working directory
+    path           where modules are found
+    keeps_errors   send estimated errors to the parent
+    """
 
     job: Job
     times: Grid
     number: int
     directory: str
     path: list[str]
+    keeps_errors: bool
 
 
 # ---- the parent
@@ -127,7 +134,7 @@ class _Supervision:
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
-        worker.put(RunTask(job, times, self._number, os.getcwd(), [*sys.path]))
+        worker.put(RunTask(job, times, self._number, os.getcwd(), [*sys.path], sink.keeps_errors))
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
     def outcome(self, check: Callable[[], None]) -> RunEnd:
@@ -301,7 +308,8 @@ def _run(channel: Channel, task: RunTask) -> None:
             channel.put(("points", points))
 
         def append_errors(self, *errors: Any) -> None:
-            channel.put(("errors", errors))
+            if task.keeps_errors:
+                channel.put(("errors", errors))
 
     def open_fmu(component: Component) -> Slave:
         slave = open_slave(component)
