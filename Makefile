@@ -28,9 +28,12 @@ demo: $(INSTALLED)
 test: $(TESTING)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
+# the long tests in shards (tests/kit/shards.py); `make test-long SHARD="browser faults"` runs some of them
+SHARD := documents tools platforms c browser faults machine search
 test-long: $(TESTING)
-	$(BIN)/python -m pytest -n 2 -m long -s
-	$(BIN)/python -m pytest -n 2 -m hypothesis --hypothesis-profile=search
+	for shard in $(SHARD); do \
+	  $(BIN)/python -m pytest -n 2 --dist worksteal -m "long(shard='$$shard')" || exit 1; \
+	done
 
 lint: $(TESTING)
 	$(BIN)/ruff check .
@@ -83,7 +86,7 @@ constraints: $(RELEASING)
 
 # the lowest and the newest versions that pyproject.toml allows, each in an environment of its own; a fast part
 # of the tests. With old versions warnings are no errors
-FAST := tests/test_extras.py tests/test_cli.py tests/orchestrator/test_cli.py tests/orchestrator/test_run.py \
+FAST := tests/cli/test_extras.py tests/cli/test_cli.py tests/orchestrator/test_cli.py tests/orchestrator/test_run.py \
   tests/orchestrator/test_matlab.py tests/validation tests/check/test_good.py tests/sweep/test_running.py \
   tests/sweep/test_analysis_sobol.py tests/identification/procedures tests/view/test_page_command.py \
   tests/control/test_linear_use.py tests/python_fmu/test_agreement.py

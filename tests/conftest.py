@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import properties
 import pytest
+from kit import properties
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 LONG = 600.0  # s for a browser to start or the machine to be built; only bounds a failure
@@ -24,6 +25,10 @@ FLAGS = (
     "--disable-sync",
 )
 properties.register()  # before any test is read
+# the compiler's own cache, also for tests that move the user's: else it compiles its C library again in each
+os.environ.setdefault(
+    "ZIG_GLOBAL_CACHE_DIR", str(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zig")
+)
 
 
 @pytest.fixture(scope="session")

@@ -112,7 +112,7 @@ def shared_library(
     except OSError:  # the cache is not writable
         pass
     own = process_folder()
-    zig = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(own / "zig")}  # of the compiler, next to ours
+    zig = {"ZIG_GLOBAL_CACHE_DIR": str(own / "zig"), **os.environ}  # of the compiler, next to ours
     return _compile(own / file, name, code, arguments, zig)
 
 

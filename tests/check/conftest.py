@@ -5,25 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import pytest
-from any_fmu.models import Workshop
+from kit.any_fmu.models import Workshop
 
 from check.good import Archive, make
 from check.oscillator import Oscillators
 
 
 @pytest.fixture(scope="session")
-def good(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Archive]:
+def good() -> Mapping[int, Archive]:
     """The good FMU of FMI 2 and of FMI 3."""
-    return {major: make(tmp_path_factory.mktemp(f"good{major}"), major) for major in (2, 3)}
+    return {major: make(major) for major in (2, 3)}
 
 
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """The small FMUs of the orchestrator's tests."""
-    return Workshop(tmp_path_factory.mktemp("any_fmu")).compile()
+    return Workshop(tmp_path_factory.mktemp("any_fmu"))
 
 
 @pytest.fixture(scope="session")
 def oscillators(tmp_path_factory: pytest.TempPathFactory) -> Oscillators:
     """Oscillators with faults of choice."""
-    return Oscillators(tmp_path_factory.mktemp("oscillators")).compile()
+    return Oscillators(tmp_path_factory.mktemp("oscillators"))

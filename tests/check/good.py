@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import fmpy
+from kit import compile
+from kit.compile import SHARED
 
 SOURCE = Path(__file__).with_name("good.c")
 TARGETS = {  # target of the compiler -> folder in FMI 2, folder in FMI 3, suffix
@@ -140,21 +140,20 @@ class Archive:
         return path
 
 
-def compiled(folder: Path, target: str, *flags: str) -> bytes:
+def compiled(target: str, *flags: str) -> bytes:
     """A library for a target; without debug information unless the flags ask for it."""
-    headers = Path(fmpy.__file__).parent / "c-code"
-    out = folder / f"lag{TARGETS[target][2]}"
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, "-std=c99", "-O1", "-shared"]
-    command += ["-fPIC", "-Wall", "-Wextra", "-Werror"]
-    command += ["-Wno-unused-parameter", f"-I{headers}", *flags, str(SOURCE), "-o", str(out)]
-    root = SOURCE.parents[2]  # debug information without paths of this machine: they are a fault of their own
-    command += [f"-ffile-prefix-map={root}=project"] if "-g" in flags else ["-s"]
-    command += ["-Wl,-install_name,@rpath/lag.dylib"] if "macos" in target else []
-    subprocess.run(command, check=True, capture_output=True, text=True)
-    return out.read_bytes()
+    # debug information without paths of this machine: they are a fault of their own
+    more = (
+        ["-fdebug-compilation-dir=project", f"-ffile-prefix-map={sys.prefix}=python"]
+        if "-g" in flags
+        else ["-s"]
+    )
+    more += ["-Wl,-install_name,@rpath/lag.dylib"] if "macos" in target else []
+    flags = (*SHARED, "-std=c99", "-Wno-unused-parameter", *more, *flags)
+    return compile.compiled(f"lag{TARGETS[target][2]}", [SOURCE], *flags, target=target).read_bytes()
 
 
-def make(folder: Path, major: int) -> Archive:
+def make(major: int) -> Archive:
     """The good FMU of a version."""
     icon = b"\x89PNG\r\n\x1a\n"
     members = {
@@ -171,5 +170,5 @@ def make(folder: Path, major: int) -> Archive:
         members["sources/buildDescription.xml"] = BUILD.encode()
     archive = Archive(major, members)
     for target in TARGETS:
-        archive = archive.put(archive.library(target), compiled(folder, target, f"-DFMI={major}"))
+        archive = archive.put(archive.library(target), compiled(target, f"-DFMI={major}"))
     return archive

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
+from kit.compile import library
 
 SOURCE = Path(__file__).with_name("oscillator.c")
 PLATFORM = {2: fmpy.platform, 3: fmpy.platform_tuple}
@@ -92,30 +91,9 @@ def _unknowns(tag: str, key: str, table: Mapping[int, tuple[int, ...]], base: in
 
 @dataclass
 class Oscillators:
-    """Makes FMUs in `folder`; the library is compiled once."""
+    """Makes FMUs in `folder`."""
 
     folder: Path
-    library: bytes = b""
-
-    def compile(self) -> Oscillators:
-        """Compile for this machine."""
-        target = self.folder / f"oscillator{fmpy.sharedLibraryExtension}"
-        headers = Path(fmpy.__file__).parent / "c-code"
-        flags = [
-            "-std=gnu11",
-            "-O1",
-            "-fno-sanitize=undefined",
-            "-shared",
-            "-fPIC",
-            "-Wall",
-            "-Wextra",
-            f"-I{headers}",
-        ]
-        command = [sys.executable, "-m", "ziglang", "cc", *flags, str(SOURCE), "-o", str(target), "-lm"]
-        run = subprocess.run(command, check=False, capture_output=True, text=True)
-        assert run.returncode == 0, run.stderr
-        self.library = target.read_bytes()
-        return self
 
     def make(
         self,
@@ -129,12 +107,13 @@ class Oscillators:
         text = description(major)
         assert change[0] in text
         mark, wanted = b"FAULT=none", f"FAULT={fault}".encode()
-        library = self.library.replace(mark + bytes(14), wanted + bytes(24 - len(wanted)))
-        assert (library == self.library) == (fault == "none")
+        plain = library("oscillator", [SOURCE], "-std=gnu11", "-fno-sanitize=undefined")
+        binary = plain.replace(mark + bytes(14), wanted + bytes(24 - len(wanted)))
+        assert (binary == plain) == (fault == "none")
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("modelDescription.xml", text.replace(*change) if change[0] else text)
             name = f"binaries/{PLATFORM[major]}/oscillator{fmpy.sharedLibraryExtension}"
-            archive.writestr(name, library)
+            archive.writestr(name, binary)
             for member, content in (extra or {}).items():
                 archive.writestr(member, content)
         return path

@@ -21,8 +21,8 @@ Patch = Callable[[Archive, Path], Archive]
 def flags(*options: str, target: str = LINUX) -> Patch:
     """The library of one target compiled with additional options."""
 
-    def patch(good: Archive, folder: Path) -> Archive:
-        library = compiled(folder, target, f"-DFMI={good.major}", *options)
+    def patch(good: Archive, _: Path) -> Archive:
+        library = compiled(target, f"-DFMI={good.major}", *options)
         return good.put(good.library(target), library)
 
     return patch

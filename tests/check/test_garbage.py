@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 
 from check.good import DESCRIPTION, Archive
 from orchestrator.base.errors import Problem

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from any_fmu.models import MODELS, Workshop
+from kit.any_fmu.models import MODELS, Workshop
 
 from check.good import Archive
 from orchestrator.check import check

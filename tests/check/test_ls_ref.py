@@ -9,6 +9,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from kit import shards
 from lxml import etree
 
 from fmus.contract import quantities
@@ -106,7 +107,7 @@ def test_another_importer_reproduces_the_result(fmu_dir, name):
         assert deviation < NRMSE_LIMIT, f"{signal}: {deviation:.2g} of range"
 
 
-@pytest.mark.long
+@shards.machine
 def test_the_committed_experiments_are_those_of_the_equations():
     """`python -m fmus.machine.reference` writes the same inputs, parameters and beginning of each result."""
     empty, loaded = machine_signals(), machine_signals([STEM])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
-from steering import INPUTS, STATES, V, measured, model, start
+from kit.properties import examples
+from kit.steering import INPUTS, STATES, V, measured, model, start
 
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from steering import INPUTS, STATES, V, at, measured, model, rates, start
+from kit.steering import INPUTS, STATES, V, at, measured, model, rates, start
 
 from fmus.contract import quantities, symbolic
 from fmus.controller.model import CONTROLLER

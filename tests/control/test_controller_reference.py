@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from properties import examples
-from steering import STATES, V, at, measured, rates, start
+from kit.properties import examples
+from kit.steering import STATES, V, at, measured, rates, start
 
 from fmus.components.smooth import s_curve
 from fmus.controller import geometry, reference

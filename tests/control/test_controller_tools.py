@@ -9,7 +9,7 @@ import pytest
 from fmpy import simulate_fmu
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssv
-from work_cycle import check_log, load
+from kit.work_cycle import check_log, load
 
 from orchestrator import Trace, run
 

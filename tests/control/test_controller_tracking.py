@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sensors import opener
+from kit.sensors import opener
 
 from fmus.machine.build import data
 from fmus.machine.poses import NOMINAL, POSES

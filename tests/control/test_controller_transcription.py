@@ -6,11 +6,11 @@ from types import SimpleNamespace as Group
 
 import numpy as np
 import pytest
-from controller_transcription import AXES, Arm, written
+from equations.controller_transcription import AXES, Arm, written
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
-from steering import STATES, V, model
+from kit.properties import examples
+from kit.steering import STATES, V, model
 
 from fmus.contract import quantities
 from fmus.controller.model import CONTROLLER

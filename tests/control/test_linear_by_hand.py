@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from driver import driving
+from kit.fmu import driving
 
 from orchestrator import linearize
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from driver import driving
+from kit.fmu import driving
 from scipy.signal import StateSpace, lsim
 
 from fmus.machine.parts import SUBSYSTEMS

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from linear_parts import LAG, MASS, SPRING, values
+from kit.linear_parts import LAG, MASS, SPRING, values
 
 from fmus.export.build import build
 from orchestrator import Problem, assemble, linearize
@@ -98,7 +98,7 @@ def test_a_steady_state_balances_what_pulls(fmus):
 
 def test_without_directional_derivatives_differences_do_and_a_note_says_so(fmus, tmp_path):
     """The same model, whose description does not offer derivatives, differs by the error of differences."""
-    from any_fmu.edit import edited
+    from kit.any_fmu.edit import edited
 
     plain = edited(
         fmus / "mass.fmu", tmp_path / "mass.fmu", (r"providesDirectionalDerivatives?", "needsNothing")

@@ -122,7 +122,7 @@ def test_two_inputs_of_one_joint_are_told(fmu_dir):
 
 def test_an_fmu_for_co_simulation_only_is_told(fmu_dir, tmp_path):
     """Without model exchange nobody can choose the states."""
-    from any_fmu.edit import edited
+    from kit.any_fmu.edit import edited
 
     fmu = edited(fmu_dir / "swing.fmu", tmp_path / "swing.fmu", ("<ModelExchange.*?</ModelExchange>", ""))
     with pytest.raises(Problem, match="expected an FMU for model exchange, got one for co-simulation only"):

@@ -13,7 +13,7 @@ import casadi as ca
 import fmpy
 import pytest
 from fmpy import fmi2
-from toy import toy
+from kit.toy import toy
 
 from fmus.contract import Quantity, Subsystem
 from fmus.export.build import build

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
+from kit import shards
 
 from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import identify
@@ -11,7 +11,7 @@ from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values, write
 from fmus.rig import write_all
 
-pytestmark = pytest.mark.long  # the detailed machine at work takes half a minute
+pytestmark = shards.machine  # the detailed machine at work takes half a minute
 
 
 def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):

@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from kit import shards
 
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
@@ -59,7 +60,7 @@ def test_the_procedures_write_parameters_and_a_page(capsys):
     assert values(usual["swing"]).p["valve_area"] == tables["valve_area"]["value"]
 
 
-@pytest.mark.long
+@shards.machine
 @pytest.mark.usefixtures("here")
 def test_the_joint_refinement_returns_the_machine(capsys):
     """All parameters of the default set at once, from 60 s: nearly all intervals cover the truth."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from any_fmu.models import Workshop
+from kit.any_fmu.models import Workshop
 
 
 @pytest.fixture(scope="session")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """The plain FMU of each model by name."""
-    return Workshop(tmp_path_factory.mktemp("lanes")).compile()
+    return Workshop(tmp_path_factory.mktemp("lanes"))
 
 
 @pytest.fixture(scope="session")

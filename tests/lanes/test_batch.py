@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from kit import shards
 
 from orchestrator import Coupling, Problem, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError
@@ -89,7 +90,7 @@ def test_steps_that_the_worst_machine_divides_are_as_accurate_as_those_of_one(sy
     assert error < 1.1 * alone
 
 
-@pytest.mark.long
+@shards.machine
 @pytest.mark.parametrize("variants", range(4))
 def test_every_variant_runs_in_lanes(system, variants):
     """All variants of all parts, four combinations in which each occurs, over both work cycle and strokes."""

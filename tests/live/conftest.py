@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from any_fmu.models import Workshop
+from kit.any_fmu.models import Workshop
 
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
@@ -43,7 +43,7 @@ def u(station: RealTimeMachine) -> float:
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """The plain FMU of each model by name."""
-    return Workshop(tmp_path_factory.mktemp("live_fmu")).compile()
+    return Workshop(tmp_path_factory.mktemp("live_fmu"))
 
 
 @pytest.fixture(scope="session")

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import fmpy
+from kit.compile import library
 
 SOURCE = Path(__file__).with_name("hybrid.c")
-HEADERS = Path(fmpy.__file__).parent / "c-code"
 # name, type, causality, variability, start or None, value reference
 Variable = tuple[str, str, str, str, object, int]
 MODELS: dict[str, list[Variable]] = {
@@ -54,23 +51,12 @@ INDICATOR = 6
 
 def build(folder: Path, model: str, version: int = 2) -> Path:
     """The FMU `model` for FMI 2.0 or 3.0."""
-    library = folder / f"{model}{version}.so"
-    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", f"-DFMI={version}"]
-    command += [
-        "-DFMI3_OVERRIDE_FUNCTION_PREFIX",
-        "-isystem",
-        str(HEADERS),
-        str(SOURCE),
-        "-o",
-        str(library),
-        "-lm",
-    ]
-    subprocess.run(command, check=True, capture_output=True)
+    binary = library("hybrid", [SOURCE], f"-DFMI={version}", "-DFMI3_OVERRIDE_FUNCTION_PREFIX")
     path = folder / f"{model}{version}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description(model, version))
         platform = "linux64" if version == 2 else "x86_64-linux"
-        archive.write(library, f"binaries/{platform}/{model}.so")
+        archive.writestr(f"binaries/{platform}/{model}.so", binary)
     return path
 
 

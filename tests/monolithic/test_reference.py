@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.edit import edited
-from any_fmu.models import Workshop, oscillator_of
+from kit.any_fmu.edit import edited
+from kit.any_fmu.models import Workshop, oscillator_of
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -211,7 +211,7 @@ def test_an_fmu_for_co_simulation_only_is_co_simulated(fmu_dir, tmp_path):
 @pytest.mark.parametrize("follows", [True, False])
 def test_a_co_simulation_is_exact_within_its_estimate(tmp_path, follows):
     """Two undamped masses for Co-Simulation only, whose inputs follow cubics, or are held."""
-    workshop = Workshop(tmp_path).compile()
+    workshop = Workshop(tmp_path)
     masses = [workshop.make(m, interpolates=follows) for m in ("mass_a", "mass_b")]
     result = reference(oscillator_of(*masses), stop=1.0, record_step=0.01)
     matrix = np.array([[0, 1, 0, 0], [-110, 0, 100, 0], [0, 0, 0, 1], [100, 0, -1100, 0]])

@@ -6,9 +6,12 @@ import os
 import re
 
 import pytest
+from kit import shards
 from native.bench import CODE, STANDARD, begin, drive, needs_gcc, run, unpack, zig
 
 from fmus.export.compile import FLAGS
+
+pytestmark = shards.c
 
 # for more: NATIVE_FUZZ_CALLS=1000000 NATIVE_FUZZ_SEED=7 NATIVE_FUZZ_MODELS="manipulator harvester"
 CALLS = int(os.environ.get("NATIVE_FUZZ_CALLS", "50000"))  # of each program below

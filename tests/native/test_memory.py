@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 
 import pytest
+from kit import shards
 from native.bench import Fmu, begin, drive, look, push
 
 VALGRIND = ("valgrind", "-q", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=all")
@@ -13,7 +14,10 @@ NAMES = ("swing", "operator_input", "manipulator", "boom_stick", "harvester")
 INSTANCES, STEPS, ROUNDS = 100, 1000, 10
 OF_HARVESTER = 20  # instances of the whole machine: the C code around the equations is that of its parts
 
-pytestmark = pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+pytestmark = [
+    shards.c,
+    pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed"),
+]
 
 
 def life(fmu: Fmu, steps: int) -> Iterator[str]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from kit import shards
 from native.bench import STANDARD, assert_same, cycle, drive, needs_gcc, numbers, run
 
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
+
+pytestmark = shards.c
 
 GCC = {
     "O0": (3, "-O0"),

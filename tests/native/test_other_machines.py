@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
+from kit import shards
 from native.bench import assert_same, begin, cycle, drive, driver, moves, numbers, unpack, zig
 
 from fmus.export.build import build_all
@@ -15,6 +16,8 @@ from fmus.machine.build import STEP
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.operator_input.model import OPERATOR
+
+pytestmark = shards.platforms
 
 WINE = shutil.which("wine64") or shutil.which("/usr/lib/wine/wine64") or shutil.which("wine")
 QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")

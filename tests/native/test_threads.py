@@ -8,11 +8,15 @@ import subprocess
 import sys
 
 import pytest
+from kit import shards
 from native.bench import STANDARD, begin, drive, driver, look, moves, needs_gcc, run
 
 THREADS = 8
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the driver has threads of POSIX only")
+pytestmark = [
+    shards.c,
+    pytest.mark.skipif(sys.platform == "win32", reason="the driver has threads of POSIX only"),
+]
 
 
 def work(fmu, steps):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.models import HIGHEST, RATES, Workshop, oscillator_of, telling
-from any_fmu.outcome import Outcome, compare, once
+from kit.any_fmu.models import HIGHEST, RATES, Workshop, oscillator_of, telling
+from kit.any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 
 from orchestrator import System, assemble
@@ -18,7 +18,7 @@ from orchestrator import System, assemble
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """The plain FMU of each model by name, and a way to make others."""
-    return Workshop(tmp_path_factory.mktemp("any_fmu")).compile()
+    return Workshop(tmp_path_factory.mktemp("any_fmu"))
 
 
 @pytest.fixture(scope="session")

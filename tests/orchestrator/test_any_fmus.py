@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.models import Workshop
-from any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, OPENERS, circle
+from kit.any_fmu.models import Workshop
+from kit.any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, OPENERS, circle
 
 from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from any_fmu.models import WIDTHS, Workshop
-from any_fmu.outcome import HERMITE, MASTERS, circle
+from kit.any_fmu.models import WIDTHS, Workshop
+from kit.any_fmu.outcome import HERMITE, MASTERS, circle
 
 from orchestrator import Problem, Trace, assemble, run
 

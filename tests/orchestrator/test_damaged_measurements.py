@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+from kit import shards
 
 from fmus import parameters
 from orchestrator import Problem, Trace, read_recording, read_trace, write_trace
@@ -183,7 +184,7 @@ def test_damaged_files_are_one_line_or_a_result(good, kind, tmp_path):
     check_seeds(good, kind, range(NORMAL), tmp_path)
 
 
-@pytest.mark.long
+@shards.search
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_damaged_files_are_one_line_or_a_result(good, kind, tmp_path):
     """The same with more seeds."""

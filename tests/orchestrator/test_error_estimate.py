@@ -6,7 +6,7 @@ from ctypes import byref, c_double
 
 import numpy as np
 import pytest
-from any_fmu.models import RATES, STATES, oscillator_of, telling
+from kit.any_fmu.models import RATES, STATES, oscillator_of, telling
 from scipy.linalg import expm
 
 from orchestrator import Coupling, RunFailed, assemble, run

@@ -7,7 +7,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from any_fmu.models import WIDTHS
+from kit.any_fmu.models import WIDTHS
 
 from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from any_fmu.models import LATE, RAMP, oscillator_of
-from any_fmu.outcome import OPENERS, in_python
+from kit.any_fmu.models import LATE, RAMP, oscillator_of
+from kit.any_fmu.outcome import OPENERS, in_python
 
 from orchestrator import assemble, run
 from orchestrator.base.coupling import Coupling

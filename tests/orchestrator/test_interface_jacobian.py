@@ -4,8 +4,8 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from any_fmu.models import DEPENDS, RATES, STATES, TELLS, V, oscillator_of, telling
-from any_fmu.outcome import OPENERS
+from kit.any_fmu.models import DEPENDS, RATES, STATES, TELLS, V, oscillator_of, telling
+from kit.any_fmu.outcome import OPENERS
 
 from orchestrator import Coupling, Trace, assemble, run
 from orchestrator.base.files import Location

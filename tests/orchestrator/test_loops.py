@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.models import Workshop
-from any_fmu.outcome import OPENERS, in_python
+from kit.any_fmu.models import Workshop
+from kit.any_fmu.outcome import OPENERS, in_python
 
 from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from any_fmu.edit import edited
+from kit.any_fmu.edit import edited
 
 from orchestrator import Problem, assemble, load, run
 

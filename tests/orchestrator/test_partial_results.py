@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import shards
 from zoo.command import command, until
 
 from orchestrator import Problem, Trace, read_trace, write_trace
@@ -179,7 +180,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_all_rows(tmp_path, suffix, monkey
 # ---- processes that are killed
 
 SEED, KILLS = 17, 20
-CASES = [*range(4), *(pytest.param(n, marks=pytest.mark.long) for n in range(4, KILLS))]
+CASES = [*range(4), *(pytest.param(n, marks=shards.faults) for n in range(4, KILLS))]
 
 
 def _children(pid):

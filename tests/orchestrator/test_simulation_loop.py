@@ -8,9 +8,11 @@ from importlib.metadata import PackageNotFoundError
 
 import numpy as np
 import pytest
-from any_fmu.models import RAMP
-from any_fmu.outcome import in_python
-from plain_jacobi import plain_jacobi
+from kit import shards
+from kit.any_fmu.models import RAMP
+from kit.any_fmu.outcome import in_python
+from kit.compile import compiled
+from kit.plain_jacobi import plain_jacobi
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base import compiler
@@ -56,9 +58,8 @@ def test_structures_are_laid_out_as_in_c(tmp_path):
         last = kind._fields_[-1][0]
         text += f'printf("%zu %zu\\n", sizeof({name}), offsetof({name}, {last}));\n'
     (tmp_path / "sizes.c").write_text(text + "return 0; }\n")
-    command = [sys.executable, "-m", "ziglang", "cc", f"-I{c_library.FOLDER}", "sizes.c", "-o", "sizes.exe"]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    found = subprocess.run([tmp_path / "sizes.exe"], capture_output=True, text=True, check=True).stdout
+    program = compiled("sizes.exe", [tmp_path / "sizes.c"], included=[c_library.FOLDER / "engine.h"])
+    found = subprocess.run([program], capture_output=True, text=True, check=True).stdout
     expected = [(ctypes.sizeof(k), getattr(k, k._fields_[-1][0]).offset) for k in made.values()]
     assert [tuple(map(int, line.split())) for line in found.splitlines()] == expected
     assert len(made) > 15
@@ -260,7 +261,7 @@ def test_without_a_folder_for_it_the_library_is_compiled_for_this_process(monkey
 
 START = """
 import sys, threading, time, signal
-from any_fmu.outcome import OPENERS
+from kit.any_fmu.outcome import OPENERS
 from orchestrator import Interrupted, assemble, run
 from orchestrator.base.coupling import Coupling
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
@@ -392,7 +393,7 @@ def test_what_is_recorded_takes_memory(moving):
     assert grown(moving, {"master": "jacobi"}, 1_000_000, 1_000_000) > 30e6
 
 
-@pytest.mark.long
+@shards.search
 @on_linux
 @pytest.mark.parametrize("coupling", LONG_RUNS, ids=str)
 def test_memory_does_not_grow_over_ten_million_steps(moving, coupling):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 
 from orchestrator import Coupling, System, assemble, load
 from orchestrator.base.coupling import Suggestion

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from any_fmu.edit import caused, renamed
-from any_fmu.edit import edited as changed
+from kit.any_fmu.edit import caused, renamed
+from kit.any_fmu.edit import edited as changed
 
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main

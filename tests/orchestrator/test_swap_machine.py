@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from any_fmu.edit import caused, edited, renamed
+from kit.any_fmu.edit import caused, edited, renamed
 
 from orchestrator import Problem, load, run
 from orchestrator.ssp.swap import with_swaps

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 
 from orchestrator import Coupling, Problem, load, run
 from orchestrator.__main__ import main

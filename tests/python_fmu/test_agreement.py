@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driver import driving
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
+from kit.fmu import driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from any_fmu.edit import edited
+from kit.any_fmu.edit import edited
 
 from fmus.export.python.build import build_python, build_user
 from fmus.machine.parts import SUBSYSTEMS

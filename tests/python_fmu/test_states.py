@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from driver import driving
+from kit.fmu import driving
 
 from fmus.contract import Subsystem, quantities
 from fmus.export.python.build import build_python, build_user
@@ -20,7 +20,7 @@ ELSEWHERE = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
-from driver import driving
+from kit.fmu import driving
 with driving(Path(sys.argv[2])) as fmu:
     fmu.fmu.setFMUState(fmu.fmu.deSerializeFMUstate(bytes.fromhex(Path(sys.argv[3]).read_text())))
     fmu.time = 0.2

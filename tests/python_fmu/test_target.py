@@ -15,10 +15,12 @@ from pathlib import Path
 import lief
 import pytest
 import pythonfmu
-from driver import Driver
 from fmpy import read_model_description
+from kit import shards
+from kit.compile import WARNINGS, compiled
+from kit.fmu import Fmu
 
-from fmus.export.compile import HEADERS, PLATFORMS, host
+from fmus.export.compile import PLATFORMS
 from fmus.export.python.build import build_python, library
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.base.files import write_zip
@@ -31,9 +33,9 @@ import sys
 sys.path.insert(0, sys.argv[1])
 sys.modules["fmus"] = None  # as if it were not installed
 from pathlib import Path
-from driver import Driver
+from kit.fmu import Fmu
 try:
-    Driver(Path(sys.argv[2]))
+    Fmu(Path(sys.argv[2]))
 except Exception as problem:
     print(type(problem).__name__)
 """
@@ -42,8 +44,8 @@ PUSHED = """
 import os, sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
-from driver import Driver
-fmu = Driver(Path(sys.argv[2])).start(boom_command=3.0)
+from kit.fmu import Fmu
+fmu = Fmu(Path(sys.argv[2])).start(boom_command=3.0)
 print(fmu.step(1e-3, 50).get("boom_force", "stick_force").tobytes().hex(), flush=True)
 os._exit(0)
 """
@@ -63,7 +65,7 @@ def changed(path: Path, change: Callable[[dict[str, object]], None]) -> Path:
 def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
     """The one message of an FMU that cannot be instantiated."""
     with pytest.raises(Exception, match="Failed to instantiate"):
-        Driver(path)
+        Fmu(path)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("[ERROR] fmi2Instantiate: ")
@@ -125,11 +127,7 @@ def test_check_finds_nothing_but_python(tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="the program is written for Linux")
 def test_a_program_without_python_runs_it(tmp_path):
     """A program in C loads the library and runs the FMU twice, or gets a message about what is missing."""
-    program, fmu = tmp_path / "host", built(tmp_path)
-    source = Path(__file__).with_name("host.c")
-    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[host()].target]
-    compiler += ["-isystem", str(HEADERS), str(source), "-o", str(program), "-ldl"]
-    subprocess.run(compiler, check=True, capture_output=True)
+    program, fmu = compiled("host", [Path(__file__).with_name("host.c")], *WARNINGS, "-ldl"), built(tmp_path)
     shutil.unpack_archive(fmu, tmp_path / "lag", "zip")
     (binary,) = (tmp_path / "lag" / "binaries").rglob("*.so")
     resources, guid = (tmp_path / "lag" / "resources").as_uri(), read_model_description(str(fmu)).guid
@@ -149,7 +147,7 @@ def test_a_program_without_python_runs_it(tmp_path):
 
 
 # the first library for Windows takes a minute: its C library is compiled as well
-SLOW = {"x86_64-windows": pytest.mark.long}
+SLOW = {"x86_64-windows": shards.platforms}
 
 
 @pytest.mark.parametrize("platform", [pytest.param(p, marks=SLOW.get(p, ())) for p in PLATFORMS])

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driver import Driver, driving
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
+from kit.fmu import Fmu, driving
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import quantities
@@ -28,9 +28,9 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from driver import Driver
+from kit.fmu import Fmu
 with ThreadPoolExecutor(4) as pool:
-    for fmu in pool.map(lambda _: Driver(Path(sys.argv[2])).start(), range(4)):
+    for fmu in pool.map(lambda _: Fmu(Path(sys.argv[2])).start(), range(4)):
         print(round(float(fmu.step(1e-3).get("y")[0]), 12))
 """
 
@@ -355,7 +355,7 @@ def test_ports_are_taken_from_the_part_that_a_model_stands_for():
 
 def said(path: Path, capsys: pytest.CaptureFixture[str], **inputs: float) -> str:
     """What FMPy's log callback prints in a step that fails with status error."""
-    fmu = Driver(path).start()
+    fmu = Fmu(path).start()
     fmu.set(**inputs)
     with pytest.raises(Exception, match=r"fmi2DoStep failed with status 3 \(error\)"):
         fmu.step(1e-3)
@@ -404,7 +404,7 @@ def test_an_interrupt_reaches_the_program(tmp_path, capsys, where):
     initial = "\n    def initial(self, x, u, p):\n        return {}\n"
     change = fault(where, "if u.w == 2: raise KeyboardInterrupt")
     path = built(tmp_path, ("    def step(self", initial + "\n    def step(self"), change)
-    fmu = Driver(path)
+    fmu = Fmu(path)
     with pytest.raises(KeyboardInterrupt):
         fmu.start(w=2.0).step(1e-3)
     fmu.fmu.freeInstance()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from kit import shards
 
 from fmus.machine.work_cycle import WORK_CYCLE
 from fmus.rig.experiments import MACHINE_EXPERIMENTS, TRAINING, experiment
@@ -18,7 +19,7 @@ TRAINED = [name for name in MACHINE_EXPERIMENTS if name != "machine_test"]
 EACH = [
     *(pytest.param(name, "lumped", id=f"lumped-{name}") for name in MACHINE_EXPERIMENTS),
     *(
-        pytest.param(name, "detailed", id=f"detailed-{name}", marks=pytest.mark.long)
+        pytest.param(name, "detailed", id=f"detailed-{name}", marks=shards.machine)
         for name in MACHINE_EXPERIMENTS
     ),
 ]

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from driven_page import SECTION, Opened, assert_same_motion
+from kit import shards
+from kit.driven_page import SECTION, Opened, assert_same_motion
 
 from fmus.machine.build import data
 from orchestrator.base.errors import Problem
@@ -22,6 +23,8 @@ from orchestrator.scene import live_page
 from orchestrator.scene.live_page import Replayed, find_fmu, fragment, write_page
 from orchestrator.view import driving
 from orchestrator.view.driving.sticks import ResponseCurve, response
+
+pytestmark = shards.browser
 
 SCHEMES = ("light", "dark")
 

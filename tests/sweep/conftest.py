@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from any_fmu.models import Workshop
 from distributed import Client
+from kit.any_fmu.models import Workshop
 
 from orchestrator.studies import pool
 
@@ -15,7 +15,7 @@ from orchestrator.studies import pool
 @pytest.fixture(scope="session")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """The plain FMU of each model by name, and a way to make others."""
-    return Workshop(tmp_path_factory.mktemp("studies")).compile()
+    return Workshop(tmp_path_factory.mktemp("studies"))
 
 
 @pytest.fixture(scope="session")

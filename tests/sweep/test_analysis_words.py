@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from kit import shards
 from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
 
 from orchestrator.base.text import display_unit
@@ -152,7 +153,7 @@ def test_points_of_sobol_do_not_lend_one_factor_the_effect_of_another() -> None:
         assert estimate.floor <= share <= estimate.ceiling
 
 
-@pytest.mark.long
+@shards.search
 def test_intervals_of_a_linear_model_hold_the_share() -> None:
     """Also where the model is exact: of 20 samples at least 17 (at 95 %, fewer in 1 of 60)."""
     truth = np.array([1.0, 4.0, 9.0]) / 14.0

@@ -13,6 +13,7 @@ import psutil
 import pytest
 from distributed import Client, LocalCluster
 from distributed.utils import LoopRunner
+from kit import shards
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
@@ -20,6 +21,8 @@ from orchestrator.studies import pool
 from orchestrator.studies.cases import Sample
 from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.single_run import RunOutcome
+
+pytestmark = shards.faults
 
 LONG = GAIN.replace("runs = 12", "runs = 120").replace("stop = 0.2", "stop = 20")  # many batches
 

@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 from distributed import Client
+from kit import shards
 from sweep.studies import GAIN, content, run, study
+
+pytestmark = shards.faults
 
 RUNS = 240
 CONNECT_TIMEOUT = 600  # s; only bounds a failure, on a computer that does much else

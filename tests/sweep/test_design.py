@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 from scipy import stats
 
 from orchestrator.studies.design import quantile, samples, table

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from any_fmu.edit import edited
+from kit.any_fmu.edit import edited
 from sweep.studies import GAIN, study
 
 from orchestrator import Problem

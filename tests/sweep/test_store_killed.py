@@ -14,7 +14,10 @@ from pathlib import Path
 import psutil
 import pyarrow.parquet as pq
 import pytest
+from kit import shards
 from sweep.studies import GAIN, content, run, study
+
+pytestmark = shards.faults
 
 RUNS = 120
 LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop = 40")  # some seconds in all

@@ -6,11 +6,14 @@ import json
 from pathlib import Path
 
 import pytest
+from kit import shards
 
 from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.report import study_page
 from orchestrator.studies.study import read
+
+pytestmark = shards.machine
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "swing_peaks"
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import circuits_transcription as printed
 import numpy as np
 import pytest
+from equations import circuits_transcription as printed
 
 from fmus.contract import quantities, symbolic
 from fmus.machine.parts import FAMILIES

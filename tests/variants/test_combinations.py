@@ -8,8 +8,9 @@ import shutil
 
 import numpy as np
 import pytest
-from any_fmu.edit import edited
-from every import EVERY, python
+from kit import shards
+from kit.any_fmu.edit import edited
+from kit.every import EVERY, python
 
 from fmus.machine.parts import FAMILIES
 from fmus.machine.tables import variant_names
@@ -82,7 +83,7 @@ def test_every_seventh_has_every_variant():
     assert len(ALL_COMBINATIONS) == 4 * 4 * 4 * 3
 
 
-@pytest.mark.long
+@shards.machine
 def test_every_combination_runs_the_work_cycle(fmu_dir):
     """42 s at 1 ms with the default master, and the coupling makes up no energy to speak of."""
     system = load(fmu_dir / "harvester.ssp")

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 import pytest
-from driver import driving
+from kit.fmu import driving
 
 from fmus.export.build import build
 from fmus.machine.parts import FAMILIES

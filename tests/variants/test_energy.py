@@ -8,12 +8,15 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
-from every import MACHINES
+from kit import shards
+from kit.every import MACHINES
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES, parts, wiring
 from fmus.machine.work_cycle import COMMANDS, PROGRAMS, Stem, payload, sample
 from fmus.monolith import breakpoints, join
+
+pytestmark = shards.machine
 
 STOP = 5.0  # s: boom, swing and stick move and are braked
 STEM = Stem(2.2, 300.0, 1.5)  # taken up and dropped in full motion

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import jve

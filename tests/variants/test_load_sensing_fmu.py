@@ -6,7 +6,7 @@ The steady state is computed here from the parameters alone: three regulators, c
 from __future__ import annotations
 
 import pytest
-from driver import driving
+from kit.fmu import driving
 from scipy.optimize import brentq
 
 from fmus.export.build import build

@@ -7,7 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from driver import driving
+from kit.fmu import driving
 from scipy.integrate import solve_ivp
 
 from fmus.contract import quantities, symbolic

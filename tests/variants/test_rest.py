@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from every import MACHINES
+from kit.every import MACHINES
 
 from fmus.machine.parts import parts, wiring
 from fmus.machine.poses import POSES, parameter

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 
 from fmus.components import spool_valve
 from fmus.components.spool_valve import Edges, Spool, SpoolState, Valve

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from driver import Driver
-from every import EVERY, at_work, native, outputs, python, row, work
 from fmpy.validation import validate_fmu
+from kit.every import EVERY, at_work, native, outputs, python, row, work
+from kit.fmu import Fmu
 
 from fmus.contract import quantities
 from fmus.export.ls_ref import COMMUNICATION_STEP
@@ -69,7 +69,7 @@ def test_a_restored_state_repeats_the_steps_bit_for_bit(case):
     _, sub, path = case
     names = outputs(sub)
 
-    def work_on(fmu: Driver) -> bytes:
+    def work_on(fmu: Fmu) -> bytes:
         found = []
         for k in range(round(WORKING / COMMUNICATION_STEP), round(WORKING / COMMUNICATION_STEP) + 5):
             fmu.set(**row(sub, k))

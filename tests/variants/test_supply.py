@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
+from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
-from supply_bench import L_MIN, Bench, Load
 
 from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import Pump

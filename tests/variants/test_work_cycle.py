@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from driver import driving
-from every import EVERY, native, outputs, python
+from kit import shards
+from kit.every import EVERY, native, outputs, python
+from kit.fmu import driving
 
 from fmus.contract import quantities
 from fmus.export.python.instance import of_subsystem
 from orchestrator import run
 
-pytestmark = pytest.mark.long
+pytestmark = shards.machine
 STEP = 1e-3  # s
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from kit import shards
 from view.driving import (
     BOOM,
     STICK,
@@ -30,6 +31,8 @@ from view.driving import (
 from view.standin import LONG, comes, wait
 
 from orchestrator.view.driving.authority import AGAIN, HOLD
+
+pytestmark = shards.browser
 
 PAD = """() => {
   window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from kit import shards
 from matplotlib import image
 from numpy.typing import NDArray
 from view.standin import LONG, wait
@@ -25,6 +26,8 @@ from orchestrator.view.choice import MachineChoice
 from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.server import Server
 from orchestrator.view.session import Session
+
+pytestmark = shards.browser
 
 DRAWN = "(number) => document.querySelector('.machine')?.dataset.drawn > number"
 MOVED = 0.1  # rad; far more than creep of a machine that nobody drives

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from kit import shards
 
 from zoo.command import LONG, Ended, command, obeyed
 from zoo.faulty import CAUSES, FAULTS, HANGS, MEMORY, PHASES, Faulty, faulty
@@ -47,7 +48,7 @@ def test_a_fault_is_found(tmp_path: Path, fault: str, phase: str) -> None:
     _check(tmp_path, faulty(tmp_path, fault, phase))
 
 
-@pytest.mark.long
+@shards.faults
 @pytest.mark.parametrize("major", [2, 3])
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.parametrize("fault", FAULTS)

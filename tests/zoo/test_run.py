@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import shards
 
 from orchestrator.data.trace import read_trace
 from zoo.command import Ended, command, obeyed
@@ -84,7 +85,7 @@ def test_a_swapped_fmu_is_named(tmp_path: Path, fault: str, phase: str) -> None:
     _check(tmp_path, fmu, "second", two_lags(tmp_path), "--swap", f"second={fmu.fmu}")
 
 
-@pytest.mark.long
+@shards.faults
 @pytest.mark.parametrize("major", [2, 3])
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.parametrize("fault", FAULTS)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from kit import shards
 
 from zoo.command import command, obeyed
 from zoo.faulty import CAUSES, FAULTS, PHASES, Faulty, faulty, study, two_lags
@@ -65,7 +66,7 @@ def test_each_fault_is_a_row(tmp_path: Path) -> None:
     _check_all(SELECTED, tmp_path)
 
 
-@pytest.mark.long
+@shards.faults
 @pytest.mark.parametrize("major", [2, 3])
 def test_each_fault_in_each_phase_is_a_row(tmp_path: Path, major: int) -> None:
     """The product, in both versions of FMI."""

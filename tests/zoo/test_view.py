@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from kit import shards
 
 from orchestrator import Problem
 from orchestrator.data.trace import read_trace
@@ -137,7 +138,7 @@ def test_an_interrupt_is_obeyed_while_an_fmu_hangs(tmp_path: Path, fault: str, p
     assert (ended.files, ended.processes) == ((), ())
 
 
-@pytest.mark.long
+@shards.faults
 @pytest.mark.parametrize("major", [2, 3])
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.parametrize("fault", FAULTS)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from identification.procedures.lumped_machine import ENCODER, KNOWN, recording
+from kit import shards
 
 from fmus.identification.procedures.damping import CONTACTS, as_printed, identify
 from fmus.identification.procedures.momentum_balance import parameter_vector, smoothed_recording
@@ -38,7 +39,7 @@ def test_perfect_instruments_give_the_true_damping(joint):
     assert found(recording(joint))[0] == pytest.approx(truth(joint), rel=1e-3 if joint == "swing" else 5e-5)
 
 
-@pytest.mark.long
+@shards.search
 def test_intervals_have_their_coverage():
     """Of 60 independent intervals 95 % cover the truth; standard deviations are neither small nor large."""
     z = []

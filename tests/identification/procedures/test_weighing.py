@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from identification.procedures.lumped_machine import ENCODER, KNOWN, PRESSURE, measured
+from kit import shards
 
 from fmus.identification.machine import nominal
 from fmus.identification.procedures.momentum_balance import PARAMETERS, parameter_vector
@@ -127,7 +128,7 @@ def test_motion_one_way_is_refused():
         identify([recording(300.0, 1, up_only=True)], KNOWN)
 
 
-@pytest.mark.parametrize("machine", ["lumped", pytest.param("detailed", marks=pytest.mark.long)])
+@pytest.mark.parametrize("machine", ["lumped", pytest.param("detailed", marks=shards.machine)])
 def test_payload_of_the_rig_is_weighed_within_one_percent(machine, tmp_path):
     """300 kg in the head of either machine, also if the head swings and the cylinder sticks."""
     for name in ("weighing_empty", "weighing_loaded"):

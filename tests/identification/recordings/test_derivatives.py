@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 
 from fmus.identification.recordings.derivatives import SavitzkyGolay, derivatives, filter_for
 from orchestrator.base.errors import Problem

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 
 from fmus.contract import quantities, symbolic
 from fmus.identification.refinement.compiled_model import CompiledModel

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit import shards
+from kit.properties import examples
 
 from fmus.identification.machine import COMMANDS
 from fmus.identification.report.attribution import (
@@ -133,7 +134,7 @@ def test_an_effect_is_identified_next_to_the_parameters(excitation, effects):
     assert explanation.shares[0].alone + explanation.parameters < 1.0
 
 
-@pytest.mark.long
+@shards.machine
 def test_the_number_of_processes_changes_no_bit():
     """Changes by parameters are those of one process, in the order of the names."""
     time = np.linspace(0.0, 0.2, 41)

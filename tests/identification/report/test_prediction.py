@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from properties import examples
+from kit.properties import examples
 
 from fmus.identification.machine import COMMANDS
 from fmus.identification.report.attribution import candidate_effects, sensitivities

@@ -1,0 +1,257 @@
+"""The base installation: what works without the extras, and what a command says without its extra."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+from importlib.metadata import PackageNotFoundError, packages_distributions
+from pathlib import Path
+
+import pytest
+
+from fmus import package_files
+from orchestrator.__main__ import main
+from orchestrator.base import compiler
+from orchestrator.base.extras import EXTRAS
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+# a finder that refuses modules, as if their packages were not installed; then the code of a test
+HIDE = """
+import sys
+
+class Refusing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {hidden!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Refusing())
+{code}
+"""
+COMMAND = "from orchestrator.__main__ import main\nsys.exit(main({arguments!r}))"
+EVERY = sorted({module for modules in EXTRAS.values() for module in modules})
+
+
+def without(hidden, code, folder):
+    """Run code in a process that cannot import the modules."""
+    script = HIDE.format(hidden=tuple(hidden), code=code)
+    environment = {"PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
+    return subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+    )
+
+
+def package_of(module):
+    """The package that brings a module."""
+    (package,) = packages_distributions()[module]
+    return package.lower()
+
+
+def test_the_extras_are_those_of_the_project_file():
+    """The messages name extras that exist, and each package is in the extra that they name."""
+    declared = PROJECT["optional-dependencies"]
+    for extra, modules in EXTRAS.items():
+        packages = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in declared[extra]}
+        assert packages == {package_of(module) for module in modules}
+    assert declared["all"] == [f"harvester-cosim[{','.join(EXTRAS)}]"]
+
+
+def test_the_base_has_no_package_of_an_extra():
+    """Else a command could need a package that its extra does not bring."""
+    base = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in PROJECT["dependencies"]}
+    assert not base & {package_of(module) for module in EVERY}
+
+
+COMMANDS = {
+    "build": ["build"],
+    "view": ["view"],
+    "sweep": ["sweep", "study.toml"],
+    "identify": ["identify", "."],
+}
+
+
+@pytest.mark.parametrize("extra", COMMANDS)
+def test_a_command_without_its_extra_says_what_to_install(extra, tmp_path):
+    """One line with the packages and the command, and the exit status of a mistake; nothing is written."""
+    done = without(EXTRAS[extra], COMMAND.format(arguments=COMMANDS[extra]), tmp_path)
+    line = (
+        f'harvester: harvester {extra} needs .*; install with: pip install "harvester-cosim\\[{extra}\\]"\n'
+    )
+    assert re.fullmatch(line, done.stderr), done.stderr
+    assert all(module in done.stderr for module in EXTRAS[extra])
+    assert (done.returncode, done.stdout) == (2, "")
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "package"),
+    [("a.parquet", b"PAR1", "pyarrow"), ("a.mat", b"\0" * 512 + b"\x89HDF\r\n\x1a\n", "h5py")],
+)
+def test_a_file_that_needs_a_package_says_so(name, content, package, tmp_path):
+    """The line names the file."""
+    (tmp_path / name).write_bytes(content)
+    (tmp_path / "a.toml").write_text('[signals."manipulator.boom_angle"]\nunit = "rad"\n', encoding="utf-8")
+    code = f"from orchestrator import read_recording, Problem\ntry: read_recording({name!r})\n"
+    done = without(EVERY, f"{code}except Problem as problem: print(problem)", tmp_path)
+    install = r'install with: pip install "harvester-cosim\[files\]"'
+    assert re.fullmatch(rf"{name}: a .* file.* needs the package {package}; {install}\n", done.stdout), done
+
+
+@pytest.mark.parametrize(
+    ("call", "package", "extra"),
+    [
+        ("from orchestrator import Linear; Linear.to_control(None)", "control", "control"),
+        ("from orchestrator import Result; Result.to_pandas(None)", "pandas", "files"),
+    ],
+)
+def test_a_method_that_needs_a_package_says_so(call, package, extra, tmp_path):
+    """As a Problem, whose message says what to install."""
+    code = f"from orchestrator import Problem\ntry: {call}\nexcept Problem as problem: print(problem)"
+    done = without(EVERY, code, tmp_path)
+    assert f'the package {package}; install with: pip install "harvester-cosim[{extra}]"' in done.stdout, done
+
+
+def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
+    """Where no check was made in advance: no traceback."""
+    code = (
+        "import orchestrator.__main__ as m\nm.app = lambda **_: __import__('nicegui')\nsys.exit(m.main([]))"
+    )
+    done = without(EVERY, code, tmp_path)
+    install = 'install with: pip install "harvester-cosim[view]"'
+    assert (done.returncode, done.stderr) == (
+        2,
+        f"harvester: the package nicegui is not installed; {install}\n",
+    )
+
+
+BASE = {
+    "run": ["run", "{system}", "--stop", "0.05"],
+    "validate": ["validate", "{system}", "--stop", "0.2"],
+    "check": ["check", "{fmu}"],
+    "signals": ["signals", "{system}"],
+    "parameters": ["parameters"],
+    "variants": ["variants", "none.ssp"],
+    "linearize": ["linearize", "{system}"],
+    "modelica": ["modelica", "{system}"],
+    "compare": ["compare", "a.csv", "b.csv"],
+}
+
+
+@pytest.mark.parametrize("command", BASE)
+def test_a_command_of_the_base_needs_no_extra(command, fmu_dir, tmp_path):
+    """It runs although no package of any extra can be imported."""
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text("time,part.speed\n0,0\n1,1\n2,0\n", encoding="utf-8")
+    names = {"system": fmu_dir / "harvester.ssp", "fmu": fmu_dir / "supply.fmu"}
+    arguments = [argument.format(**names) for argument in BASE[command]]
+    done = without(EVERY, COMMAND.format(arguments=arguments), tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "harvester: " not in done.stderr
+
+
+# ---- the wheel: built FMUs and compiled libraries
+
+
+@pytest.fixture(scope="module")
+def archive(built, tmp_path_factory):
+    """The archive of the built FMUs as in the wheel, compressed less."""
+    path = tmp_path_factory.mktemp("package") / "built.tar.xz"
+    package_files.pack(built, path, preset=0)
+    return path
+
+
+@pytest.fixture
+def wheel(archive, tmp_path_factory, tmp_path, monkeypatch):
+    """The cache of a user with an empty working folder, and with a package that contains built FMUs."""
+    cache = tmp_path_factory.mktemp("cache")
+    monkeypatch.setattr(package_files, "BUILT", archive)
+    monkeypatch.setattr(compiler, "cache_folder", lambda: cache)
+    monkeypatch.chdir(tmp_path)
+    return cache
+
+
+def test_the_archive_restores_the_files(archive, built):
+    """The same files with the same bytes; without FMI 3.0 those of FMI 2.0."""
+    files = {
+        p.relative_to(built).as_posix(): p.read_bytes()
+        for p in built.rglob("*")
+        if p.suffix in (".fmu", ".ssp")
+    }
+    assert dict(package_files.unpack(archive)) == files
+    second = {name: data for name, data in files.items() if not name.startswith("fmi3/")}
+    assert dict(package_files.unpack(archive, fmi3=False)) == second
+
+
+def test_the_archive_has_each_fmu_once(archive):
+    """Those in systems and the default variants are links."""
+    with tarfile.open(archive) as opened:
+        entries = {entry.name: entry for entry in opened}
+    assert entries["harvester.ssp/resources/swing.fmu"].linkname == "swing.fmu"
+    assert entries["variants/swing_lumped.fmu"].linkname == "swing.fmu"
+    assert entries["fmi3/harvester.ssp/resources/swing.fmu"].linkname == "fmi3/swing.fmu"
+    assert not any(entry.isfile() for name, entry in entries.items() if name.endswith(".fmu"))
+
+
+def test_without_a_built_system_commands_take_the_one_in_the_package(wheel, capsys):
+    """They say so, and their results are in the working folder."""
+    assert main(["run", "--stop", "0.01", "--swap", "boom_stick=detailed"]) == 0
+    told = f"{Path('build/harvester.ssp')} does not exist; using the one in the package: {wheel}"
+    assert told in capsys.readouterr().err
+    assert Path("build/trace.csv").is_file()
+    assert main(["run", "none/harvester.ssp"]) == 2  # a system that the user names is never replaced
+    assert capsys.readouterr().err == f"harvester: {Path('none/harvester.ssp')}: no such file\n"
+
+
+@pytest.mark.usefixtures("wheel")
+def test_a_built_system_goes_before_the_one_in_the_package(fmu_dir, capsys):
+    """Also for `--version`, which says where the FMUs are."""
+    assert main(["--version"]) == 0
+    assert f"FMUs: those in the package, {package_files.BUILT}\n" in capsys.readouterr().out
+    Path("build").mkdir()
+    Path("build/harvester.ssp").write_bytes((fmu_dir / "harvester.ssp").read_bytes())
+    assert main(["run", "--stop", "0.01"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["--version"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("harvester-cosim ")
+    assert lines[-1] == f"FMUs: built, in {Path('build').resolve()}"
+
+
+@pytest.mark.usefixtures("wheel")
+def test_the_fmus_in_the_package_can_be_copied(fmu_dir, capsys, monkeypatch):
+    """Without a compiler, to the same places where a build puts them; in a checkout there are none."""
+    assert main(["build", "--shipped", "--fmi", "2"]) == 0
+    copied = {p.relative_to("build").as_posix() for p in Path("build").rglob("*") if p.is_file()}
+    assert {"harvester.ssp", "swing.fmu", "variants/swing_detailed.fmu"} <= copied
+    assert all((Path("build") / name).read_bytes() == (fmu_dir / name).read_bytes() for name in copied)
+    assert main(["build", "--shipped", "--platform", "all"]) == 2
+    monkeypatch.setattr(package_files, "BUILT", Path("none"))
+    assert main(["build", "--shipped"]) == 2
+    assert "only the wheel of harvester-cosim contains built FMUs" in capsys.readouterr().err
+
+
+def test_a_library_in_the_package_needs_no_compiler(tmp_path, monkeypatch):
+    """It is taken if sources and arguments are the same, else the line says what to install."""
+
+    def missing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(compiler, "COMPILED", tmp_path)
+    monkeypatch.setattr(compiler, "version", missing)
+    recipe = "one.so", {"one.c": b"int one(void) { return 1; }"}, ["-shared", "one.c"]
+    compiler.shipped_file(*recipe).write_bytes(b"a library")
+    assert compiler.shared_library(*recipe) == compiler.shipped_file(*recipe)
+    moved = *recipe[:2], [*recipe[2], str(tmp_path)]  # a folder of headers is elsewhere on each computer
+    assert compiler.shipped_file(*moved) == compiler.shipped_file(*recipe)
+    other = "one.so", {"one.c": b"int one(void) { return 2; }"}, ["-shared", "one.c"]
+    install = re.escape('install with: pip install "harvester-cosim[build]"')
+    with pytest.raises(compiler.CompilerError, match=install):
+        compiler.shared_library(*other)

@@ -1,0 +1,390 @@
+"""All pages in a browser: accessible (WCAG 2.1 AA), usable by keys alone, without requests, with plots."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from identification.report import samples
+from kit import shards
+from sweep.synthetic import ISHIGAMI, ishigami, results
+from view.standin import LONG
+
+from fmus.identification.report.identification_page import render as identification
+from fmus.identification.report.recording_comparison import CaptionedFigure
+from orchestrator.base import figures
+from orchestrator.base.figures import TraceFigure, TraceLine, TracePanel, pack, plot, still
+from orchestrator.data.description import Tolerance
+from orchestrator.data.recording import Criterion, Recording
+from orchestrator.data.trace import Trace
+from orchestrator.realtime.machine import RealTimeMachine
+from orchestrator.realtime.replay import Replay
+from orchestrator.results.comparison import compare
+from orchestrator.results.comparison_report import render as comparison
+from orchestrator.results.layout import FigureSpec, PanelSpec
+from orchestrator.results.motion import MachineMotion
+from orchestrator.results.validation import validate
+from orchestrator.results.validation_report import Report
+from orchestrator.results.validation_report import render as report
+from orchestrator.studies.analysis.analyse import analyse
+from orchestrator.studies.report.study_page import render as study
+from orchestrator.view.choice import MachineChoice
+from orchestrator.view.server import Server
+from orchestrator.view.session import Session
+
+pytestmark = shards.browser
+
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
+TIME = np.linspace(0.0, 4.0, 801)
+LIMIT, ABOUT = Tolerance("nrmse", 0.05), {"kind": "simulation"}
+
+
+def run(offset: float) -> Trace:
+    """Angle and pressure over 4 s."""
+    signals = {
+        "arm.angle": np.sin(TIME) + offset,
+        "pump.pressure": 1e7 + 1e6 * np.cos(9 * TIME) + 1e5 * offset,
+    }
+    return Trace(TIME, signals, {"arm.angle": "rad", "pump.pressure": "Pa"})
+
+
+def validated() -> str:
+    """A report with everything on it."""
+    known = run(0.0)
+    criteria = {name: Criterion(tolerance=LIMIT, group=name.partition(".")[2]) for name in known.signals}
+    reference = Recording(
+        Path("ref.csv"), TIME, known.signals, known.units, criteria=criteria, metadata=ABOUT
+    )
+    tip = np.column_stack((np.cos(TIME), np.sin(TIME), 0 * TIME + 1))
+    motion = MachineMotion(TIME, {"foot": 0 * tip, "tip": tip})
+    spec = FigureSpec(
+        "Arm", (PanelSpec("Angle", ("arm.angle",)), PanelSpec("Pressure", ("pump.pressure",), ("head",)))
+    )
+    checked = validate(run(0.01), reference, rate=False)
+    return report(
+        Report("Arm", checked, (spec,), run(0.01), {"step [s]": 0.001}, motion=motion, ghost=motion)
+    )
+
+
+def studied() -> str:
+    """A study with bands over time."""
+    found = results(ishigami, ISHIGAMI, "saltelli", 32)
+    return study(found, analyse(found))
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "report": validated,
+    "comparison": lambda: comparison(compare({"usual": run(0.0), "other": run(0.01), "third": run(0.02)})),
+    "study": studied,
+    "identification": lambda: identification(
+        samples.page(
+            figures=(CaptionedFigure("Swing", samples.traces(), "Measured."),), warnings=("At a bound.",)
+        )
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """Address of a page on disk, made once."""
+    folder = tmp_path_factory.mktemp("pages")
+
+    def address(name: str) -> str:
+        file = folder / f"{name}.html"
+        if not file.exists():
+            file.write_text(PAGES[name](), encoding="utf-8")
+        return file.as_uri()
+
+    return address
+
+
+@pytest.fixture(scope="module")
+def view(fmu_dir: Path) -> Iterator[str]:
+    """Address of the operator's page."""
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), RealTimeMachine, Replay)
+    served = Server(session)
+    served.start()
+    yield served.url
+    served.stop()
+    session.close()
+
+
+@pytest.fixture
+def opened(chromium: Any) -> Iterator[Callable[..., Any]]:
+    """Opens a page in a window of its own; complaints and requests of the page are kept."""
+    contexts = []
+
+    def opening(address: str, scheme: str = "light", width: int = 1100) -> Any:
+        context = chromium.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(1e3 * LONG)
+        page.asked, page.complaints = [], []
+        page.on("request", lambda request: page.asked.append(request.url))
+        page.on("pageerror", lambda error: page.complaints.append(str(error)))
+        page.goto(address)
+        return page
+
+    yield opening
+    for context in contexts:
+        context.close()
+
+
+def drawn(page: Any) -> None:
+    """Wait for all plots, each scrolled into view."""
+    for host in page.locator(".plot").all():
+        host.scroll_into_view_if_needed()
+        host.locator(".live canvas").first.wait_for()
+    page.wait_for_function(
+        "() => [...document.querySelectorAll('.plot')].every(h => h.classList.contains('drawn'))"
+    )
+
+
+def violations(page: Any) -> list[str]:
+    """What axe-core finds: rule and element."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page, options={"runOnly": RULES}).response["violations"]
+    return [f"{v['id']}: {node['html'][:200]}" for v in found for node in v["nodes"]]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_accessible_and_asks_for_nothing(
+    name: str, scheme: str, files: Callable[[str], str], opened: Callable[..., Any]
+) -> None:
+    """No violation of WCAG 2.1 AA by axe-core, all details open; no error, no request but for the file."""
+    page = opened(files(name), scheme)
+    drawn(page)
+    page.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
+    assert violations(page) == []
+    assert page.complaints == []
+    assert [url for url in page.asked if not url.startswith("data:")] == [files(name)]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_operators_page_is_accessible(scheme: str, view: str, opened: Callable[..., Any]) -> None:
+    """No violation by axe-core: the page, its task, and its dialogs, one after the other."""
+    page = opened(view, scheme)
+    page.locator(".gauge").first.wait_for()
+    page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('running')")
+    assert violations(page) == []
+    page.get_by_role("button", name="Training task").click()
+    page.get_by_text("pick: ").wait_for()
+    page.mouse.move(1, 1)  # off the button: a tooltip while it fades has less contrast, and no landmark
+    page.wait_for_timeout(500)  # ms: the tooltip fades out
+    assert violations(page) == []
+    page.get_by_role("button", name="Keys, sticks and mouse").click()
+    page.locator(".window").get_by_text("the machine rests without it").wait_for()
+    page.wait_for_timeout(500)  # ms: so does the dialog
+    assert violations(page) == []
+
+
+@pytest.mark.parametrize("width", [420, 1100, 1400])
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_fits_into_the_window(
+    name: str, width: int, files: Callable[[str], str], opened: Callable[..., Any]
+) -> None:
+    """Nothing is wider than the window but tables, which scroll in themselves."""
+    page = opened(files(name), width=width)
+    drawn(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize("width", [420, 1100])
+def test_the_operators_page_fits_into_the_window(width: int, view: str, opened: Callable[..., Any]) -> None:
+    """Sticks, their labels and the status line lie inside the window."""
+    page = opened(view, width=width)
+    page.locator(".gauge").first.wait_for()
+    page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('load')")
+    outside = """() => [...document.querySelectorAll('.harvester-sticks text, .foot span, .hands button')]
+      .filter(e => e.getBoundingClientRect().left < 0 || e.getBoundingClientRect().right > innerWidth)
+      .map(e => e.textContent)"""
+    assert page.evaluate(outside) == []
+
+
+def test_the_picture_follows_the_theme(view: str, opened: Callable[..., Any]) -> None:
+    """In a dark browser the picture is dark, too, and the toolbar has a contrast of 4.5 : 1 (WCAG AA)."""
+    page = opened(view, "dark")
+    page.locator(".machine canvas").wait_for()
+    assert "brightness" in page.evaluate("getComputedStyle(document.querySelector('.machine canvas')).filter")
+    parts = "getComputedStyle(document.querySelector('%s')).%s.match(/[0-9.]+/g).slice(0, 3).map(Number)"
+    asked = (".bar .q-btn", "color"), (".view > header", "backgroundColor")
+    colours = [page.evaluate(parts % names) for names in asked]
+    ink, ground = (luminance(colour) for colour in colours)
+    assert (ink + 0.05) / (ground + 0.05) > 4.5
+
+
+def luminance(colour: list[float]) -> float:
+    """Relative luminance of an sRGB colour, 0 to 1 (WCAG 2.1)."""
+    parts = [c / 255 for c in colour]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return float(np.dot((0.2126, 0.7152, 0.0722), linear))
+
+
+def test_every_colour_has_contrast() -> None:
+    """Curves have 3 : 1 with a white page, text 4.5 : 1 (WCAG 2.1, 1.4.11 and 1.4.3)."""
+    for name, colour in figures.PALETTE.variables().items():
+        contrast = 1.05 / (luminance([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) + 0.05)
+        limit = {"grid": 1.0, "ink": 4.5, "soft": 4.5, "good": 4.5, "bad": 4.5}.get(name, 3.0)
+        assert contrast >= limit, f"{name}: {contrast:.2f}"
+
+
+RANGE = "() => document.querySelector('.plot').plot.range"
+SHOWN = (
+    "() => document.querySelector('.plot').plot.charts.map(({plot}) => plot.series.slice(1).map(s => s.show))"
+)
+
+
+def test_a_plot_is_zoomed_by_keys(files: Callable[[str], str], opened: Callable[..., Any]) -> None:
+    """Tab reaches skip link and toolbar; buttons zoom, shift, reset and hide a curve; the slider reads."""
+    page = opened(files("report"))
+    drawn(page)
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    page.keyboard.press("Enter")
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.getAttribute('aria-label')") == "Zoom in":
+            break
+    page.keyboard.press("Enter")
+    # of 0 to 4 s the middle half; samples are rounded to a millionth of the range
+    assert page.evaluate(RANGE) == pytest.approx([1.0, 3.0], abs=1e-5)
+    for _ in range(3):
+        page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    assert page.evaluate(RANGE) == pytest.approx([1.5, 3.5], abs=1e-5)
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    assert page.evaluate(RANGE) == pytest.approx([0.0, 4.0], abs=1e-5)
+    page.keyboard.press("Tab")
+    page.keyboard.press("End")
+    assert page.locator(".plot .clock").first.text_content() == "t = 4.000 s"
+    read = page.locator(".plot .values").first.text_content()
+    last = np.degrees(np.sin(4.0))
+    # four digits are printed
+    assert float(re.findall(r"reference (\S+);", read)[0].replace("\N{MINUS SIGN}", "-")) == pytest.approx(
+        last, 1e-3
+    )
+    page.keyboard.press("Tab")
+    page.keyboard.press("Space")
+    assert page.evaluate(SHOWN)[0] == [False, True]
+
+
+def test_a_plot_is_zoomed_by_the_mouse(files: Callable[[str], str], opened: Callable[..., Any]) -> None:
+    """Dragging over a panel zooms all panels of the figure; a double click resets them."""
+    page = opened(files("report"))
+    drawn(page)
+    over = page.locator(".plot .u-over").first
+    over.scroll_into_view_if_needed()
+    box = over.bounding_box()
+    page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20, steps=5)
+    page.mouse.up()
+    # a pixel of some 900 is 4 ms
+    assert page.evaluate(RANGE) == pytest.approx([1.0, 2.0], abs=0.02)
+    scales = page.evaluate(
+        "() => document.querySelector('.plot').plot.charts.map(({plot}) => plot.scales.x.min)"
+    )
+    assert scales == pytest.approx([page.evaluate(RANGE)[0]] * len(scales))
+    over.dblclick()
+    assert page.evaluate(RANGE) == pytest.approx([0.0, 4.0], abs=1e-5)
+
+
+def test_paper_has_the_still_pictures(files: Callable[[str], str], opened: Callable[..., Any]) -> None:
+    """Printed, or without scripts, a figure is its SVG; on the screen it is the plot."""
+    page = opened(files("report"))
+    drawn(page)
+    shown = (
+        "() => ['.still', '.live'].map(c => getComputedStyle(document.querySelector(c)).display !== 'none')"
+    )
+    assert page.evaluate(shown) == [False, True]
+    page.emulate_media(media="print")
+    assert page.evaluate(shown) == [True, False]
+
+
+def test_samples_survive_packing(files: Callable[[str], str], opened: Callable[..., Any]) -> None:
+    """The browser has the samples of the run, within a millionth of their range; gaps stay gaps."""
+    page = opened(files("identification"))
+    drawn(page)
+    data = page.evaluate("() => document.querySelector('.plot').plot.charts[0].plot.data")
+    line = samples.traces().panels[0].lines[0]
+    assert data[0] == pytest.approx(line.time, abs=2e-6 * 5)
+    got = np.array([np.nan if v is None else v for v in data[1]])
+    assert np.array_equal(np.isnan(got), np.isnan(line.values))
+    np.testing.assert_allclose(got, line.values, atol=2e-6 * np.nanmax(line.values))
+
+
+def test_packing_is_compact_and_exact_at_the_ends() -> None:
+    """A ramp of 2000 samples takes less than one byte each; least and largest value are exact."""
+    packed = pack([np.linspace(-3.0, 7.0, 2000)])
+    assert len(packed["data"]) < 2000
+    ((count, low, step),) = packed["columns"]
+    assert (count, low) == (2000, -3.0)
+    # the largest place but the one for NaN; rounding only
+    assert low + (2**figures.DIGITS - 2) * step == pytest.approx(7.0, rel=1e-12)
+
+
+def test_a_long_run_keeps_its_peaks() -> None:
+    """Of 60 001 samples at most 2500 are embedded, with the spike of one of them."""
+    time = np.linspace(0.0, 60.0, 60_001)
+    spike = np.zeros(time.size)
+    spike[31_234] = 5.0
+    figure = TraceFigure([TracePanel("bar", [TraceLine(time, spike, {"color": "#000000"})])])
+    spec = json.loads(re.search(r'json">(.*?)</script>', str(plot(figure, "Spike")), re.DOTALL)[1])
+    ((count, *_), (_, low, step)) = spec["columns"]
+    assert count <= figures.SAMPLES + 2
+    assert low + (2**figures.DIGITS - 2) * step == pytest.approx(5.0)
+    assert '<td class="n">5</td><td class="n">31.23</td>' in str(plot(figure, "Spike"))
+
+
+def test_a_still_picture_has_its_curves_where_they_belong() -> None:
+    """Corners of the path, limits of the axes and labels of the ticks agree."""
+    values = np.array([0.0, 10.0, np.nan, 10.0, 0.0])
+    time = np.arange(5.0)
+    figure = TraceFigure([TracePanel("m3/s", [TraceLine(time, values, {"color": "#000000"})], "Flow")])
+    text = str(still(figure, "Flow"))
+    ticks = {
+        label: float(y) for y, label in re.findall(r'y="([\d.]+)" text-anchor="end">(\S+?)</text>', text)
+    }
+    path = re.search(r'd="(M[^"]*)" fill="none" stroke="#000000"', text)[1]
+    (x, y), (dx, dy) = (map(float, pair) for pair in re.findall(r"(-?[\d.]+) ?(-?[\d.]+)", path)[:2])
+    # tenths of a unit of the drawing; the tick label stands 4 units below its line
+    assert y == pytest.approx(ticks["0"] - 4, abs=0.11)
+    assert y + dy == pytest.approx(ticks["10"] - 4, abs=0.21)
+    assert (x, path.count("M")) == (figures.LEFT, 2)
+    assert dx == pytest.approx((figures.WIDE - figures.LEFT - figures.RIGHT) / 4, abs=0.1)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.4e-5, 3.4e-5), (1e6, 1.02e6), (-1.0, 250.0)])
+def test_ticks_are_round_and_inside(low: float, high: float) -> None:
+    """Two or more ticks inside the axis, whose labels are their values."""
+    power = figures._power(low, high)
+    ticks = figures.tick_labels(low, high, 5, power)
+    assert 2 <= len(ticks) <= 6
+    for value, label in ticks:
+        assert low <= value <= high
+        # labels have no more digits than the step needs
+        assert float(label.replace("\N{MINUS SIGN}", "-")) * 10.0**power == pytest.approx(
+            value, abs=1e-3 * (high - low)
+        )
+
+
+def test_vendored_files_are_those_of_their_authors() -> None:
+    """Each file has the hash in the table, and each file is in the table."""
+    folder = figures.VENDOR.parent
+    table = (folder / "README.md").read_text(encoding="utf-8")
+    listed = dict(re.findall(r"^\| (\S+/\S+) \|.*\| ([0-9a-f]{64}) \|$", table, re.MULTILINE))
+    found = {
+        f.relative_to(folder).as_posix(): f for f in folder.rglob("*") if f.is_file() and f.parent != folder
+    }
+    assert listed.keys() == found.keys()
+    for name, file in found.items():
+        assert hashlib.sha256(file.read_bytes()).hexdigest() == listed[name], name

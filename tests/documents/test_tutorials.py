@@ -1,0 +1,62 @@
+"""The tutorials do what they say: every command and snippet is run, every output shown is what comes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from kit import tutorial
+
+ROOT = Path(__file__).parents[2]
+TUTORIALS = sorted(p for p in (ROOT / "docs" / "tutorials").glob("*.md") if p.stem != "index")
+
+
+@pytest.fixture
+def workplace(fmu_dir, tmp_path):
+    """A folder like the project's after `harvester build`, so that nothing is written into the project."""
+    (tmp_path / "build").mkdir()
+    for file in fmu_dir.iterdir():
+        (tmp_path / "build" / file.name).symlink_to(file)
+    for folder in ("data", "examples"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    return tmp_path
+
+
+@pytest.mark.parametrize("path", TUTORIALS, ids=lambda p: p.stem)
+def test_a_tutorial_runs_as_printed(path, workplace):
+    """Block after block, in a fresh folder."""
+    tutorial.Tutorial(path, workplace).run()
+
+
+def test_the_list_of_tutorials_is_complete():
+    """Each has a line in the list."""
+    text = (ROOT / "docs" / "tutorials" / "index.md").read_text(encoding="utf-8")
+    assert TUTORIALS
+    assert [p.name for p in TUTORIALS if f"({p.name})" not in text] == []
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "same"),
+    [
+        ("boom 39.3 deg", "boom  39.31 deg\n", True),
+        ("boom 39.3 deg", "boom 44.1 deg", False),
+        ("wall ... s\nend", "wall 0.19 s, 222 times\nreal s\nend", True),
+        ("1.0e-05", "1.3e-05", False),
+        ("0.000", "0.0004", True),
+        ("a 1\n...", "b 1\nc", False),
+        ("pass", "pass or not", False),
+    ],
+)
+def test_shown_output_is_compared(shown, printed, same):
+    """Words must be equal, numbers near, and only `...` stands for anything."""
+    assert (not tutorial.difference(shown, printed)) == same
+
+
+def test_a_block_that_fails_is_told(tmp_path):
+    """A wrong output, a command's wrong status and an unknown language name the line."""
+    for block in ("```shell\nexit 3\n```", "```python\nprint(1)\n```\n```text\n2\n```", "```ruby\n1\n```"):
+        (tmp_path / "a.md").write_text(f"# A\n\n{block}\n")
+        with pytest.raises(AssertionError, match=r"a\.md:\d"):
+            tutorial.Tutorial(tmp_path / "a.md", tmp_path).run()
+    (tmp_path / "a.md").write_text("```shell\nexit 3 # status 3\n```\n")
+    tutorial.Tutorial(tmp_path / "a.md", tmp_path).run()

@@ -1,0 +1,282 @@
+"""Compensated drives and load-sensing pump written once more from docs/equations.md, 4.6 to 4.9 and 5.4.
+
+Nothing of `fmus` or `orchestrator` is used but the functions of `transcription`. A part's numbers, states and
+inputs are dictionaries by the project's names, and so are the rates and observables that come back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import pi, sqrt
+from types import SimpleNamespace as Group
+
+from equations.transcription import opening, ramp, void
+
+Numbers = Mapping[str, float]
+Rates = dict[str, float]
+
+SHUTTLE, LEAST = 5e4, 1e-3  # W [Pa]; smallest dead band over full command
+
+
+def step(z: float) -> float:
+    """sigma(z), Symbols: 0 up to 0, 1 from 1 on."""
+    z = min(max(z, 0.0), 1.0)
+    return z**3 * (10 - 15 * z + 6 * z**2)
+
+
+def step_slope(z: float) -> float:
+    """Derivative of `step`."""
+    z = min(max(z, 0.0), 1.0)
+    return 30 * z**2 * (1 - z) ** 2
+
+
+def foot(z: float, width: float) -> float:
+    """m(z), Symbols."""
+    return (z + sqrt(z**2 + width**2)) / 2
+
+
+def least(a: float, b: float, width: float) -> float:
+    """l(a, b), Symbols: the lower one, rounded."""
+    return a - ramp(a - b + width / 2, width)
+
+
+def root(y: float, transition: float) -> float:
+    """f(y) of section 4.5: the signed root, laminar below the transition flow."""
+    e = 2 / transition**2
+    return y * sqrt(e / (1 + sqrt(1 + (e * y) ** 2)))
+
+
+def part(p: Numbers, prefix: str) -> Group:
+    """The numbers whose names begin so, without the prefix."""
+    return Group(**{n.removeprefix(prefix): x for n, x in p.items() if n.startswith(prefix)})
+
+
+def dead_band(p: Group, edge: str) -> float:
+    """Command [V] from which an edge opens: the first point of its table, if it has one."""
+    table = getattr(p, f"valve_{edge}_command_2") > 0
+    return max(
+        getattr(p, f"valve_{edge}_command_1") if table else p.valve_dead_band, LEAST * p.valve_full_command
+    )
+
+
+def connected(p: Group, command: float) -> tuple[float, float]:
+    """g(u) of port A and g(-u) of port B."""
+    return step(2 * command / dead_band(p, "pa") - 1), step(-2 * command / dead_band(p, "pb") - 1)
+
+
+def load(
+    p: Group, command: float, command_rate: float, pressures: tuple, rates: tuple, tank: float
+) -> tuple[float, float]:
+    """P_load of section 5.4 and its rate, by the rules of sum and product."""
+    value, rate = tank, 0.0
+    for sign, edge, pressure, dp in zip((1, -1), ("pa", "pb"), pressures, rates, strict=True):
+        slope = 2 * sign / dead_band(p, edge)
+        z = slope * command - 1
+        value += step(z) * (pressure - tank)
+        rate += step(z) * dp + step_slope(z) * slope * command_rate * (pressure - tank)
+    return value, rate
+
+
+def higher(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    """Pressure and rate behind a shuttle valve, section 5.4."""
+    z = a[0] - b[0] + SHUTTLE / 2
+    s = min(max(z / SHUTTLE, 0.0), 1.0)
+    return b[0] + ramp(z, SHUTTLE), b[1] + (3 * s**2 - 2 * s**3) * (a[1] - b[1])
+
+
+def section(
+    p: Group,
+    full: float,
+    areas: tuple,
+    neutral: float,
+    series: float,
+    u: Numbers,
+    command: float,
+    ports: tuple,
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Flows (in, out) of the ports A and B, section 4.6; `series` is C_R of the line at meter-out."""
+    supply, sensing, tank = u["supply_pressure"], u["load_sensing_pressure"], u["tank_pressure"]
+    k2 = 2 * p.valve_discharge_coefficient**2 / p.density
+    closed = 1 - sum(connected(p, command))
+    found = []
+    for sign, edges, area, pressure in zip((1, -1), ("pa at", "pb bt"), areas, ports, strict=True):
+        enter, leave = edges.split()
+        y = opening(p, enter, sign * command)
+        both = ramp(supply - pressure, 1e4)
+        d_c = p.compensator_sharing * foot(supply - sensing, 2e4)
+        d_c = least(p.compensator_setting, d_c, (p.compensator_setting + d_c) / 20)
+        d_c *= 1 + p.compensator_droop * (both - 1e7)
+        left = both / (1 + y**2 * p.compensator_open_drop / p.compensator_setting)
+        drop = least(left, d_c, (left + d_c) / 20)
+        q_in = root((full * y) ** 2 * drop / p.compensator_setting, p.valve_transition_flow)
+        square = k2 * (area * opening(p, leave, -sign * command) + neutral * closed) ** 2
+        q_out = root((pressure - tank) * square / (1 + series * square), p.valve_transition_flow)
+        found.append((q_in + p.valve_leakage * both, q_out + p.valve_leakage * (pressure - tank)))
+    return found[0], found[1]
+
+
+def relief(p: Group, name: str, drop: float) -> float:
+    """Flow of a relief or anti-cavitation valve, section 4.4."""
+    v = part(vars(p), f"{name}_")
+    return v.gain * ramp(drop - v.pressure, v.rounding)
+
+
+# ---- swing
+
+
+def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
+    """Rates and observables of the compensated swing, sections 4.5, 4.6, 4.8, 4.9."""
+    p, tank = Group(**p_), u["tank_pressure"]
+    a, b, torque, q = (x[f"swing_{n}"] for n in ("pressure_a", "pressure_b", "brake_torque", "brake_applied"))
+    areas = (p.swing_return_area, p.swing_return_area)
+    (in_a, out_a), (in_b, out_b) = section(
+        p, p.swing_section_flow, areas, 0.0, p.line_turbulent_resistance, u, u["swing_command"], (a, b)
+    )
+    d, w = p.motor_displacement * p.gear_ratio, u["swing_speed"]
+    inner, outer = p.internal_leakage_resistance, p.external_leakage_resistance
+    cross = relief(p, "relief", a - b) - relief(p, "relief", b - a)
+    fill = relief(p, "anti_cavitation", tank - a), relief(p, "anti_cavitation", tank - b)
+    net_a = in_a - out_a - d * w - (a - b) / inner - (a - tank) / outer - cross + fill[0]
+    net_b = in_b - out_b + d * w + (a - b) / inner - (b - tank) / outer + cross + fill[1]
+    da, db = net_a / (p.line_capacitance + void(a)), net_b / (p.line_capacitance + void(b))
+    held, width = p.brake_torque * q, 1e-3 * p.brake_torque
+    slip = (ramp(torque - held, width) - ramp(-torque - held, width)) / p.brake_drag
+    pressed = step(2 * (u["supply_pressure"] - tank) / p.brake_release_pressure - 1)
+    free = sum(connected(p, u["swing_command"])) * pressed
+    rates = {
+        "swing_pressure_a": da,
+        "swing_pressure_b": db,
+        "swing_brake_torque": p.brake_stiffness * (w - slip),
+        "swing_brake_applied": (1 - free) * (1 - q) / p.brake_apply_time - free * q / p.brake_release_time,
+    }
+    value, rate = load(p, u["swing_command"], u["swing_command_rate"], (a, b), (da, db), tank)
+    return rates, {
+        "swing_torque": d * (a - b) - torque,
+        "swing_torque_rate": d * (da - db) - rates["swing_brake_torque"],
+        "supply_flow": in_a + in_b,
+        "return_flow": out_a + out_b + (a + b - 2 * tank) / outer - sum(fill),
+        "swing_load_pressure": value,
+        "swing_load_pressure_rate": rate,
+        "swing_relief_flow": cross,
+        "swing_anti_cavitation_flow": sum(fill),
+    }
+
+
+# ---- boom and stick
+
+
+def counterbalance(p: Group, resistance: float, y: float, line: float, chamber: float) -> float:
+    """Flow into the cylinder, section 4.7."""
+    c = part(vars(p), "counterbalance_")
+    check = step((line - chamber - c.check_pressure) / c.check_range)
+    gain = p.valve_discharge_coefficient * sqrt(2 / p.density) * (c.area * y + c.check_area * check)
+    square = 0.0 if gain == 0 else 1 / (1 / gain**2 + resistance)
+    return root(square * (line - chamber), p.valve_transition_flow) + c.leakage * (line - chamber)
+
+
+def at_rest(p: Group, chamber: float, pilot: float, line: float, tank: float) -> float:
+    """y_0, section 4.7."""
+    c = part(vars(p), "counterbalance_")
+    reference = tank + c.back_pressure_share * (line - tank)
+    z = (chamber + c.pilot_ratio * pilot - (1 + c.pilot_ratio) * reference - c.pressure) / c.band
+    return ramp(z, 0.1) - ramp(z - 1, 0.1)
+
+
+def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
+    """Rates and observables of both cylinders, sections 4.6 to 4.8."""
+    p, tank = Group(**p_), u["tank_pressure"]
+    rates: Rates = {}
+    y = {"supply_flow": 0.0, "return_flow": 0.0}
+    loads = []
+    for axis in ("boom", "stick"):
+        own, at, s, v = (
+            part(p_, f"{axis}_"),
+            part(x, f"{axis}_"),
+            u[f"{axis}_position"],
+            u[f"{axis}_velocity"],
+        )
+        head, rod = pi / 4 * own.bore**2, pi / 4 * (own.bore**2 - own.rod**2)
+        lines, chambers = (at.head_valve_pressure, at.rod_valve_pressure), (at.head_pressure, at.rod_pressure)
+        openings = at.head_counterbalance_opening, at.rod_counterbalance_opening
+        command, command_rate = u[f"{axis}_command"], u[f"{axis}_command_rate"]
+        returns = own.head_return_area, own.rod_return_area
+        ports = section(p, own.section_flow, returns, p.neutral_area, 0.0, u, command, lines)
+        volumes = own.dead_volume + head * s, own.dead_volume + rod * (own.stroke - s)
+        slopes = []
+        for i, side in enumerate(("head", "rod")):
+            line, chamber, (q_in, q_out) = lines[i], chambers[i], ports[i]
+            q = counterbalance(p, own.hose_resistance, openings[i], line, chamber)
+            out, back = relief(p, "port_relief", line - tank), relief(p, "anti_cavitation", tank - line)
+            swept = (-head * v, rod * v)[i]
+            slopes.append((q_in - q_out - q - out + back) / (own.hose_capacitance + void(line)))
+            rates[f"{axis}_{side}_valve_pressure"] = slopes[-1]
+            rates[f"{axis}_{side}_pressure"] = (q + swept) / (volumes[i] / p.bulk_modulus + void(chamber))
+            settled = at_rest(p, chamber, lines[1 - i], line, tank)
+            rates[f"{axis}_{side}_counterbalance_opening"] = (settled - openings[i]) / p.counterbalance_lag
+            y[f"{axis}_{side}_flow"] = q
+            y["supply_flow"] += q_in
+            y["return_flow"] += q_out + out - back
+        loads.append(load(p, command, command_rate, lines, tuple(slopes), tank))
+        y[f"{axis}_force"] = head * at.head_pressure - rod * at.rod_pressure
+        y[f"{axis}_force_rate"] = head * rates[f"{axis}_head_pressure"] - rod * rates[f"{axis}_rod_pressure"]
+    y["boom_stick_load_pressure"], y["boom_stick_load_pressure_rate"] = higher(*loads)
+    return rates, y
+
+
+# ---- load-sensing pump
+
+
+def engine_torque(e: Group, speed: float) -> tuple[float, float]:
+    """T_net and T_f, section 5.3."""
+    bend = ((speed - e.peak_speed) / (e.rated_speed - e.peak_speed)) ** 2
+    net = e.rated_torque * max(1 + e.torque_rise * (1 - bend), 0.1)
+    return net, e.friction * speed / sqrt(speed**2 + 1) + e.viscous_friction * speed
+
+
+def limited(z: float, e: float) -> float:
+    """h(z), section 5.3."""
+    y = foot(z, e)
+    return y - ramp(y - 1 + e / 2, e)
+
+
+def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
+    """Rates and observables of the load-sensing pump, sections 5.3 and 5.4."""
+    p, d, e = Group(**p_), part(p_, "main_pump_"), part(p_, "engine_")
+    tank, w, s = p.reservoir_pressure, x["engine_speed"], x["pump_stroke"]
+    out, rail, sensing = x["pump_pressure"], x["supply_pressure"], x["load_sensing_pressure"]
+    rise, drawn = out - tank, s * d.displacement * w
+    q = ramp(out - rail, p.check_opening) / d.check_resistance
+    blown = p.relief_gain * ramp(rail - tank - p.relief_pressure, p.relief_rounding)
+    bled = p.rail_leakage * (rail - tank)
+    taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
+    back = u["return_flow_swing"] + u["return_flow_boom_stick"]
+    sign = w / sqrt(w**2 + 1)
+    friction = d.pressure_friction * d.displacement * foot(rise, 1e4) * sign + d.viscous_friction * w
+    torque = s * d.displacement * rise + friction
+    net, dry = engine_torque(e, w)
+    z = (dry + net * (e.no_load_speed - w) / (e.no_load_speed - e.rated_speed)) / (net + dry)
+    margin = (sensing + p.margin - out) / p.margin_band
+    cut_off = (p.pressure_cut_off - out) / p.cut_off_band
+    power = 2.0 if rise <= 0 else min(p.torque_limit / (d.displacement * rise), 2.0)
+    target = limited(least(least(margin, cut_off, d.rounding), power, d.rounding), d.rounding)
+    lag = (target - s) / d.lag
+    time = d.stroke_time if lag > 0 else d.destroke_time
+    highest, _ = higher((u["swing_load_pressure"], 0.0), (u["boom_stick_load_pressure"], 0.0))
+    limit = p.pressure_cut_off - p.load_sensing_relief_difference
+    rates = {
+        "supply_pressure": (q - taken - blown - bled) / (p.rail_capacitance + void(rail)),
+        "load_sensing_pressure": (least(highest, limit, p.load_sensing_relief_rounding) - sensing)
+        / p.load_sensing_lag,
+        "pump_pressure": (drawn - d.leakage * rise - q) / (d.line_capacitance + void(out)),
+        "pump_stroke": lag / sqrt(1 + (lag * time) ** 2),
+        "engine_speed": (x["engine_torque"] - dry - torque) / e.inertia,
+        "engine_torque": ((net + dry) * limited(z, 0.02) - x["engine_torque"]) / e.lag,
+        "reservoir_volume": back + d.leakage * rise + blown + bled - drawn,
+    }
+    return rates, {
+        "supply_pressure_rate": rates["supply_pressure"],
+        "load_sensing_pressure_rate": rates["load_sensing_pressure"],
+        "pump_flow": q,
+        "relief_flow": blown,
+        "engine_load": torque,
+    }

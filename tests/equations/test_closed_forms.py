@@ -1,0 +1,167 @@
+"""Steady values and frequencies against closed forms, through the FMUs (bars: 0.5 %)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from kit.fmu import driving
+from scipy.optimize import brentq, fsolve
+
+from fmus.machine.parts import SUBSYSTEMS
+from fmus.parameters import values
+
+BAR = 5e-3  # the stated bar: rounding of |Q| at Q_t and the leakage of closed edges lie below
+SUPPLY = 20.684e6
+BOOM_STICK, SWING, MANIPULATOR = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing", "manipulator"))
+
+
+def areas(name: str) -> tuple[float, float]:
+    head = math.pi / 4 * BOOM_STICK[f"{name}_bore"] ** 2
+    return head, head - math.pi / 4 * BOOM_STICK[f"{name}_rod"] ** 2
+
+
+def resistance(p: dict[str, float], command: float) -> float:
+    """C_R of one edge by eq. (2) at a command beyond the rounded foot."""
+    shift = p["valve_dead_band"] + p["valve_command_rounding"] / 2
+    share = (command - shift) / (p["valve_full_command"] - shift)
+    return p["density"] / (2 * p["valve_discharge_coefficient"] ** 2 * (p["valve_area"] * share) ** 2)
+
+
+def settled_force(path, name: str, command: float, velocity: float) -> float:
+    """Force of a cylinder moved at a constant velocity, after the oil has settled."""
+    with driving(path, **{f"{name}_command": command, f"{name}_velocity": velocity}) as fmu:
+        return float(fmu.step(0.05, 40).get(f"{name}_force")[0])
+
+
+@pytest.mark.parametrize("name", ["boom", "stick"])
+@pytest.mark.parametrize("command", [10.0, 4.0, -10.0, -4.0])
+@pytest.mark.parametrize("load", [0.0, 50e3])
+def test_cylinder_speeds(fmu_dir, name, command, load):
+    """v = sqrt((A_in P_s -+ F) / (C_R (A_h^3 + A_r^3))): extension and retraction, free and under load."""
+    head, rod = areas(name)
+    c_r = resistance(BOOM_STICK, abs(command)) + BOOM_STICK[f"{name}_hose_resistance"]
+    drive = head * SUPPLY - load if command > 0 else rod * SUPPLY + load
+    expected = math.copysign(math.sqrt(drive / (c_r * (head**3 + rod**3))), command)
+    path = fmu_dir / "boom_stick.fmu"
+    found = brentq(lambda v: settled_force(path, name, command, v) - load, 0.9 * expected, 1.1 * expected)
+    assert found == pytest.approx(expected, rel=BAR)
+
+
+@pytest.mark.parametrize("load", [0.0, 5e3])
+def test_swing_speed_with_leakage(fmu_dir, load):
+    """Swing speed from orifice, line and leakage equations written out here, eqs. (1), (8), (11), (12)."""
+    command, friction = 5.0, 300.0
+    c_r, d = resistance(SWING, command), SWING["motor_displacement"] * SWING["gear_ratio"]
+    r, r_in, r_ex = (
+        SWING[n] for n in ("line_resistance", "internal_leakage_resistance", "external_leakage_resistance")
+    )
+
+    def equations(z):
+        q1, q2, w, p1, p2 = z * (1e-3, 1e-3, 1.0, 1e7, 1e7)
+        return np.array(
+            [
+                (SUPPLY - c_r * q1 * abs(q1) - r * q1 - p1) / 1e7,
+                (p2 - r * q2 - c_r * q2 * abs(q2)) / 1e7,
+                (q1 - d * w - (p1 - p2) / r_in - p1 / r_ex) / 1e-3,
+                (d * w + (p1 - p2) / r_in - p2 / r_ex - q2) / 1e-3,
+                (d * (p1 - p2) - friction * w - load) / 1e4,
+            ]
+        )
+
+    expected = fsolve(equations, [1.0, 1.0, 1.0, 1.0, 1.0], xtol=1e-12)[2]
+
+    def excess(speed: float) -> float:
+        with driving(fmu_dir / "swing.fmu", swing_command=command, swing_speed=speed) as fmu:
+            return float(fmu.step(0.05, 60).get("swing_torque")[0]) - friction * speed - load
+
+    assert brentq(excess, 0.9 * expected, 1.1 * expected) == pytest.approx(expected, rel=BAR)
+
+
+@pytest.mark.parametrize("pose", [(0.2, -1.4), (0.0, -0.6), (0.9, -2.0)])
+def test_holding_forces_and_pressures(fmu_dir, pose):
+    """Gravity moments over moment arms, from positions worked out here; then P = F / A with the preload."""
+    boom, stick = pose
+    p = MANIPULATOR
+
+    def turn(a, x, z):
+        return np.array([x * math.cos(a) - z * math.sin(a), x * math.sin(a) + z * math.cos(a)])
+
+    elbow = turn(boom, p["stick_pivot_x"], p["stick_pivot_z"])
+    centre_b = turn(boom, p["boom_centre_x"], p["boom_centre_z"])
+    centre_s = elbow + turn(boom + stick, p["stick_centre_x"], p["stick_centre_z"])
+    tip = elbow + turn(boom + stick, p["stick_length"], 0.0)
+    g = p["gravity"]
+    moment_boom = g * (p["boom_mass"] * centre_b[0] + p["stick_mass"] * centre_s[0] + p["head_mass"] * tip[0])
+    moment_stick = g * (p["stick_mass"] * (centre_s - elbow)[0] + p["head_mass"] * (tip - elbow)[0])
+
+    def arm(angle, base, pin):
+        moved = turn(angle, *pin)
+        line = (moved - base) / np.linalg.norm(moved - base)
+        return base[0] * line[1] - base[1] * line[0]  # distance of the cylinder's line from the joint, signed
+
+    arms = {
+        n: arm(q, np.array([p[f"{n}_base_x"], p[f"{n}_base_z"]]), (p[f"{n}_pin_x"], p[f"{n}_pin_z"]))
+        for n, q in (("boom", boom), ("stick", stick))
+    }
+    expected = {"boom": moment_boom / arms["boom"], "stick": moment_stick / arms["stick"]}
+    with driving(fmu_dir / "manipulator.fmu", initial_boom_angle=boom, initial_stick_angle=stick) as fmu:
+        for n, force in expected.items():
+            # exact geometry, rounding only
+            assert fmu.get(f"{n}_holding_force")[0] == pytest.approx(force, rel=1e-9)
+    loads = {f"{n}_holding_force": f for n, f in expected.items()}
+    with driving(fmu_dir / "boom_stick.fmu", **loads) as fmu:
+        for n, force in expected.items():
+            head, rod = areas(n)
+            p_head, p_rod = fmu.get(f"{n}_head_pressure", f"{n}_rod_pressure")
+            preload = BOOM_STICK["initial_preload"]
+            loaded = (force + rod * preload) / head if force > 0 else (head * p_head - force) / rod
+            assert (p_head if force > 0 else p_rod) == pytest.approx(loaded, rel=BAR)
+            assert min(p_head, p_rod) > 0.9 * preload * rod / head
+
+
+@pytest.mark.parametrize("name", ["boom", "stick"])
+def test_hydraulic_natural_frequency(fmu_dir, name):
+    """omega^2 = beta (A_h^2/V_h + A_r^2/V_r) / m of a mass on the locked cylinder, by FMU Jacobian."""
+    mass, position = 1e4, 0.3
+    oil = [f"{name}_{s}_{k}" for k in ("pressure", "flow") for s in ("head", "rod")]
+    with driving(fmu_dir / "boom_stick.fmu", "me", **{f"{name}_position": position}) as fmu:
+        rates = [f"der_{n}" for n in oil]
+        a_oil = fmu.derivative(rates, oil)
+        b_velocity = fmu.derivative(rates, [f"{name}_velocity"])
+        c_force = fmu.derivative([f"{name}_force"], oil)
+    system = np.block([[a_oil, b_velocity], [c_force / mass, np.zeros((1, 1))]])
+    slow = [e for e in np.linalg.eigvals(system) if abs(e.imag) > 1.0]
+    head, rod = areas(name)
+    beta = BOOM_STICK["bulk_modulus"]
+    hose = BOOM_STICK[f"{name}_hose_capacitance"] * beta
+    v_head = hose + BOOM_STICK[f"{name}_dead_volume"] + head * position
+    v_rod = hose + BOOM_STICK[f"{name}_dead_volume"] + rod * (BOOM_STICK[f"{name}_stroke"] - position)
+    expected = math.sqrt(beta * (head**2 / v_head + rod**2 / v_rod) / mass)
+    assert min(abs(e.imag) for e in slow) == pytest.approx(expected, rel=BAR)
+
+
+def test_free_oscillation_has_the_hydraulic_natural_frequency(fmu_dir):
+    """The same frequency as counted in time: boom cylinder, closed valve, a mass of 10 t."""
+    mass, step, stop = 1e4, 1e-4, 1.0
+    x, v, hold = 0.3, 0.0, 86714.3394
+    with driving(fmu_dir / "boom_stick.fmu", boom_position=x) as fmu:
+        crossings, before = [], 0.0
+        v = 0.02
+        for n in range(round(stop / step)):
+            acceleration = (fmu.get("boom_force")[0] - hold) / mass
+            fmu.set(boom_position=x, boom_velocity=v, boom_acceleration=acceleration)
+            fmu.step(step)
+            after = (fmu.get("boom_force")[0] - hold) / mass
+            x, v = x + step * v + step**2 / 2 * acceleration, v + step * (acceleration + after) / 2  # Verlet
+            if before < 0 <= v:
+                crossings.append((n + 1) * step - step * v / (v - before))
+            before = v
+    head, rod = areas("boom")
+    beta = BOOM_STICK["bulk_modulus"]
+    hose = BOOM_STICK["boom_hose_capacitance"] * beta
+    v_head = hose + BOOM_STICK["boom_dead_volume"] + head * 0.3
+    v_rod = hose + BOOM_STICK["boom_dead_volume"] + rod * (BOOM_STICK["boom_stroke"] - 0.3)
+    expected = math.sqrt(beta * (head**2 / v_head + rod**2 / v_rod) / mass) / (2 * math.pi)
+    assert 1 / np.mean(np.diff(crossings)) == pytest.approx(expected, rel=BAR)

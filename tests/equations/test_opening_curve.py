@@ -1,0 +1,274 @@
+"""The opening curve of a metering edge: against SciPy, monotone, smooth, and the same in C."""
+
+import ctypes
+import itertools
+
+import casadi as ca
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from hypothesis import given
+from hypothesis import strategies as st
+from kit.fmu import driving
+from scipy.interpolate import PchipInterpolator
+
+from fmus.components import spool_valve
+from fmus.components.opening_curve import (
+    COEFFICIENTS,
+    CURVE,
+    EDGES,
+    POINTS,
+    SMALLEST_GAP,
+    Line,
+    OpeningCurves,
+    OpeningTable,
+    pieces,
+    requirements,
+)
+from fmus.components.spool_valve import Valve
+from fmus.contract import quantities, symbols
+from fmus.export.build import build
+from fmus.export.c_code import native_sources
+from fmus.export.c_functions import Routine, c_function
+from fmus.parameters import values
+from fmus.swing import SWING
+from orchestrator.base.compiler import SUFFIX, shared_library
+
+VALVE = Valve(
+    area=4e-5,
+    discharge_coefficient=0.62,
+    dead_band=0.6,
+    full_command=10.0,
+    command_rounding=0.4,
+    leakage=1.6e-14,
+    transition_flow=1e-5,
+)
+MEASURED = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10.0, 1.0))
+
+
+def table(points):
+    """The group of a table with these points."""
+    rows = [*points, *[(0.0, 0.0)] * (POINTS - len(points))]
+    commands = {f"command_{i}": float(v) for i, (v, _) in enumerate(rows, 1)}
+    return OpeningTable(**commands, **{f"opening_{i}": float(a) for i, (_, a) in enumerate(rows, 1)})
+
+
+def curves(**points):
+    """The groups of all edges; an edge that is not given has no table."""
+    groups = {edge: vars(table(points.get(edge, ()))) for edge in EDGES}
+    return OpeningCurves(**{f"{edge}_{n}": x for edge, group in groups.items() for n, x in group.items()})
+
+
+def evaluated(points, volts):
+    """Openings at commands."""
+    curve = pieces(table(points))
+    return np.array(CURVE.map(len(volts))(np.atleast_2d(volts), curve.coefficients)).ravel()
+
+
+@st.composite
+def tables(draw):
+    """Points of a table that fulfils the requirements, also with steep steps and flat intervals."""
+    count = draw(st.integers(2, POINTS))
+    gaps = draw(st.lists(st.floats(2 * SMALLEST_GAP, 1.0), min_size=count, max_size=count))
+    rises = draw(st.lists(st.sampled_from((0.0, 1e-6, 0.01, 0.3, 1.0)), min_size=count, max_size=count))
+    commands, openings = np.cumsum(gaps), np.cumsum([0.0, *rises[1:]])
+    return list(zip(commands, openings / max(openings[-1], 1.0), strict=True))
+
+
+@given(points=tables())
+def test_the_curve_is_scipys_between_the_points(points):
+    """Zero up to the first point, SciPy's interpolation with a flat start, constant after the last point."""
+    v, a = np.array(points).T
+    volts = np.concatenate([np.linspace(-1.0, 12.0, 200), v])
+    if len(points) > 2:
+        inside = PchipInterpolator([v[0] - 1.0, *v], [0.0, *a])
+    else:  # the end slope that stands in the equations
+        rise = a[1] / (v[1] - v[0])
+        inside = hermite(v, a, (0.0, rise))
+    expected = np.where(volts <= v[0], 0.0, np.where(volts >= v[-1], a[-1], inside(volts)))
+    # rounding of cubics over an interval of 2 mV in commands of 10 V
+    np.testing.assert_allclose(evaluated(points, volts), expected, atol=1e-11)
+
+
+def hermite(v, a, slopes):
+    """Hermite's cubic between two points, by its basis functions."""
+    h = v[1] - v[0]
+
+    def value(x):
+        t = (x - v[0]) / h
+        ends = (1 + 2 * t) * (1 - t) ** 2 * a[0] + t**2 * (3 - 2 * t) * a[1]
+        return ends + h * (t * (1 - t) ** 2 * slopes[0] + t**2 * (t - 1) * slopes[1])
+
+    return value
+
+
+@given(points=tables())
+def test_the_curve_is_monotone_and_smooth(points):
+    """It never falls, and value and slope have no jump; the slope has one at the last point only."""
+    v, _ = np.array(points).T
+    volts = np.sort(
+        np.concatenate(
+            [np.linspace(0.0, 12.0, 500), *(np.linspace(a, b, 20) for a, b in itertools.pairwise(v))]
+        )
+    )
+    # rounding of openings of 1
+    assert np.diff(evaluated(points, volts)).min() >= -1e-12
+    curve = pieces(table(points))
+    x = ca.SX.sym("x")
+    slope = ca.Function("slope", [x], [ca.jacobian(curve.opening(x), x)])
+    largest = max(1e-3, max(float(slope(y)) for y in volts))
+    for at in v[:-1]:
+        before, after = float(slope(np.nextafter(at, 0.0))), float(slope(np.nextafter(at, 20.0)))
+        # rounding of the coefficients, which divide by gaps of 2 mV
+        assert abs(after - before) <= 1e-9 * largest
+
+
+def test_a_straight_table_is_the_line_away_from_its_start():
+    """Points on the line of the default curve give this line from the third point on, to rounding."""
+    volts = [0.8, *np.linspace(1.5, 10.0, 9)]
+    foot = spool_valve.opening(10.0, 0.6, 10.0, 0.4)  # 1: the line goes through zero at 0.8 V
+    points = [(v, float(spool_valve.opening(v, 0.6, 10.0, 0.4)) if v > 0.8 else 0.0) for v in volts]
+    between = np.linspace(volts[2], 10.0, 100)
+    line = [float(spool_valve.opening(v, 0.6, 10.0, 0.4)) for v in between]
+    assert foot == 1
+    # exact identity: rounding only
+    np.testing.assert_allclose(evaluated(points, between), line, rtol=1e-13)
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_each_edge_has_its_own_curve(edge):
+    """A table changes its edge in its direction, and no other."""
+    for command in (5.0, -5.0):
+        usual = spool_valve.edge_openings(VALVE, None, command)
+        found = spool_valve.edge_openings(VALVE, curves(**{edge: MEASURED}), command)
+        opens = (command > 0) == (edge in spool_valve.FORWARD)
+        expected = {**usual, edge: 0.19 if opens else 0.0}
+        assert {e: float(x) for e, x in found.items()} == pytest.approx(
+            {e: float(x) for e, x in expected.items()}
+        )
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    """(value, slope) of the curve as the FMUs compute them, and their derivatives by all coefficients."""
+    v, c = ca.SX.sym("v"), ca.SX.sym("c", COEFFICIENTS)
+    value = CURVE(v, c)
+    by_table = ca.densify(ca.jacobian(value, c).T)
+    results = {
+        "first": ca.densify(ca.vertcat(value, ca.jacobian(value, v))),
+        "second": ca.densify(ca.vertcat(by_table, ca.jacobian(by_table, v))),
+    }
+    text = "".join(c_function(Routine(name, {"v": v, "c": c}, {"y": y}), {}) for name, y in results.items())
+    assert "opening_curve(" in text
+    assert "opening_curve_slope(" in text
+    where = "#define where(condition, value) ((condition) ? (value) : 0.0)"  # as the function of model.h
+    head = ("#include <math.h>", '#include "opening_curve.h"', "#define LOCAL", where)
+    code = {
+        "all.c": "\n".join([*head, text]).encode(),
+        "opening_curve.h": native_sources(2)["opening_curve.h"].encode(),
+    }
+    flags = ["-std=c99", "-O2", "-fPIC", "-shared", "all.c", "-lm"]
+    library = ctypes.CDLL(str(shared_library(f"curve{SUFFIX}", code, flags, [])))
+    exact = ca.Function("f", [v, c], list(results.values()))
+
+    def of_c(name, volts, coefficients, count):
+        y = np.zeros(count)
+        arrays = (np.array([volts]), np.array(coefficients, dtype=float).ravel(), y)
+        getattr(library, name)(*(a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in arrays))
+        return y
+
+    return of_c, exact
+
+
+@given(points=tables(), volts=st.floats(-1.0, 11.0))
+def test_the_c_code_is_the_expression(compiled, points, volts):
+    """The branch in C evaluates one piece, the expression all: they agree, with their derivatives."""
+    of_c, exact = compiled
+    coefficients = pieces(table(points)).coefficients
+    for at in (volts, *(v for v, _ in points)):
+        first, second = (np.array(y).ravel() for y in exact(at, coefficients))
+        # the same sums in another order: rounding, of cubics with terms up to 1e9
+        scale = max(1.0, np.abs(np.array(coefficients)).max())
+        np.testing.assert_allclose(of_c("first", at, coefficients, 2), first, rtol=1e-12, atol=1e-15 * scale)
+        found = of_c("second", at, coefficients, 2 * COEFFICIENTS)
+        np.testing.assert_allclose(found, second, rtol=1e-12, atol=1e-15 * scale)
+
+
+@given(
+    dead_band=st.floats(0.0, 8.0),
+    rounding=st.floats(1e-3, 4.0),
+    volts=st.floats(-12.0, 12.0),
+)
+def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, volts):
+    """In C: value and slope of the ramp with dead band, also if the rounding reaches beyond full command."""
+    of_c, _ = compiled
+    coefficients = pieces(table(()), Line(dead_band, 10.0, rounding)).coefficients
+    v = ca.SX.sym("v")
+    line = spool_valve.opening(v, dead_band, 10.0, rounding)
+    expected = ca.Function("line", [v], [ca.vertcat(line, ca.jacobian(line, v))])(volts)
+    if volts == 10.0:  # a corner: the slope there is a convention
+        return
+    # rounding of the fourth power over 1 mV, relative to a slope of up to 1/V and more at a short line
+    np.testing.assert_allclose(of_c("first", volts, coefficients, 2), np.array(expected).ravel(), atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("points", "wrong"),
+    [
+        (MEASURED, ""),
+        ((), ""),
+        ([(0.0, 0.0), (5.0, 1.0)], ""),
+        ([(2.0, 0.0), (1.0, 0.5)], "commands"),
+        ([(1.0, 0.0), (2.0, 0.5), (2.0005, 0.6)], "commands"),
+        ([(1.0, 0.0), (2.0, 0.5), (0.0, 0.0), (4.0, 1.0)], "commands"),
+        ([(1.0, 0.0), (11.0, 0.5)], "commands"),
+        ([(1.0, 0.0), (2.0, 0.5), (3.0, 0.4)], "openings"),
+        ([(1.0, 0.1), (2.0, 0.5)], "openings"),
+    ],
+)
+def test_points_in_disorder_are_refused(points, wrong):
+    """Exactly one requirement is violated, that of the list with the mistake."""
+    margins = requirements(curves(pa=points), 10.0)
+    violated = [text for text, margin in margins.items() if not float(ca.DM(margin)) > 0]
+    assert len(violated) == bool(wrong)
+    assert all(text.startswith(f"valve_pa_{wrong}") for text in violated)
+
+
+def test_every_entry_is_declared_in_a_list():
+    """Names and descriptions of the parameters: each entry says that it belongs to a list."""
+    declared = quantities(OpeningCurves)
+    assert len(declared) == 2 * POINTS * len(EDGES)
+    assert all(q.listed and "{}" not in q.text + q.listed for q in declared.values())
+    assert "P-A" in declared["pa_command_1"].text
+
+
+def test_an_fmu_takes_a_table(tmp_path, capsys):
+    """The edge P-A of the built FMU with a table passes the flow of its opening; a wrong table is refused."""
+    points = {
+        f"valve_pa_{what}_{i}": p[k]
+        for i, p in enumerate(MEASURED, 1)
+        for k, what in enumerate(("command", "opening"))
+    }
+    fmu, pressures, speed = build(SWING, tmp_path), [], 0.8
+    for start in ({}, points):
+        with driving(fmu, swing_command=5.0, swing_speed=speed, **start) as driven:
+            driven.step(1e-3, 500)
+            pressures.append(driven.get("swing_pressure_a", "supply_flow"))
+    p = values(SWING).p
+    gain = p["valve_discharge_coefficient"] * p["valve_area"] * np.sqrt(2 / p["density"])
+    line = float(spool_valve.opening(5.0, 0.6, 10.0, 0.4))
+    for (pressure, flow), share in zip(pressures, (line, 0.19), strict=True):
+        # the leakage of the other edges, and the rounding of the turbulent law at small flows
+        assert flow == pytest.approx(gain * share * np.sqrt(20.684e6 - pressure), rel=2e-3)
+    with (
+        pytest.raises(FMICallException),
+        driving(fmu, swing_command=5.0, **{**points, "valve_pa_opening_3": 0.001}),
+    ):
+        pass
+    logged = capsys.readouterr()
+    assert 'valve_pa_openings do not descend, and begin with 0" is violated' in logged.out + logged.err
+
+
+def test_names_of_the_swing_drive():
+    """The parameters of a drive have the tables under the names of the valve."""
+    assert {f"valve_{e}_command_1" for e in EDGES} <= set(vars(symbols(SWING.parameters)))

@@ -1,0 +1,229 @@
+"""Operator input: strokes as declared, right-hand derivatives at corners, and the program in the FMU."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+from contextlib import contextmanager
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from fmpy import simulate_fmu
+from fmpy.fmi2 import FMU2Model
+from fmpy.fmi3 import FMU3Model
+from hypothesis import given
+from hypothesis import strategies as st
+from kit.fmu import driving
+
+from fmus.composition import compose
+from fmus.contract import symbolic
+from fmus.machine.build import data
+from fmus.machine.poses import NOMINAL, POSES, pose_set
+from fmus.machine.work_cycle import (
+    DEFAULT,
+    PROGRAMS,
+    WORK_CYCLE,
+    WORK_CYCLE_STOP,
+    Move,
+    Stem,
+    payload,
+    program,
+    program_numbers,
+)
+from fmus.machine.work_cycle import sample as sampled
+from fmus.operator_input.model import AHEAD, AXES, OPERATOR, PAYLOADS, STROKES, Stroke, sample
+from fmus.parameters import numbers, values
+from orchestrator.base.errors import Problem
+
+_NAMES = ("start", "command", "rise", "hold", "fall")
+_TIME, _STROKE = ca.SX.sym("t"), [ca.SX.sym(n) for n in _NAMES]
+_SAMPLE = ca.Function("sample", [_TIME, *_STROKE], list(sample(Stroke(*_STROKE), _TIME)))
+duration = st.integers(0, 3000).map(lambda ms: ms / 1000)
+
+
+@st.composite
+def moves(draw):
+    """A stroke with corners on a grid of 1 ms; ramps and top may have zero duration."""
+    return Move(
+        "boom", draw(duration), draw(st.floats(-10, 10)), draw(duration), draw(duration), draw(duration)
+    )
+
+
+def at(move: Move, time: float) -> tuple[float, float]:
+    """Command and rate of a stroke."""
+    value, rate = _SAMPLE(time, *(getattr(move, n) for n in _NAMES))
+    return float(value), float(rate)
+
+
+@given(moves(), st.integers(0, 12_000_000))
+def test_a_stroke_is_the_move_of_the_scenario(move, microseconds):
+    """Between the corners, and at them the value to the right of a jump."""
+    time = microseconds / 1e6
+    corners = np.cumsum([move.start, move.rise, move.hold, move.fall])
+    beside = np.abs(corners - time)
+    if np.any((beside > 0) & (beside < 1e-9)):  # rounding decides on which side of a jump this is
+        return
+    # a ramp is no steeper than 10 V in 1 ms: rounding of 12 s
+    assert at(move, time)[0] == pytest.approx(move.sample(np.array([time]))[0], abs=1e-10)
+
+
+@given(moves(), st.integers(0, 12_000))
+def test_the_rate_at_a_millisecond_leads_to_the_next(move, ms):
+    """Value plus rate times 1 ms is the value just before the next jump: also one rounding below a corner."""
+    now, after = ms / 1000, (ms + 1) / 1000
+    for time in (now, now - 1e-12, now + 1e-12):
+        value, rate = at(move, time)
+        # no more than 1e4 V/s times 1e-12 s
+        assert value + rate * (1e-3 - 2 * AHEAD) == pytest.approx(at(move, after - 2 * AHEAD)[0], abs=2e-8)
+        assert at(move, now + 5e-4)[1] == rate  # no corner lies between milliseconds
+
+
+def test_a_clock_of_an_hour_still_meets_the_corners():
+    """Sums of 1 ms steps differ from an hour by rounding, in either direction, but no corner is missed."""
+    clock = float(np.cumsum(np.full(3_600_000, 1e-3))[-1])
+    assert clock != 3600.0
+    for time in (clock, 7200.0 - clock):
+        assert at(Move("boom", 3600.0, 5.0, 0.5, 1.0, 0.5), time)[1] == 10.0
+
+
+def test_the_rates_are_the_derivatives_of_the_commands():
+    """Of the model's own expressions, at random instants of the work cycle."""
+    s, v = symbolic(OPERATOR), values(OPERATOR)
+    rate = ca.Function("r", [s.x, s.p], [s.y[:3], ca.jtimes(s.y[:3], s.x, s.dx), s.y[3:6]])
+    clock = np.random.default_rng(1).uniform(0, WORK_CYCLE_STOP, 500)
+    for t in clock:
+        _, derivative, told = rate(t, list(v.p.values()))
+        np.testing.assert_array_equal(derivative, told)  # the same factors
+
+
+def test_the_fmu_plays_the_work_cycle(fmu_dir):
+    """At every millisecond the commands and rates of the scenario."""
+    time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
+    names = [f"{lever}_command" for lever in AXES]
+    rates = np.diff(commands, axis=0) * 200  # V/s: 200 samples per second, corners on them
+    with driving(fmu_dir / "operator_input.fmu") as operator_input:
+        for n in range(len(time) - 1):
+            # the clock adds up 42000 steps: 3e-11 s, at no more than 14 V/s
+            np.testing.assert_allclose(operator_input.get(*names), commands[n], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(
+                operator_input.get(*(f"{name}_rate" for name in names)), rates[n], rtol=0, atol=1e-9
+            )
+            operator_input.step(1e-3, 5)
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_any_master_gets_the_same_commands(fmu_dir, kind):
+    """In co-simulation and model exchange the clock starts with the run, at any start time."""
+    rows = simulate_fmu(
+        str(fmu_dir / "operator_input.fmu"),
+        fmi_type=kind,
+        start_time=5.0,
+        stop_time=12.0,
+        output_interval=0.01,
+        output=["boom_command"],
+    )
+    time, commands = sampled(WORK_CYCLE, WORK_CYCLE_STOP)
+    expected = np.interp(rows["time"] - 5.0, time, commands[:, AXES.index("boom")])
+    # CVode integrates dclock/dt = 1 to its tolerance of 1e-6 or better; at no more than 11 V/s
+    np.testing.assert_allclose(rows["boom_command"], expected, rtol=0, atol=1e-4)
+
+
+def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):
+    """In model exchange the FMU announces each corner as a time event, and none after the last one."""
+    corners = {round(5.0 + c, 9) for m in WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])}
+    for folder in (fmu_dir, fmi3_dir):
+        with exchanging(folder / "operator_input.fmu", 5.0) as following:
+            assert [round(time, 9) for time in following] == sorted(corners)
+
+
+@contextmanager
+def exchanging(path, start):
+    """The times of the events of an FMU whose one state is a clock, one after the other."""
+    folder = fmpy.extract(str(path))
+    description = fmpy.read_model_description(folder)
+    kind = FMU2Model if description.fmiVersion == "2.0" else FMU3Model
+    fmu = kind(
+        guid=description.guid,
+        unzipDirectory=folder,
+        modelIdentifier=description.modelExchange.modelIdentifier,
+        instanceName="operator_input",
+    )
+    fmu.instantiate()
+    if kind is FMU2Model:
+        fmu.setupExperiment(startTime=start)
+        fmu.enterInitializationMode()
+    else:
+        fmu.enterInitializationMode(startTime=start)
+    fmu.exitInitializationMode()
+
+    def events():
+        ask = fmu.newDiscreteStates if kind is FMU2Model else fmu.updateDiscreteStates
+        while True:
+            *_, defined, time = ask()
+            if not defined:
+                return
+            yield time
+            fmu.enterContinuousTimeMode()
+            fmu.setTime(time)
+            fmu.setContinuousStates((ctypes.c_double * 1)(time - start), 1)
+            fmu.enterEventMode()
+
+    yield events()
+    fmu.terminate()
+    fmu.freeInstance()
+    shutil.rmtree(folder)
+
+
+def test_no_event_is_lost_in_a_whole():
+    """Components with time events cannot be composed, because the FMU would not announce them."""
+    with pytest.raises(Problem, match="whole: operator_input has time events"):
+        compose(
+            "whole", "The operator alone", {"operator_input": OPERATOR}, (), {}, folder=OPERATOR.values.parent
+        )
+
+
+def test_the_shipped_program_is_the_work_cycle():
+    """parameters.toml is what `python -m fmus.machine.reference` writes."""
+    assert numbers(OPERATOR)["parameters"] == program_numbers()["parameters"]
+
+
+def test_programs_are_the_shipped_scenarios():
+    """data/scenarios contains the same moves as a scenario."""
+    for name in ("work_cycle", "boom_up", "work_cycle_stems"):
+        path = data(f"scenarios/{name}.csv")
+        header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        time, commands = sampled(PROGRAMS[name], table[-1, 0])
+        for axis, column in zip(AXES, commands.T, strict=True):
+            known = (
+                table[:, header.index(f"{axis}_command")] if f"{axis}_command" in header else 0 * table[:, 0]
+            )
+            # ten digits of the file
+            np.testing.assert_allclose(np.interp(time, table[:, 0], known), column, rtol=0, atol=1e-9)
+        held = table[:, header.index("payload_mass")] if "payload_mass" in header else 0 * table[:, 0]
+        np.testing.assert_array_equal(np.interp(time, table[:, 0], held), payload(PROGRAMS[name], time))
+
+
+def test_a_program_that_is_too_long_is_refused():
+    """The message contains the lever and both numbers."""
+    many = [Move("stick", float(n), 1.0, 0.1, 0.1, 0.1) for n in range(11)]
+    with pytest.raises(Problem, match="stick lever: 11 strokes, expected at most 10"):
+        program(many)
+    assert program(many[:10])["stick_10_start"] == 9.0
+    assert len(program(())) == len(AXES) * len(STROKES) * 5 + len(PAYLOADS) * 3
+    with pytest.raises(Problem, match="5 stems, expected at most 4"):
+        program([Stem(float(n), 100.0, 0.5) for n in range(5)])
+
+
+def test_the_default_sets_are_the_start_values():
+    """Default pose and program of the system are the values in the FMUs."""
+    assert program(PROGRAMS[DEFAULT]) == values(OPERATOR).p
+    from fmus.machine.parts import SUBSYSTEMS
+
+    for port, value in pose_set(POSES[NOMINAL]).items():
+        component, name = port.split(".")
+        found = values(SUBSYSTEMS[component])
+        # stated with nine digits
+        assert ({**found.u, **found.p})[name] == pytest.approx(value, rel=1e-8)

@@ -1,0 +1,289 @@
+"""Numbers: files are complete, consistent, sourced, and mistakes are told in one line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kit.fmu import driving
+
+from fmus import boom_stick, swing
+from fmus.contract import quantities, symbolic
+from fmus.machine.parts import SUBSYSTEMS
+from fmus.parameters import (
+    Number,
+    numbers,
+    read,
+    read_parameter_set,
+    rows,
+    values,
+    with_parameters,
+    write,
+)
+from orchestrator.base.errors import Problem
+
+BOOM_STICK, MANIPULATOR, SWING = (SUBSYSTEMS[n] for n in ("boom_stick", "manipulator", "swing"))
+
+
+@pytest.mark.parametrize("sub", SUBSYSTEMS.values(), ids=SUBSYSTEMS)
+def test_every_number_has_provenance(sub):
+    """All parameters are there, each with unit, source and a note that says something."""
+    found = numbers(sub)
+    assert set(found["parameters"]) == set(quantities(sub.parameters))
+    for section in found.values():
+        for name, n in section.items():
+            assert len(n.note) > 8, name
+            if n.source == "paper":
+                assert any(word in n.note for word in ("section", "eq.", "printed", "hose")), name
+
+
+@pytest.mark.parametrize("sub", SUBSYSTEMS.values(), ids=SUBSYSTEMS)
+def test_write_then_read_gives_the_same_numbers(sub, tmp_path):
+    """The writer is the inverse of the reader, to the last bit."""
+    found = numbers(sub)
+    write(tmp_path / "p.toml", found)
+    assert read(tmp_path / "p.toml") == found
+
+
+def test_numbers_that_stand_in_two_files_are_the_same():
+    """The identical valves of section 3(b), the oil, the strokes and the supply agree between subsystems."""
+    swing, boom_stick, manipulator = (values(s) for s in (SWING, BOOM_STICK, MANIPULATOR))
+    for name in set(swing.p) & set(boom_stick.p) - {"initial_preload"}:
+        assert swing.p[name] == boom_stick.p[name], name
+    for name in ("boom_stroke", "stick_stroke"):
+        assert manipulator.p[name] == boom_stick.p[name]
+    assert swing.u["supply_pressure"] == boom_stick.u["supply_pressure"]
+
+
+def test_derived_numbers_follow_from_their_formulas():
+    """Hose inertance, capacitance and resistance are what length, bore and oil give."""
+    p, diameter = values(BOOM_STICK).p, 0.75 * 0.0254
+    for name, length in (("boom", 3.0), ("stick", 4.0)):
+        area = math.pi / 4 * diameter**2
+        # exact identity: rounding only; abs=0, as a capacitance is smaller than the default of 1e-12
+        assert p[f"{name}_hose_inertance"] == pytest.approx(970.0 * length / area, rel=1e-12)
+        assert p[f"{name}_hose_capacitance"] == pytest.approx(area * length / 1.6e9, rel=1e-12, abs=0)
+        assert p[f"{name}_hose_resistance"] == pytest.approx(3.2e10 * length / 4, rel=1e-12)
+    s = values(SWING).p
+    assert s["line_resistance"] == pytest.approx(128 * 0.02 / (math.pi * diameter**4), rel=1e-12)
+    # the motor's volume is stated with four digits
+    assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-5, abs=0)
+
+
+@pytest.mark.parametrize(
+    "sub", [*swing.VARIANTS.values(), *boom_stick.VARIANTS.values()], ids=lambda s: s.name
+)
+def test_a_measured_number_of_a_hose_replaces_the_derived_one(sub):
+    """In every variant: with all numbers given, length and bore mean what they say, and no more."""
+    given, free = values(sub), values(sub, derive=False)
+    names = [n for n in given.p if free.p[n] == 0 != given.p[n]]
+    assert names or sub.name == "swing_detailed"
+    model = symbolic(sub).function()
+    x = [q.nominal * 0.3 for q in quantities(sub.states).values()]
+    u = [q.nominal * 0.2 for q in quantities(sub.inputs).values()]
+
+    def rates(p):
+        return model(x, u, list(p.values()))[0].full()
+
+    # exact identity: the same formulas, in Python and in the equations
+    np.testing.assert_allclose(rates(given.p), rates(free.p), rtol=1e-12)
+    longer = {n: 1.3 * v if n.endswith("_length") else v for n, v in free.p.items()}
+    assert not np.allclose(rates(longer), rates(free.p), rtol=1e-3)
+    if sub.variant != "detailed":  # whose lines are made of length and bore
+        np.testing.assert_array_equal(rates(longer | {n: given.p[n] for n in names}), rates(given.p))
+
+
+def test_an_fmu_derives_the_numbers_of_a_hose_at_run_time(fmu_dir):
+    """Another length set on the built FMU is the numbers that follow from it, set one by one."""
+    length, area = 3.9, math.pi / 4 * 0.01905**2
+    numbers = {"inertance": 970 * length / area, "capacitance": area * length / 1.6e9}
+    numbers["resistance"] = 3.2e10 * length / 4
+    found = []
+    for given in ({}, {"length": length}, numbers):
+        start = {f"boom_hose_{name}": value for name, value in given.items()}
+        with driving(fmu_dir / "boom_stick.fmu", boom_command=4.0, **start) as fmu:
+            for _ in range(20):
+                fmu.step(1e-3)
+            found.append(fmu.get("boom_head_pressure", "boom_head_flow", "boom_rod_pressure"))
+    usual, longer, measured = map(np.array, found)
+    # same numbers but for rounding, which the solver's choice of steps may show up to its tolerance of 1e-6
+    np.testing.assert_allclose(longer, measured, rtol=1e-6)
+    assert abs(longer / usual - 1).max() > 1e-3
+
+
+# as the notes of the parameters state them, to their last digit
+PRINTED = {
+    "boom_hose_inertance": 1.021e7, "boom_hose_capacitance": 5.344e-13, "boom_hose_resistance": 2.4e10,
+    "stick_hose_inertance": 1.361e7, "stick_hose_capacitance": 7.126e-13, "stick_hose_resistance": 3.2e10,
+    "line_inertance": 3.403e6, "line_capacitance": 9.375e-13, "line_resistance": 6.19e6,
+}  # fmt: skip
+
+
+def test_length_and_bore_lead_to_the_printed_numbers():
+    """Of oil of 970 kg/m3 and 1.6e9 Pa, to the digits printed: the formula and the print are two routes."""
+    known = values(SWING).p | values(BOOM_STICK).p
+    for name, number in PRINTED.items():
+        digits = 2 if name == "line_resistance" else 3  # behind the point, of the printed number
+        assert float(f"{known[name]:.{digits}e}") == number, name
+
+
+def test_only_what_follows_from_paper_numbers_is_called_derived():
+    """A length, mass or viscosity that somebody chose makes what follows from it assumed, not FERIC data."""
+    derived = {
+        name
+        for s in SUBSYSTEMS.values()
+        for name, n in numbers(s)["parameters"].items()
+        if n.source == "derived"
+    }
+    # 4 m, 3/4 in, rho, beta; and of the 4 m hose that the others are scaled from
+    assert derived == {"stick_hose_inertance", "stick_hose_capacitance", "stick_hose_resistance"}
+
+
+def test_formulas_named_in_notes_give_the_numbers():
+    """Bars m l^2 / 12, line inertance, and the transition flow of Re 260 through 4.7 mm2 at 20 mm2/s."""
+    m, s = values(MANIPULATOR).p, values(SWING).p
+    # rounded to two or three digits
+    assert m["boom_inertia"] == pytest.approx(m["boom_mass"] * 3.6**2 / 12, rel=2e-3)
+    assert m["stick_inertia"] == pytest.approx(m["stick_mass"] * 2.9**2 / 12, rel=2e-3)
+    assert s["line_inertance"] == pytest.approx(970.0 / (math.pi / 4 * 0.01905**2), rel=5e-4)
+    area = 4.7e-6
+    assert s["valve_transition_flow"] == pytest.approx(260 * 20e-6 * math.sqrt(math.pi * area) / 2, rel=0.01)
+
+
+def test_start_values_of_the_parts_belong_to_one_pose():
+    """What boom_stick and manipulator start from when alone is x(q) and G(q)/J of the nominal pose."""
+    s, v = symbolic(MANIPULATOR), values(MANIPULATOR)
+    x, *known = (list(group.values()) for group in (v.x, v.u, v.p))
+    outputs = s.function()(s.initial()(x, *known), *known)[1].full()[:, 0]
+    y, start = dict(zip(quantities(MANIPULATOR.outputs), outputs, strict=True)), values(BOOM_STICK).u
+    for joint in ("boom", "stick"):
+        # stated with nine digits
+        assert start[f"{joint}_position"] == pytest.approx(y[f"{joint}_position"], rel=1e-8)
+        assert start[f"{joint}_holding_force"] == pytest.approx(y[f"{joint}_holding_force"], rel=1e-8)
+        assert v.u[f"{joint}_force"] == start[f"{joint}_holding_force"]
+
+
+def test_printed_hose_resistance_is_read_as_a_reciprocal_near_blasius():
+    """3.2e10 lies inside the Blasius band of eq. (10), 3.1e11 does not (docs/equations.md, section 1)."""
+    diameter, rho = 0.75 * 0.0254, 970.0
+    alpha = 0.3164 / 2 * (4 / math.pi) ** 1.75
+
+    def blasius(flow, viscosity):
+        return alpha * viscosity**0.25 * rho**0.75 * 4 / diameter**4.75 * flow**-0.25
+
+    low, high = blasius(300 / 6e4, 0.008), blasius(60 / 6e4, 0.030)
+    assert low < values(BOOM_STICK).p["stick_hose_resistance"] < high < 3.125e11 / 5
+
+
+GOOD = '[parameters.{name}]\nvalue = {value}\nunit = "{unit}"\nsource = "assumed"\nnote = "a test"\n'
+
+
+def _file(tmp_path: Path, **changes: tuple[float, str]) -> Path:
+    """The swing's file with some entries replaced by (value, unit), or dropped when None."""
+    found = {section: dict(entries) for section, entries in numbers(SWING).items()}
+    for name, change in changes.items():
+        if change is None:
+            del found["parameters"][name]
+        else:
+            found["parameters"][name] = Number(*change, "assumed", "a test")
+    write(tmp_path / "p.toml", found)
+    return tmp_path / "p.toml"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"density": (9.7, "kg/L")}, r"p\.toml: \[parameters\.density\] is in kg/L, declared kg/m3"),
+        ({"density": None}, r"p\.toml: parameter density of swing is missing"),
+        ({"colour": (1.0, "1")}, r"\[parameters\.colour\] is not declared by swing"),
+        ({"density": (-1.0, "kg/m3")}, r"\[parameters\.density\] is -1 kg/m3, expected 100\.0 to None"),
+        ({"density": (math.nan, "kg/m3")}, r"\[parameters\.density\] value is nan, expected a finite number"),
+    ],
+)
+def test_mistakes_in_a_file_name_file_entry_expected_and_found(tmp_path, changes, message):
+    """A wrong unit, a missing, unknown, impossible or non-finite number is refused by name."""
+    with pytest.raises(Problem, match=message):
+        numbers(SWING, _file(tmp_path, **changes))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("value = ", "expected TOML, got"),
+        ("[swing.x]\nvalue = 1\n", r"unknown table \[swing\]"),
+        ("parameters = 3\n", r"parameters = 3, expected tables \[parameters\.NAME\]"),
+        (
+            "[parameters.x]\nvalue = 1\nunit = 'V'\nsource = 'paper'\nnote = ''\nsd = -1\n",
+            "sd is -1, expected 0 or more",
+        ),
+        ("[parameters]\nx = 3\n", r"\[parameters\.x\] is 3, expected a table"),
+        ("[parameters.x]\nvalue = 1\nunit = 'V'\nsource = 'paper'\n", "lacks note"),
+        (
+            "[parameters.x]\nvalue = 1\nunit = 'V'\nsource = 'guess'\nnote = ''\n",
+            "source is 'guess', expected one of",
+        ),
+        ("[parameters.x]\nvalue = '1'\n", "value is '1', expected a number"),
+        ("[parameters.x]\nvalu = 1\n", "unknown key 'valu'"),
+    ],
+)
+def test_a_broken_file_is_refused_in_one_line(tmp_path, text, message):
+    """Syntax, tables and keys are checked before any number is used."""
+    path = tmp_path / "p.toml"
+    path.write_text(text)
+    with pytest.raises(Problem, match=message) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+
+
+TABLE = """
+[parameters.{name}]
+value = {value}
+unit = "V"
+source = "assumed"
+note = "a list of a test"
+"""
+
+
+def test_a_list_replaces_all_entries(tmp_path):
+    """A parameter set with a shorter list sets its entries and zeros behind them, for all parts or one."""
+    (tmp_path / "p.toml").write_text(
+        TABLE.format(name="valve_pa_commands", value=[0.5, 2.0, 10.0])
+        + TABLE.format(name='"swing.valve_pa_commands"', value=[0.7, 9.0])
+    )
+    chosen = read_parameter_set(tmp_path / "p.toml", [SWING, BOOM_STICK])
+    for sub, expected in ((SWING, [0.7, 9.0]), (BOOM_STICK, [0.5, 2.0, 10.0])):
+        point = Number(5.0, "V", "assumed", "a test")
+        long = with_parameters(sub, {f"valve_pa_command_{i}": point for i in (3, 9)})
+        found = numbers(with_parameters(long, chosen))["parameters"]
+        assert [found[f"valve_pa_command_{i}"].value for i in range(1, 11)] == [*expected, *[0.0] * 10][:10]
+        assert list(rows({n: x for n, x in found.items() if "pa_command" in n})) == ["valve_pa_commands"]
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([1.0] * 11, "valve_pa_commands]: expected at most 10 values"),
+        (["1"], "value is '1', expected a number"),
+        ([-1.0], "expected 0.0 to None"),
+        ([0.5], None),
+    ],
+)
+def test_mistakes_in_lists_are_told(tmp_path, value, message):
+    """Too many entries, text and values out of bounds are refused with the name."""
+    (tmp_path / "p.toml").write_text(TABLE.format(name="valve_pa_commands", value=value).replace("'", '"'))
+    if message is None:
+        assert len(read_parameter_set(tmp_path / "p.toml", [SWING])) == 10
+        return
+    with pytest.raises(Problem, match=message):
+        read_parameter_set(tmp_path / "p.toml", [SWING])
+
+
+def test_an_entry_of_another_source_has_a_row_of_its_own():
+    """One point that is identified is not shown under the source of the others."""
+    point = {"valve_pa_opening_3": Number(0.2, "1", "identified", "a test", 0.01)}
+    shown = rows(numbers(with_parameters(SWING, point))["parameters"])
+    assert shown["valve_pa_opening_3"][0].source == "identified"
+    assert "valve_pa_openings" not in shown
+    assert len(shown["valve_at_openings"]) == 10

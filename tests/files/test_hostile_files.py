@@ -1,0 +1,601 @@
+"""FMUs and SSPs that are made to harm: what each of them tries, and the line that refuses it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import struct
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from check.good import DESCRIPTION, XML_2, Archive
+from files.test_damaged_files import INNER, LONGEST, MAPPING, MOST, OUTER, START, packed, peak
+from kit import shards
+from kit.any_fmu.models import Workshop
+
+from orchestrator import load, run
+from orchestrator.__main__ import main
+from orchestrator.base import toml
+from orchestrator.base.errors import Problem
+from orchestrator.base.files import MAX_DIRECTORY, MAX_NESTING, Location, extract_member, size_fault
+from orchestrator.base.xml import MAX_ITEMS
+from orchestrator.check import check
+from orchestrator.check.read_ls_ref import resolve
+from orchestrator.check.rules import archive as archive_rules
+from orchestrator.check.subject import Subject
+from orchestrator.fmi.library import find_library
+from orchestrator.fmi.read_description import read_description
+from orchestrator.results.validate_system import _provenance
+from orchestrator.scene.view_description import FILE, view_description
+from orchestrator.ssp.assembly import open_component
+
+Members = Mapping[str, bytes]
+GOOD: Members = {DESCRIPTION: XML_2.encode(), "binaries/linux64/lag.so": b"no library"}
+ZEROS = bytes(150 << 20)
+BOMB = 800_000_000  # bytes; above the size up to which any ratio is accepted
+
+
+@pytest.fixture(scope="module")
+def gain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A good FMU."""
+    return Workshop(tmp_path_factory.mktemp("any_fmu"))["gain"]
+
+
+def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
+    """A good FMU with changes of its description and more members."""
+    text = XML_2
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_bytes(packed({**GOOD, DESCRIPTION: text.encode(), **(more or {})}))
+    return path
+
+
+def system(path: Path, gain: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:
+    """A good SSP with changes of its SystemStructure.ssd and more members."""
+    text = OUTER
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    inner = packed({"SystemStructure.ssd": INNER.encode(), "resources/gain.fmu": gain.read_bytes()})
+    members = {
+        "SystemStructure.ssd": text.encode(),
+        "other.ssd": INNER.encode(),
+        "resources/gain.fmu": gain.read_bytes(),
+        "resources/start.ssv": START.encode(),
+        "resources/names.ssm": MAPPING.encode(),
+        "resources/inner.ssp": inner,
+    }
+    path.write_bytes(packed({**members, **(more or {})}))
+    return path
+
+
+# ---- archives ----------------------------------------------------------------------------------------------
+
+
+def in_directory(offset: int, kind: str, value: int, member: int = 0) -> Callable[[Path], None]:
+    """Overwrite a number in the entry of a member in the directory of an archive."""
+
+    def change(path: Path) -> None:
+        data, at = bytearray(path.read_bytes()), -1
+        for _ in range(member + 1):
+            at = data.index(b"PK\x01\x02", at + 1)
+        struct.pack_into(f"<{kind}", data, at + offset, value)
+        path.write_bytes(data)
+
+    return change
+
+
+def with_member(name: str, data: bytes = b"", method: int = zipfile.ZIP_DEFLATED) -> Callable[[Path], None]:
+    """Add a member, whatever its name."""
+
+    def change(path: Path) -> None:
+        info = zipfile.ZipInfo("x")
+        info.filename, info.compress_type = name, method
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr(info, data)
+
+    return change
+
+
+def bomb(path: Path) -> None:
+    """Add a member that declares much more than it has."""
+    with_member("resources/bomb", b"0")(path)
+    in_directory(24, "I", BOMB, member=2)(path)
+
+
+def wrong_sum(path: Path) -> None:
+    """Change the check sum of the library, in front of it and in the directory."""
+    in_directory(16, "I", 1, member=1)(path)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, data.index(b"PK\x03\x04", 1) + 14, 1)
+    path.write_bytes(data)
+
+
+ARCHIVES: Mapping[
+    str, tuple[Callable[[Path], None], str, str]
+] = {  # change, message of a run, rule of a check
+    "wrong sum": (wrong_sum, "cannot be unpacked into .*Bad CRC-32", "archive.zip"),
+    "encrypted": (in_directory(8, "H", 1), "is encrypted, expected no encryption", "archive.method"),
+    "method": (in_directory(10, "H", 99), "compressed with 99, expected deflate or store", "archive.method"),
+    "lzma": (
+        with_member("a", b"b", zipfile.ZIP_LZMA),
+        "compressed with lzma, .* pack it again",
+        "archive.method",
+    ),
+    "same bytes": (in_directory(42, "I", 0, member=1), "expected separate members", "archive.zip"),
+    "bomb": (bomb, "expected at most 200 times its size", "archive.size"),
+    "4 GB": (in_directory(24, "I", 0xFFFFFFF0), "MB unpacked, got 4295 MB", "archive.size"),
+    "up": (with_member("../evil"), "has '..' in its path", "archive.name"),
+    "root": (with_member("/outside/evil"), "expected a relative path", "archive.name"),
+    "drive": (with_member("C:/evil"), "expected a relative path", "archive.name"),
+    "backslash": (with_member("..\\evil"), "has '..' in its path", "archive.name"),
+    "backslashes": (with_member("\\\\host\\evil"), "expected a relative path", "archive.name"),
+    "nul": (with_member("evil\0.txt"), "has a control character", "archive.name"),
+    "deep": (with_member("d/" * 3000 + "x"), "has 6001 characters, expected at most 1000", "archive.name"),
+    "file as folder": (with_member(f"{DESCRIPTION}/x"), "cannot be unpacked into", "archive.zip"),
+}
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_an_archive_is_refused(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a run by one line with the name of the file, in a check by a rule; nothing is left."""
+    change, message, rule = ARCHIVES[name]
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    path = fmu(tmp_path / "x.fmu")
+    change(path)
+    before = peak()
+    with pytest.raises(Problem, match=message) as refused, Location(path).unpacked():
+        pass
+    assert str(path) in str(refused.value)
+    assert rule in {f.rule for f in check(path, run=False).findings if f.severity == "error"}
+    assert not list(temporary.iterdir())
+    assert peak() - before < MOST / 10  # less than the bomb
+
+
+def test_a_member_is_read_up_to_the_size_it_declares(tmp_path: Path) -> None:
+    """150 MB that declare 100 bytes take no memory."""
+    path = fmu(tmp_path / "x.fmu", more={"resources/big": ZEROS})
+    in_directory(24, "I", 100, member=2)(path)
+    before = peak()
+    with pytest.raises(Problem, match="resources/big: cannot be unpacked: Bad CRC-32"):
+        Location(path).member("resources/big").read()
+    assert peak() - before < len(ZEROS) / 2
+
+
+def test_sparse_data_are_no_bomb() -> None:
+    """150 MB of zeros pack to 150 kB."""
+    member = zipfile.ZipInfo("resources/map.bin")
+    member.file_size = len(ZEROS)
+    assert size_fault([member], len(ZEROS) // 1000) == ""
+    member.file_size = BOMB
+    assert "at most 200 times" in size_fault([member], BOMB // 1000)
+
+
+def test_a_large_member_is_not_unpacked_to_be_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The size that it declares is above the limit of the reader."""
+    path = fmu(tmp_path / "x.fmu")
+    monkeypatch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("unpacked"))
+    with pytest.raises(Problem, match=rf"x\.fmu/{DESCRIPTION}: expected at most 0 MB"):
+        Location(path).member(DESCRIPTION).read(100)
+
+
+def test_a_long_list_of_members_is_refused(tmp_path: Path) -> None:
+    """Before it is read: by its size in the last record of the archive."""
+    path = fmu(tmp_path / "x.fmu")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, len(data) - 10, MAX_DIRECTORY + 1)
+    path.write_bytes(data)
+    message = "a list of members of at most 10 MB"
+    with pytest.raises(Problem, match=message):
+        load(path)
+    assert any(message in f.text for f in check(path, run=False).findings if f.rule == "archive.zip")
+
+
+def test_the_name_in_an_extra_field_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newer versions of Python unpack under this name (Info-ZIP 0x7075); it may only add letters."""
+    names = {
+        "resources/a": ("../evil", "has '..' in its path"),
+        "resources/b": ("resources/c", "name 'resources/c' in an extra field"),
+        "resources/├╝": ("resources/ü", ""),
+    }
+    monkeypatch.setattr(
+        zipfile.ZipInfo,
+        "_decodeExtra",
+        lambda self, *_: setattr(self, "filename", names.get(self.filename, (self.filename,))[0]),
+    )
+    for written, (other, message) in names.items():
+        path = fmu(tmp_path / "x.fmu", more={written: b""})
+        faults = {f.text for f in check(path, run=False).findings if f.rule == "archive.name"}
+        if not message:
+            with Location(path).unpacked() as folder:
+                assert (folder / other).is_file()
+            assert not faults
+            continue
+        with pytest.raises(Problem, match=message), Location(path).unpacked():
+            pass
+        assert any(message in text for text in faults)
+        with zipfile.ZipFile(path) as archive, pytest.raises(zipfile.BadZipFile, match=message):
+            extract_member(archive, archive.infolist()[-1], tmp_path / "folder")
+    assert not (tmp_path / "evil").exists()
+
+
+def test_members_can_stay_packed(gain: Path) -> None:
+    """Those of the named folders; all others are unpacked."""
+    with Location(gain).unpacked(("binaries/",)) as folder:
+        found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert found == {n for n in Location(gain).names() if not n.startswith("binaries/")}
+
+
+@pytest.mark.parametrize("folder", ["sources", "documentation"])
+def test_a_run_unpacks_no_sources_and_no_documentation(gain: Path, tmp_path: Path, folder: str) -> None:
+    """A member there that cannot be unpacked does not prevent a run; one in resources does."""
+    for place, problem in ((folder, None), ("resources", "is compressed with")):
+        fmu = Path(shutil.copy(gain, tmp_path / f"{place}.fmu"))
+        with zipfile.ZipFile(fmu, "a", zipfile.ZIP_BZIP2) as archive:
+            archive.writestr(f"{place}/odd.txt", "x" * 1000)
+        with pytest.raises(Problem, match=problem) if problem else nullcontext():
+            run(fmu, step=0.1, stop=0.1)
+
+
+def test_backslashes_in_names_are_slashes(gain: Path, tmp_path: Path) -> None:
+    """Old packers on Windows write them; a check reports them."""
+    path = tmp_path / "x.fmu"
+    with zipfile.ZipFile(gain) as good:
+        members = {n: good.read(n) for n in good.namelist()}
+    path.write_bytes(packed({n.replace("/", "\\"): data for n, data in members.items()}))
+    with Location(path).unpacked() as folder:
+        assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} == set(members)
+    assert set(Location(path).names()) == set(members)
+    assert all(Location(path).member(n).read() == data for n, data in members.items())
+    assert "archive.name" in {f.rule for f in check(path, run=False).findings}
+
+
+@pytest.mark.parametrize("name", ["全\u3000部", "a\u00a0b", "\u0645\u06cc\u200c\u062e", "a\u200db"])
+def test_names_of_all_scripts_are_read(name: str, gain: Path, tmp_path: Path) -> None:
+    """Only control characters of ASCII are refused: Japanese, French and Persian need other ones."""
+    file = f"resources/{name}.fmu"
+    change = ('name="a" source="resources/gain.fmu"', f'name="a" source="{file}"')
+    assert "a" in load(system(tmp_path / "x.ssp", gain, change, more={file: gain.read_bytes()})).components
+    assert resolve(tmp_path, tmp_path, f"{name}.csv") == (tmp_path / f"{name}.csv").resolve()
+    assert resolve(tmp_path, tmp_path, "a\x7f.csv") is None
+    with pytest.raises(Problem, match="control character"):
+        Location(tmp_path / "x.ssp").member("a\x7f")
+
+
+def test_a_rule_searches_all_files_within_one_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that many large files do not take many times as long."""
+    monkeypatch.setattr(archive_rules, "MAX_SEARCHED", 100)
+    texts = {f"{n}.txt": f"/home/{n}/x".encode().ljust(80) for n in "abc"}
+    for name, data in texts.items():
+        (tmp_path / name).write_bytes(data)
+    searched = list(archive_rules._searched(Subject(tmp_path, tmp_path), texts))
+    assert searched == [("a.txt", texts["a.txt"]), ("b.txt", texts["b.txt"][:20])]
+
+
+def test_a_large_description_of_constant_text_is_read(tmp_path: Path) -> None:
+    """The ratio counts only for large archives: regular descriptions of good FMUs pack well."""
+    path = fmu(tmp_path / "x.fmu", ('license="MIT"', f'license="{" " * 9_000_000}"'))
+    assert path.stat().st_size < 50_000
+    assert open_component("x", Location(path)).interface.identifier == "lag"
+
+
+def test_a_bomb_in_a_system_is_refused(gain: Path, tmp_path: Path) -> None:
+    """Also if the archive of the system itself is small unpacked, and if it contains itself many times."""
+    file = fmu(tmp_path / "bomb.fmu")
+    bomb(file)
+    with pytest.raises(Problem, match=r"x\.ssp/resources/gain\.fmu: expected at most 200 times its size"):
+        load(system(tmp_path / "x.ssp", gain, more={"resources/gain.fmu": file.read_bytes()}))
+    text = INNER.replace("resources/gain.fmu", "x.ssp").replace(
+        'name="g"', 'name="g" type="application/x-ssp-package"'
+    )
+    data = packed({"SystemStructure.ssd": text.encode()})
+    for _ in range(MAX_NESTING + 2):
+        data = packed({"SystemStructure.ssd": text.encode(), "x.ssp": data})
+    (tmp_path / "nested.ssp").write_bytes(data)
+    with pytest.raises(Problem, match="expected at most 8 archives inside each other"):
+        load(tmp_path / "nested.ssp")
+
+
+def test_a_symbolic_link_becomes_a_file(tmp_path: Path) -> None:
+    """A link would let later members be written anywhere."""
+    path, link = fmu(tmp_path / "x.fmu"), zipfile.ZipInfo("resources")
+    link.external_attr = 0o120777 << 16
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(link, str(tmp_path))
+    with Location(path).unpacked() as folder:
+        assert not (folder / "resources").is_symlink()
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("resources/evil", "")
+    with pytest.raises(Problem, match="cannot be unpacked"), Location(path).unpacked():
+        pass
+    assert not (tmp_path / "evil").exists()
+
+
+# ---- temporary folder --------------------------------------------------------------------------------------
+
+
+def test_a_full_temporary_folder_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the names of FMU and folder; the part that was unpacked is removed. It is no fault of the FMU."""
+    path = fmu(tmp_path / "x.fmu")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+
+    def full(*_: object) -> None:
+        assert any(temporary.rglob("*"))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(shutil, "copyfileobj", full)
+    line = rf"x\.fmu: cannot be unpacked into {temporary}/\S+: .*No space left on device"
+    with pytest.raises(Problem, match=line), Location(path).unpacked():
+        pass
+    with pytest.raises(Problem, match=line):
+        check(path, run=False)
+    assert not list(temporary.iterdir())
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(Problem, match=r"x\.fmu: no temporary folder"), Location(path).unpacked():
+        pass
+    with pytest.raises(Problem, match=r"x\.fmu: no temporary folder"):
+        check(path, run=False)
+
+
+def test_a_disk_that_is_full_at_the_last_block_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the name of the file that is read."""
+
+    class Full(tempfile.SpooledTemporaryFile):  # type: ignore[type-arg]  # not generic at run time before 3.12
+        def flush(self) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = fmu(tmp_path / "x.fmu")
+    monkeypatch.setattr(tempfile, "SpooledTemporaryFile", Full)
+    with pytest.raises(Problem, match=rf"x\.fmu/{DESCRIPTION}: cannot be unpacked: No space left"):
+        Location(path).member(DESCRIPTION).read()
+
+
+# ---- descriptions ------------------------------------------------------------------------------------------
+
+CO = "<CoSimulation modelIdentifier="
+DESCRIPTIONS: Mapping[str, tuple[tuple[str, str], str]] = {
+    "path as identifier": (
+        (f'{CO}"lag"', f'{CO}"../../x/evil"'),
+        r"modelIdentifier: .* got '\.\./\.\./x/evil'",
+    ),
+    "absolute identifier": (
+        (f'{CO}"lag"', f'{CO}"/outside/evil"'),
+        "modelIdentifier: expected a C identifier",
+    ),
+    "no identifier": ((f'{CO}"lag"', "<CoSimulation"), "modelIdentifier: expected a C identifier, got ''"),
+    "no guid": ((' guid="{', ' id="{'), "expected an attribute guid, got none"),
+    "large reference": (('valueReference="5"', 'valueReference="4294967296"'), "whole number below 2\\^32"),
+    "long name": (('name="der_x"', f'name="{"x" * 20_000}"'), "expected names of at most 10000 characters"),
+    "20 MB": (('license="MIT"', f'license="{"x" * 20_000_000}"'), "cannot be read as XML: .*limit"),
+    "levels": (("<LogCategories>", "<a>" * 150 + "</a>" * 150 + "<LogCategories>"), "at most 100 levels"),
+    "many levels": (("<LogCategories>", "<a>" * 90_000), "cannot be read as XML: Excessive depth"),
+    "items": (("<LogCategories>", "<LogCategories>" + "<a/>" * MAX_ITEMS), "a limit of this tool"),
+    "encoding": (('encoding="UTF-8"', 'encoding="evil"'), "cannot be read as XML: .*encoding"),
+    "line break": (('name="y"', 'name="a&#10;b&#27;[2J" x=""'), ""),
+}
+
+
+@pytest.mark.parametrize("name", DESCRIPTIONS)
+def test_a_description_is_refused(name: str, tmp_path: Path) -> None:
+    """By one line without control characters, in bounded time; a check finds something wrong, too."""
+    change, message = DESCRIPTIONS[name]
+    path = fmu(tmp_path / "x.fmu", change)
+    start = time.process_time()
+    if message:
+        with pytest.raises(Problem, match=message) as refused:
+            load(path)
+        assert str(refused.value).isprintable()
+        assert len(str(refused.value)) < 3000
+    report = check(path, run=False)
+    assert report.failed
+    assert all(line.isprintable() for line in report.text().split("\n"))
+    assert time.process_time() - start < LONGEST
+    assert find_library(tmp_path, "../../x/evil", 2) is None
+
+
+def test_a_long_identifier_names_no_library(tmp_path: Path) -> None:
+    """Names of files have at most 255 characters."""
+    path = fmu(tmp_path / "x.fmu", (f'{CO}"lag"', f'{CO}"{"x" * 260}"'))
+    with Location(path).unpacked() as folder:
+        for system in ("linux64", "win64", "darwin64"):
+            (folder / "binaries" / system).mkdir(exist_ok=True)
+        assert find_library(folder, "x" * 260, 2) is None
+    assert load(path).components["x"].interface.identifier == "x" * 260
+
+
+def test_other_files_of_an_fmu_are_read_up_to_their_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A description of the view and the origin of parameters: TOML, at most 4 MB."""
+    limits = list[int]()
+    read = Location.read
+    monkeypatch.setattr(Location, "read", lambda self, limit: limits.append(limit) or read(self, limit))
+    loaded = load(
+        fmu(tmp_path / "x.fmu", more={f"resources/{FILE}": b"gauges = []\ncharts = []\nfull_pressure = 1e7"})
+    )
+    limits.clear()
+    assert view_description(loaded).full_pressure == 1e7
+    assert _provenance(loaded.components["x"]) == {}
+    assert limits == [toml.MAX_BYTES] * 2
+
+
+LAUGHS = '<!ENTITY a0 "ha">' + "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
+
+
+@pytest.mark.parametrize("entities", [LAUGHS, '<!ENTITY a9 SYSTEM "file:///etc/passwd">'])
+@pytest.mark.parametrize("place", ['description="A', "<LogCategories>"])
+def test_entities_are_not_expanded(entities: str, place: str, tmp_path: Path) -> None:
+    """Neither in attributes nor in the content, neither a billion of them nor those of other files."""
+    text = XML_2.replace("<fmiModelDescription", f"<!DOCTYPE a [{entities}]><fmiModelDescription")
+    path = tmp_path / "x.fmu"
+    path.write_bytes(packed({**GOOD, DESCRIPTION: text.replace(place, f"{place}&a9;", 1).encode()}))
+    start, before = time.process_time(), peak()
+    with pytest.raises(Problem, match=r"cannot be read as XML|got the entity &a9;") as refused:
+        load(path)
+    assert "root:" not in str(refused.value)
+    assert "xml.syntax" in {f.rule for f in check(path, run=False).findings if f.severity == "error"}
+    assert time.process_time() - start < LONGEST
+    assert peak() - before < MOST / 10
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "iso-8859-1"])
+def test_other_encodings_are_read(encoding: str, tmp_path: Path) -> None:
+    """A description in another encoding is the same, if it says so or has a mark."""
+    named = {"utf-8-sig": "UTF-8"}.get(encoding, encoding)
+    text = XML_2.replace("UTF-8", named).replace("first-order lag", "lag é")
+    path = Archive(2, {**GOOD, DESCRIPTION: text.encode(encoding)}).write(tmp_path / "x.fmu")
+    assert open_component("x", Location(path)).interface.description == "A lag é"
+
+
+# ---- systems -----------------------------------------------------------------------------------------------
+
+SOURCE = 'name="a" source="resources/gain.fmu"'
+BINDING = 'ParameterBinding source="resources/start.ssv"'
+LEAVES = "expected a path inside of the archive; unpack the SSP"
+SHARED = '<hc:SharedParameter xmlns:hc="urn:harvester-cosim:coupling" name="{}">{}</hc:SharedParameter>{}'
+END = "</ssc:Annotation></ssd:Annotations></ssd:DefaultExperiment>"
+A = '<hc:Component name="a"/>'
+SYSTEMS: Mapping[str, tuple[tuple[str, str], str]] = {
+    "up": ((SOURCE, 'name="a" source="../gain.fmu"'), LEAVES),
+    "up and up": ((SOURCE, f'name="a" source="{"../" * 40}etc/passwd"'), LEAVES),
+    "hidden up": ((SOURCE, 'name="a" source="resources/%2e%2e/%2e%2e/gain.fmu"'), LEAVES),
+    "absolute": ((SOURCE, 'name="a" source="/etc/passwd"'), LEAVES),
+    "file": ((SOURCE, 'name="a" source="file:///etc/passwd"'), LEAVES),
+    "set": ((BINDING, 'ParameterBinding source="../start.ssv"'), LEAVES),
+    "set in an FMU": (
+        (
+            '<ssd:ParameterBinding prefix=""><ssd:ParameterValues>',
+            '<ssd:ParameterBinding sourceBase="component"'
+            ' source="../../etc/passwd"/><ssd:ParameterBinding prefix=""><ssd:ParameterValues>',
+        ),
+        "has '..' in its path",
+    ),
+    "mapping": (('source="resources/names.ssm"', 'source="file:///etc/passwd"'), LEAVES),
+    "host": ((SOURCE, 'name="a" source="//host/gain.fmu"'), "expected a relative path or a file: URI"),
+    "web": ((SOURCE, 'name="a" source="http://host/gain.fmu"'), "expected a relative path or a file: URI"),
+    "brackets": ((SOURCE, 'name="a" source="http://[::1"'), "expected a URI, got Invalid IPv6 URL"),
+    "nul": ((SOURCE, 'name="a" source="a%00b"'), "expected a path without control characters"),
+    "no name": ((SOURCE, 'source="resources/gain.fmu"'), "Component: expected an attribute name, got source"),
+    "shared output": ((END, SHARED.format("y", A, END)), r"x\.ssp/\S+: shared parameter y: .* got causality"),
+    "shared by none": ((END, SHARED.format("factor", "", END)), "expected at least one Component"),
+    "itself": (('source="other.ssd"', 'source="SystemStructure.ssd"'), "includes itself"),
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_system_is_refused(name: str, gain: Path, tmp_path: Path) -> None:
+    """By one line, also if the file that it refers to exists."""
+    shutil.copy(gain, tmp_path / "gain.fmu")
+    (tmp_path / "start.ssv").write_text(START)
+    change, message = SYSTEMS[name]
+    with pytest.raises(Problem, match=message):
+        load(system(tmp_path / "x.ssp", gain, change))
+
+
+def test_an_unpacked_system_may_refer_to_files_beside_it(gain: Path, tmp_path: Path) -> None:
+    """Not to devices and pipes, which never end."""
+    folder = tmp_path / "system"
+    folder.mkdir()
+    shutil.copy(gain, tmp_path / "gain.fmu")
+    for source, message in (
+        ("../gain.fmu", ""),
+        (f"file://{tmp_path}/gain.fmu", ""),
+        ("/dev/zero", "no such file"),
+    ):
+        (folder / "x.ssd").write_text(INNER.replace("resources/gain.fmu", source))
+        if message:
+            with pytest.raises(Problem, match=message):
+                load(folder / "x.ssd")
+        else:
+            assert list(load(folder / "x.ssd").components) == ["g"]
+
+
+@pytest.mark.parametrize(
+    ("copies", "message"), [(1, "50 systems inside each other"), (2, "10000 components")]
+)
+def test_files_that_include_files_have_an_end(copies: int, message: str, gain: Path, tmp_path: Path) -> None:
+    """A chain of 90 files, and 14 files of which each includes the next one twice."""
+    count, files = {1: 90, 2: 14}[copies], {}
+    part = '<ssd:Component name="g{}" type="application/x-ssp-definition" source="{}.ssd"/>'
+    for n in range(count):
+        parts = "".join(part.format(copy, n + 1) for copy in range(copies))
+        files[f"{n}.ssd"] = INNER.replace(
+            '<ssd:Component name="g" source="resources/gain.fmu"/>', parts
+        ).encode()
+    files[f"{count}.ssd"] = INNER.encode()
+    start = time.process_time()
+    with pytest.raises(Problem, match=f"expected at most {message}"):
+        load(system(tmp_path / "x.ssp", gain, ('source="other.ssd"', 'source="0.ssd"'), more=files))
+    assert time.process_time() - start < LONGEST
+
+
+# ---- large files -------------------------------------------------------------------------------------------
+
+
+def variables(count: int) -> str:
+    """Local variables as XML."""
+    return "".join(
+        f'<ScalarVariable name="body.part[{n}].x" valueReference="{n + 100}" description="More">'
+        '<Real unit="Pa"/></ScalarVariable>\n'
+        for n in range(count)
+    )
+
+
+def test_a_check_runs_an_fmu_without_its_local_variables() -> None:
+    """Of 3000 only the first 100 are sent to child processes, and states, derivatives and named ones."""
+    from lxml import etree
+
+    text = XML_2.replace("</ModelVariables>", f"{variables(3000)}</ModelVariables>")
+    model = read_description(etree.fromstring(text.encode()), 2)
+    reduced = model.for_run("body.part[2999].x")
+    # 6 variables; of the first 100 local ones two are state and derivative, which are among the 6
+    assert len(reduced.variables) == 6 + 98 + 1
+    assert {v.name for v in reduced.states} == {"x"}
+    assert set(reduced.by_key) >= {1, 2, 3, 4, 5, 6}
+
+
+@shards.search
+def test_200_000_variables_are_checked(tmp_path: Path) -> None:
+    """In bounded time and memory, by rules that are linear in the number of variables."""
+    path = fmu(tmp_path / "x.fmu", ("</ModelVariables>", f"{variables(200_000)}</ModelVariables>"))
+    start, before = time.process_time(), peak()
+    report = check(path)
+    assert "fmpy.validate" in {f.rule for f in report.findings}  # left out
+    assert time.process_time() - start < LONGEST
+    assert peak() - before < MOST
+
+
+# ---- commands ----------------------------------------------------------------------------------------------
+
+
+def test_commands_refuse_in_one_line(
+    gain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run`, `--swap` and `list` end with status 2, `check` with findings."""
+    monkeypatch.chdir(tmp_path)
+    good = system(tmp_path / "good.ssp", gain)
+    bad = fmu(tmp_path / "x.fmu")
+    with_member("../evil")(bad)
+    evil = fmu(tmp_path / "evil.fmu", (f'{CO}"lag"', f'{CO}"../../x/evil"'))
+    for command in (["run", str(bad)], ["run", str(evil)], ["run", str(good), "--swap", f"a={evil}"]):
+        assert main([*command, "--stop", "0.1"]) == 2
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1
+        assert "x.fmu" in line or "evil.fmu" in line
+    assert main(["check", str(bad)]) != 0
+    assert "has '..' in its path" in capsys.readouterr().out

@@ -1,0 +1,17 @@
+"""Marks of long tests: `make test` leaves them out, `make test-long SHARD=browser` runs one shard."""
+
+import pytest
+
+SHARDS = {
+    "documents": "commands, snippets and outputs of the pages as printed; the site; the wheel",
+    "tools": "OpenModelica and other programs that import FMUs",
+    "platforms": "libraries for other systems, run under emulation where there is one",
+    "c": "C sources by other compilers, with sanitizers, valgrind and random input",
+    "browser": "pages in Chromium",
+    "faults": "FMUs and files that misbehave, processes that are killed, full disks",
+    "machine": "simulations and estimates that take seconds: whole work cycles, every variant",
+    "search": "products of cases, many seeds, and each property with ten times as many examples",
+}
+documents, tools, platforms, c, browser, faults, machine, search = (
+    pytest.mark.long(shard=name) for name in SHARDS
+)

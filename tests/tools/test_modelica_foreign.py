@@ -1,0 +1,311 @@
+"""`harvester modelica` with FMUs of other tools: names, types of parameters, values of an SSP, faults while they run.
+
+decay.c is a first-order lag: dx/dt = s n (u - k x), x(0) = 1.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pandas as pd
+import pytest
+from kit import shards
+from kit.compile import library
+
+from orchestrator import Problem
+from orchestrator.base.compiler import SUFFIX
+from orchestrator.modelica import write_package
+
+pytestmark = shards.tools
+
+SOURCE = Path(__file__).with_name("decay.c")
+DESCRIPTION = """<fmiModelDescription fmiVersion="2.0" modelName="decay" guid="decay" numberOfEventIndicators="0">
+<ModelExchange modelIdentifier="decay"/>
+<ModelVariables>
+<ScalarVariable name="k" valueReference="0" causality="parameter" variability="fixed"><Real start="1" max="INF"/></ScalarVariable>
+<ScalarVariable name="n" valueReference="0" causality="parameter" variability="fixed"><Integer start="1"/></ScalarVariable>
+<ScalarVariable name="fault" valueReference="1" causality="parameter" variability="fixed"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="flip" valueReference="0" causality="parameter" variability="fixed"><Boolean start="false"/></ScalarVariable>
+<ScalarVariable name="mode" valueReference="0" causality="parameter" variability="fixed"><String start="single"/></ScalarVariable>
+<ScalarVariable name="u" valueReference="1" causality="input"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="x" valueReference="2" initial="exact"><Real start="1"/></ScalarVariable>
+<ScalarVariable name="der(x)" valueReference="3"><Real derivative="7"/></ScalarVariable>
+<ScalarVariable name="y" valueReference="4" causality="output"><Real/></ScalarVariable>
+</ModelVariables>
+<ModelStructure>
+<Outputs><Unknown index="9" dependencies="7"/></Outputs>
+<Derivatives><Unknown index="8" dependencies="6 7"/></Derivatives>
+<InitialUnknowns><Unknown index="8"/><Unknown index="9" dependencies="7"/></InitialUnknowns>
+</ModelStructure>
+</fmiModelDescription>"""
+SYSTEM = """<SystemStructureDescription xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+ name="NAME" version="1.0"><System name="NAME"><Elements>
+<Component name="left arm" source="decay.fmu" type="application/x-fmu-sharedlibrary">
+<Connectors><Connector name="y" kind="output"><ssc:Real/></Connector></Connectors>
+<ParameterBindings><ParameterBinding><ParameterValues><ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>
+<ssv:Parameter name="k"><ssv:Real value="K"/></ssv:Parameter><ssv:Parameter name="n"><ssv:Integer value="3"/></ssv:Parameter>
+</ssv:Parameters></ssv:ParameterSet></ParameterValues></ParameterBinding></ParameterBindings></Component>
+<Component name="right" source="decay.fmu" type="application/x-fmu-sharedlibrary">
+<Connectors><Connector name="u" kind="input"><ssc:Real/></Connector></Connectors></Component>
+</Elements><Connections><Connection startElement="left arm" startConnector="y" endElement="right" endConnector="u"/>
+</Connections></System></SystemStructureDescription>"""
+
+
+Make = Callable[..., Path]
+
+
+@pytest.fixture
+def decay(tmp_path: Path) -> Make:
+    """Makes the FMU under a name, with changed texts in its model description."""
+
+    def make(name: str = "decay", *changes: tuple[str, str]) -> Path:
+        text = DESCRIPTION
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / f"{name}.fmu"
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("modelDescription.xml", text)
+            binary = library("decay", [SOURCE], "-std=c11", "-Wno-unused-parameter")
+            archive.writestr(f"binaries/{fmpy.platform}/decay{SUFFIX}", binary)
+        return path
+
+    return make
+
+
+def ssd(folder: Path, name: str, k: float) -> Path:
+    """Two lags in a row, the first one with values of its own."""
+    path = folder / f"{name}.ssd"
+    path.write_text(SYSTEM.replace("NAME", name).replace('"K"', f'"{k:g}"'), encoding="utf-8")
+    return path
+
+
+def simulate(folder: Path, packages: list[str], text: str) -> tuple[str, pd.DataFrame]:
+    """What OpenModelica prints, and the rows of model T over 1 s; none where it fails."""
+    omc = shutil.which("omc")
+    if omc is None:
+        pytest.skip("no OpenModelica found: omc is not on the search path")
+    loads = "".join(f'loadFile("{name}/package.mo"); getErrorString();\n' for name in packages)
+    (folder / "T.mo").write_text(text, encoding="utf-8")
+    (folder / "run.mos").write_text(
+        f'loadModel(Modelica, {{"4.0.0"}});\n{loads}loadFile("T.mo"); getErrorString();\n'
+        'simulate(T, stopTime = 1, tolerance = 1e-9, outputFormat = "csv"); getErrorString();\n',
+        encoding="utf-8",
+    )
+    (folder / "T_res.csv").unlink(missing_ok=True)
+    run = subprocess.run([omc, "run.mos"], cwd=folder, capture_output=True, text=True, check=False)
+    failed = "The simulation finished successfully" not in run.stdout
+    return run.stdout, pd.DataFrame() if failed else pd.read_csv(folder / "T_res.csv")
+
+
+def at_end(folder: Path, packages: list[str], text: str) -> pd.Series:
+    """Values at 1 s."""
+    said, rows = simulate(folder, packages, text)
+    assert not rows.empty, said
+    return rows.iloc[-1]
+
+
+TIGHT = 1e-6  # relative, for DASSL at 1e-9 over one time constant
+
+
+# ---- parameters and names
+
+
+def test_parameters_of_every_type_reach_the_fmu(decay, tmp_path):
+    """Real, integer, boolean and text, and the start value of the state, each as a parameter of the block."""
+    write_package([decay()], tmp_path, "P")
+    end = at_end(
+        tmp_path,
+        ["P"],
+        'model T P.FMUs.Decay a(k = 0.5), b(n = 3), c(flip = true), d(mode = "double"), e(x_start = 4);\n'
+        "equation a.u = 0; b.u = 0; c.u = 0; d.u = 0; e.u = 0; end T;",
+    )
+    expected = {"a": np.exp(-0.5), "b": np.exp(-3), "c": np.exp(1), "d": np.exp(-2), "e": 4 * np.exp(-1)}
+    assert {name: end[f"{name}.y"] for name in expected} == pytest.approx(expected, rel=TIGHT)
+
+
+def test_names_that_modelica_does_not_take_are_quoted_and_stay_apart(decay, tmp_path):
+    """Of variables, files, components; a start value gives way to a parameter of its name."""
+    odd = decay(
+        "1st-decay.x", ('"k"', '"end"'), ('"u"', '"arm.force[1]"'), ('"y"', '"sum"'), ('"n"', '"x_start"')
+    )
+    write_package([odd, decay("boom-stick", PLAIN_GUID), decay("boom_stick", OTHER_GUID)], tmp_path, "P")
+    end = at_end(
+        tmp_path,
+        ["P"],
+        "model T P.FMUs.'1st-decay.x' a('end' = 0.5, x_start = 2, x_start_ = 3);\n"
+        "P.FMUs.BoomStick b; P.FMUs.BoomStick_ c;\n"
+        "equation a.'arm.force[1]' = 0; b.u = 0; c.u = 0; end T;",
+    )
+    assert end["a.'sum'"] == pytest.approx(3 * np.exp(-0.5 * 2), rel=TIGHT)
+
+
+PLAIN_GUID, OTHER_GUID = ('guid="decay"', 'guid="first"'), ('guid="decay"', 'guid="second"')
+
+
+def test_two_packages_serve_one_model(decay, tmp_path):
+    """Their C functions have names of their own."""
+    write_package([decay()], tmp_path, "One")
+    write_package([decay("lag", PLAIN_GUID)], tmp_path, "Two")
+    end = at_end(
+        tmp_path,
+        ["One", "Two"],
+        "model T One.FMUs.Decay a; Two.FMUs.Lag b; equation a.u = 0; b.u = 0; end T;",
+    )
+    assert end["a.y"] == pytest.approx(np.exp(-1), rel=TIGHT)
+    assert end["b.y"] == pytest.approx(np.exp(-1), rel=TIGHT)
+
+
+def test_a_folder_with_spaces_and_non_ascii_letters_works(decay, tmp_path):
+    """The library and the resources."""
+    folder = tmp_path / "Übung 100%"
+    write_package([decay()], folder, "P")
+    end = at_end(folder, ["P"], "model T P.FMUs.Decay a; equation a.u = 0; end T;")
+    assert end["a.y"] == pytest.approx(np.exp(-1), rel=TIGHT)
+
+
+# ---- systems
+
+
+def test_a_system_has_the_values_of_its_ssp(decay, tmp_path):
+    """Two systems of the same FMU: each with its own, blocks with those of the FMU."""
+    decay()
+    write_package([ssd(tmp_path, "slow", 0.1), ssd(tmp_path, "fast", 0.2)], tmp_path, "P")
+    end = at_end(
+        tmp_path,
+        ["P"],
+        "model T P.Systems.Slow slow; P.Systems.Fast fast; P.FMUs.Decay own; equation own.u = 0; end T;",
+    )
+    assert end["slow.'left arm'.y"] == pytest.approx(np.exp(-0.3), rel=TIGHT)
+    assert end["fast.'left arm'.y"] == pytest.approx(np.exp(-0.6), rel=TIGHT)
+    assert end["own.y"] == pytest.approx(np.exp(-1), rel=TIGHT)
+
+
+def test_an_open_input_of_a_system_can_be_bound(decay, tmp_path):
+    """It has its start value, or the value in a model that extends the system."""
+    decay()
+    write_package([ssd(tmp_path, "slow", 1.0)], tmp_path, "P")
+    end = at_end(tmp_path, ["P"], "model T extends P.Systems.Slow('left arm_u' = 1); end T;")
+    assert end["'left arm'.y"] == pytest.approx(1.0, rel=TIGHT)  # x = 1 is at rest with u = 1
+
+
+# ---- faults while it runs
+
+
+@pytest.mark.parametrize("fault", [1, 2], ids=["derivatives", "states"])
+def test_what_the_fmu_discards_ends_the_run(decay, tmp_path, fault):
+    """A solver would go on with numbers that the FMU did not give: exp(-0.5) instead of exp(-1)."""
+    write_package([decay()], tmp_path, "P")
+    said, rows = simulate(
+        tmp_path, ["P"], f"model T P.FMUs.Decay a(fault = {fault}); equation a.u = 0; end T;"
+    )
+    assert rows.empty
+    assert re.search(r"T\.a: fmi2\w+ was discarded", said)
+
+
+def test_an_fmu_can_end_the_simulation(decay, tmp_path):
+    """The message has the name of the block and the reason."""
+    write_package([decay()], tmp_path, "P")
+    said, rows = simulate(tmp_path, ["P"], "model T P.FMUs.Decay a(fault = 3); equation a.u = 0; end T;")
+    assert rows.empty
+    assert "T.a: the FMU requests the end of the simulation" in said
+
+
+def test_inputs_are_set_before_the_initialisation_ends(decay, tmp_path):
+    """This one refuses to begin with u = 0."""
+    write_package([decay()], tmp_path, "P")
+    end = at_end(tmp_path, ["P"], "model T P.FMUs.Decay a(fault = 4); equation a.u = 2; end T;")
+    assert end["a.y"] == pytest.approx(2 - np.exp(-1), rel=TIGHT)
+
+
+# ---- what is written and what is refused
+
+
+def test_equal_fmus_are_one_block_with_two_names(decay, tmp_path):
+    """A variant with the same model description is available under its own name, too."""
+    text = write_package([decay(), decay("usual")], tmp_path, "P").read_text(encoding="utf-8")
+    assert "block Usual = Decay;" in text
+    assert [p.name for p in (tmp_path / "P" / "Resources" / "FMUs").iterdir()] == ["decay"]
+
+
+def test_a_file_that_was_added_or_changed_is_not_lost(decay, tmp_path):
+    """The command refuses to write over it and names it."""
+    package = write_package([decay()], tmp_path, "P")
+    added = package.parent / "Mine.mo"
+    added.write_text("within P; model Mine end Mine;")
+    with pytest.raises(
+        Problem, match=r"Mine\.mo was added by hand: move the package, or choose another name$"
+    ):
+        write_package([decay()], tmp_path, "P")
+    added.unlink()
+    package.write_text(package.read_text(encoding="utf-8") + "// mine", encoding="utf-8")
+    with pytest.raises(Problem, match=r"package\.mo was changed by hand"):
+        write_package([decay()], tmp_path, "P")
+    assert package.read_text(encoding="utf-8").endswith("// mine")
+
+
+def test_a_package_stays_when_the_next_one_cannot_be_written(decay, tmp_path):
+    """An archive with a member outside of it is found while the FMUs are unpacked."""
+    package = write_package([decay()], tmp_path, "P")
+    before = package.read_text(encoding="utf-8")
+    with zipfile.ZipFile(decay("slip", PLAIN_GUID), "a") as archive:
+        archive.writestr("../outside", "")
+    with pytest.raises(Problem, match=r"has '\.\.' in its path, expected none"):
+        write_package([tmp_path / "slip.fmu"], tmp_path, "P")
+    assert package.read_text(encoding="utf-8") == before
+    assert os.listdir(tmp_path / "P" / "Resources" / "FMUs") == ["decay"]
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
+
+
+def test_an_unpacked_fmu_is_copied(decay, tmp_path):
+    """A folder instead of an archive, also one in the package that is replaced."""
+    write_package([decay()], tmp_path, "P")
+    inside = tmp_path / "P" / "Resources" / "FMUs" / "decay"
+    again = write_package([inside], tmp_path, "P")
+    assert (inside / "modelDescription.xml").is_file()
+    assert "block Decay " in again.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (('modelIdentifier="decay"', 'modelIdentifier="decay" canBeInstantiatedOnlyOncePerProcess="true"'),
+         "expected an FMU that can be instantiated twice per process"),
+        (('modelIdentifier="decay"', 'modelIdentifier="decay" needsExecutionTool="true"'),
+         "expected an FMU that runs without the tool that made it, got needsExecutionTool"),
+        (('EventIndicators="0"', 'EventIndicators="1"'),
+         "expected an FMU without event indicators, because state events are not supported"),
+        (('causality="input"', 'causality="input" variability="discrete"'),
+         "u: expected a continuous input, got a discrete one"),
+        (('causality="output"><Real/>', 'causality="output"><Boolean/>'),
+         "y: expected real inputs and outputs, got Boolean"),
+        (('<Derivatives><Unknown index="8" dependencies="6 7"/></Derivatives>', '<Derivatives><Unknown index="3"/></Derivatives>'),
+         "expected a variable for each continuous state and derivative, some are missing"),
+        (('<Real start="1" max="INF"/>', '<Real start="nan"/>'), "k: start value: expected a number, got nan"),
+        (("ModelExchange", "CoSimulation"),
+         "expected an FMU for model exchange, got one for co-simulation only"),
+    ],
+)  # fmt: skip
+def test_an_fmu_that_cannot_be_a_block_is_refused(decay, tmp_path, change, reason):
+    """In one line with the file and the reason."""
+    with pytest.raises(Problem, match=rf"decay\.fmu: {re.escape(reason)}$"):
+        write_package([decay("decay", change)], tmp_path, "P")
+    assert not (tmp_path / "P").exists()
+
+
+def test_invalid_names_are_reported(decay, tmp_path):
+    """The name of the package, and an input that no FMU has."""
+    for name in ("1st", "Übung", "Modelica"):
+        with pytest.raises(Problem, match=rf"package name '{name}': expected letters, digits and _"):
+            write_package([decay()], tmp_path, name)
+    with pytest.raises(Problem, match="no FMU has an input 'nosuch'"):
+        write_package([decay()], tmp_path, "P", constant_inputs=("nosuch",))

@@ -1,0 +1,421 @@
+"""The published benchmark of a hydraulic manipulator: component, equations, coupled run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus.components import orifice
+from fmus.contract import quantities, symbolic, unstack
+from fmus.parameters import values
+from orchestrator import read_trace
+from orchestrator import reference as monolithic
+from orchestrator import run as orchestrate
+from orchestrator.base.coupling import Coupling
+from orchestrator.data.recording import read_recording
+from orchestrator.data.trace import Trace
+from orchestrator.studies.convergence.settings import choose
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "hydraulic_manipulator"
+sys.path.insert(0, str(EXAMPLE))  # the example is a script, not an installed package
+
+import run
+import steps
+from arm import ARM
+from hydraulics import HYDRAULICS, model
+from machine import SUBSYSTEMS, build, solve
+
+# ------------------------------------------------------------------ orifice
+
+pressure_differences = st.floats(-4e7, 4e7)
+transitions = st.floats(1.0, 1e5)
+
+
+def flow(dp: float, transition: float) -> float:
+    return float(orifice.flow(1e-4, dp, 850.0, 0.67, transition))
+
+
+@given(pressure_differences, transitions)
+def test_orifice_is_odd(dp, transition):
+    """Exchanging both sides of an orifice turns the flow around, exactly."""
+    assert flow(-dp, transition) == -flow(dp, transition)
+
+
+@given(pressure_differences, pressure_differences, transitions)
+def test_orifice_is_increasing(a, b, transition):
+    """A larger pressure difference gives no smaller flow."""
+    assert flow(min(a, b), transition) <= flow(max(a, b), transition)
+
+
+@given(pressure_differences, transitions)
+def test_orifice_never_creates_power(dp, transition):
+    """Both forms of the orifice only turn pressure into heat."""
+    one_way = float(orifice.one_way_flow(1e-4, dp, 850.0, 0.67, transition))
+    assert orifice.loss(flow(dp, transition), dp) >= 0
+    assert orifice.loss(one_way, dp) >= 0
+
+
+@given(pressure_differences, transitions)
+def test_one_way_orifice_is_closed_backwards(dp, transition):
+    """The check valve passes the flow of the plain orifice forwards and exactly nothing backwards."""
+    one_way = float(orifice.one_way_flow(1e-4, dp, 850.0, 0.67, transition))
+    assert one_way == (flow(dp, transition) if dp > 0 else 0)
+
+
+@given(st.floats(1.0, 1e6), transitions)
+def test_orifice_strays_from_the_square_root_as_stated(ratio, transition):
+    """The regular root lies below the square root by the share (dp_t / dp)^2 / 4 at most."""
+    dp = ratio * transition
+    share = 1 - float(orifice.regular_root(dp, transition)) / np.sqrt(dp)
+    # rounding of the two roots: a few 1e-16
+    assert -1e-15 <= share <= 1 / (4 * ratio**2) + 1e-15
+
+
+def test_orifice_strays_one_percent_at_five_transition_pressures():
+    """The number in the docstring: 1 % at 5 dp_t."""
+    assert 1 - float(orifice.regular_root(5e3, 1e3)) / np.sqrt(5e3) == pytest.approx(0.01, rel=0.03)
+
+
+def test_orifice_slope_at_zero_is_finite():
+    """The derivative at zero is dp_t^(-1/2), where the square root's is infinite."""
+    dp = ca.SX.sym("dp")
+    slope = ca.Function("slope", [dp], [ca.gradient(orifice.regular_root(dp, 1e3), dp)])
+    assert float(slope(0)) == pytest.approx(1e3**-0.5, rel=1e-14)  # exact but for rounding
+
+
+# ---------------------------------------------------------------- equations
+
+
+def parameters():
+    return HYDRAULICS.parameters(**values(HYDRAULICS).p)
+
+
+def at(seed):
+    """A random state, input and the numbers of the hydraulics."""
+    rng = np.random.default_rng(seed)
+    p = parameters()
+    p_1, p_2 = rng.uniform(0.2e6, 7.5e6, 2)
+    x = HYDRAULICS.states(p_1=p_1, p_2=p_2)
+    u = HYDRAULICS.inputs(
+        kappa=rng.uniform(0, 1),
+        s1=rng.uniform(0.35, 0.65),
+        s1_dot=rng.uniform(-0.3, 0.3),
+        s1_ddot=0.0,
+        holding_force=8829.0,
+    )
+    return x, u, p
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_hydraulic_power_balance(seed):
+    """Power from the supply = to the tank + heat + on the piston + into compression."""
+    x, u, p = at(seed)
+    dx, y = model.dynamics(x, u, p), model.observe(x, u, p)
+    chambers = zip(vars(x).values(), model.volumes(u.s1, p), vars(dx).values(), strict=True)
+    compression = sum(pi * vi / model.bulk_modulus(pi, p) * rate for pi, vi, rate in chambers)
+    received = p.supply_pressure * y.supply_flow - p.tank_pressure * y.return_flow
+    used = y.dissipated_power + y.force * u.s1_dot + compression
+    assert float(received) == pytest.approx(float(used), rel=1e-12)  # exact identity: rounding only
+
+
+@pytest.mark.parametrize("pressure", [0.1e6, 3e6, 7.6e6, 50e6])
+def test_bulk_modulus_belongs_to_the_density(pressure):
+    """beta = rho dp/drho of the density 1 + a p + b p^2, by central differences."""
+    p = parameters()
+    step = 1e4
+    above, below = (model.relative_density(pressure + d, p) for d in (step, -step))
+    expected = model.relative_density(pressure, p) * 2 * step / (above - below)
+    # the central difference of a parabola is exact, its rounding is 1e-16 / (slope step) = 2e-11
+    assert model.bulk_modulus(pressure, p) == pytest.approx(expected, rel=1e-10)
+
+
+def test_published_equilibrium():
+    """Holding force, pressures and valve position at the start are the published numbers."""
+    v, p = values(ARM), parameters()
+    _, outputs = symbolic(ARM).function()(*(list(group.values()) for group in (v.x, v.u, v.p)))
+    arm = unstack(ARM.outputs, outputs.full()[:, 0])
+    u = HYDRAULICS.inputs(
+        kappa=0.45, s1=arm.s1, s1_dot=arm.s1_dot, s1_ddot=0.0, holding_force=arm.holding_force
+    )
+    pressures = model.initial(None, u, p)
+    kappa = float(model.observe(HYDRAULICS.states(**pressures), u, p).holding_kappa)
+    found = [arm.s1, arm.holding_force, *pressures.values(), kappa]
+    # printed with eight digits
+    np.testing.assert_allclose(found, [0.5, 8829, 3170846.2, 4529153.8, 0.45434559], rtol=2e-8)
+
+
+def test_the_cut_has_no_feed_through():
+    """The force depends on the pressures alone, length and velocity on the arm's state alone."""
+    for sub, names in ((HYDRAULICS, ["force"]), (ARM, ["s1", "s1_dot", "holding_force"])):
+        written, outputs = symbolic(sub), list(quantities(sub.outputs))
+        for name in names:
+            assert not ca.depends_on(written.y[outputs.index(name)], written.u), name
+
+
+# ------------------------------------------------------------------ M1 as one ODE
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return read_recording(run.REFERENCE)
+
+
+def test_joined_ode_follows_the_reference(reference):
+    """The equations joined into one ODE give the authors' monolithic solution of M1."""
+    found = solve(read_trace(run.M1), reference.time)
+
+    def error(name):
+        return np.max(np.abs(found[name] - reference[name]))
+
+    # an independent Radau solution differs by 1.7e-6 m and 150 Pa: what the authors' step of 0.05 ms leaves
+    assert error("arm.s1") < 2e-6
+    assert error("hydraulics.p_1") < 150
+    assert error("hydraulics.p_2") < 150
+    # velocity and force: of the same size relative to their range, 0.08 m/s and 6 kN
+    assert error("arm.s1_dot") < 1e-4
+    assert error("arm.f_h") < 12
+
+
+def test_joined_ode_of_a_finely_sampled_manoeuvre():
+    """A curve whose rows fall on the output times but for rounding is solved like one with the same times."""
+    time, summed = np.linspace(0, 1, 1001), np.append(0.0, np.cumsum(np.full(1000, 1e-3)))
+    assert 0 < np.max(np.abs(summed - time)) < 1e-12  # s
+    kappa0 = values(HYDRAULICS).u["kappa"]
+
+    def solved(rows):
+        return solve(Trace(rows, {"kappa": kappa0 + 0.005 * (1 - np.cos(2 * np.pi * rows))}), time)
+
+    found, expected = solved(summed), solved(time)
+    # rounding: 1e-12 s of a motion of 0.1 m/s and of pressures that change by 1e7 Pa/s
+    np.testing.assert_allclose(found["arm.s1"], expected["arm.s1"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found["hydraulics.p_1"], expected["hydraulics.p_1"], rtol=0, atol=1e-3)
+
+
+def test_manoeuvre_starts_in_equilibrium():
+    """M1 as shipped is the published one: kappa0, 10 mm to the left in 1 ms, 30 to the right in 2 ms."""
+    m1 = read_trace(run.M1)
+    kappa0 = values(HYDRAULICS).u["kappa"]
+    np.testing.assert_array_equal(m1.time, [0, 2, 2.001, 6, 6.002, 10])
+    # printed with ten digits
+    np.testing.assert_allclose(m1["kappa"] - kappa0, [0, 0, -0.01, -0.01, 0.02, 0.02], atol=1e-10)
+
+
+# ------------------------------------------------------------------ M1 through two FMUs
+
+
+@pytest.fixture(scope="module")
+def systems(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("hydraulic_manipulator"))
+
+
+@pytest.fixture(scope="module")
+def run_m1(systems):
+    """(ports, step, master) -> outcome; each run is made once."""
+    return cache(lambda ports, step, master="jacobi": run.simulate(systems[ports], run.M1, step, master))
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_fmus_are_valid(systems, name):
+    """FMPy's validation finds nothing in either FMU."""
+    assert validate_fmu(str(systems["rates"].with_name(f"{name}.fmu"))) == []
+
+
+@pytest.mark.parametrize("ports", ["rates", "held"])
+def test_monolithic_solution_of_the_fmus_is_the_joined_ode(systems, ports):
+    """The two FMUs as one ODE follow the joined equations, so they are as close to the published solution."""
+    found = monolithic(systems[ports], run.M1, stop=10.0, record_step=0.01).trace
+    expected = solve(read_trace(run.M1), found.time)
+    for name in ("arm.s1", "arm.s1_dot", "arm.f_h", "hydraulics.p_1", "hydraulics.p_2"):
+        # both solvers: measured 2e-12 to 1.4e-11
+        assert np.abs(found[name] - expected[name]).max() < 1e-10 * np.ptp(expected[name]), name
+
+
+@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize("ports", ["rates", "held"])
+def test_published_solution_is_met_at_1_ms(run_m1, ports, master):
+    """At 1 ms s1 is within 5e-5 m and p_1, p_2 within 0.5 % of the published solution at all its samples."""
+    validation = run_m1(ports, 1e-3, master).validation
+    limits = {row.signal: (row.tolerance.metric, row.tolerance.limit) for row in validation.judged}
+    assert limits == {
+        "arm.s1": ("maximum", 5e-5),
+        "hydraulics.p_1": ("maximum_relative", 0.005),
+        "hydraulics.p_2": ("maximum_relative", 0.005),
+    }
+    assert all(len(row.time) == 1001 for row in validation.rows)
+    assert validation.passed
+
+
+def test_rate_ports_gain_a_factor_of_ten(run_m1):
+    """At 1 ms the rate ports reduce the error of s1 from the joined ODE by a factor of ten."""
+    held, rates = (run_m1(ports, 1e-3).error("arm.s1") for ports in ("held", "rates"))
+    # measured 1.4e-5 m and 1.1e-6 m
+    assert held < 2e-5
+    assert rates < held / 10
+
+
+def test_order_of_convergence(run_m1):
+    """Halving the step halves the error with held inputs and quarters it with rate ports."""
+
+    def ratio(ports):
+        return run_m1(ports, 1e-3).error("arm.s1") / run_m1(ports, 0.5e-3).error("arm.s1")
+
+    # orders 1 and 2 (measured 2.0 and 5.0; the fast pressures are only just resolved at 1 ms)
+    assert 1.9 < ratio("held") < 2.3
+    assert ratio("rates") > 3.8
+
+
+@pytest.mark.parametrize(
+    ("ports", "master"), [("held", "jacobi"), ("held", "gauss-seidel"), ("rates", "gauss-seidel")]
+)
+def test_stable_at_20_ms(run_m1, ports, master):
+    """At 20 ms the run stays within 1 mm and 2.5 % of the joined ODE, the step response included."""
+    outcome = run_m1(ports, 20e-3, master)
+    assert outcome.result.complete
+    # measured 5.4e-4 m and 2 %; the ramps of kappa take 20 ms instead of 1 ms and 2 ms
+    assert outcome.error("arm.s1") < 1e-3
+    assert outcome.relative("hydraulics.p_1") < 0.025
+    assert outcome.relative("hydraulics.p_2") < 0.025
+    # once the last ramp is 2 s old nothing swings
+    late = outcome.result.trace.time > 8
+    speed = outcome.result.trace["arm.s1_dot"] - outcome.truth["arm.s1_dot"]
+    assert np.max(np.abs(speed[late])) < 1e-3
+
+
+# ------------------------------------------------------------------ M1 with hermite
+
+
+def by_hermite(systems, step=None, **choices):
+    """A run with rate ports: its result, and the largest error of s1 [m] from the joined ODE."""
+    pure = {} if "adaptive" in choices else {"guard": 0}
+    result = orchestrate(systems["rates"], run.M1, master=Coupling("hermite", **pure, **choices), step=step)
+    truth = solve(read_trace(run.M1), result.trace.time)
+    return result, float(np.max(np.abs(result.trace["arm.s1"] - truth["arm.s1"])))
+
+
+@pytest.mark.parametrize(
+    ("step", "bar"),
+    [
+        (20e-3, 5e-4),  # measured 3.1e-4 m: the command's ramps of 1 ms and 2 ms are smeared over a step
+        (40e-3, 1e-3),  # 6.4e-4 m; the authors' last stable step
+        (100e-3, 3e-3),  # 1.6e-3 m: in proportion to the step, as the smearing is
+    ],
+)
+def test_hermite_is_stable_at_large_steps(systems, step, bar):
+    """The authors' schemes end at 40 ms."""
+    result, error = by_hermite(systems, step)
+    assert result.complete
+    assert error < bar
+
+
+def test_adaptive_steps_meet_the_ramps(systems):
+    """At 1e-5 within 2e-5 m (measured 5e-7 m); the ends of the ramps are communication points."""
+    result, error = by_hermite(systems, adaptive=1e-5)
+    assert error < 2e-5
+    assert set(read_trace(run.M1).time.tolist()) <= set(result.trace.time.tolist())
+
+
+def test_adaptive_steps_are_fewer_than_half_of_equal_ones(systems):
+    """At 1e-4 a tenth of the equal steps that its error would need (measured 178 of more than 5000)."""
+    adaptive, error = by_hermite(systems, adaptive=1e-4)
+    equal, larger = by_hermite(systems, 2e-3)
+    assert larger > error
+    assert adaptive.card.steps < equal.card.steps / 10
+
+
+def test_stays_at_rest_until_kappa_moves(run_m1):
+    """In the equilibrium at the start neither the arm nor the pressures move for 2 s."""
+    trace = run_m1("rates", 1e-3).result.trace
+    still = trace.time <= 2
+    # kappa0 is that of the bare square root, 3e-11 from the one of the orifices here: 0.5 mPa
+    assert np.ptp(trace["arm.s1"][still]) < 1e-9
+    assert np.ptp(trace["hydraulics.p_1"][still]) < 1e-3
+
+
+def integral(time, values):
+    """Running integral, trapezoidal, shape (n,)."""
+    return np.concatenate([[0], np.cumsum(np.diff(time) * (values[1:] + values[:-1]) / 2)])
+
+
+def test_oil_is_conserved(run_m1):
+    """The oil in each chamber changes by what flows in, at the density it has there."""
+    trace, p = run_m1("rates", 1e-3).result.trace, parameters()
+    for name, volume in zip(("1", "2"), model.volumes(trace["arm.s1"], p), strict=True):
+        density = model.relative_density(trace[f"hydraulics.p_{name}"], p)
+        oil = volume * density
+        received = integral(trace.time, density * trace[f"hydraulics.flow_{name}"])
+        # 1 ms samples of flows that settle in 0.2 ms after each ramp: 0.1 % of the swept volume
+        np.testing.assert_allclose(oil - oil[0], received, atol=1e-3 * np.ptp(volume))
+
+
+def test_energy_is_conserved(run_m1):
+    """Work of the hydraulic force = kinetic and potential energy + heat of friction; bond residual small."""
+    result = run_m1("rates", 1e-3).result
+    time, arm = result.trace.time, {n: result.trace[f"arm.{n}"] for n in quantities(ARM.outputs)}
+    energy = arm["kinetic_energy"] + arm["potential_energy"]
+    work = integral(time, result.trace["hydraulics.force"] * arm["s1_dot"])
+    heat = integral(time, arm["dissipated_power"])
+    # trapezoids of 1 ms through the steep starts after the ramps: 0.01 % of the largest work
+    np.testing.assert_allclose(work, energy - energy[0] + heat, atol=1e-4 * np.max(np.abs(work)))
+    (bond,) = result.card.bonds
+    assert abs(bond.relative) < 1e-4  # measured 6e-6: second order in the step
+
+
+def test_another_manoeuvre_is_another_file(systems, tmp_path):
+    """A manoeuvre with ramps that fit no step runs from its own file and follows the joined ODE."""
+    rows = [
+        "time,kappa",
+        "0,0.4543455896",
+        "0.3,0.4543455896",
+        "0.7123,0.47",
+        "1.2,0.47",
+        "1.55,0.44",
+        "2,0.44",
+    ]
+    (tmp_path / "own.csv").write_text("\n".join(rows))
+    outcome = run.simulate(systems["rates"], tmp_path / "own.csv", 1e-3, "jacobi")
+    assert outcome.validation is None
+    assert np.ptp(outcome.truth["arm.s1"]) > 0.01
+    # a kink inside a step is smeared over that step; else the errors of M1
+    assert outcome.error("arm.s1") < 5e-6
+
+
+def test_all_masters_in_one_call(systems):
+    """The study of README.md: who is stable at which step, and the errors of a single run in its table."""
+    settings = choose(["jacobi plain", "jacobi order 0", "hermite to tolerance"])
+    found = steps.manipulator(systems["rates"], settings, (1e-3, 0.1), repeats=1)
+    stable = {(row.setting.label, row.step): row.stable for row in found.runs}
+    lost = [case for case, kept in stable.items() if not kept]
+    assert lost == [("jacobi order 0", 0.1)]
+    held = run.simulate(systems["held"], run.M1, 1e-3, "jacobi")
+    # plain is without rate ports; the same runs but for the order in which values are summed
+    assert found.runs[0].maximum("position").maximum == pytest.approx(held.error("arm.s1"), rel=1e-6)
+
+
+def test_command_line(tmp_path):
+    """The script builds, runs, prints the verdict, writes system, trace and picture, and exits with 0."""
+    command = [sys.executable, str(EXAMPLE / "run.py"), "--out", str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "pass: 3 of 3 signals within their limits" in done.stdout
+    assert {p.suffix for p in tmp_path.iterdir()} == {".fmu", ".ssp", ".csv", ".png"}
+
+
+def test_command_line_tells_a_mistake_in_one_line(tmp_path):
+    """A missing manoeuvre is named in one line on standard error."""
+    command = [sys.executable, str(EXAMPLE / "run.py"), "--out", str(tmp_path), "--manoeuvre", "nowhere.csv"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "error: nowhere.csv: no such file\n"

@@ -1,0 +1,304 @@
+"""The machine as one composed subsystem: names, equations, and its FMU against the monolithic solution."""
+
+# ruff: noqa: ARG005  (observe and require take x, u, p, whatever a toy uses)
+
+from dataclasses import make_dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from kit.fmu import driving
+
+from fmus.composition import compose, declared, flat_names
+from fmus.contract import Quantity, Subsystem, quantities, symbolic
+from fmus.machine.build import data
+from fmus.machine.one_block import HARVESTER, HIDDEN, TEXTS, TOTALS
+from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
+from fmus.machine.poses import pose_grid
+from fmus.monolith import join
+from fmus.parameters import Number, numbers, read, values
+from orchestrator import run
+from orchestrator.base.errors import Problem
+from orchestrator.data.recording import read_recording
+from orchestrator.results.validation import by_variable, validate
+
+TABLES = {name: numbers(sub) for name, sub in SUBSYSTEMS.items()}
+NAMES = flat_names(SUBSYSTEMS, TABLES, INPUTS, TOTALS, HIDDEN)
+NUMBERS = values(HARVESTER)
+
+
+# ---- names and numbers -----------------------------------------------------------------------------
+
+
+def test_every_variable_of_the_components_has_a_name():
+    """All states, parameters and outputs have a name in the composed subsystem, and no others exist."""
+    for group in ("states", "parameters", "outputs"):
+        known = quantities(getattr(HARVESTER, group))
+        wanted = {v: q for v, q in declared(SUBSYSTEMS, group).items() if v not in HIDDEN}
+        assert {NAMES[v] for v in wanted} == set(known)
+        for v, quantity in wanted.items():
+            if NAMES[v] not in TEXTS:
+                assert known[NAMES[v]] == quantity
+
+
+def test_names_are_those_a_user_expects():
+    """Local names if unique; oil and geometry once; prefixed with the component if two differ."""
+    parameters = quantities(HARVESTER.parameters)
+    assert {"density", "valve_area", "boom_stroke", "stick_stroke", "head_mass"} <= set(parameters)
+    assert {"swing_initial_preload", "boom_stick_initial_preload"} <= set(parameters)
+    assert [n for n in parameters if n.startswith(("swing_", "boom_stick_", "manipulator_"))] == [
+        "swing_initial_preload",
+        "boom_stick_initial_preload",
+        "swing_damping",
+    ]
+    assert list(quantities(HARVESTER.inputs)) == list(INPUTS)
+    outputs = quantities(HARVESTER.outputs)
+    assert {"boom_force", "boom_velocity", "boom_acceleration", "supply_flow", "tip_x"} <= set(outputs)
+    assert not [n for n in outputs if n.endswith(("_rate", "_holding_force"))]
+
+
+def test_rates_tunables_and_warnings_stay():
+    """Declarations of the components are those of the composed subsystem."""
+    assert quantities(HARVESTER.inputs)["boom_command"].rate == "boom_command_rate"
+    tunable = {n for n, q in quantities(HARVESTER.parameters).items() if q.tunable}
+    assert tunable == {
+        n for s in SUBSYSTEMS.values() for n, q in quantities(s.parameters).items() if q.tunable
+    }
+    assert quantities(HARVESTER.outputs)["boom_stop_force"].warn_above == 1.0
+
+
+def test_numbers_are_those_of_the_components():
+    """Value, unit, source and note of each parameter and start value are those of a component."""
+    found = numbers(HARVESTER)
+    sources = {
+        (section, NAMES.get(f"{c}.{n}", n)): number
+        for c, table in reversed(TABLES.items())
+        for section, entries in table.items()
+        for n, number in entries.items()
+    }
+    for section, entries in found.items():
+        for name, number in entries.items():
+            assert number == sources[section, name]
+    assert set(NUMBERS.p) == set(found["parameters"])
+    pose = "initial_boom_angle"
+    assert NUMBERS.p[pose] == TABLES["manipulator"]["parameters"][pose].value
+    assert NUMBERS.u["supply_pressure"] == TABLES["swing"]["start"]["supply_pressure"].value
+
+
+def test_fmu_carries_the_numbers_with_their_sources(fmu_dir, tmp_path):
+    """resources/parameters.toml names the parameters as the FMU does."""
+    fmpy.extract(str(fmu_dir / "harvester.fmu"), str(tmp_path))
+    assert read(tmp_path / "resources" / "parameters.toml") == numbers(HARVESTER)
+
+
+# ---- the rules, on toys ----------------------------------------------------------------------------
+
+
+def group(name: str, **members: Quantity) -> type[Any]:
+    """A variable group."""
+    return make_dataclass(name, [(n, Annotated[Any, q]) for n, q in members.items()], frozen=True)
+
+
+def part(name: str, gain: float = 2.0, text: str = "Gain", **quantity: Any) -> tuple[Subsystem, Any]:
+    """A lag y' = gain (u - y), and its tables."""
+    way, aim = Quantity("m", "Way"), Quantity("m", "Aim")
+    p, x = group("p", gain=Quantity("1/s", text, **quantity)), group("x", y=way)
+    u, y = group("u", u=aim), group("y", y=way, aim=aim)
+    sub = Subsystem(
+        name=name,
+        text=name,
+        parameters=p,
+        states=x,
+        inputs=u,
+        outputs=y,
+        dynamics=lambda s, i, k: x(y=k.gain * (i.u - s.y)),
+        observe=lambda s, i, k: y(y=s.y, aim=i.u),
+        values=Path("none"),
+        require=lambda s, i, k: {"gain is positive": k.gain},
+    )
+    note = Number(gain, "1/s", "assumed", "")
+    return sub, {"parameters": {"gain": note}, "start": {"u": Number(0.5, "m", "assumed", "")}}
+
+
+def chain(first: tuple[Subsystem, Any], second: tuple[Subsystem, Any], **more: Any) -> Subsystem:
+    """Two lags in series."""
+    parts = {sub.name: sub for sub, _ in (first, second)}
+    tables = {sub.name: table for sub, table in (first, second)}
+    wires = more.pop("wires", [("a.y", "b.u")])
+    inputs = more.pop("inputs", {"aim_of_all": ("a.u",)})
+    return compose("chain", "Chain", parts, wires, inputs, tables, folder=Path("none"), **more)
+
+
+@pytest.mark.parametrize(
+    ("second", "expected"),
+    [
+        (part("b"), ["gain"]),
+        (part("b", group="Lag"), ["gain"]),
+        (part("b", gain=3.0), ["a_gain", "b_gain"]),
+        (part("b", text="Gain of something else"), ["a_gain", "b_gain"]),
+        (part("b", minimum=0.0), ["a_gain", "b_gain"]),
+        (part("b", tunable=True), ["a_gain", "b_gain"]),
+    ],
+)
+def test_parameters_are_one_if_declared_alike_and_equal(second, expected):
+    """Same description, unit, bounds and value; otherwise each component has its own parameter."""
+    whole = chain(part("a"), second)
+    assert list(quantities(whole.parameters)) == expected
+    assert list(values(whole).p) == expected
+    # one requirement for one parameter, two for two
+    assert len(symbolic(whole).statements) == len(expected)
+
+
+def test_equal_requirements_of_two_parameters_name_their_component():
+    """The requirement names the component of the gain."""
+    whole = chain(part("a"), part("b", gain=3.0))
+    assert symbolic(whole).statements == ("gain is positive", "b: gain is positive")
+
+
+def test_outputs_and_states_of_one_name_get_their_component():
+    """y of a and of b, each state and output."""
+    whole = chain(part("a"), part("b"))
+    assert list(quantities(whole.states)) == ["a_y", "b_y"]
+    assert list(quantities(whole.outputs)) == ["a_y", "a_aim", "b_y", "b_aim"]
+
+
+def test_totals_are_sums():
+    """One output with the local name."""
+    whole = chain(part("a"), part("b"), totals=("aim",), hidden=("a.y", "b.y"), texts={"aim": "All aims"})
+    assert {n: q.text for n, q in quantities(whole.outputs).items()} == {"aim": "All aims"}
+    y = symbolic(whole).function()([1.0, 2.0], [5.0], [2.0])[1]
+    assert float(y) == 5.0 + 1.0  # the aim of all and the way of a
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"wires": [("a.aim", "b.u"), ("b.aim", "a.u")], "inputs": {}}, "algebraic loop through a.u, b.u"),
+        ({"wires": [("a.z", "b.u")]}, "a.z -> b.u: a.z is not an output"),
+        ({"wires": [("a.y", "b.z")]}, "b.z is not an input of any component"),
+        ({"wires": [("a.y", "a.u")]}, "a.u: expected one source, got 2"),
+        ({"inputs": {"gain": ("a.u",)}}, "the name gain is ambiguous"),
+        ({"hidden": ["a.z"]}, "hidden: a.z is not an output of a, b"),
+    ],
+)
+def test_wrong_connections_are_refused(changes, message):
+    """The message names the variable."""
+    with pytest.raises(Problem, match=message):
+        chain(part("a"), part("b"), **changes)
+
+
+def test_targets_of_an_input_start_alike():
+    """Targets of one input have equal start values."""
+    second = part("b")
+    second[1]["start"]["u"] = Number(0.25, "m", "assumed", "")
+    with pytest.raises(Problem, match=r"all feeds a\.u and b\.u, which have different units or start values"):
+        chain(part("a"), second, wires=[], inputs={"all": ("a.u", "b.u")})
+
+
+# ---- equations -------------------------------------------------------------------------------------
+
+
+def test_equations_are_those_of_the_monolith():
+    """Derivatives, outputs and initial states at random points and for random parameters."""
+    model, whole = join(SUBSYSTEMS, CONNECTIONS, INPUTS), symbolic(HARVESTER)
+    start = whole.initial()
+    first = start(*(list(group.values()) for group in (NUMBERS.x, NUMBERS.u, NUMBERS.p))).full()[:, 0]
+    rng = np.random.default_rng(3)
+    nominal = np.array([q.nominal for q in quantities(HARVESTER.states).values()])
+    for _ in range(10):
+        x = first + 0.1 * nominal * rng.normal(size=nominal.size)
+        u = model.u + rng.uniform(-5, 5, model.u.size)
+        p = {n: v * rng.uniform(0.99, 1.01) for n, v in NUMBERS.p.items()}
+        all_p = [p[NAMES[v]] for v in model.parameters]
+        dx, y = whole.function()(x, u, list(p.values()))
+        expected = dict(zip(model.output_names, model.outputs(x, u, all_p).full()[:, 0], strict=True))
+        shown = {
+            n: sum(expected[v] for v in expected if NAMES.get(v) == n) for n in quantities(HARVESTER.outputs)
+        }
+        # the same expressions in another order: rounding
+        np.testing.assert_allclose(
+            dx.full()[:, 0], model.right_hand_side(x, u, all_p).full()[:, 0], rtol=1e-9
+        )
+        np.testing.assert_allclose(y.full()[:, 0], list(shown.values()), rtol=1e-9)
+        np.testing.assert_allclose(start(x, u, list(p.values())), model.start(x, u, all_p), rtol=1e-12)
+
+
+# ---- the FMU ---------------------------------------------------------------------------------------
+
+
+def test_fmpy_finds_no_problem(fmu_dir):
+    """Schema, model structure, units and names pass FMPy's validation."""
+    assert validate_fmu(str(fmu_dir / "harvester.fmu")) == []
+
+
+@pytest.mark.parametrize("kind", ["cs", "me"])
+def test_machine_starts_at_rest_in_every_pose(fmu_dir, kind):
+    """Pressures follow from the pose: no joint accelerates."""
+    joints = ("swing", "boom", "stick")
+    for boom, stick in list(pose_grid(3)):
+        pose = {"initial_boom_angle": boom, "initial_stick_angle": stick}
+        with driving(fmu_dir / "harvester.fmu", kind, **pose) as fmu:
+            assert [*fmu.get("boom_angle", "stick_angle")] == [boom, stick]
+            # gravity alone gives 1 to 10 rad/s2; forces balance to rounding of 1e5 N
+            np.testing.assert_allclose(fmu.get(*(f"der_{j}_speed" for j in joints)), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8])
+def test_fmu_meets_the_reference_within_ten_times_its_tolerance(fmu_dir, tolerance):
+    """The whole work cycle at 1 ms: error of every signal of the reference over its range."""
+    reference = read_recording(data("reference/work_cycle.csv"))
+    found = run(
+        fmu_dir / "harvester.fmu",
+        data("scenarios/work_cycle.csv"),
+        step=1e-3,
+        record_step=0.02,
+        tolerance=tolerance,
+    )
+    outcome = validate(by_variable(found.trace, reference.signals), reference, rate=False)
+    # the bar of the issue; the reference has nine digits, so that 1e-7 of range is still seen
+    assert max(row.metrics.nrmse for row in outcome.rows) <= 10 * tolerance
+    assert not found.messages
+
+
+def test_rate_ports_are_as_good_as_input_derivatives(fmu_dir):
+    """A ramp of the boom command by its rate port or by fmi2SetRealInputDerivatives: the same bits."""
+    found = []
+    for by_port in (True, False):
+        with driving(fmu_dir / "harvester.fmu") as fmu:
+            for k in range(200):
+                fmu.set(boom_command=2e-2 * k, **({"boom_command_rate": 20.0} if by_port else {}))
+                if not by_port:
+                    fmu.fmu.setRealInputDerivatives([fmu.references["boom_command"]], [1], [20.0])
+                fmu.step(1e-3)
+            found.append(fmu.get(*quantities(HARVESTER.outputs)))
+    np.testing.assert_array_equal(*found)
+
+
+def test_restored_state_repeats_bit_for_bit(fmu_dir):
+    """A valve opens: the same 50 ms twice."""
+    with driving(fmu_dir / "harvester.fmu") as fmu:
+        fmu.set(swing_command=3.0, boom_command=-2.0)
+        fmu.step(1e-3, 20)
+        state, found = fmu.fmu.getFMUstate(), []
+        for _ in range(2):
+            fmu.fmu.setFMUstate(state)
+            fmu.time = 0.02
+            found.append(fmu.step(1e-3, 50).get(*quantities(HARVESTER.outputs)))
+        fmu.fmu.freeFMUstate(state)
+    np.testing.assert_array_equal(*found)
+
+
+def test_model_exchange_gives_what_co_simulation_gives(fmu_dir):
+    """One second with an open valve, CVode against the FMU's own solver."""
+    common = {"filename": str(fmu_dir / "harvester.fmu"), "stop_time": 1.0, "output_interval": 0.05}
+    common["relative_tolerance"] = 1e-7
+    common["start_values"] = {"boom_command": 1.0, "swing_command": -2.0}
+    cs = fmpy.simulate_fmu(fmi_type="CoSimulation", **common)
+    me = fmpy.simulate_fmu(fmi_type="ModelExchange", solver="CVode", **common)
+    for name in cs.dtype.names[1:]:
+        # CVode lets errors of 1e-7 per step add up to 4e-5 of range here; a void of 1e-12 m3 is no signal.
+        # At 1e-8 it wants more than the 500 steps that FMPy allows between two outputs
+        assert np.max(np.abs(cs[name] - me[name])) <= 2e-4 * np.ptp(me[name]) + 1e-12, name
