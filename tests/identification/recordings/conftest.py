@@ -8,36 +8,7 @@ import pytest
 from orchestrator.data.recording import Recording, Sensor
 
 RATE = 200.0
-META = """
-[experiment]
-procedure = "valve"
-edge = "P-A"
-length = { value = 4.0, unit = "ft" }
-
-[time]
-column = "t"
-unit = "ms"
-offset = -1.5
-
-[signals.command]
-column = "U"
-unit = "V"
-
-[signals.pressure_in]
-column = "P1"
-unit = "bar"
-factor = 40.0
-offset = 1.0
-sensor = "transducer"
-noise = 0.1
-resolution = 0.2
-span = [1.0, 401.0]
-
-[signals.flow]
-column = "Q"
-unit = "L/min"
-dead_zone = 10.0
-"""
+META = Path(__file__).with_name("valve.toml").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -68,14 +39,12 @@ def recording(rate: float = RATE, sensors: dict[str, Sensor] | None = None, **si
     """A recording in memory; no signal has a unit."""
     n = len(next(iter(signals.values())))
     return Recording(
-        source=Path("memory.csv"),
-        title="in memory",
+        Path("memory.csv"),
+        np.arange(n) / rate,
+        {name: np.asarray(values, dtype=float) for name, values in signals.items()},
+        dict.fromkeys(signals, "1"),
         procedure="valve",
-        use="train",
         conditions={"edge": "P-A"},
-        time=np.arange(n) / rate,
-        signals={name: np.asarray(values, dtype=float) for name, values in signals.items()},
-        units=dict.fromkeys(signals, "1"),
         sensors=sensors or {},
     )
 

@@ -2,77 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from kit.toy import toy
 
-from fmus.contract import Quantity, Scalar, Subsystem
+from fmus.contract import Quantity, Subsystem
 from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.measured_runs import MeasuredRun, RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.parameters import Values
 from orchestrator.data.recording import Recording, Sensor
 
-Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Parameters:
-    """Constants."""
-
-    stiffness: Annotated[Scalar, Quantity("1/s2", "Stiffness over mass", 10.0, minimum=0.0)]
-    damping: Annotated[Scalar, Quantity("1/s", "Damping over mass", minimum=0.0, maximum=3.0)]
-    gain: Annotated[Scalar, Quantity("m/s2", "Acceleration per input", minimum=0.0)]
-    loss: Annotated[Scalar, Quantity("1", "What the gain is divided by", minimum=0.0)]
-    offset: Annotated[Scalar, Quantity("m/s2", "Constant acceleration", 0.1)]
-
-
-@dataclass(frozen=True)
-class State:
-    """States."""
-
-    position: Annotated[Scalar, Quantity("m", "Position")]
-    speed: Annotated[Scalar, Quantity("m/s", "Speed", 3.0)]
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """Inputs."""
-
-    push: Annotated[Scalar, Quantity("1", "Push")]
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Outputs."""
-
-    position: Annotated[Scalar, Quantity("m", "Position")]
-
-
-def _dynamics(x: Any, u: Any, p: Any) -> State:
+def _dynamics(x: Any, u: Any, p: Any) -> dict[str, Any]:
     pushed = p.gain / p.loss * u.push
-    return State(position=x.speed, speed=pushed + p.offset - p.stiffness * x.position - p.damping * x.speed)
+    speed = pushed + p.offset - p.stiffness * x.position - p.damping * x.speed
+    return {"position": x.speed, "speed": speed}
 
 
-OSCILLATOR = Subsystem(
-    name="oscillator",
-    text="A mass on a spring, pushed",
-    parameters=Parameters,
-    states=State,
-    inputs=Inputs,
-    outputs=Outputs,
-    dynamics=_dynamics,
-    observe=lambda x, *_: Outputs(position=x.position),
-    values=Path(__file__),
-)
-INVERTED = replace(
-    OSCILLATOR,
-    name="inverted",
-    dynamics=lambda x, u, p: _dynamics(replace(x, position=-x.position), u, p),
-)
+def _oscillator(name: str, dynamics: Any) -> Subsystem:
+    """A mass on a spring with these dynamics, whose position is measured."""
+    parameters = {
+        "stiffness": Quantity("1/s2", "Stiffness over mass", 10.0, minimum=0.0),
+        "damping": Quantity("1/s", "Damping over mass", minimum=0.0, maximum=3.0),
+        "gain": Quantity("m/s2", "Acceleration per input", minimum=0.0),
+        "loss": Quantity("1", "What the gain is divided by", minimum=0.0),
+        "offset": Quantity("m/s2", "Constant acceleration", 0.1),
+    }
+    states = {"position": "m", "speed": Quantity("m/s", "Speed", 3.0)}
+    return toy(
+        name,
+        p=parameters,
+        x=states,
+        u={"push": "1"},
+        y={"position": "m"},
+        f=dynamics,
+        g=lambda x, *_: {"position": x.position},
+    )
+
+
+OSCILLATOR = _oscillator("oscillator", _dynamics)
+INVERTED = _oscillator("inverted", lambda x, u, p: _dynamics(replace(x, position=-x.position), u, p))
 TRUTH = {"stiffness": 12.0, "damping": 0.3, "gain": 5.0, "loss": 1.0, "offset": 0.2}
 NUMBERS = Values(p=TRUTH, u={"push": 0.0}, x={"position": 0.0, "speed": 0.0})
 NOISE = 0.02  # m, about 2 % of the motion
@@ -90,14 +63,11 @@ def recording(
     position = model.segment(np.zeros(2), np.zeros(0), time, push[:, None], False).y[:, 0]
     read = position + noise * rng.standard_normal(len(time))
     return Recording(
-        source=Path(f"oscillator_{seed}.csv"),
-        title="Oscillator",
+        Path(f"oscillator_{seed}.csv"),
+        time,
+        {"push": push, "position": read},
+        {"push": "1", "position": "m"},
         procedure="machine",
-        use="train",
-        conditions={},
-        time=time,
-        signals={"push": push, "position": read},
-        units={"push": "1", "position": "m"},
         sensors={"position": Sensor("ruler", noise or NOISE, dead_zone=dead_zone)},
     )
 

@@ -3,79 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.toy import toy
 
-from fmus.contract import Quantity, Scalar, Subsystem
 from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.identification.refinement.simulation import SimulationFailed
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 
-
-@dataclass(frozen=True)
-class Parameters:
-    """Constants."""
-
-    delay: Annotated[Scalar, Quantity("s", "Time constant of the lag")]
-    gain: Annotated[Scalar, Quantity("1", "Gain of the lag")]
-    growth: Annotated[Scalar, Quantity("1/s", "Growth per input")]
-    seed: Annotated[Scalar, Quantity("1", "What grows, at the start")]
-    scale: Annotated[Scalar, Quantity("1", "Scale of an output")]
-
-
-@dataclass(frozen=True)
-class State:
-    """States."""
-
-    lag: Annotated[Scalar, Quantity("1", "Follows the input")]
-    total: Annotated[Scalar, Quantity("s", "Integral of the lag")]
-    size: Annotated[Scalar, Quantity("1", "Grows with the input")]
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """Inputs."""
-
-    idle: Annotated[Scalar, Quantity("1", "Nothing but the integral depends on it")]
-    drive: Annotated[Scalar, Quantity("1", "Input")]
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Outputs."""
-
-    lag: Annotated[Scalar, Quantity("1", "Follows the input")]
-    total: Annotated[Scalar, Quantity("s", "Integral of the lag")]
-    square: Annotated[Scalar, Quantity("1", "Square of the size, scaled")]
-
-
-def _dynamics(x: Any, u: Any, p: Any) -> State:
-    return State(
-        lag=(p.gain * u.drive - x.lag) / p.delay, total=x.lag + u.idle, size=p.growth * u.drive * x.size
-    )
-
-
-def _observe(x: Any, u: Any, p: Any) -> Outputs:
-    return Outputs(lag=x.lag, total=x.total, square=p.scale * x.size**2 + u.drive * p.gain)
-
-
-TOY = Subsystem(
-    name="toy",
-    text="A lag, and growth in proportion to an input",
-    parameters=Parameters,
-    states=State,
-    inputs=Inputs,
-    outputs=Outputs,
-    dynamics=_dynamics,
-    observe=_observe,
+TOY = toy(
+    "toy",  # a lag, and growth in proportion to an input; nothing but the integral depends on `idle`
+    p={"delay": "s", "gain": "1", "growth": "1/s", "seed": "1", "scale": "1"},
+    x={"lag": "1", "total": "s", "size": "1"},
+    u={"idle": "1", "drive": "1"},
+    y={"lag": "1", "total": "s", "square": "1"},
+    f=lambda x, u, p: {
+        "lag": (p.gain * u.drive - x.lag) / p.delay,
+        "total": x.lag + u.idle,
+        "size": p.growth * u.drive * x.size,
+    },
+    g=lambda x, u, p: {"lag": x.lag, "total": x.total, "square": p.scale * x.size**2 + u.drive * p.gain},
     initial=lambda _, u, p: {"lag": p.gain * u.drive, "size": p.seed * (1 + u.drive)},
     require=lambda x, *_: {"size stays below 100": 100 - x.size},
-    values=Path(__file__),
 )
 NUMBERS = Values(
     p={"delay": 0.3, "gain": 2.0, "growth": 0.7, "seed": 0.5, "scale": 1.5},
@@ -213,28 +165,31 @@ def test_failure_tells_the_time_and_the_reason() -> None:
 @pytest.mark.parametrize(
     ("outputs", "free", "message"),
     [
-        (("speed",), (), "toy: speed is not an output; expected one of lag, total, square"),
-        (("lag",), ("mass",), "toy: mass is not a parameter; expected one of delay, gain, "),
-        (("lag",), ("gain", "gain"), "toy: parameter gain: expected once, got 2 times"),
+        (["speed"], [], "toy: speed is not an output; expected one of lag, total, square"),
+        (["lag"], ["mass"], "toy: mass is not a parameter; expected one of delay, gain, "),
+        (["lag"], ["gain", "gain"], "toy: parameter gain: expected once, got 2 times"),
     ],
 )
-def test_names_are_checked(outputs: tuple[str, ...], free: tuple[str, ...], message: str) -> None:
+def test_names_are_checked(outputs: list[str], free: list[str], message: str) -> None:
     """An unknown name is refused with a message that lists the declared ones."""
     with pytest.raises(Problem, match=message):
         CompiledModel(TOY, outputs, free, NUMBERS)
 
 
-def test_samples_are_checked() -> None:
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"inputs": np.zeros((TIME.size, 2))}, r"inputs: expected shape \(35, 1\) \(drive\), got \(35, 2\)"),
+        ({"x": np.ones(1)}, r"states: expected shape \(2,\) \(lag, size\), got \(1,\)"),
+        ({"p": np.ones(4)}, r"parameters: expected shape \(5,\) \(seed, .*, got \(4,\)"),
+        ({"time": TIME * 0}, "each later than the one before"),
+    ],
+)
+def test_samples_are_checked(change: dict[str, np.ndarray], message: str) -> None:
     """Arrays of another shape, beyond which C would read, and times that do not increase are refused."""
-    toy, x0 = model(), np.array([0.1, 0.8])
-    with pytest.raises(Problem, match=r"inputs: expected shape \(35, 1\) \(drive\), got \(35, 2\)"):
-        toy.segment(x0, toy.p0, TIME, np.zeros((TIME.size, 2)))
-    with pytest.raises(Problem, match=r"states: expected shape \(2,\) \(lag, size\), got \(1,\)"):
-        toy.segment(x0[:1], toy.p0, TIME, DRIVE[:, None])
-    with pytest.raises(Problem, match=r"parameters: expected shape \(5,\) \(seed, .*, got \(4,\)"):
-        toy.segment(x0, toy.p0[:4], TIME, DRIVE[:, None])
-    with pytest.raises(Problem, match="each later than the one before"):
-        toy.segment(x0, toy.p0, TIME * 0, DRIVE[:, None])
+    good = {"x": np.array([0.1, 0.8]), "p": model().p0, "time": TIME, "inputs": DRIVE[:, None]}
+    with pytest.raises(Problem, match=message):
+        model().segment(*(good | change).values())
 
 
 def test_a_store_that_cannot_be_written_to_is_done_without(monkeypatch, tmp_path) -> None:
