@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -12,7 +13,13 @@ from kit.any_fmu.models import HIGHEST, RATES, Workshop, oscillator_of, telling
 from kit.any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 
-from orchestrator import System, assemble
+from orchestrator import Result, System, assemble
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call() -> None:
+    """Runs in processes of their own share one process, as long as the environment stays the same."""
+    os.environ.pop("PYTEST_CURRENT_TEST", None)
 
 
 @pytest.fixture(scope="session")
@@ -86,6 +93,23 @@ def exact() -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
         return (np.sin(np.outer(time, frequencies)) / frequencies * speeds) @ modes.T
 
     return solution
+
+
+@pytest.fixture(scope="session")
+def worst(exact: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Callable[[Result], float]:
+    """The largest error of the oscillator's first position, over the largest position."""
+
+    def of(result: Result) -> float:
+        truth = exact(result.trace.time)[:, 0]
+        return float(np.abs(result.trace["a.x"] - truth).max() / np.abs(truth).max())
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def order() -> Callable[[Callable[[float], float], float], float]:
+    """order(error, h): the order of convergence that the errors at the steps h and h/2 measure."""
+    return lambda error, h: float(np.log2(error(h) / error(h / 2)))
 
 
 @pytest.fixture
