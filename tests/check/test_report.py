@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from check.faults import CS, FILE_FAULTS, STRUCTURED, XML_FAULTS, both, put, xml
 from check.good import Archive
-from check.test_binaries import FAULTS
+from check.test_binaries import FAULTS as BINARY_FAULTS
+from check.test_faults import FAULTS
 from orchestrator.__main__ import main
 from orchestrator.check import all_rules, check
 from orchestrator.check.finding import SEVERITIES
@@ -30,17 +30,15 @@ ELSEWHERE = {
 @pytest.fixture
 def bad(good: Mapping[int, Archive], tmp_path: Path) -> Path:
     """An FMU with an error, a warning and a note."""
-    break_ = both(
-        xml('stopTime="10"', 'stopTime="-1"'),
-        xml(CS, f'{CS} canBeInstantiatedOnlyOncePerProcess="true"'),
-        put("build.log", ""),
-    )
-    return break_(good[2]).write(tmp_path / "bad.fmu")
+    simulation = '<CoSimulation modelIdentifier="lag"'
+    broken = good[2].swap('stopTime="10"', 'stopTime="-1"').put("build.log", "")
+    broken = broken.swap(simulation, f'{simulation} canBeInstantiatedOnlyOncePerProcess="true"')
+    return broken.write(tmp_path / "bad.fmu")
 
 
 def test_every_rule_has_a_planted_fault() -> None:
     """Each rule is triggered by a test."""
-    planted = {f.rule for f in (*FILE_FAULTS, *XML_FAULTS)} | {rule for rule, _, _ in FAULTS.values()}
+    planted = {f["rule"] for f in FAULTS} | {rule for rule, _, _ in BINARY_FAULTS.values()}
     assert {r.id for r in STATIC} - planted - ELSEWHERE == set()
     assert ELSEWHERE & planted == set()
 
@@ -84,8 +82,9 @@ def test_many_findings_of_a_rule_are_cut_in_the_text_report(
 
 def test_a_tool_raises_the_severity_of_a_finding(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """Structured names give a note; for Simulink, which turns them into buses, a warning."""
-    break_ = both(STRUCTURED, xml('name="rate"', 'name="rate.y"'), xml('name="u"', 'name="p.u"'))
-    archive = break_(good[2]).drop("terminalsAndIcons/terminalsAndIcons.xml")
+    archive = good[2].drop("terminalsAndIcons/terminalsAndIcons.xml")
+    for names in (("flat", "structured"), ('name="rate"', 'name="rate.y"'), ('name="u"', 'name="p.u"')):
+        archive = archive.swap(*names)
     path = archive.write(tmp_path / "lag.fmu")
     reports = {tool: check(path, tool, run=False) for tool in ("any", "simulink", "dymola")}
     found = {t: [f.severity for f in r.findings if f.rule == "name.structured"] for t, r in reports.items()}
@@ -103,11 +102,7 @@ def test_the_exit_status_depends_on_the_findings(
     assert "nothing found" in capsys.readouterr().out
     assert main(["check", str(bad), "--static", "--json", str(tmp_path / "found.json")]) == 1
     assert "errors" in capsys.readouterr().out
-    assert json.loads((tmp_path / "found.json").read_text())["counts"] == {
-        "error": 1,
-        "warning": 1,
-        "note": 1,
-    }
+    assert json.loads((tmp_path / "found.json").read_text())["counts"] == dict.fromkeys(SEVERITIES, 1)
     for wrong in (["check"], ["check", "gone.fmu"], ["check", str(fine), "--for", "matlab"]):
         assert main(wrong) == 2
         assert capsys.readouterr().err.startswith("harvester: ")

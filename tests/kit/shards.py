@@ -1,5 +1,8 @@
 """Marks of long tests: `make test` leaves them out, `make test-long SHARD=browser` runs one shard."""
 
+from collections.abc import Collection, Iterable
+from typing import Any
+
 import pytest
 
 SHARDS = {
@@ -15,3 +18,10 @@ SHARDS = {
 documents, tools, platforms, c, browser, faults, machine, search = (
     pytest.mark.long(shard=name) for name in SHARDS
 )
+
+
+def few(quick: Collection[tuple[Any, ...]], cases: Iterable[tuple[Any, ...]], shard: Any) -> list[Any]:
+    """Parameters of a test: the cases in `quick` for `make test`, all others in a shard."""
+    all_ = list(cases)
+    assert set(quick) <= set(all_), "a quick case that does not exist"
+    return [case if case in quick else pytest.param(*case, marks=shard) for case in all_]

@@ -6,16 +6,15 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kit.wait import LONG, until
+
 ROOT = Path(__file__).parents[2]
-LONG = 120.0  # [s]; only a test that fails waits for it
-OBEYED = 2.0  # [s] from Ctrl-C to the end of the command
-VANISH = 3.0  # [s] for processes that have been killed, and for the last of their files
+VANISH = 20.0  # [s] for processes that have been killed, and their last files; an FMU that hangs would stay
 MARK = "HARVESTER_ZOO"  # environment variable by which all descendants are found, also in other sessions
 MAIN = "import sys; from orchestrator.__main__ import script; {}; script()"
 
@@ -24,17 +23,13 @@ MAIN = "import sys; from orchestrator.__main__ import script; {}; script()"
 class Ended:
     """The end of a command.
 
-    after      time from the interrupt to the end [s]; without an interrupt from the start
-    files      temporary files that are left
-    processes  command lines of descendants that are left
+    left   temporary files, and command lines of descendants, that are still there
     """
 
     status: int
     out: str
     err: str
-    after: float
-    files: tuple[str, ...]
-    processes: tuple[str, ...]
+    left: tuple[str, ...]
 
     @property
     def lines(self) -> list[str]:
@@ -48,7 +43,7 @@ def command(
     interrupt: Callable[[], bool] | None = None,
     setup: str = "pass",
 ) -> Ended:
-    """Run `harvester ARGUMENTS` in a folder until it ends.
+    """Run `harvester ARGUMENTS` in a folder until it ends; a test fails that waits long for the end.
 
     interrupt   sends SIGINT to the command alone when this becomes true
     setup       Python statement before the command, such as one that sets a limit
@@ -69,36 +64,18 @@ def command(
             preexec_fn=_usual_signals,
         )
     try:
-        began = time.monotonic()
         if interrupt is not None:
             until(lambda: interrupt() or child.poll() is not None)
-            began = time.monotonic()
             child.send_signal(signal.SIGINT)
         status = child.wait(LONG)
-        after = time.monotonic() - began
         until(lambda: not (_marked(mark) or _files(temporary)), VANISH)
-        left = tuple(_command_line(pid) for pid in _marked(mark))
+        left = tuple(map(_command_line, _marked(mark)))
     finally:
         for pid in _marked(mark):
             os.kill(pid, signal.SIGKILL)
         child.wait(LONG)
     texts = [(folder / name).read_text("utf-8", "replace") for name in ("stdout", "stderr")]
-    return Ended(status, *texts, after, _files(temporary), left)
-
-
-def obeyed(ended: Ended) -> bool:
-    """The command has ended soon after an interrupt; on a machine with more work than cores, later."""
-    return ended.after < OBEYED * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
-
-
-def until(condition: Callable[[], object], patience: float = LONG) -> bool:
-    """Wait until something holds; False if it does not in time."""
-    end = time.monotonic() + patience
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.02)
-    return True
+    return Ended(status, *texts, (*_files(temporary), *left))
 
 
 def _usual_signals() -> None:

@@ -5,17 +5,18 @@ The library is compiled once per version of FMI: the instantiation token of an F
 
 from __future__ import annotations
 
-import os
+import shutil
 from dataclasses import dataclass
-from functools import cache
+from itertools import product
 from pathlib import Path
 
 import fmpy
 from check.good import DESCRIPTION, SOURCE, XML_2, XML_3, Archive
+from kit.compile import library
 
-from orchestrator.base.compiler import SUFFIX, shared_library
+from orchestrator.base.compiler import SUFFIX
 
-FLAGS = ("-std=gnu11", "-O1", "-fno-sanitize=undefined", "-fPIC", "-shared", "-Wall", "-Wextra", "-s")
+FLAGS = ("-std=gnu11", "-fno-sanitize=undefined", "-Wno-unused-parameter", "-Wno-infinite-recursion", "-s")
 HANGS = ("spin", "sleep")
 HARMLESS = ("none", "fork", "daemon", "print")  # the run ends as if nothing had happened
 CAUSES = {  # what a message calls a fault that ends the process
@@ -30,6 +31,7 @@ CAUSES = {  # what a message calls a fault that ends the process
 }
 FAULTS = (*CAUSES, *HANGS, "nan", *HARMLESS[1:])
 PHASES = ("instantiate", "initialise", "step", "free")
+CASES = tuple(product(FAULTS, PHASES, (2, 3)))  # and versions of FMI
 CALLS = {  # phase -> FMI function, without prefix
     "instantiate": "Instantiate",
     "initialise": "ExitInitializationMode",
@@ -38,19 +40,6 @@ CALLS = {  # phase -> FMI function, without prefix
 }
 BEGIN = 0.5  # [s]; the fault `step` is committed in the step that begins here
 MEMORY = 0.5  # [GB], the limit in the tests: above the 0.15 GB of a process, below the 4 GB that `leak` takes
-SSD = """<?xml version="1.0" encoding="UTF-8"?>
-<ssd:SystemStructureDescription xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription"
- xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" version="1.0" name="two">
-<ssd:System name="two"><ssd:Elements>
-<ssd:Component name="first" type="application/x-fmu-sharedlibrary" source="lag.fmu"><ssd:Connectors>
-<ssd:Connector name="y" kind="output"><ssc:Real unit="Pa"/></ssd:Connector></ssd:Connectors></ssd:Component>
-<ssd:Component name="second" type="application/x-fmu-sharedlibrary" source="lag.fmu"><ssd:Connectors>
-<ssd:Connector name="u" kind="input"><ssc:Real unit="Pa"/></ssd:Connector></ssd:Connectors></ssd:Component>
-</ssd:Elements><ssd:Connections>
-<ssd:Connection startElement="first" startConnector="y" endElement="second" endConnector="u"/>
-</ssd:Connections></ssd:System><ssd:DefaultExperiment startTime="0" stopTime="1"/>
-</ssd:SystemStructureDescription>
-"""
 STUDY = """
 system = "{system}"
 method = "grid"
@@ -63,15 +52,6 @@ signal = "{output}"
 measure = "final"
 band = true
 """
-
-
-@cache
-def library(major: int) -> bytes:
-    """The library for this machine."""
-    headers = Path(fmpy.__file__).parent / "c-code"
-    code = {path.name: path.read_bytes() for path in (Path(__file__).with_name("faulty.c"), SOURCE)}
-    arguments = [*FLAGS, f"-DFMI={major}", f"-I{headers}", "faulty.c", "-lm"]
-    return shared_library(f"faulty{major}{SUFFIX}", code, arguments).read_bytes()
 
 
 @dataclass(frozen=True)
@@ -117,16 +97,16 @@ def faulty(
     unused += ['<SourceFiles><File name="lag.c"/></SourceFiles>'] if major == 2 else []
     for text in unused:
         archive = archive.swap(text, "")
-    archive.put(f"binaries/{platform}/lag{SUFFIX}", library(major)).write(made.fmu)
+    sources = [Path(__file__).with_name("faulty.c")]
+    binary = library(f"faulty{major}", sources, *FLAGS, f"-DFMI={major}", included=[SOURCE])
+    archive.put(f"binaries/{platform}/lag{SUFFIX}", binary).write(made.fmu)
     return made
 
 
 def two_lags(folder: Path) -> Path:
     """A system of two good FMUs, `first` and `second`."""
     faulty(folder)
-    ssd = folder / "two.ssd"
-    ssd.write_text(SSD, encoding="utf-8")
-    return ssd
+    return Path(shutil.copy(Path(__file__).with_name("two.ssd"), folder))
 
 
 def study(folder: Path, system: Path, output: str, settings: str) -> Path:
@@ -135,12 +115,3 @@ def study(folder: Path, system: Path, output: str, settings: str) -> Path:
     text = STUDY.format(system=system.name, output=output, settings=settings, memory=MEMORY)
     file.write_text(text, encoding="utf-8")
     return file
-
-
-def exists(pid: int) -> bool:
-    """A process that runs, not one that only waits to be noticed."""
-    try:
-        os.kill(pid, 0)
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except (OSError, IndexError):
-        return False
