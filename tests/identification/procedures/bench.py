@@ -5,6 +5,7 @@ They use neither a solver nor the rig: flows follow from chosen drops, or pressu
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,31 +48,26 @@ KNOWN = {
 
 def measured(sensor, true, random):
     """Readings of an instrument with noise, resolution, range and dead zone."""
-    noisy = true + random.normal(0.0, 1.0, true.size) * sensor.noise
-    steps = sensor.resolution * np.round(noisy / sensor.resolution)
-    return np.where(np.abs(true) < sensor.dead_zone, 0.0, np.clip(steps, sensor.low, sensor.high))
+    read = true + random.normal(0.0, 1.0, true.size) * sensor.noise
+    if sensor.resolution:
+        read = sensor.resolution * np.round(read / sensor.resolution)
+    return np.where(np.abs(true) < sensor.dead_zone, 0.0, np.clip(read, sensor.low, sensor.high))
 
 
 def recording(procedure, conditions, signals, seed, flow=FLOW):
     """A recording of true signals by instruments; the command has no noise."""
     random = np.random.default_rng(seed)
-    sensors = {
-        name: PRESSURE if name.startswith("pressure") else flow for name in signals if name != "command"
-    }
+    sensors = {n: PRESSURE if n.startswith("pressure") else flow for n in signals if n != "command"}
     read = {n: measured(sensors[n], x, random) if n in sensors else x for n, x in signals.items()}
     time = np.arange(len(next(iter(signals.values())))) / RATE
-    units = {"c": "V", "p": "Pa", "f": "m3/s"}
-    return Recording(
-        source=Path(f"{procedure}.csv"),
-        title=procedure,
-        procedure=procedure,
-        use="train",
-        conditions=conditions,
-        time=time,
-        signals=read,
-        units={name: units[name[0]] for name in signals},
-        sensors=sensors,
-    )
+    units = {name: {"c": "V", "p": "Pa", "f": "m3/s"}[name[0]] for name in signals}
+    about = {"procedure": procedure, "conditions": conditions, "sensors": sensors}
+    return Recording(Path(f"{procedure}.csv"), time, read, units, **about)
+
+
+def changed(record, signals):
+    """The recording with other samples of some signals."""
+    return replace(record, signals={**record.signals, **signals})
 
 
 def opening(command, dead_band=DEAD_BAND, rounding=ROUNDING):

@@ -6,8 +6,14 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from identification.procedures.bench import measured
 
-from fmus.identification.procedures.momentum_balance import ALL_PRESSURES, ANGLES
+from fmus.identification.procedures.momentum_balance import (
+    ALL_PRESSURES,
+    ANGLES,
+    PARAMETERS,
+    parameter_vector,
+)
 from fmus.machine.parts import CONNECTIONS, INPUTS, SUBSYSTEMS
 from fmus.monolith import join, simulate
 from fmus.parameters import complete
@@ -15,6 +21,8 @@ from orchestrator.data.recording import Recording, Sensor
 
 STEP, REST = 0.005, 1.0  # 200 Hz as the paper's, at rest at first
 KNOWN = {f"{s.name}.{n}": v for s in SUBSYSTEMS.values() for n, v in complete(s)["parameters"].items()}
+P = parameter_vector(KNOWN)
+V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}  # what two parts have is equal
 ENCODER = Sensor("encoder of 65536 counts", 0.0, 2 * np.pi / 65536)
 PRESSURE = Sensor("pressure transducer", 1e4, 4e7 / 4096, 0.0, 4e7)
 UNITS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(ALL_PRESSURES, "Pa")
@@ -24,6 +32,17 @@ STROKES = {
     "boom": ((1.0, 2.5, 3.0), (4.5, 2.5, -3.0), (8.0, 1.5, 5.0), (10.5, 1.5, -4.5)),
     "stick": ((1.0, 2.5, 3.5), (4.5, 2.5, -3.5), (8.0, 1.5, 5.0), (10.5, 1.5, -5.0)),
 }
+
+
+def gravity(boom, stick, held=0.0):
+    """Torques of gravity [N.m] about the boom's and the stick's pivot, by hand, with a mass at the tip."""
+    along, outer = np.exp(1j * boom), np.exp(1j * (boom + stick))
+    elbow, head = complex(V["stick_pivot_x"], V["stick_pivot_z"]) * along, V["head_mass"] + held
+    own = V["stick_mass"] * complex(V["stick_centre_x"], V["stick_centre_z"]) * outer
+    own += head * V["stick_length"] * outer
+    inner = V["boom_mass"] * complex(V["boom_centre_x"], V["boom_centre_z"]) * along
+    inner += (V["stick_mass"] + head) * elbow
+    return V["gravity"] * (inner + own).real, V["gravity"] * own.real
 
 
 def stroke_samples(time, strokes, rise=0.6):
@@ -48,28 +67,19 @@ def motion_of(*joints, length=16.0):
     return time, {n: found[n] for n in (*ANGLES, *ALL_PRESSURES)}
 
 
-def measured(samples, sensor, rng):
-    """Noise, then the converter and its range."""
-    noisy = samples + sensor.noise * rng.standard_normal(samples.size)
-    read = np.round(noisy / sensor.resolution) * sensor.resolution if sensor.resolution else noisy
-    return np.clip(read, sensor.low, sensor.high)
-
-
 def recording(*joints, seed=None, encoder=ENCODER, pressure=PRESSURE, length=16.0):
     """A recording of the machine; without a seed the instruments are perfect."""
     time, signals = motion_of(*joints, length=length)
     sensors = {n: encoder if n in ANGLES else pressure for n in signals}
     if seed is not None:
         rng = np.random.default_rng(seed)
-        signals = {n: measured(x, sensors[n], rng) for n, x in signals.items()}
+        signals = {n: measured(sensors[n], x, rng) for n, x in signals.items()}
     return Recording(
-        source=Path(f"damping_{joints[0]}.csv"),
-        title=" and ".join(joints),
+        Path(f"damping_{joints[0]}.csv"),
+        time,
+        signals,
+        UNITS,
         procedure="damping" if len(joints) == 1 else "machine",
-        use="train",
         conditions={"joint": joints[0]},
-        time=time,
-        signals=signals,
-        units=UNITS,
         sensors=sensors if seed is not None else {},
     )

@@ -8,22 +8,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from identification.procedures.lumped_machine import KNOWN, recording
+from identification.procedures.bench import changed
+from identification.procedures.lumped_machine import P, V, recording
 
 from fmus.contract import quantities, symbolic
 from fmus.identification.procedures.momentum_balance import (
     PARAMETERS,
     equation_of_motion,
     filters,
-    parameter_vector,
     smoothed_recording,
 )
 from fmus.identification.procedures.momentum_fit import solve
 from fmus.manipulator import MANIPULATOR
 from orchestrator.data.recording import Sensor
-
-P = parameter_vector(KNOWN)
-V = {n.partition(".")[2]: x for n, x in zip(PARAMETERS, P, strict=True)}  # what two parts have is equal
 
 
 def hydraulics(pressures, speed):
@@ -84,11 +81,6 @@ def test_the_transposed_filters_are_the_transpose(seed, every):
     assert np.sum(back * raw[:, : back.shape[1]]) == pytest.approx(forward, abs=1e-9)
 
 
-def shifted(record, name, by):
-    """The recording with something added to one signal."""
-    return replace(record, signals={**record.signals, name: record[name] + by})
-
-
 DAMPING = {"boom": "manipulator.boom_piston_damping", "stick": "manipulator.stick_piston_damping"}
 
 
@@ -110,7 +102,7 @@ def test_bias_by_an_encoder_s_noise(joint, noisy, pairs):
     even = []
     for _ in range(pairs):
         noise = sd * random.standard_normal(told.time.size)
-        ends = [found(shifted(told, name, sign * noise), joint) for sign in (1, -1)]
+        ends = [found(changed(told, {name: told[name] + sign * noise}), joint) for sign in (1, -1)]
         plain = [(e.values + e.bias)[0] for e in (*ends, start)]
         even.append((plain[0] + plain[1]) / 2 - plain[2])
     error = np.std(even, ddof=1) / np.sqrt(pairs)

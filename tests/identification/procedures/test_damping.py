@@ -7,17 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from identification.procedures.lumped_machine import ENCODER, KNOWN, recording
+from identification.procedures.lumped_machine import ENCODER, KNOWN, P, recording
 from kit import shards
 
 from fmus.identification.procedures.damping import CONTACTS, as_printed, identify
-from fmus.identification.procedures.momentum_balance import parameter_vector, smoothed_recording
+from fmus.identification.procedures.momentum_balance import smoothed_recording
 from fmus.identification.procedures.momentum_fit import solve
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
 JOINTS = tuple(CONTACTS)
-P = parameter_vector(KNOWN)
 
 
 def truth(joint):
