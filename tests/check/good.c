@@ -16,6 +16,44 @@
 #define TOKEN "{9a0c6f5e-2a31-4f0e-8f57-6d1b7b6b3c55}"
 #endif
 
+#ifdef FREESTANDING /* for systems whose C library the compiler would first have to make, which takes it minutes */
+static void *fill(void *to, int byte, size_t n) {
+    for (char *c = to; n--;) *c++ = (char)byte;
+    return to;
+}
+static void *copy(void *to, const void *from, size_t n) {
+    char *c = to;
+    for (const char *d = from; n--;) *c++ = *d++;
+    return to;
+}
+static int differ(const char *a, const char *b, size_t n) {
+    while (n && *a && *a == *b) a++, b++, n--;
+    return n && *a != *b;
+}
+static void *take(size_t n) { /* nobody runs these libraries: no memory needs to be given back */
+    static double pool[1000];
+    static size_t used;
+    size_t first = used;
+    used += (n + sizeof *pool - 1) / sizeof *pool;
+    return used <= sizeof pool / sizeof *pool ? &pool[first] : NULL;
+}
+#ifdef _WIN32
+int DllMainCRTStartup(void *library, unsigned reason, void *reserved) {
+    (void)library, (void)reason, (void)reserved;
+    return 1;
+}
+#endif
+#undef memset
+#undef memcpy
+#define memset fill
+#define memcpy copy
+#define strncmp differ
+#define strlen(text) (sizeof text - 1)
+#define malloc take
+#define calloc(n, size) take((n) * (size))
+#define free(memory) (void)(memory)
+#endif
+
 #ifndef PHASE
 #define PHASE(phase, lag, t, token)
 #endif

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
-import shutil
-from contextlib import contextmanager
+from collections.abc import Iterator
 
 import casadi as ca
-import fmpy
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
-from fmpy.fmi2 import FMU2Model
-from fmpy.fmi3 import FMU3Model
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.fmu import driving
+from kit.fmu import Fmu, driving
 
 from fmus.composition import compose
 from fmus.contract import symbolic
@@ -134,46 +129,20 @@ def test_every_corner_is_a_time_event(fmu_dir, fmi3_dir):
     """In model exchange the FMU announces each corner as a time event, and none after the last one."""
     corners = {round(5.0 + c, 9) for m in WORK_CYCLE for c in np.cumsum([m.start, m.rise, m.hold, m.fall])}
     for folder in (fmu_dir, fmi3_dir):
-        with exchanging(folder / "operator_input.fmu", 5.0) as following:
-            assert [round(time, 9) for time in following] == sorted(corners)
+        fmu = Fmu(folder / "operator_input.fmu", "me").initialise(5.0)
+        times = list(events(fmu, 5.0))
+        fmu.close()
+        assert [round(time, 9) for time in times] == sorted(corners)
 
 
-@contextmanager
-def exchanging(path, start):
+def events(fmu: Fmu, start: float) -> Iterator[float]:
     """The times of the events of an FMU whose one state is a clock, one after the other."""
-    folder = fmpy.extract(str(path))
-    description = fmpy.read_model_description(folder)
-    kind = FMU2Model if description.fmiVersion == "2.0" else FMU3Model
-    fmu = kind(
-        guid=description.guid,
-        unzipDirectory=folder,
-        modelIdentifier=description.modelExchange.modelIdentifier,
-        instanceName="operator_input",
-    )
-    fmu.instantiate()
-    if kind is FMU2Model:
-        fmu.setupExperiment(startTime=start)
-        fmu.enterInitializationMode()
-    else:
-        fmu.enterInitializationMode(startTime=start)
-    fmu.exitInitializationMode()
-
-    def events():
-        ask = fmu.newDiscreteStates if kind is FMU2Model else fmu.updateDiscreteStates
-        while True:
-            *_, defined, time = ask()
-            if not defined:
-                return
-            yield time
-            fmu.enterContinuousTimeMode()
-            fmu.setTime(time)
-            fmu.setContinuousStates((ctypes.c_double * 1)(time - start), 1)
-            fmu.enterEventMode()
-
-    yield events()
-    fmu.terminate()
-    fmu.freeInstance()
-    shutil.rmtree(folder)
+    while (event := fmu.update())[4]:
+        yield event[5]
+        fmu.fmu.enterContinuousTimeMode()
+        fmu.fmu.setTime(event[5])
+        fmu.set_continuous_states(event[5] - start)
+        fmu.fmu.enterEventMode()
 
 
 def test_no_event_is_lost_in_a_whole():

@@ -1,18 +1,18 @@
-"""Small subsystems unknown to the exporter, built once per test process, and a handle on their FMUs."""
+"""Small subsystems unknown to the exporter, and their FMUs, built once for all test processes."""
 
 # ruff: noqa: ARG005  (dynamics and observe take x, u, p, whatever a toy uses)
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import fmpy
 import pytest
-from fmpy import fmi2
+from kit.fmu import Fmu
 from kit.toy import toy
 
 from fmus.contract import Quantity, Subsystem
@@ -123,97 +123,37 @@ NUMBERS = {
 TOYS = {sub.name: sub for sub in (DECAY, PATH, VANDERPOL, CHAMBER, GAIN, BLOWUP)}
 
 
-@dataclass
-class Handle:
-    """An instance of an FMU, variables by name, messages as (category, text)."""
+@pytest.fixture(scope="session")
+def unpacked(once: Callable[..., Path]) -> Mapping[tuple[int, str], Path]:
+    """(FMI version, toy) -> folder with its unpacked FMU; the FMU is beside it."""
 
-    fmu: Any
-    refs: Mapping[str, int]
-    messages: list[tuple[str, str]]
-    status: int = 0
+    def make(folder: Path) -> None:
+        for (name, sub), fmi in product(TOYS.items(), (2, 3)):
+            path = build(sub, folder / str(fmi), step=0.01, stop=1.0, values=NUMBERS[name], fmi=fmi)
+            fmpy.extract(str(path), str(path.with_suffix("")))
 
-    def get(self, *names: str) -> Any:
-        values = self.fmu.getReal([self.refs[n] for n in names])
-        return values[0] if len(names) == 1 else values
-
-    def set(self, **values: float) -> None:
-        self.fmu.setReal([self.refs[n] for n in values], list(values.values()))
-
-    def slopes(self, order: int = 1, **values: float) -> None:
-        self.fmu.setRealInputDerivatives(
-            [self.refs[n] for n in values], [order] * len(values), list(values.values())
-        )
-
-    def output_slope(self, *names: str) -> list[float]:
-        return list(self.fmu.getRealOutputDerivatives([self.refs[n] for n in names], [1] * len(names)))
-
-    def start(self, time: float = 0.0, tolerance: float | None = None, stop: float | None = None) -> Handle:
-        self.fmu.setupExperiment(startTime=time, tolerance=tolerance, stopTime=stop)
-        self.fmu.enterInitializationMode()
-        self.fmu.exitInitializationMode()
-        return self
-
-    def run(self, n: int, step: float, start: float = 0.0) -> Handle:
-        for k in range(n):
-            self.fmu.doStep(start + k * step, step)
-        return self
-
-    def errors(self) -> list[str]:
-        return [text for category, text in self.messages if category == "logStatusError"]
+    folder = once("toys", make)
+    return {(fmi, name): folder / str(fmi) / name for name in TOYS for fmi in (2, 3)}
 
 
 @pytest.fixture(scope="session")
-def toy_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with an FMU of every toy."""
-    folder = tmp_path_factory.mktemp("toys")
-    for name, sub in TOYS.items():
-        build(sub, folder, step=0.01, stop=1.0, values=NUMBERS[name])
-    return folder
-
-
-@pytest.fixture(scope="session")
-def unpacked(toy_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Toy -> folder with its unpacked FMU."""
-    folders = {name: tmp_path_factory.mktemp(name) for name in TOYS}
-    for name, folder in folders.items():
-        fmpy.extract(str(toy_dir / f"{name}.fmu"), str(folder))
-    return folders
+def toy_dir(unpacked: Mapping[tuple[int, str], Path]) -> Path:
+    """Folder with an FMU of every toy, for FMI 2.0."""
+    return unpacked[2, "decay"].parent
 
 
 @pytest.fixture
-def open_fmu(unpacked: dict[str, Path]) -> Iterator[Callable[..., Handle]]:
-    """open_fmu("decay") instantiates a toy's FMU for co-simulation, or for model exchange."""
-    opened: list[Handle] = []
+def open_fmu(unpacked: Mapping[tuple[int, str], Path]) -> Iterator[Callable[..., Fmu]]:
+    """open_fmu("decay", "me", fmi=3): an instance of a toy's FMU, freed at the end."""
+    opened: list[Fmu] = []
 
-    def opener(
-        name: str, model_exchange: bool = False, logging: bool = False, guid: str | None = None
-    ) -> Handle:
-        description = fmpy.read_model_description(str(unpacked[name]), validate=False)
-        kind = fmi2.FMU2Model if model_exchange else fmi2.FMU2Slave
-        fmu = kind(
-            guid=guid or description.guid,
-            unzipDirectory=str(unpacked[name]),
-            modelIdentifier=name,
-            instanceName="toy",
-        )
-        messages: list[tuple[str, str]] = []
-        fmu.instantiate(callbacks=_callbacks(messages), loggingOn=logging)
-        handle = Handle(fmu, {v.name: v.valueReference for v in description.modelVariables}, messages)
-        opened.append(handle)
-        return handle
+    def opener(name: str, kind: str = "cs", fmi: int = 2, **options: Any) -> Fmu:
+        opened.append(Fmu(unpacked[fmi, name], kind, **options))
+        return opened[-1]
 
     yield opener
-    for handle in opened:
-        handle.fmu.freeInstance()
-
-
-def _callbacks(messages: list[tuple[str, str]]) -> Any:
-    def logger(_env: Any, _name: bytes, _status: int, category: bytes, text: bytes) -> None:
-        messages.append((category.decode(), text.decode().replace("%%", "%")))
-
-    callbacks = fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(logger)
-    return callbacks
+    for fmu in opened:
+        fmu.close()
 
 
 @pytest.fixture(scope="session")

@@ -145,7 +145,7 @@ def test_guid_changes_with_the_numbers(toys, toy_dir, tmp_path):
 
 def test_binary_needs_only_the_c_library(unpacked):
     """The shared library depends only on libc and libm."""
-    library = (unpacked["chamber"] / "binaries" / "linux64" / "chamber.so").read_bytes()
+    library = (unpacked[2, "chamber"] / "binaries" / "linux64" / "chamber.so").read_bytes()
     assert set(_needed(library)) <= {"libc.so.6", "libm.so.6"}
 
 
@@ -165,7 +165,7 @@ def test_models_that_lack_a_group_compile_without_a_warning(unpacked, name):
         "-shared",
     ]
     headers = Path(fmpy.__file__).parent / "c-code"
-    code = unpacked[name] / "sources" / f"{name}_fmu.c"
+    code = unpacked[2, name] / "sources" / f"{name}_fmu.c"
     command = ["gcc", *flags, f"-I{headers}", str(code), "-o", "/dev/null", "-lm"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr

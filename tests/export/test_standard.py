@@ -18,46 +18,43 @@ def test_nominals_are_known_before_the_initialisation(open_fmu):
 
     They are a ten-thousandth of the magnitudes in modelDescription.xml: importers make tolerances of them.
     """
-    fmu = open_fmu("chamber", model_exchange=True)
+    fmu = open_fmu("chamber", "me")
     nominals = (ctypes.c_double * 3)()
     fmu.fmu.fmi2GetNominalsOfContinuousStates(fmu.fmu.component, nominals, 3)
     np.testing.assert_allclose(nominals, [1e3, 1e-8, 0.01], rtol=1e-15)  # rounding of a product
 
 
 @pytest.mark.parametrize(
-    ("model_exchange", "function", "arguments"),
+    ("kind", "function", "arguments"),
     [
-        (False, "fmi2GetContinuousStates", ((ctypes.c_double * 3)(), 3)),
-        (False, "fmi2GetEventIndicators", (None, 0)),
-        (True, "fmi2SetRealInputDerivatives", (None, 0, None, None)),
-        (True, "fmi2DoStep", (ctypes.c_double(0.0), ctypes.c_double(1.0), 1)),
-        (True, "fmi2GetRealStatus", (2, ctypes.byref(ctypes.c_double()))),
+        ("cs", "fmi2GetContinuousStates", ((ctypes.c_double * 3)(), 3)),
+        ("cs", "fmi2GetEventIndicators", (None, 0)),
+        ("me", "fmi2SetRealInputDerivatives", (None, 0, None, None)),
+        ("me", "fmi2DoStep", (ctypes.c_double(0.0), ctypes.c_double(1.0), 1)),
+        ("me", "fmi2GetRealStatus", (2, ctypes.byref(ctypes.c_double()))),
     ],
 )
-def test_functions_of_the_other_kind_are_refused(open_fmu, model_exchange, function, arguments):
+def test_functions_of_the_other_kind_are_refused(open_fmu, kind, function, arguments):
     """What only model exchange or only co-simulation has is an error in an instance of the other kind."""
-    fmu = open_fmu("chamber", model_exchange)
-    fmu.fmu.setupExperiment()
-    fmu.fmu.enterInitializationMode()
+    fmu = open_fmu("chamber", kind).enter()
     assert getattr(fmu.fmu.dll, function)(ctypes.c_void_p(fmu.fmu.component), *arguments) == ERROR
     assert f"{function}: not allowed" in fmu.errors()[-1]
 
 
 def test_tunable_parameters_change_at_events(open_fmu):
     """In model exchange a tunable parameter is set in event mode, an input at any time (3.2.3)."""
-    fmu = open_fmu("decay", model_exchange=True).start()
-    fmu.set(rate=3.0, target=5.0)
-    assert fmu.get("der_level") == 3.0 * (5.0 - 1.0)
-    fmu.fmu.newDiscreteStates()
+    fmu = open_fmu("decay", "me").initialise().set(rate=3.0, target=5.0)
+    assert fmu["der_level"] == 3.0 * (5.0 - 1.0)
+    fmu.update()
     fmu.fmu.enterContinuousTimeMode()
     fmu.set(target=2.0)
-    assert fmu.get("der_level") == 3.0 * (2.0 - 1.0)
+    assert fmu["der_level"] == 3.0 * (2.0 - 1.0)
     for call in (lambda: fmu.set(rate=1.0), lambda: fmu.set(level=1.0), lambda: fmu.set(gain=1.0)):
         with pytest.raises(FMICallException):
             call()
     fmu.fmu.enterEventMode()
     fmu.set(rate=1.0)
-    assert fmu.get("der_level") == 1.0
+    assert fmu["der_level"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -80,14 +77,13 @@ def test_discard_is_told_in_debug_mode_only(open_fmu):
     """A derivative outside its domain is fmi2Discard; a message only if debug logging is on (2.1.3)."""
     told = {}
     for logging in (False, True):
-        fmu = open_fmu("blowup", model_exchange=True, logging=logging)
+        fmu = open_fmu("blowup", "me", loggingOn=logging)
         fmu.set(fuel=-1.0)
-        fmu.fmu.setupExperiment()
-        fmu.fmu.enterInitializationMode()
+        fmu.enter()
         values = (ctypes.c_double * 2)()
         get = fmu.fmu.dll.fmi2GetDerivatives
         assert get(ctypes.c_void_p(fmu.fmu.component), values, ctypes.c_size_t(2)) == DISCARD
-        told[logging] = [text for category, text in fmu.messages if category == "logStatusDiscard"]
+        told[logging] = fmu.logged("logStatusDiscard")
     assert told[False] == []
     assert "fmi2GetDerivatives: the derivative of fuel is" in told[True][0]
 
@@ -102,7 +98,7 @@ def test_escapes_of_the_logger_are_doubled(open_fmu):
 
 def test_debug_logging_off_leaves_warnings_and_errors(open_fmu):
     """Switching logging on and off again restores the initial categories."""
-    fmu = open_fmu("decay", logging=True).start()
+    fmu = open_fmu("decay", loggingOn=True).start()
     fmu.fmu.setDebugLogging(False, [])
     fmu.messages.clear()
     fmu.set(target=50.0, rate=20.0)
@@ -130,9 +126,7 @@ def test_deserialising_makes_a_new_state(open_fmu):
 def test_damaged_state_is_refused(open_fmu):
     """A serialised state with any bit changed is refused."""
     fmu = open_fmu("decay").start()
-    saved = fmu.fmu.getFMUstate()
-    data = fmu.fmu.serializeFMUstate(saved)
-    fmu.fmu.freeFMUstate(saved)
+    data = fmu.state()
     for place in range(0, len(data), 7):
         damaged = data[:place] + bytes([data[place] ^ 16]) + data[place + 1 :]
         with pytest.raises(FMICallException):
@@ -143,13 +137,14 @@ def test_damaged_state_is_refused(open_fmu):
 @pytest.mark.parametrize("end", ["terminate", "reset"])
 def test_state_brings_an_ended_instance_back(open_fmu, end):
     """After fmi2Terminate or fmi2Reset a saved state continues where it was taken."""
-    fmu = open_fmu("vanderpol").start().run(3, 0.1)
-    saved = fmu.fmu.getFMUstate()
-    expected = fmu.run(3, 0.1, 0.3).get("x", "v")
+    fmu = open_fmu("vanderpol").start().step(0.1, 3)
+    saved, time = fmu.fmu.getFMUstate(), fmu.time
+    expected = fmu.step(0.1, 3).get("x", "v")
     getattr(fmu.fmu, end)()
     fmu.fmu.setFMUstate(saved)
     fmu.fmu.freeFMUstate(saved)
-    assert fmu.run(3, 0.1, 0.3).get("x", "v") == expected
+    fmu.time = time
+    assert (fmu.step(0.1, 3).get("x", "v") == expected).all()
 
 
 # ---- derivatives -------------------------------------------------------------------------------------
@@ -158,9 +153,9 @@ def test_state_brings_an_ended_instance_back(open_fmu, end):
 def test_output_derivatives_of_higher_order_are_zero(open_fmu):
     """Derivatives of orders that are not provided are 0; order 0 is an error (4.2.1)."""
     fmu = open_fmu("decay").start()
-    assert list(fmu.fmu.getRealOutputDerivatives([fmu.refs["mixed"]] * 2, [2, 3])) == [0.0, 0.0]
+    assert list(fmu.fmu.getRealOutputDerivatives([fmu.references["mixed"]] * 2, [2, 3])) == [0.0, 0.0]
     with pytest.raises(FMICallException):
-        fmu.fmu.getRealOutputDerivatives([fmu.refs["mixed"]], [0])
+        fmu.fmu.getRealOutputDerivatives([fmu.references["mixed"]], [0])
     assert "order of the derivative of mixed" in fmu.errors()[-1]
 
 
@@ -169,11 +164,11 @@ def test_output_derivative_follows_the_given_input_derivative(open_fmu):
     fmu = open_fmu("path").start()
     fmu.slopes(position=2.0)
     fmu.slopes(2, position=6.0)
-    fmu.run(1, 0.5)
-    assert fmu.output_slope("where") == [2.0 + 6.0 * 0.5]
+    fmu.step(0.5)
+    assert fmu.output_slopes("where") == [2.0 + 6.0 * 0.5]
     fmu.set(velocity=1.5)
-    fmu.run(1, 0.5, 0.5)
-    assert fmu.output_slope("where") == [1.5]
+    fmu.step(0.5)
+    assert fmu.output_slopes("where") == [1.5]
 
 
 @pytest.mark.parametrize("known", ["volume", "conductance", "supply", "heat"])
@@ -183,17 +178,16 @@ def test_directional_derivatives_at_the_start_have_all_knowns(open_fmu, known):
     unknowns = ["pressure", "flow", "der_pressure", "der_flow", "der_heat", "force", "pressure_rate"]
     point = {"volume": 1e-4, "conductance": 1e-11, "supply": 2e7, "heat": 3.0}
     fmu.set(opening=0.9, **point)
-    fmu.fmu.setupExperiment()
-    fmu.fmu.enterInitializationMode()
+    fmu.enter()
     delta = 1e-4 * point[known]
     rows = []
     for sign in (1, -1):
         fmu.set(**{known: point[known] + sign * delta})
         rows.append(fmu.get(*unknowns))
     fmu.set(**{known: point[known]})
-    refs = [fmu.refs[n] for n in unknowns]
-    found = fmu.fmu.getDirectionalDerivative(refs, [fmu.refs[known]], [1.0])
-    twice = fmu.fmu.getDirectionalDerivative(refs, [fmu.refs[known]] * 2, [0.5, 0.5])
+    refs = [fmu.references[n] for n in unknowns]
+    found = fmu.fmu.getDirectionalDerivative(refs, [fmu.references[known]], [1.0])
+    twice = fmu.fmu.getDirectionalDerivative(refs, [fmu.references[known]] * 2, [0.5, 0.5])
     expected = (np.array(rows[0]) - np.array(rows[1])) / (2 * delta)
     # central differences: curvature of relative size delta^2 = 1e-8; the pressure rate is a difference of
     # flows, 16e12 Pa/m3 times 1e-4 m3/s, with rounding 1e-16 / 1e-4
@@ -203,11 +197,9 @@ def test_directional_derivatives_at_the_start_have_all_knowns(open_fmu, known):
 
 def test_infinite_directional_derivative_is_an_error(open_fmu):
     """The root of fuel at fuel = 0 has no finite slope: an error that names the unknown."""
-    fmu = open_fmu("blowup")
-    fmu.set(fuel=0.0)
-    fmu.start()
+    fmu = open_fmu("blowup").start(fuel=0.0)
     with pytest.raises(FMICallException):
-        fmu.fmu.getDirectionalDerivative([fmu.refs["der_fuel"]], [fmu.refs["fuel"]], [1.0])
+        fmu.derivative(["der_fuel"], ["fuel"])
     assert "the derivative of der_fuel is not finite" in fmu.errors()[-1]
 
 
@@ -225,7 +217,7 @@ def test_start_values_of_parameters_can_be_read_as_fmpy_does(toy_dir):
 def test_largest_value_reference_is_unknown(open_fmu):
     """A reference far beyond the last variable is refused, the largest number that there is too."""
     fmu = open_fmu("decay").start()
-    for reference in (len(fmu.refs), 2**32 - 1):
+    for reference in (len(fmu.references), 2**32 - 1):
         with pytest.raises(FMICallException):
             fmu.fmu.getReal([reference])
         assert f"value reference {reference} is unknown" in fmu.errors()[-1]

@@ -7,20 +7,18 @@ from fmpy.fmi1 import FMICallException
 
 def test_late_communication_points_lose_no_time(open_fmu):
     """Points 0.5 % of a step later than the last step ended: the gaps are integrated, too (4.2.2)."""
-    fmu = open_fmu("path").start()
-    fmu.set(position=1.0)
+    fmu = open_fmu("path").start().set(position=1.0)
     for k in range(200):
         fmu.fmu.doStep(0.1005 * k, 0.1)
     # the integral of 1 is the time, rounding only
-    assert fmu.get("integral") == pytest.approx(199 * 0.1005 + 0.1, rel=1e-12)
+    assert fmu["integral"] == pytest.approx(199 * 0.1005 + 0.1, rel=1e-12)
 
 
 @pytest.mark.parametrize("counted", [True, False])
 @pytest.mark.parametrize(("start", "step"), [(1e6, 1e-9), (1e6, 1e-3), (1e9, 1e-5), (-3.0, 1e-12)])
 def test_short_steps_far_from_zero(open_fmu, counted, start, step):
     """Rounding of the time, here up to a tenth of a step, is neither refused nor added up."""
-    fmu = open_fmu("path").start(start)
-    fmu.set(position=1.0)
+    fmu = open_fmu("path").start(start).set(position=1.0)
     time = start
     for k in range(1000):
         if counted:
@@ -28,7 +26,7 @@ def test_short_steps_far_from_zero(open_fmu, counted, start, step):
         fmu.fmu.doStep(time, step)
         time += step
     # the integral of 1 is the sum of the steps, rounding of 1000 additions
-    assert fmu.get("integral") == pytest.approx(1000 * step, rel=1e-12, abs=0)
+    assert fmu["integral"] == pytest.approx(1000 * step, rel=1e-12, abs=0)
 
 
 def test_step_that_does_not_move_the_time_is_refused(open_fmu):
@@ -44,11 +42,8 @@ def test_inner_steps_do_not_depend_on_the_time(open_fmu):
     step = 2.0**-20  # exact at both times
     found = []
     for start in (0.0, 1e6):
-        fmu = open_fmu("decay")
-        fmu.set(rate=1e9)
-        fmu.start(start, tolerance=1e-9)
-        fmu.set(target=3.0)
-        found.append([fmu.run(1, step, start + k * step).get("level") for k in range(3)])
+        fmu = open_fmu("decay").start(start, tolerance=1e-9, rate=1e9).set(target=3.0)
+        found.append([fmu.step(step)["level"] for _ in range(3)])
     assert found[0] == found[1]
 
 
@@ -58,10 +53,13 @@ def test_tolerance_bounds_the_error_at_any_step(open_fmu, tolerance, count):
     """Stiff and badly scaled, one step of 1 s or many of 1 ms: the pressure stays near a tight solution."""
 
     def pressure(tolerance, count):
-        fmu = open_fmu("chamber").start(tolerance=tolerance)
-        fmu.set(opening=0.5, supply=1e7)
-        fmu.run(count, 1.0 / count)
-        return fmu.get("pressure")
+        fmu = (
+            open_fmu("chamber")
+            .start(tolerance=tolerance)
+            .set(opening=0.5, supply=1e7)
+            .step(1.0 / count, count)
+        )
+        return fmu["pressure"]
 
     # error per inner step within the tolerance, none taken looser than 1e-3; they add up over a few steps
     assert pressure(tolerance, count) == pytest.approx(
@@ -74,7 +72,7 @@ def test_no_tolerance_is_loose_enough_to_leave_the_curve(open_fmu):
     found = []
     for tolerance in (0.9, 1e-10):
         fmu = open_fmu("vanderpol").start(tolerance=tolerance)
-        found.append([fmu.run(1, 2.0, 2.0 * k).get("x", "v") for k in range(10)])
+        found.append([fmu.step(2.0).get("x", "v") for _ in range(10)])
     # inner steps of tolerance 1e-3 or tighter, on curves of size 2; the jumps amplify some ten times
     np.testing.assert_allclose(found[0], found[1], atol=0.02)
 
@@ -82,25 +80,21 @@ def test_no_tolerance_is_loose_enough_to_leave_the_curve(open_fmu):
 def test_command_that_jumps_is_followed(open_fmu):
     """A target that jumps at each communication point, steps longer or shorter than the time constant."""
     for rate in (0.1, 1e3, 1e7):
-        fmu = open_fmu("decay")
-        fmu.set(rate=rate)
-        fmu.start()
+        fmu = open_fmu("decay").start(rate=rate)
         exact = 1.0
         for k, target in enumerate((5.0, -5.0, 90.0, -90.0, 0.0, 1.0)):
             fmu.set(target=target)
             fmu.fmu.doStep(float(k), 1.0)
             exact = target + (exact - target) * np.exp(-rate)
             # tolerance 1e-6 of 1 + |level|, over some ten inner steps
-            assert fmu.get("level") == pytest.approx(exact, abs=1e-5 * 181)
+            assert fmu["level"] == pytest.approx(exact, abs=1e-5 * 181)
 
 
 def test_stiff_lag_follows_a_moving_input(open_fmu):
     """Rate 1e7 1/s behind a cubic input: no order reduction beyond the tolerance (Prothero and Robinson)."""
     rate, step = 1e7, 0.02
     for tolerance in (1e-4, 1e-6, 1e-8):
-        fmu = open_fmu("decay")
-        fmu.set(rate=rate, level=-7.0 / rate)
-        fmu.start(tolerance=tolerance)
+        fmu = open_fmu("decay").start(tolerance=tolerance, rate=rate, level=-7.0 / rate)
         error = 0.0
         for k in range(50):
             t = k * step
@@ -111,5 +105,5 @@ def test_stiff_lag_follows_a_moving_input(open_fmu):
             fmu.fmu.doStep(t, step)
             # the quasi-static solution: u - u'/k + u''/k^2 - u'''/k^3
             exact = sum((-1 / rate) ** i * polynomial.deriv(i)(t + step) for i in range(4))
-            error = max(error, abs(fmu.get("level") - exact))
+            error = max(error, abs(fmu["level"] - exact))
         assert error <= tolerance

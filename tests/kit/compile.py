@@ -25,7 +25,8 @@ def compiled(
     code = {path.name: path.read_bytes() for path in (*sources, *included)}
     names = [path.name for path in sources]
     where = ("-target", target or PLATFORMS[host()].target)
-    return shared_library(name, code, [*where, *flags, *names, "-lm"])
+    libraries = () if "-nostdlib" in flags else ("-lm",)
+    return shared_library(name, code, [*where, *flags, *names, *libraries])
 
 
 def library(name: str, sources: Sequence[Path], *flags: str, included: Sequence[Path] = ()) -> bytes:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from ctypes import c_double
 from pathlib import Path
 from typing import Any
 
@@ -59,19 +62,31 @@ class Fmu:
         self.messages.append((category.decode(), text.decode()))
         print(f"[{STATUS[status]}] {text.decode()}")  # as FMPy does: tests of faults at instantiation read it
 
-    def start(self, time: float = 0.0, tolerance: float | None = None, **values: float) -> Fmu:
-        """Initialise at a time with start values; Model Exchange goes on to continuous time."""
+    def enter(
+        self, time: float = 0.0, tolerance: float | None = None, stop: float | None = None, **values: float
+    ) -> Fmu:
+        """Set start values and enter the initialisation mode."""
         self.set(**values)
+        experiment = {"tolerance": tolerance, "startTime": time, "stopTime": stop}
         if self.version == 2:
-            self.fmu.setupExperiment(startTime=time, tolerance=tolerance)
+            self.fmu.setupExperiment(**experiment)
             self.fmu.enterInitializationMode()
         else:
-            self.fmu.enterInitializationMode(startTime=time, tolerance=tolerance)
-        self.fmu.exitInitializationMode()
-        if self.kind == "me":
-            _ = self.fmu.newDiscreteStates() if self.version == 2 else self.fmu.updateDiscreteStates()
-            self.fmu.enterContinuousTimeMode()
+            self.fmu.enterInitializationMode(**experiment)
         self.time = time
+        return self
+
+    def initialise(self, time: float = 0.0, **more: Any) -> Fmu:
+        """Initialise; Model Exchange is in event mode then."""
+        self.enter(time, **more).fmu.exitInitializationMode()
+        return self
+
+    def start(self, time: float = 0.0, **more: Any) -> Fmu:
+        """Initialise at a time with start values; Model Exchange goes on to continuous time."""
+        self.initialise(time, **more)
+        if self.kind == "me":
+            self.update()
+            self.fmu.enterContinuousTimeMode()
         return self
 
     def set(self, **values: float) -> Fmu:
@@ -97,20 +112,100 @@ class Fmu:
             self.time += step
         return self
 
+    def slopes(self, order: int = 1, **values: float) -> Fmu:
+        """Set derivatives of inputs (FMI 2.0)."""
+        references = [self.references[n] for n in values]
+        self.fmu.setRealInputDerivatives(references, [order] * len(values), list(values.values()))
+        return self
+
+    def output_slopes(self, *names: str) -> list[float]:
+        """First derivatives of outputs."""
+        read = self.fmu.getRealOutputDerivatives if self.version == 2 else self.fmu.getOutputDerivatives
+        return list(read([self.references[n] for n in names], [1] * len(names)))
+
     def derivative(self, unknowns: Sequence[str], knowns: Sequence[str]) -> np.ndarray:
         """Jacobian (unknowns, knowns) by directional derivatives."""
         rows, columns = ([self.references[n] for n in names] for names in (unknowns, knowns))
         return np.array([self.fmu.getDirectionalDerivative(rows, [c], [1.0]) for c in columns]).T
 
+    def state(self) -> bytes:
+        """The serialised state."""
+        saved = self.fmu.getFMUState()
+        data = bytes(self.fmu.serializeFMUState(saved))
+        self.fmu.freeFMUState(saved)
+        return data
+
+    def restore(self, data: bytes, time: float | None = None) -> Fmu:
+        """Go on from a serialised state, which was that of a time."""
+        saved = (self.fmu.deSerializeFMUstate if self.version == 2 else self.fmu.deserializeFMUState)(data)
+        self.fmu.setFMUState(saved)
+        self.fmu.freeFMUState(saved)
+        self.time = self.time if time is None else time
+        return self
+
+    # ---- Model Exchange
+
+    def update(self) -> tuple[bool, bool, bool, bool, bool, float]:
+        """Update discrete states: the fields of FMI's event information."""
+        return self.fmu.newDiscreteStates() if self.version == 2 else self.fmu.updateDiscreteStates()
+
+    def completed(self) -> bool:
+        """The end of a solver's step: is an event asked for?"""
+        return bool(self.fmu.completedIntegratorStep()[0])
+
+    def continuous_states(self) -> list[float]:
+        """The continuous states."""
+        return self._vector(self.fmu.getContinuousStates)
+
+    def set_continuous_states(self, *x: float) -> None:
+        """Set them."""
+        self.fmu.setContinuousStates((c_double * len(x))(*x), len(x))
+
+    def derivatives(self) -> list[float]:
+        """The derivatives of the continuous states."""
+        return self._vector(
+            self.fmu.getDerivatives if self.version == 2 else self.fmu.getContinuousStateDerivatives
+        )
+
+    def _vector(self, read: Callable[[Any, int], object]) -> list[float]:
+        count = len(self.description.derivatives)
+        found = (c_double * count)()
+        read(found, count)
+        return list(found)
+
     def errors(self) -> list[str]:
         """Texts that were logged as errors."""
-        return [text for category, text in self.messages if category == "logStatusError"]
+        return self.logged("logStatusError")
+
+    def logged(self, wanted: str) -> list[str]:
+        """Texts of a category."""
+        return [text for category, text in self.messages if category == wanted]
 
     def close(self) -> None:
         """Free the instance and what was unpacked."""
         self.fmu.freeInstance()
         if self._unpacked:
             shutil.rmtree(self._unpacked, ignore_errors=True)
+
+
+ELSEWHERE = """
+import sys
+from pathlib import Path
+from kit.fmu import driving
+path, state, time, step, count, *names = sys.argv[1:]
+with driving(Path(path)) as fmu:
+    fmu.restore(bytes.fromhex(state), float(time)).step(float(step), int(count))
+    print(fmu.get(*names).tobytes().hex())
+"""
+
+
+def elsewhere(path: Path, state: bytes, time: float, step: float, count: int, *names: str) -> bytes:
+    """Values in a new process after some steps from a serialised state."""
+    words = [str(word) for word in (path, state.hex(), time, step, count, *names)]
+    command, folder = [sys.executable, "-c", ELSEWHERE, *words], Path(__file__).parents[1]
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+    assert run.returncode == 0, run.stderr
+    return bytes.fromhex(run.stdout.split()[-1])
 
 
 @contextmanager

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from fmpy import extract, instantiate_fmu, read_model_description, simulate_fmu
+from fmpy import simulate_fmu
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssv
+from kit.fmu import Fmu
 from kit.plain_jacobi import SAME, ours
 from kit.work_cycle import FMUS, ORDER, RATED, SIGNALS, STEP, VERSIONS, agree, check_log, same, step_through
 
@@ -60,58 +59,35 @@ def test_fmpy_starts_from_a_pose_of_the_ssp(fmu_dir):
         np.testing.assert_allclose(rows[f"manipulator.{joint}_angle"], angle, rtol=0, atol=5e-4)
 
 
-class Part:
-    """One FMU in FMPy's interface of its version."""
-
-    def __init__(self, path: Path) -> None:
-        description = read_model_description(str(path))
-        self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.new = description.fmiMajorVersion == 3
-        self.fmu: Any = instantiate_fmu(extract(str(path)), description, "CoSimulation")
-        if not self.new:
-            self.fmu.setupExperiment(startTime=0.0)
-        self.fmu.enterInitializationMode()
-
-    def get(self, names: Sequence[str]) -> list[float]:
-        read = self.fmu.getFloat64 if self.new else self.fmu.getReal
-        return list(read([self.references[n] for n in names]))
-
-    def set(self, names: Sequence[str], values: Sequence[float]) -> None:
-        write = self.fmu.setFloat64 if self.new else self.fmu.setReal
-        write([self.references[n] for n in names], values)
-
-
-def carry(parts: dict[str, Part], wires: Sequence[tuple[str, str]]) -> None:
+def carry(parts: dict[str, Fmu], wires: Sequence[tuple[str, str]]) -> None:
     """Read all sources, then set all targets."""
     ends = [(*start.split("."), *end.split(".")) for start, end in wires]
-    found = {(a, b): parts[a].get([v for c, v, d, _ in ends if (c, d) == (a, b)]) for a, _, b, _ in ends}
-    for (a, b), values in found.items():
-        parts[b].set([v for c, _, d, v in ends if (c, d) == (a, b)], values)
+    found = [parts[source][output] for source, output, _, _ in ends]
+    for (_, _, target, name), value in zip(ends, found, strict=True):
+        parts[target].set(**{name: value})
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_steps_the_system_as_we_do(request, fmu_dir, capfd, version):
     """A loop over FMPy's classes, in FMI 2.0 and 3.0, gives the numbers of our own orchestrator."""
     folder = request.getfixturevalue(version)
-    parts = {name: Part(folder / f"{name}.fmu") for name in ORDER}
+    parts = {name: Fmu(folder / f"{name}.fmu").enter() for name in ORDER}
     carry(parts, HOLDING)
     for part in parts.values():
         part.fmu.exitInitializationMode()
     carry(parts, RATED)
-    time = [0.0]
 
     def step() -> None:
         for part in parts.values():
-            part.fmu.doStep(time[0], STEP)
-        time[0] += STEP
+            part.step(STEP)
         carry(parts, RATED)
 
     def take() -> list[float]:
-        return [parts[name.split(".")[0]].get([name.split(".")[1]])[0] for name in SIGNALS]
+        return [parts[name.split(".")[0]][name.split(".")[1]] for name in SIGNALS]
 
     _, found = step_through(2.0, step, take)
     for part in parts.values():
         part.fmu.terminate()
-        part.fmu.freeInstance()
+        part.close()
     same(found, ours(fmu_dir, STEP, 42.0), SAME)
     check_log("".join(capfd.readouterr()))

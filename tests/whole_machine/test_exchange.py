@@ -121,7 +121,7 @@ def held(path: Path, lever: str, volts: float, interval: float) -> dict[str, np.
     pieces: list[Piece] = [
         (t, t + interval, {lever: (float(np.interp(t, time, volt)), 0.0, 0.0)}) for t in begins
     ]
-    with instance(path, "CoSimulation", pieces[0]) as made:
+    with instance(path, "cs", pieces[0]) as made:
         rows = []
         for k, piece in enumerate(pieces):
             made.begin(piece)
