@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from kit.mistakes import refused, table
 
 from fmus.export.compile import PLATFORMS
 from fmus.parameters import SOURCES
 from fmus.rig.recordings import MACHINES
-from orchestrator import Trace, read_trace, write_trace
+from orchestrator import Trace, read_trace, write_ssp, write_trace
 from orchestrator.__main__ import main
 from orchestrator.base.coupling import CONTROLS, MASTERS
 from orchestrator.check.report import TOOLS
@@ -23,15 +24,13 @@ from orchestrator.cli import app
 from orchestrator.results import validate_system
 from orchestrator.ssp.listing import KINDS
 
-SSD = """<SystemStructureDescription version="1.0" name="bench"
- xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="bench">
-<Connectors><Connector name="command" kind="input"/></Connectors>
-<Elements><Component name="g" source="resources/gain.fmu">
-<Connectors><Connector name="u" kind="input"/></Connectors></Component></Elements>
-<Connections><Connection startConnector="command" endElement="g" endConnector="u"/></Connections></System>
-</SystemStructureDescription>"""
-
+SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")
 GUARDED = {"guard": 0.01}  # of masters that keep states, where nobody says otherwise
+
+
+def harvester(arguments):
+    """The exit status of a command."""
+    return main(arguments.split())
 
 
 @pytest.fixture
@@ -47,7 +46,7 @@ def folder(tmp_path, monkeypatch, fmus, zip_ssp):
 @pytest.mark.usefixtures("folder")
 def test_system_and_output_have_defaults(capsys):
     """The built system, and a trace beside it."""
-    assert main(["run", "--scenario", "cycle.csv", "--step", "0.25"]) == 0
+    assert harvester("run --scenario cycle.csv --step 0.25") == 0
     np.testing.assert_array_equal(read_trace("build/trace.csv")["g.y"], [0, 1, 2, 3, 4])
     printed = capsys.readouterr().out
     assert "4 steps" in printed
@@ -58,20 +57,9 @@ def test_system_and_output_have_defaults(capsys):
 def test_all_options_reach_the_run(capsys):
     """Master, times, start values, output format, error estimate."""
     write_trace(Trace(np.array([0.0, 9.0]), {"command": np.array([0.0, 9.0])}), "other.csv")
-    options = [
-        "--scenario",
-        "other.csv",
-        "--master",
-        "gauss-seidel",
-        "--step",
-        "0.5",
-        "--start",
-        "1",
-        "--stop",
-        "3",
-    ]
-    options += ["--set", "g.factor=3", "--set", "g.offset=1", "--out", "new/out.parquet", "--error-estimate"]
-    assert main(["run", "build/harvester.ssp", *options]) == 0
+    options = "--master gauss-seidel --step 0.5 --start 1 --stop 3 --set g.factor=3 --set g.offset=1"
+    files = "--scenario other.csv --out new/out.parquet"
+    assert harvester(f"run build/harvester.ssp {files} {options} --error-estimate") == 0
     trace = read_trace("new/out.parquet")
     assert (trace.time[0], trace.time[-1], trace["g.y"][0]) == (1.0, 3.0, 4.0)
     assert "change of the signals when the step is halved; at order p the error is" in capsys.readouterr().out
@@ -79,40 +67,28 @@ def test_all_options_reach_the_run(capsys):
 
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
-    ("options", "times"),
+    ("step", "times"),
     [
-        (["--step", "0.001"], [0, 0.005, 0.01, 0.012]),
-        (["--step", "0.002"], [0, 0.004, 0.008, 0.012]),
-        (["--step", "0.006"], [0, 0.006, 0.012]),
-        (["--step", "0.001", "--record-step", "0.006"], [0, 0.006, 0.012]),
-        (["--step", "0.004", "--record-step", "0.004"], [0, 0.004, 0.008, 0.012]),
+        ("0.001", [0, 0.005, 0.01, 0.012]),
+        ("0.002", [0, 0.004, 0.008, 0.012]),
+        ("0.006", [0, 0.006, 0.012]),
+        ("0.001 --record-step 0.006", [0, 0.006, 0.012]),
+        ("0.004 --record-step 0.004", [0, 0.004, 0.008, 0.012]),
     ],
 )
-def test_records_at_200_hz_unless_told(options, times, capsys):
+def test_records_at_200_hz_unless_told(step, times, capsys):
     """The default interval is 5 ms or just below, at least a step; the steps of the card stay all steps."""
-    assert main(["run", "--stop", "0.012", *options]) == 0
+    assert harvester(f"run --stop 0.012 --step {step}") == 0
     # point n is start + n * step: rounding only
     np.testing.assert_allclose(read_trace("build/trace.csv").time, times, rtol=0, atol=1e-15)
-    assert f"{round(0.012 / float(options[1]))} steps" in capsys.readouterr().out
-
-
-PAIR = """<SystemStructureDescription version="1.0" name="pair"
- xmlns="http://ssp-standard.org/SSP1/SystemStructureDescription"><System name="pair"><Elements>
-<Component name="a" source="resources/mass_a.fmu"><Connectors>
-<Connector name="x2" kind="input"/><Connector name="force" kind="output"/></Connectors></Component>
-<Component name="b" source="resources/mass_b.fmu"><Connectors>
-<Connector name="force" kind="input"/><Connector name="x" kind="output"/></Connectors></Component></Elements>
-<Connections><Connection startElement="a" startConnector="force" endElement="b" endConnector="force"/>
-<Connection startElement="b" startConnector="x" endElement="a" endConnector="x2"/></Connections></System>
-</SystemStructureDescription>"""
+    assert f"{round(0.012 / float(step.split()[0]))} steps" in capsys.readouterr().out
 
 
 @pytest.fixture
-def pair(tmp_path, monkeypatch, fmus, zip_ssp):
+def pair(tmp_path, monkeypatch, oscillator):
     """A working directory with pair.ssp, two coupled masses."""
     monkeypatch.chdir(tmp_path)
-    names = ("mass_a", "mass_b")
-    return zip_ssp(PAIR, {f"resources/{name}.fmu": fmus[name] for name in names}, "pair.ssp")
+    return write_ssp(oscillator, tmp_path / "pair.ssp")
 
 
 def noted(file="o.run.json"):
@@ -124,39 +100,28 @@ def noted(file="o.run.json"):
 @pytest.mark.parametrize(
     ("options", "coupling"),
     [
-        ([], {"master": "gauss-seidel", "order": 0, "correct": False}),
-        (["--order", "2", "--correct"], {"master": "gauss-seidel", "order": 2, "correct": True}),
+        ("", {}),
+        ("--order 2 --correct", {"order": 2, "correct": True}),
+        ("--master jacobi --factor a=2 --factor b=4", {"master": "jacobi", "factors": {"a": 2, "b": 4}}),
         (
-            ["--master", "jacobi", "--factor", "a=2", "--factor", "b=4"],
-            {"master": "jacobi", "order": 0, "correct": False, "factors": {"a": 2, "b": 4}},
+            "--master hermite --order 0 --passes 3 --coupling-tolerance 1e-6",
+            {"master": "hermite", "passes": 3, "tolerance": 1e-6} | GUARDED,
         ),
         (
-            ["--master", "hermite", "--order", "0", "--passes", "3", "--coupling-tolerance", "1e-6"],
-            {"master": "hermite", "order": 0, "correct": False, "passes": 3, "tolerance": 1e-6} | GUARDED,
+            "--master interface-jacobian --lag 5",
+            {"master": "interface-jacobian", "order": 3, "lag": 5} | GUARDED,
         ),
         (
-            ["--master", "interface-jacobian", "--lag", "5"],
-            {"master": "interface-jacobian", "order": 3, "correct": False, "lag": 5} | GUARDED,
-        ),
-        (
-            ["--adaptive", "0.01", "--control", "error", "--smallest", "1e-6", "--largest", "0.05"],
-            {
-                "master": "gauss-seidel",
-                "order": 0,
-                "correct": False,
-                "adaptive": 0.01,
-                "control": "error",
-                "smallest": 1e-6,
-                "largest": 0.05,
-            },
+            "--adaptive 0.01 --control error --smallest 1e-6 --largest 0.05",
+            {"adaptive": 0.01, "control": "error", "smallest": 1e-6, "largest": 0.05},
         ),
     ],
 )
 def test_every_choice_of_the_coupling_reaches_the_run(options, coupling):
     """They are noted beside the trace, all of them and no others."""
-    assert main(["run", "pair.ssp", "--stop", "0.1", "--step", "0.01", "--out", "o.csv", *options]) == 0
+    assert harvester(f"run pair.ssp --stop 0.1 --step 0.01 --out o.csv {options}") == 0
     found = noted()
-    assert found["coupling"] == coupling
+    assert found["coupling"] == {"master": "gauss-seidel", "order": 0, "correct": False} | coupling
     assert found["steps"] >= 10
     assert found["passes"] >= found["steps"]
 
@@ -164,13 +129,13 @@ def test_every_choice_of_the_coupling_reaches_the_run(options, coupling):
 @pytest.mark.usefixtures("pair")
 def test_an_adaptive_run_records_where_it_was(capsys):
     """Every communication point; with a record step exactly its points."""
-    run = ["run", "pair.ssp", "--adaptive", "0.01", "--stop", "0.1", "--out", "o.csv"]
-    assert main(run) == 0
+    run = "run pair.ssp --adaptive 0.01 --stop 0.1 --out o.csv"
+    assert harvester(run) == 0
     free, facts = read_trace("o.csv").time, noted()
     assert len(free) == facts["steps"] + 1
     assert facts["lengths"] == pytest.approx([np.diff(free).min(), np.diff(free).max()], rel=1e-6)  # 9 digits
     assert "every" not in capsys.readouterr().out.splitlines()[-1]
-    assert main([*run, "--record-step", "0.02"]) == 0
+    assert harvester(f"{run} --record-step 0.02") == 0
     np.testing.assert_array_equal(read_trace("o.csv").time, [0.0, 0.02, 0.04, 0.06, 0.08, 0.1])
     assert "6 rows, every 0.02 s" in capsys.readouterr().out
 
@@ -180,11 +145,10 @@ def test_an_adaptive_run_is_validated_every_5_ms(monkeypatch):
     """The report tells its tolerance and the range of its steps."""
     Path("m.csv").write_text("time,a.x\n0,0\n0.1,1\n", encoding="utf-8")
     Path("m.toml").write_text('[signals."a.x"]\nunit = "m"\n', encoding="utf-8")
-    monkeypatch.setattr(
-        validate_system, "validate_system", partial(validate_system.validate_system, rate=False)
-    )
-    options = ["--master", "hermite", "--adaptive", "0.01", "--stop", "0.1", "--out", "."]
-    assert main(["validate", "pair.ssp", "--reference", "m.csv", *options]) in (0, 1)
+    unrated = partial(validate_system.validate_system, rate=False)
+    monkeypatch.setattr(validate_system, "validate_system", unrated)
+    options = "--reference m.csv --master hermite --adaptive 0.01 --stop 0.1 --out ."
+    assert harvester(f"validate pair.ssp {options}") in (0, 1)
     # 9 digits in the file
     np.testing.assert_allclose(read_trace("run.csv").time, np.arange(21) * 0.005, rtol=0, atol=1e-9)
     facts, coupling = noted("report.json")["facts"], noted("run.run.json")
@@ -197,10 +161,10 @@ def test_an_adaptive_run_is_validated_every_5_ms(monkeypatch):
 @pytest.mark.usefixtures("pair")
 def test_runs_that_are_compared_are_told_apart(capsys):
     """Master and step of each, of adaptive runs the mean."""
-    for name, options in (("a", ["--step", "0.01"]), ("b", ["--adaptive", "0.01", "--master", "hermite"])):
-        assert main(["run", "pair.ssp", "--stop", "0.1", "--out", f"{name}.csv", *options]) == 0
+    for name, options in (("a", "--step 0.01"), ("b", "--adaptive 0.01 --master hermite")):
+        assert harvester(f"run pair.ssp --stop 0.1 --out {name}.csv {options}") == 0
     capsys.readouterr()
-    assert main(["compare", "a.csv", "b.csv", "--out", "."]) == 0
+    assert harvester("compare a.csv b.csv --out .") == 0
     told = capsys.readouterr().out
     mean = noted("b.run.json")["step"]
     assert re.search(r"^a +gauss-seidel +0.01 s ", told, re.MULTILINE)
@@ -211,105 +175,32 @@ def test_runs_that_are_compared_are_told_apart(capsys):
 @pytest.mark.usefixtures("folder")
 def test_a_single_fmu_runs(each, capsys):
     """`harvester run some.fmu` and `harvester signals some.fmu`, for both versions of FMI."""
-    assert main(["run", str(each["source"]), "--stop", "1", "--step", "0.1", "--out", "o.csv"]) == 0
+    assert harvester(f"run {each['source']} --stop 1 --step 0.1 --out o.csv") == 0
     assert len(read_trace("o.csv").time) == 11
     capsys.readouterr()
-    assert main(["signals", str(each["source"])]) == 0
+    assert harvester(f"signals {each['source']}") == 0
     assert "  source.amplitude  m" in capsys.readouterr().out
 
 
 def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
     """With the command that makes it."""
     monkeypatch.chdir(tmp_path)
-    assert main(["run"]) == 2
+    assert harvester("run") == 2
     assert "build/harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["run", "none.ssp"], "harvester: none.ssp: no such file"),
-        (
-            ["run", "--set", "g.factor"],
-            "harvester: --set g.factor: expected component.variable=value or input=value",
-        ),
-        (["run", "--set", "g.fctor=1"], "harvester: unknown variable 'g.fctor'; did you mean g.factor"),
-        (["run", "--scenario", "none.csv"], "harvester: none.csv: no such file"),
-        (
-            ["run", "--out", "run.xls"],
-            "harvester: run.xls: expected a file name ending in .csv, .parquet or .mat",
-        ),
-        (
-            ["run", "--out", "cycle.csv/run.csv"],
-            "harvester: cycle.csv: expected a folder, which cannot be made",
-        ),
-        (
-            ["run", "--step", "fast"],
-            "'--step': expected a number of seconds, got 'fast'; see harvester run --help",
-        ),
-        (["run", "--stop", "inf"], "harvester: stop time: expected a finite time, got inf s"),
-        (
-            ["run", "--stop", "1", "--step", "2e-3", "--record-step", "5e-3"],
-            "harvester: record step: expected a multiple of the step 0.002 s, got 0.005 s",
-        ),
-        (["walk"], "harvester: No such command 'walk'; see harvester --help"),
-        (["run", "--master", "euler"], "harvester: unknown master 'euler', expected one of jacobi, "),
-        (
-            ["run", "--master", "jacobi", "--passes", "2"],
-            "harvester: passes: expected the master hermite, which repeats steps, got jacobi",
-        ),
-        (
-            ["run", "--passes", "2"],
-            "harvester: passes: expected the master hermite, which repeats steps, got gauss",
-        ),
-        (["run", "--master", "hermite", "--passes", "0"], "harvester: passes: expected at least 1, got 0"),
-        (["run", "--control", "energy"], "harvester: control: expected adaptive steps"),
-        (
-            ["run", "--order", "second"],
-            "'--order': expected a whole number, got 'second'; see harvester run --help",
-        ),
-        (["run", "--adaptive", "x"], "'--adaptive': expected a number, got 'x'; see harvester run --help"),
-        (
-            ["run", "--factor", "g"],
-            "harvester: --factor g: expected component=N, the number of internal steps",
-        ),
-        (["run", "--factor", "g=1.5"], "harvester: --factor g=1.5: expected component=N"),
-        (
-            ["run", "--factor", "g=2", "--factor", "g=3"],
-            "harvester: --factor g=3: g already has the value 2",
-        ),
-        (["run", "--factor", "h=2"], "harvester: factor of h: unknown component; there are g"),
-        (
-            ["validate", "--master", "jacobi", "--coupling-tolerance", "1e-3"],
-            "harvester: coupling tolerance: expected the master hermite, which repeats steps, got jacobi",
-        ),
-    ],
-)
+@table(__file__, "mistakes", "arguments, message")
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
     """No traceback."""
-    assert main(arguments) == 2
-    told = capsys.readouterr().err
-    assert message in told
-    assert told.count("\n") == 1
+    assert message in refused(capsys, arguments.split())
 
 
 @pytest.mark.usefixtures("folder")
 def test_a_failed_run_leaves_its_record(capsys, fmus):
     """What was recorded until the failure is written, and the failure told."""
-    options = [
-        "--stop",
-        "1",
-        "--step",
-        "0.1",
-        "--set",
-        "fails.when=0.45",
-        "--set",
-        "fails.how=3",
-        "--out",
-        "o.csv",
-    ]
-    assert main(["run", str(fmus["fails"]), *options]) == 2
+    values = "--set fails.when=0.45 --set fails.how=3"
+    assert harvester(f"run {fmus['fails']} --stop 1 --step 0.1 {values} --out o.csv") == 2
     printed = capsys.readouterr()
     assert len(read_trace("o.partial.csv").time) == 6
     assert not Path("o.csv").exists()
@@ -320,9 +211,6 @@ def test_a_failed_run_leaves_its_record(capsys, fmus):
 INTERRUPTED = """
 import os, signal, sys
 from orchestrator.__main__ import main
-from orchestrator.base.coupling import CONTROLS, MASTERS
-from orchestrator.check.report import TOOLS
-from orchestrator.cli import app
 from orchestrator.data.trace_writer import TraceFile
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 append = TraceFile.append
