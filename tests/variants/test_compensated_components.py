@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -35,19 +37,18 @@ def compiled(expression, *symbols):
     return ca.Function("f", [column], [expression, ca.gradient(expression, column)])
 
 
-def _section():
+@cache
+def supplied():
+    """Flow from the supply into port A of a section at (command, port, supply, sensing), and its gradient."""
     command, port, supply, sensing = (ca.SX.sym(n) for n in ("u", "p", "s", "ls"))
     a, _ = compensator.section_ports(SECTION, command, (port, 0.0), supply, sensing, 0.0)
     return compiled(a.edges.supply, command, port, supply, sensing)
 
 
-SUPPLIED = _section()
-
-
 @given(COMMAND, PRESSURE, PRESSURE, PRESSURE)
 def test_a_section_never_flows_back_and_follows_its_pressures(command, port, supply, sensing):
     """Q >= 0, 0 without a drop from the supply; it rises with command and supply, falls with P and P_LS."""
-    flow, slope = (v.full().ravel() for v in SUPPLIED([command, port, supply, sensing]))
+    flow, slope = (v.full().ravel() for v in supplied()([command, port, supply, sensing]))
     assert flow[0] >= 0
     if supply <= port:
         assert flow[0] == 0
@@ -76,10 +77,10 @@ SEAMS = [
 def test_the_flow_of_a_section_has_no_kink(seam):
     """Derivatives on both sides of every seam agree (but full command, where the spool is at its end)."""
     nudge = np.array([1e-6, 1.0, 1.0, 1.0])
-    _, before = SUPPLIED(np.array(seam) - nudge * [1, -1, 1, 1])
-    _, behind = SUPPLIED(np.array(seam) + nudge * [1, -1, 1, 1])
-    _, at = SUPPLIED(seam)
-    scale = np.abs(SUPPLIED([5.0, 1e7, 1.2e7, 1.1e7])[1].full().ravel())
+    _, before = supplied()(np.array(seam) - nudge * [1, -1, 1, 1])
+    _, behind = supplied()(np.array(seam) + nudge * [1, -1, 1, 1])
+    _, at = supplied()(seam)
+    scale = np.abs(supplied()([5.0, 1e7, 1.2e7, 1.1e7])[1].full().ravel())
     scale[1] = scale[2]  # far from saturation the load has no effect but the droop
     first = 1 if seam[0] == 10.0 else 0
     for side in (before, behind):
@@ -99,36 +100,55 @@ def test_the_smooth_minimum_is_exact_apart_and_never_far_below(a, b):
         assert found == a
 
 
-def _counterbalance():
+@cache
+def counterbalanced():
+    """Flow at (opening, line, chamber), and its gradient."""
     y, line, chamber = (ca.SX.sym(n) for n in ("y", "v", "c"))
     return compiled(counterbalance_valve.flow(VALVE, y, line, chamber, AROUND), y, line, chamber)
-
-
-COUNTERBALANCED = _counterbalance()
 
 
 @given(st.floats(0, 1), PRESSURE, PRESSURE)
 def test_a_counterbalance_valve_flows_along_its_pressure_difference(opening, line, chamber):
     """Down the pressure difference, increasing with it; closed it passes its leakage alone outwards."""
-    flow, slope = (v.full().ravel() for v in COUNTERBALANCED([opening, line, chamber]))
+    flow, slope = (v.full().ravel() for v in counterbalanced()([opening, line, chamber]))
     assert flow[0] * (line - chamber) >= 0
     assert slope[1] >= 0 >= slope[2]
     if opening == 0 and line <= chamber:
         assert flow[0] == pytest.approx(VALVE.leakage * (line - chamber), rel=1e-12)
 
 
-@given(PRESSURE, PRESSURE, PRESSURE)
-def test_a_counterbalance_valve_opens_with_load_and_pilot(chamber, pilot, line):
-    """From 0 up to the setting, exactly, to 1 from the end of the band on; whatever its own line has."""
-    opening = float(counterbalance_valve.balance(VALVE, chamber, pilot, line, 0.0))
-    excess = chamber + VALVE.pilot_ratio * pilot - VALVE.pressure
+@pytest.mark.parametrize(
+    ("share", "pilot", "opening"),
+    [
+        # vented, 5 bar in the tank: 120 + 4 x 38.75 - 5 x 5 = 250 bar is the setting, to the bar
+        *((0.0, 38.75, 0.0), (0.0, 30.0, 0.0)),
+        # 280 - 25 is 5 bar above it, an eighth of the band, and half of the rounding of 0.1 less
+        *((0.0, 40.0, 0.075), (0.0, 44.0, 0.475)),
+        # 328 - 25 is 53 bar above it, and the band has 40
+        (0.0, 52.0, 1.0),
+        # three ports: the line has 12 bar, of which five times as much counts: 280 - 60, 328 - 60 bar
+        *((1.0, 40.0, 0.0), (1.0, 52.0, 0.4)),
+        # half of the back pressure: 8.5 bar, 304 - 42.5 bar
+        (0.5, 46.0, 0.2375),
+    ],
+)
+def test_a_counterbalance_valve_opens_by_load_and_pilot_less_back_pressure(share, pilot, opening):
+    """At a load of 120 bar, pilot ratio 4, setting 250 bar, band 40 bar: openings worked out by hand."""
+    own = {"pressure": 25e6, "pilot_ratio": 4.0, "band": 4e6, "back_pressure_share": share}
+    valve = Counterbalance(**{**vars(VALVE), **own})
+    found = float(counterbalance_valve.balance(valve, 12e6, pilot * 1e5, 12e5, 5e5))
+    # exact identity, rounding only
+    assert found == pytest.approx(opening, rel=1e-12, abs=1e-12)
+
+
+@given(PRESSURE, PRESSURE, PRESSURE, st.floats(0, 1e6))
+def test_a_counterbalance_valve_opens_within_its_stroke_and_ever_more(chamber, pilot, line, tank):
+    """From 0 to 1; more load or pilot pressure never closes it, whatever line and tank have."""
+    pressures = np.array([chamber, pilot, line, tank])
+    opening = float(counterbalance_valve.balance(VALVE, *pressures))
     assert 0 <= opening <= 1 + 1e-12
-    if excess <= 0:
-        assert opening == 0
-    if excess >= (1 + counterbalance_valve.ROUNDING) * VALVE.band:
-        assert opening == pytest.approx(1, rel=1e-12)
-    more = float(counterbalance_valve.balance(VALVE, chamber, pilot + 1e4, line, 0.0))
-    assert more >= opening - 1e-12
+    for more in ([1e4, 0, 0, 0], [0, 1e4, 0, 0]):
+        assert float(counterbalance_valve.balance(VALVE, *(pressures + more))) >= opening - 1e-12
 
 
 @given(st.floats(-2e5, 2e5), st.floats(0, 1), st.floats(-2, 2))

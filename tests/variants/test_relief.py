@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import machine, played
 
 from fmus.components import chamber, orifice
 from fmus.components.orifice import PressureValve
 from fmus.export.build import build_all
-from fmus.machine.parts import parts, wiring
-from fmus.monolith import join, simulate
+from fmus.machine.parts import parts
 from fmus.parameters import values
 from orchestrator import Trace, run
 
@@ -38,23 +38,18 @@ def test_a_valve_only_loses_power(drop):
     assert float(orifice.cross_flow(VALVE, drop)) * drop >= 0.0
 
 
-def played(stop, commands, **variants):
+def moved(stop, commands, **variants):
     """Outputs of the machine with these commands [V] (times, values) by lever, at 200 Hz."""
-    chosen = parts(**variants)
-    model = join(chosen, *wiring(chosen))
     time = np.linspace(0, stop, round(200 * stop) + 1)
-    u = np.tile(model.u, (time.size, 1))
-    for name, points in commands.items():
-        u[:, model.inputs.index(name)] = np.interp(time, *points)
-    _, y = simulate(model, time, u, tolerance=1e-8)
-    return dict(zip(model.output_names, y.T, strict=True))
+    levers = {name: np.interp(time, *points) for name, points in commands.items()}
+    return played(machine(**variants), time, levers, tolerance=1e-8)
 
 
 def test_cross_port_relief_limits_the_braking_of_the_swing():
     """The valve closed at once at speed: `lumped` goes far above the set pressure, `detailed` does not."""
     brake = {"swing_command": ([0.0, 0.1, 1.5, 1.505], [0.0, 9.0, 9.0, 0.0])}
-    usual = played(2.2, brake)
-    fine = played(2.2, brake, swing="detailed")
+    usual = moved(2.2, brake)
+    fine = moved(2.2, brake, swing="detailed")
     p = values(parts(swing="detailed")["swing"]).p
 
     def difference(y):
@@ -78,7 +73,7 @@ def test_anti_cavitation_valves_keep_the_oil_from_tearing():
     Behind the closing valve the oil in a hose still tears off for a moment: the valves stand at the cylinder.
     """
     drop = {"boom_command": ([0.0, 0.1, 0.6, 0.62], [0.0, 8.0, 8.0, 0.0])}
-    usual, fine = played(1.2, drop), played(1.2, drop, boom_stick="detailed")
+    usual, fine = moved(1.2, drop), moved(1.2, drop, boom_stick="detailed")
 
     def lowest(y):
         return min(y[f"boom_stick.boom_{side}_pressure"].min() for side in ("head", "rod"))

@@ -1,0 +1,171 @@
+"""Equations by name: of one subsystem as numbers and expressions, of the joined machine over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache, cached_property
+
+import casadi as ca
+import numpy as np
+
+from fmus.components.spool_valve import Valve
+from fmus.contract import Subsystem, quantities, symbolic
+from fmus.machine.parts import parts, wiring
+from fmus.machine.poses import POSES, parameter
+from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
+from fmus.monolith import Monolith, join, simulate
+from fmus.parameters import values
+
+# the valve of the paper, written out here
+VALVE = Valve(
+    area=4e-5,
+    discharge_coefficient=0.62,
+    dead_band=0.6,
+    full_command=10.0,
+    command_rounding=0.4,
+    leakage=1.6e-14,
+    transition_flow=1e-5,
+)
+EDGES = ("pa", "at", "pb", "bt")
+JOINTS = ("swing", "boom", "stick")
+
+
+def random_curve(rng: np.random.Generator, prefix: str) -> dict[str, float]:
+    """Parameters of an opening curve with three to ten points in every second case, else none: all zero."""
+    count = rng.integers(3, 11) if rng.random() < 0.5 else 0
+    commands, openings = np.zeros(10), np.zeros(10)
+    commands[:count] = np.sort(rng.uniform(0.3, 10.0, count)) + 0.01 * np.arange(count)
+    openings[1:count] = np.sort(rng.uniform(0.0, 1.0, max(count - 1, 0)))
+    columns = (("command", commands), ("opening", openings))
+    return {f"{prefix}_{name}_{i}": float(v) for name, column in columns for i, v in enumerate(column, 1)}
+
+
+def cavity(pressure: float) -> float:
+    """C_cav [m3/Pa] as docs/equations.md, section 3, prints it."""
+    return 1e-12 * np.exp(np.clip((-20e3 - pressure) / 5e3, -60, 40))
+
+
+class Part:
+    """A subsystem with its numbers, those named here changed.
+
+    p, u   parameters and inputs that hold where nothing else is said
+    """
+
+    def __init__(self, sub: Subsystem, **changed: float) -> None:
+        own = values(sub)
+        self.sub, self.model = sub, symbolic(sub)
+        self.p = {**own.p, **{n: v for n, v in changed.items() if n in own.p}}
+        self.u, self._x = dict(own.u), list(own.x.values())
+        self.states, self.inputs, self.outputs = (
+            list(quantities(g)) for g in (sub.states, sub.inputs, sub.outputs)
+        )
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        return self.model.function()
+
+    @cached_property
+    def expressions(self) -> dict[str, dict[str, ca.SX]]:
+        """Symbols of "x" and "u" and expressions of the outputs "y", by name."""
+        m = self.model
+        columns = {"x": (self.states, m.x), "u": (self.inputs, m.u), "y": (self.outputs, m.y)}
+        return {k: dict(zip(names, ca.vertsplit(v), strict=True)) for k, (names, v) in columns.items()}
+
+    def at(self, name: str) -> int:
+        """Place of a state among the states."""
+        return self.states.index(name)
+
+    def start(self, inputs: Mapping[str, float] | None = None, **states: float) -> np.ndarray:
+        """The states at the start (n,), those named here as given."""
+        u = list((self.u | dict(inputs or {})).values())
+        x = self.model.initial()(self._x, u, list(self.p.values())).full()[:, 0]
+        for name, value in states.items():
+            x[self.at(name)] = value
+        return x
+
+    def __call__(self, x: np.ndarray, **inputs: float) -> tuple[np.ndarray, dict[str, float]]:
+        """Rates (n,) and outputs by name."""
+        dx, y = self._function(x, list((self.u | inputs).values()), list(self.p.values()))
+        return dx.full()[:, 0], dict(zip(self.outputs, y.full()[:, 0], strict=True))
+
+    def of(self, *expressions: ca.SX) -> Callable[..., list[np.ndarray]]:
+        """The expressions as a function (x, **inputs) -> matrices."""
+        m = self.model
+        function = ca.Function("of", [m.x, m.u, m.p], list(expressions))
+
+        def at(x: np.ndarray, **inputs: float) -> list[np.ndarray]:
+            found = function.call([x, list((self.u | inputs).values()), list(self.p.values())])
+            return [value.full() for value in found]
+
+        return at
+
+    def along(self, expression: ca.SX) -> ca.SX:
+        """d/dt along the solution: positions and speeds move on, other inputs with their rates, if any."""
+        rate, u = ca.jtimes(expression, self.model.x, self.model.dx), self.expressions["u"]
+        motion = {"position": "velocity", "velocity": "acceleration", "speed": "acceleration"}
+        for name, symbol in u.items():
+            stem, _, kind = name.rpartition("_")
+            source = f"{stem}_{motion[kind]}" if kind in motion else f"{name}_rate"
+            if source in u:
+                rate += ca.jacobian(expression, symbol) * u[source]
+        return rate
+
+    def follow(
+        self,
+        time: np.ndarray,
+        inputs: Callable[[ca.SX], Mapping[str, ca.SX | float]] = lambda _: {},
+        tolerance: float = 1e-9,
+    ) -> dict[str, np.ndarray]:
+        """Outputs (n,) by name from the start on, with inputs that are functions of the time."""
+        t, z = ca.SX.sym("t"), ca.SX.sym("z", len(self.states))
+        nominal = np.array([q.nominal for q in quantities(self.sub.states).values()])
+        u, p = ca.vertcat(*(self.u | dict(inputs(t))).values()), list(self.p.values())
+        driven = ca.Function("driven", [t], [u])
+        rate = self._function(z * nominal, u, p)[0] / nominal
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000}
+        ode = {"t": t, "x": z, "ode": rate}
+        solver = ca.integrator("follow", "cvodes", ode, time[0], time[1:], options)
+        start = self.model.initial()(self._x, driven(time[0]), p) / nominal
+        x = ca.horzcat(start, solver(x0=start)["xf"]) * nominal
+        y = self._function.map(time.size)(x, driven.map(time.size)(time[None, :]), ca.DM(p))[1]
+        return dict(zip(self.outputs, y.full(), strict=True))
+
+
+# ---- the machine
+
+
+@cache
+def machine(**variants: str) -> Monolith:
+    """The machine with these variants as one ODE."""
+    chosen = parts(**variants)
+    return join(chosen, *wiring(chosen))
+
+
+def in_pose(model: Monolith, pose: str, changed: Mapping[str, float] | None = None) -> np.ndarray:
+    """Parameters of the machine that starts in a pose; `changed`: others by `part.name`."""
+    p = model.p.copy()
+    given = {f"manipulator.{parameter(joint)}": getattr(POSES[pose], joint) for joint in JOINTS}
+    for name, value in (given | dict(changed or {})).items():
+        p[model.parameters.index(name)] = value
+    return p
+
+
+def played(
+    model: Monolith,
+    time: np.ndarray,
+    inputs: Mapping[str, np.ndarray | float],
+    p: np.ndarray | None = None,
+    tolerance: float = 1e-9,
+) -> dict[str, np.ndarray]:
+    """Time and outputs (n,) by name; inputs that are not given stay as they are at the start."""
+    u = np.tile(model.u, (time.size, 1))
+    for name, samples in inputs.items():
+        u[:, model.inputs.index(name)] = samples
+    _, y = simulate(model, time, u, p, tolerance)
+    return {"time": time} | dict(zip(model.output_names, y.T, strict=True))
+
+
+def work_cycle(stop: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Time (n,) and commands (n,) by input of the first seconds of the work cycle."""
+    time, commands = sample(PROGRAMS["work_cycle"], stop)
+    return time, dict(zip(COMMANDS, commands.T, strict=True))
