@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 
 import pytest
+from kit import shards
+from kit.wait import until
 
 from check.test_probes import apply, opened
 from orchestrator.check import probe_process
@@ -22,14 +24,6 @@ ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 bounded = pytest.mark.timeout(PATIENCE)  # a limit that is not enforced lets a test wait for ever
-
-
-def until(happens) -> bool:
-    """Wait for something."""
-    end = time.monotonic() + PATIENCE
-    while not happens() and time.monotonic() < end:
-        time.sleep(0.02)
-    return bool(happens())
 
 
 def group(leader: int) -> list[str]:
@@ -96,11 +90,9 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
 def test_a_python_that_starts_slowly_is_no_hang(sleeper):
     """Before the first call only the time limit of the whole probe applies."""
     text = r"^not done within 0.3 s, stopped outside of the FMUs$"
-    begin = time.monotonic()
     with pytest.raises(LimitExceeded, match=text) as exceeded:
         list(sleeper.messages(WorkerLimits(call_time=0.1, total_time=0.3)))
     assert exceeded.value.timed_out
-    assert time.monotonic() - begin < 15.0  # 0.3 s, and what a busy machine adds
 
 
 def test_a_crash_leaves_no_copy_of_the_fmu(oscillators, tmp_path, monkeypatch):
@@ -143,7 +135,9 @@ def _hangs_in_a_step(there: Path) -> bool:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    "number", ["SIGINT", *(pytest.param(other, marks=shards.faults) for other in ("SIGTERM", "SIGHUP"))]
+)
 def test_an_interrupted_check_leaves_nothing(oscillators, tmp_path, number):
     """Ctrl-C, SIGTERM and a closed terminal end the check at once and leave no folder."""
     there = tmp_path / "temporary"

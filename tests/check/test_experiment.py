@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import fmpy
 import pytest
+from kit.mistakes import table
 
 from check.oscillator import Oscillators
+from check.test_probes import opened
 from orchestrator.check.finding import Finding
 from orchestrator.check.ls_ref_comparison import EXPERIMENT
 from orchestrator.check.read_ls_ref import FOLDER
-from orchestrator.check.subject import Subject, parse_unpacked
 
 LS = "http://fmi-standard.org/fmi-ls-manifest"
 HEAD = f'<fmiReferences xmlns:l="{LS}" l:fmi-ls-name="org.fmi-standard.fmi-ls-ref">'
-
-
-def opened(path: Path, folder: Path) -> Subject:
-    """An FMU for the check."""
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder)
-    return parse_unpacked(path, folder)
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +59,6 @@ NEW = (
     "</Experiment></Experiments>"
 )
 REFERENCES = '<References source="r.csv"/>'
-STEADY = NEW.format(REFERENCES).replace("TransientSimulation", "SteadyState")
-OTHER = NEW.format('<References type="application/hdf5" source="r.csv"/>')
-OFTEN = OLD.format(REFERENCES).replace("0.01", "often")
 
 
 @pytest.mark.parametrize("major", [2, 3])
@@ -112,45 +102,11 @@ def test_parameters_and_inputs_of_an_experiment_are_set(oscillators, tmp_path):
     assert "agrees with r.csv" in finding.text
 
 
-@pytest.mark.parametrize(
-    ("files", "text"),
-    [
-        ({"manifest": RESULT_ONLY}, '"lag_out.csv" (role result) is missing in the FMU'),
-        ({"manifest": related((CSV, "../../../out.csv", "result"))}, "is outside of the FMU"),
-        ({"manifest": related((CSV, "https://example.org/a.csv", "result"))}, "is outside of the FMU"),
-        ({"manifest": "<fmiReferences"}, "fmi-ls-manifest.xml: cannot be read as XML"),
-        ({"manifest": "<fmiReferences/>"}, "fmi-ls-name: expected 'org.fmi-standard.fmi-ls-ref', got None"),
-        (
-            {"manifest": WITH_EXPERIMENT, "a.exp": NEW.format(REFERENCES)},
-            "a.exp: References: 'r.csv' is missing in the FMU",
-        ),
-        ({"manifest": WITH_EXPERIMENT, "a.exp": NEW.format("")}, 'experiment "b" has no reference result'),
-        (
-            {"manifest": WITH_EXPERIMENT, "a.exp": STEADY, "r.csv": ""},
-            "expected a TransientSimulation, got a SteadyState",
-        ),
-        ({"manifest": WITH_EXPERIMENT, "a.exp": OTHER, "r.csv": ""}, "References of type application/hdf5"),
-        (
-            {"manifest": WITH_EXPERIMENT, "a.exp": OFTEN, "r.csv": ""},
-            "stepSize: expected a number, got 'often'",
-        ),
-        (
-            {"manifest": RESULT_ONLY, "lag_out.csv": "time,h\n0,1\n1,2\n"},
-            "the model has no variables h, which the result contains",
-        ),
-        (
-            {"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,1,2\n"},
-            "line 2: expected 2 columns, got 3",
-        ),
-        ({"manifest": RESULT_ONLY, "lag_out.csv": "a,position\nx,1\n"}, "expected times in the first column"),
-        (
-            {"manifest": RESULT_ONLY, "lag_out.csv": "time,position\n0,a\n"},
-            "position: expected 1 numbers, got 'a'",
-        ),
-    ],
-)
+@table(__file__, "invalid", "files, text")
 def test_invalid_files_are_reported(oscillators, tmp_path, files, text):
     """A finding in one line with the file and the fault; the check continues."""
+    if isinstance(files["manifest"], list):
+        files = {**files, "manifest": related(*files["manifest"])}
     found = findings(oscillators, tmp_path, files)
     assert any(text in f.text for f in found), found
     assert all(f.severity in ("warning", "note") for f in found)

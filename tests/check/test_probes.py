@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from kit import shards
 
 from orchestrator.check.finding import Finding
 from orchestrator.check.probe_process import ProbeLimits, probe_limits, use_probe_limits
@@ -20,87 +22,10 @@ from orchestrator.worker.activity import ActivityRecord
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 
 
-@dataclass(frozen=True)
-class Planted:
-    """A fault in the binary or in a text, the probe that must report it, and a part of its message."""
-
-    probe: str
-    text: str
-    fault: str = "none"
-    change: tuple[str, str] = ("", "")
-    major: int = 2
-    severity: str = "error"
-
-    def __str__(self) -> str:
-        return f"{self.fault if self.fault != 'none' else 'text'}-{self.probe}-{self.major}"
-
-
-NO_DEPENDENCY = ('<Unknown index="10" dependencies="2 5 6"/>', '<Unknown index="10" dependencies="5 6"/>')
-NO_DEPENDENCY_3 = ('dependencies="1 4 5"', 'dependencies="4 5"')
-FEWER_STATES = ('<Unknown index="8" dependencies="2 5 6"/>', '<Unknown index="8" dependencies="2 5"/>')
-NO_CATEGORY = ('<Category name="logEvents"/>', "")
-FAULTS = (
-    Planted("load", "GetVersion returns b'1.0'", "version"),
-    Planted("default", "segmentation fault in fmi2DoStep at t = 0.31 s", "crash"),
-    Planted("default", "segmentation fault in fmi3DoStep at t = 0.31 s", "crash", major=3),
-    Planted("default", "hang: no return within 2 s in fmi2DoStep at t = 0.31 s", "hang"),
-    Planted("default", "signal 36 in fmi2DoStep", "signal"),
-    Planted("default", "the process ended with exit status 3 in fmi2DoStep", "exit"),
-    Planted("default", 'fmi2DoStep failed at t = 0.31 s with status error; it says: no more', "error"),
-    Planted("default", "position is nan at t = 0.31 s", "nan"),
-    Planted("default", "position has grown to", "runaway"),
-    Planted("default", "abort in fmi2FreeInstance", "twice"),
-    Planted("default", "the last successful time is 0 s", "late"),
-    Planted("default", "the last successful time is 0 s", "late", major=3),
-    Planted("default", "model exchange: the event iteration does not end", "event"),
-    Planted("token", 'instantiation succeeds with the GUID "{0000', "token", severity="warning"),
-    Planted("token", "the instantiation token", "token", major=3, severity="warning"),
-    Planted("first_output", "force is 0 after initialisation and -40 after", "first", severity="warning"),
-    Planted("first_output", "stiffness starts at 41 in modelDescription.xml", change=('"40"', '"41"')),
-    Planted("drift", "is rejected at the summed time", "drift"),
-    Planted("start_time", "time is 0 s at t = 1000 s", "start"),
-    Planted("start_time", "the first step from t = 1000 s changes position by -1", "leap"),
-    Planted("start_time", "because nothing depends on time", "clock"),
-    Planted("stop_time", "a stop time is needed", "stop"),
-    Planted("instances", "a second run in the same process differs", "shared"),
-    Planted("instances", "a second instance cannot be created", "once"),
-    Planted("threads", "4 instances in 4 threads: ", "threads"),
-    Planted("leak", "bytes of memory (of", "leak"),
-    Planted("leak", "file handles (of", "handles"),
-    Planted("resources", "fmi2Instantiate returns no instance", "location"),
-    Planted("resources", "fmi3Instantiate returns no instance", "letters", major=3),
-    Planted("state", "continues differently after its state was restored", "solver"),
-    Planted("state", "while u changed", "solver"),
-    Planted("serialize", "in fmi2DeSerializeFMUstate", "pointer"),
-    Planted("serialize", "more is written than the announced", "beyond"),
-    Planted("reset", "the run after a reset differs", "reset"),
-    Planted("directional", "of force with respect to u is -1, by finite differences 1", "directional"),
-    Planted("directional", "the derivative of force with respect to u", "directional", major=3),
-    Planted("adjoint", "the adjoint derivative of force with respect to u is 0", "adjoint", major=3),
-    Planted("output_derivatives", "the derivative of position is", "slope"),
-    Planted("output_derivatives", "the derivative of position is", "slope", major=3),
-    Planted("dependencies", "force changes with u, its declared dependencies are", change=NO_DEPENDENCY),
-    Planted("dependencies", "force changes with u, its declared", change=NO_DEPENDENCY_3, major=3),
-    Planted("dependencies", "der_v changes with v, its declared dependencies are", change=FEWER_STATES),
-    Planted("nominals", "model exchange: the nominal value of v is 0, expected a value above 0", "nominal"),
-    Planted("nominals", "model exchange: the nominal value of v is 0", "nominal", major=3),
-    Planted("late", "parameters cannot be set after fmi2ExitInit", "parameters", severity="note"),
-    Planted("late", "stiffness is set to 40.04 after", "deaf", severity="note"),
-    Planted("late", "states cannot be set before fmi2EnterContinuous", "states", severity="note"),
-    Planted("late", "the time cannot be set before fmi2EnterContinuous", "soon", severity="note"),
-    Planted("stiff", "of -5e+04 1/s: explicit Euler needs steps below 4e-05 s", "stiff", severity="note"),
-    Planted("stiff", "-0.25 +- 32i 1/s: explicit Euler needs steps below 0.0005", "swings", severity="note"),
-    Planted("invalid_values", "u = nan: position is nan even after the input", "accepts", severity="warning"),
-    Planted("invalid_values", "segmentation fault in fmi2SetReal", "input"),
-    Planted("unexpected_calls", "(a step before the initialisation, illegal)", "order", severity="warning"),
-    Planted("unexpected_calls", "(an unknown value reference, illegal)", "reference", severity="warning"),
-    Planted("unexpected_calls", "fault in fmi3GetFloat64", "reference", major=3, severity="warning"),
-    Planted("unexpected_calls", "(initialisation mode entered twice, illegal)", "again", severity="warning"),
-    Planted("unexpected_calls", "running, illegal), last values stiffness", "fixed", severity="warning"),
-    Planted("log", 'a message is logged in category "logEvents"', change=NO_CATEGORY, severity="warning"),
-    Planted("intermediate", "an update at 0.02 s in the step from 0 to 0.01 s", "update", major=3),
-    Planted("early_return", "the last successful time of a step", "early", major=3),
-)  # fmt: skip
+PLANTED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["planted"]
+# quick: the first of each probe, but for those that take long
+QUICK = {id(next(row for row in PLANTED if row[0] == probe)) for probe, _, _ in PLANTED}
+SLOW = ("leak", "threads")
 
 
 @pytest.fixture(autouse=True)
@@ -123,18 +48,29 @@ def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
     return [found for name in probes or RULES for found in RULES[name](subject)]
 
 
-@pytest.mark.parametrize("planted", FAULTS, ids=str)
-def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, planted):
+@pytest.mark.parametrize(
+    ("probe", "text", "more"),
+    [
+        pytest.param(
+            *row,
+            marks=[] if id(row) in QUICK and row[0] not in SLOW else shards.faults,
+            id=f"{row[2].get('fault', 'text')}-{row[0]}-{row[2].get('major', 2)}",
+        )
+        for row in PLANTED
+    ],
+)
+def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, probe, text, more):
     """One finding has the right severity, and a message with the fault and the call."""
-    path = oscillators.make(planted.major, planted.fault, planted.change)
-    with use_probe_limits(
-        replace(probe_limits(), call_time=2.0 if planted.fault == "hang" else probe_limits().call_time)
-    ):
-        found = apply(path, tmp_path, planted.probe)
-    assert any(planted.text in f.text and f.severity == planted.severity for f in found), found
-    assert all(f.rule == f"run.{planted.probe}" for f in found)
+    fault, severity = more.get("fault", "none"), more.get("severity", "error")
+    path = oscillators.make(more.get("major", 2), fault, more.get("change", ("", "")))
+    call_time = 2.0 if fault == "hang" else probe_limits().call_time
+    with use_probe_limits(replace(probe_limits(), call_time=call_time)):
+        found = apply(path, tmp_path, probe)
+    assert any(text in f.text and f.severity == severity for f in found), found
+    assert all(f.rule == f"run.{probe}" for f in found)
 
 
+@shards.faults
 def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
     """The message contains the last call, also if no single call took long enough to be a hang."""
     for probe in (1.0, 4.0, 16.0, 64.0):
@@ -160,6 +96,7 @@ def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path
     assert text.endswith("got amiga68k: the FMU was not run")
 
 
+@shards.faults
 def test_an_fmu_that_takes_summed_times_only_is_probed_that_way(oscillators, tmp_path):
     """One probe reports it, and all other probes still run."""
     found = apply(oscillators.make(fault="strict"), tmp_path)
@@ -167,6 +104,7 @@ def test_an_fmu_that_takes_summed_times_only_is_probed_that_way(oscillators, tmp
     assert "is rejected at the counted time" in found[0].text
 
 
+@shards.faults
 def test_an_fmu_that_can_be_instantiated_once_is_instantiated_once(oscillators, tmp_path):
     """Each process creates one instance of an FMU that declares so; tasks that need two are skipped."""
     name = 'modelIdentifier="oscillator"'
@@ -174,6 +112,7 @@ def test_an_fmu_that_can_be_instantiated_once_is_instantiated_once(oscillators, 
     assert apply(oscillators.make(2, "only", change), tmp_path) == []
 
 
+@shards.faults
 def test_a_slow_instantiation_is_not_a_leak(oscillators, tmp_path):
     """If two thousand instances take too long, leaks are not reported."""
     with use_probe_limits(ProbeLimits(call_time=60.0, total_time=300.0, work_time=0.02)):
@@ -183,19 +122,22 @@ def test_a_slow_instantiation_is_not_a_leak(oscillators, tmp_path):
     }
 
 
-@pytest.mark.parametrize("major", [2, 3])
+@pytest.mark.parametrize("major", [pytest.param(2, marks=shards.faults), 3])
 def test_a_valid_fmu_has_no_findings(oscillators, tmp_path, major):
     """No probe has findings on the oscillator without fault."""
     assert apply(oscillators.make(major), tmp_path) == []
 
 
-@pytest.mark.parametrize(("fault", "what"), [("soon", "the time"), ("states", "states")])
+@pytest.mark.parametrize(
+    ("fault", "what"), [("soon", "the time"), pytest.param("states", "states", marks=shards.faults)]
+)
 def test_only_the_rejected_late_call_is_reported(oscillators, tmp_path, fault, what):
     """Calls that fail only because of an earlier failure are not reported."""
     found = apply(oscillators.make(2, fault), tmp_path, "late")
     assert [f.text.split(": ")[1].split(" cannot")[0] for f in found] == [what]
 
 
+@shards.faults
 def test_a_growing_mode_is_not_stiff(oscillators, tmp_path):
     """A growing mode sets no limit to the step of explicit Euler."""
     assert apply(oscillators.make(2, "grows"), tmp_path, "default", "stiff") == []
@@ -209,6 +151,7 @@ def test_probes_of_solvers_free_their_instances(oscillators, tmp_path):
         assert list(task(trial)) == []
 
 
+@shards.faults
 def test_rounding_around_zero_is_no_difference(oscillators, tmp_path):
     """-0 for 0, and 8e-15 at a nominal value of 1, are no differences between runs."""
     for major in (2, 3):
