@@ -1,10 +1,9 @@
-"""Damaged files of samples and of TOML: one line or a regular result, in bounded time and memory."""
+"""Damaged files of samples and of TOML: one line or a regular result, in bounded memory and time."""
 
 from __future__ import annotations
 
 import os
 import random
-import time
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
@@ -22,9 +21,11 @@ from orchestrator.data.description import Description, Origin, SignalDescription
 from orchestrator.data.table import TextFormat, read_columns
 from orchestrator.studies.study import read as read_study
 
-SECONDS = 10.0  # for one file, on a busy machine; a good one takes some milliseconds
+# seconds of a test; only a reader that does not end reaches them: usual files take milliseconds, and with
+# the square of 200 000 columns a reader takes several minutes
+pytestmark = pytest.mark.timeout(120)
 MEMORY = 1 << 30  # bytes
-NORMAL, LONG = 20, 400  # seeds for each of the eight kinds of files
+SEEDS = range(400)  # for each of the eight kinds of files
 
 TOKENS = (  # what a text file gets in the place of a piece
     *(b'"', b'""', b",", b";", b"\t", b"\n", b"\r", b"\n\n", b"\x00", b"\x1b[2J", b"\xff", b"\xe2\x80\xae"),
@@ -128,10 +129,7 @@ def good(tmp_path_factory) -> dict[str, tuple[bytes, str, Callable[[Path], Any]]
     }
 
 
-KINDS = (
-    *("CSV", "Parquet", "MAT 5", "MAT 5, compressed", "MAT 7.3"),
-    *("description", "study", "parameters"),
-)
+KINDS = ("CSV", "Parquet", "MAT 5", "MAT 5, compressed", "MAT 7.3", "description", "study", "parameters")
 
 
 def peak() -> int:
@@ -147,14 +145,13 @@ def reset_peak() -> None:
 
 
 def check(read: Callable[[Path], Any], path: Path) -> Problem | None:
-    """Read a file: a regular result or one line that names it, in bounded time and memory."""
+    """Read a file: a regular result or one line that names it, in bounded memory."""
     reset_peak()
-    before, began, problem = peak(), time.perf_counter(), None
+    before, problem = peak(), None
     try:
         read(path)
     except Problem as refusal:
         problem = refusal
-    assert time.perf_counter() - began < SECONDS
     assert peak() - before < MEMORY
     if problem is not None:
         assert path.stem in str(problem)
@@ -178,17 +175,11 @@ def check_seeds(good: Any, kind: str, seeds: range, folder: Path) -> None:
     assert refused > len(seeds) / 4  # the damage is noticed often enough to test the refusals
 
 
+@pytest.mark.parametrize("seeds", [SEEDS[:20], pytest.param(SEEDS[20:], marks=shards.search)], ids=len)
 @pytest.mark.parametrize("kind", KINDS)
-def test_damaged_files_are_one_line_or_a_result(good, kind, tmp_path):
+def test_damaged_files_are_one_line_or_a_result(good, kind, seeds, tmp_path):
     """Whatever is damaged: no other exception than a Problem."""
-    check_seeds(good, kind, range(NORMAL), tmp_path)
-
-
-@shards.search
-@pytest.mark.parametrize("kind", KINDS)
-def test_many_damaged_files_are_one_line_or_a_result(good, kind, tmp_path):
-    """The same with more seeds."""
-    check_seeds(good, kind, range(NORMAL, LONG), tmp_path)
+    check_seeds(good, kind, seeds, tmp_path)
 
 
 # ---- damage of one kind
@@ -208,24 +199,26 @@ def mat73(path: Path, change: Callable[[h5py.File], object]) -> Path:
     return path
 
 
-def dataset(*shape: int, **options: Any) -> Callable[[h5py.File], object]:
+def replaced(make: Callable[[h5py.File], object]) -> Callable[[h5py.File], object]:
+    """A change that makes another `x`."""
+
     def replace(file: h5py.File) -> None:
         del file["x"]
-        file.create_dataset("x", shape=shape, dtype="f8", **options)
+        make(file)
 
     return replace
+
+
+def dataset(*shape: int, **options: Any) -> Callable[[h5py.File], object]:
+    return replaced(lambda file: file.create_dataset("x", shape=shape, dtype="f8", **options))
 
 
 def link(target: h5py.ExternalLink | h5py.SoftLink) -> Callable[[h5py.File], object]:
-    def replace(file: h5py.File) -> None:
-        del file["x"]
-        file["x"] = target
-
-    return replace
+    return replaced(lambda file: file.__setitem__("x", target))
 
 
+@replaced
 def virtual(file: h5py.File) -> None:
-    del file["x"]
     layout = h5py.VirtualLayout(shape=(1, 10), dtype="f8")
     layout[:] = h5py.VirtualSource("other.mat", "x", shape=(1, 10))
     file.create_virtual_dataset("x", layout)
@@ -250,10 +243,7 @@ def deep(file: h5py.File) -> None:
         (dataset(1, 10, external=[("other.bin", 0, 80)]), "'x': expected numbers, got values in another"),
         (virtual, "'x': expected numbers, got values in another file"),
         (dataset(1, 10**10, chunks=(1, 1000)), "expected at most 8 GiB of samples, got 'x' of 74.5 GiB"),
-        (
-            dataset(1, 10**8, chunks=(1, 1000)),
-            "'x': expected a MATLAB file, got 763 MiB declared and 0 bytes",
-        ),
+        (dataset(1, 10**8, chunks=(1, 1000)), "'x': expected a MATLAB file, got 763 MiB declared and 0 byt"),
         (loop, "/run/itself: expected a struct, got one that contains itself"),
         (deep, "maximum recursion depth"),
     ],
@@ -303,7 +293,7 @@ def test_long_cells_are_shortened_in_messages(tmp_path, text, message):
     refused(path, message)
 
 
-def test_many_columns_are_read_in_seconds(tmp_path):
+def test_many_columns_are_read(tmp_path):
     """200 000 columns: the effort grows with their number, not with its square."""
     path, count = tmp_path / "a.csv", 200_000
     names = ",".join(f"c{i}" for i in range(count))
@@ -332,7 +322,7 @@ def test_hostile_toml_is_refused(tmp_path, text, message):
     refused(path, message, read_recording)
 
 
-def test_a_long_description_is_read_in_seconds(tmp_path):
+def test_a_long_description_is_read(tmp_path):
     """10 000 signals, more than any logger has."""
     tables = "\n".join(f"[signals.s{i}]\nunit = 'm'" for i in range(10_000))
     path = tmp_path / "a.toml"
