@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kit.mistakes import problem, table
 
 from orchestrator import Coupling, Problem, run
 from orchestrator.base.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
@@ -15,73 +16,23 @@ def test_every_master_has_a_name_and_an_order():
     assert set(MASTERS) == set(MADE) == set(DEFAULT_ORDERS)
 
 
-@pytest.mark.parametrize(
-    ("choices", "message"),
-    [
-        ({"master": "euler"}, "unknown master 'euler', expected one of jacobi, "),
-        ({"order": 4}, "order of extrapolation: expected 0, 1, 2 or 3, got 4"),
-        ({"master": "hermite", "passes": 0}, "passes: expected at least 1, got 0"),
-        ({"master": "interface-jacobian", "lag": 0}, "lag: expected at least 1 step, got 0"),
-        (
-            {"master": "hermite", "tolerance": 0.0},
-            "coupling tolerance: expected a positive number, got 0",
-        ),
-        ({"adaptive": float("nan")}, "adaptive: expected a positive number, got nan"),
-        ({"adaptive": 1e-3, "control": "power"}, "unknown control 'power', expected one of error, energy"),
-        (
-            {"adaptive": 1e-3, "smallest": 0.2},
-            "smallest and largest step: expected 0 < smallest <= largest, got 0.2 s and 0.1 s",
-        ),
-        ({"factors": {"a": 0}}, "factor of a: expected a whole number of steps >= 1, got 0"),
-        ({"factors": {"a": 1.5}}, "factor of a: expected a whole number of steps >= 1, got 1.5"),
-    ],
-)
+@table(__file__, "values", "choices, message")
 def test_a_wrong_value_is_told(choices, message):
     """What was expected and what was given, in one line."""
-    with pytest.raises(Problem) as told:
-        Coupling(**choices)
-    assert str(told.value).startswith(message)
+    assert problem(lambda: Coupling(**choices)).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("choices", "message"),
-    [
-        (
-            {"master": "jacobi", "passes": 8},
-            "passes: expected the master hermite, which repeats steps, got jacobi",
-        ),
-        (
-            {"tolerance": 1e-3},
-            "coupling tolerance: expected the master hermite, which repeats steps, got gauss-seidel",
-        ),
-        (
-            {"master": "hermite", "passes": 1, "tolerance": 1e-3},
-            "coupling tolerance: expected at least 2 passes",
-        ),
-        ({"master": "hermite", "correct": True}, "correct: expected a single pass with the master hermite"),
-        (
-            {"master": "interface-jacobian", "correct": True},
-            "correct: expected another master, interface-jacobian predicts",
-        ),
-        ({"master": "jacobi", "lag": 2}, "lag: expected the master interface-jacobian"),
-        ({"control": "error"}, "control: expected adaptive steps (a tolerance `adaptive`), got equal ones"),
-        ({"smallest": 1e-5}, "smallest: expected adaptive steps"),
-        ({"largest": 1e-2}, "largest: expected adaptive steps"),
-    ],
-)
+@table(__file__, "idle", "choices, message")
 def test_a_choice_without_effect_is_refused(choices, message):
     """Also a choice that equals the default of the master."""
-    with pytest.raises(Problem) as told:
-        Coupling(**choices)
-    assert str(told.value).startswith(message)
+    assert problem(lambda: Coupling(**choices)).startswith(message)
 
 
 def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
     """Single choices change, factors by component; a master replaces the others."""
     usual = Coupling("hermite", passes=3, factors={"a": 2, "b": 3})
-    assert merge_choices({"passes": 2, "factors": {"a": 5}}, usual) == Coupling(
-        "hermite", passes=2, factors={"a": 5, "b": 3}
-    )
+    merged = merge_choices({"passes": 2, "factors": {"a": 5}}, usual)
+    assert merged == Coupling("hermite", passes=2, factors={"a": 5, "b": 3})
     assert merge_choices({"master": "hermite", "order": 2}, usual) == Coupling("hermite", order=2)
     assert merge_choices({}, None) == Coupling() == Coupling("gauss-seidel")
     with pytest.raises(Problem, match="expected the master hermite"):
@@ -91,9 +42,8 @@ def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
 def test_the_text_tells_what_is_not_usual():
     """Only the name of the master if nothing else was chosen."""
     assert Coupling("hermite").text == "hermite"
-    more = Coupling(
-        "jacobi", 1, correct=True, factors={"a": 4, "b": 1, "c": 2}, adaptive=1e-3, control="energy"
-    )
+    steps = {"a": 4, "b": 1, "c": 2}
+    more = Coupling("jacobi", 1, correct=True, factors=steps, adaptive=1e-3, control="energy")
     assert more.text == (
         "jacobi of order 1 with correction with control of the energy with 4 of a and 2 of c in each step"
     )
@@ -105,15 +55,9 @@ def test_the_settings_are_those_with_an_effect():
     """Defaults filled in, so that a run can be repeated when defaults have changed."""
     assert Coupling("jacobi").settings == {"master": "jacobi", "order": 0, "correct": False}
     assert Coupling("hermite", adaptive=1e-3).settings == {
-        "master": "hermite",
-        "order": 3,
-        "correct": False,
-        "passes": 8,
+        **{"master": "hermite", "order": 3, "correct": False, "passes": 8},
         "tolerance": pytest.approx(3e-4, rel=1e-12),  # rounding only
-        "adaptive": 1e-3,
-        "control": "error",
-        "smallest": 1e-7,
-        "largest": 0.1,
+        **{"adaptive": 1e-3, "control": "error", "smallest": 1e-7, "largest": 0.1},
     }
 
 
@@ -174,20 +118,16 @@ def test_the_estimate_of_an_adaptive_run_is_near_its_error(oscillator, exact):
     # with the root of the tolerance; 15 %, because the errors of both runs are not in proportion everywhere
     assert found.largest == pytest.approx((1 - 10**-0.5) * error, rel=0.15)
     assert found.order is None
-    assert (
-        "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change"
-        in result.card.text()
-    )
+    told = "change of the signals at a tenth of the tolerance; the error is 1.1 to 1.5 times this change"
+    assert told in result.card.text()
 
 
 def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillator):
     """Two such runs have no common points; a note suggests a record step."""
     card = run(oscillator, master=Coupling(adaptive=1e-2), stop=0.5, error_estimate=True).card
     assert not card.errors
-    assert (
-        "no error estimate: two adaptive runs have common times only with a record step; set --record-step"
-        in card.notes
-    )
+    told = "no error estimate: two adaptive runs have common times only with a record step; set --record-step"
+    assert told in card.notes
 
 
 @pytest.mark.parametrize(
