@@ -1,16 +1,18 @@
-"""Fixtures shared by all tests: the machine's FMUs, and a browser per test process."""
+"""Fixtures shared by all tests: the machine's FMUs, and a browser per test process; what the tests take."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from kit import properties
+from kit.shards import SHARDS
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 LONG = 600.0  # s for a browser to start or the machine to be built; only bounds a failure
@@ -29,6 +31,43 @@ properties.register()  # before any test is read
 os.environ.setdefault(
     "ZIG_GLOBAL_CACHE_DIR", str(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zig")
 )
+
+
+ROOT = Path(__file__).parents[1]
+MOST = 15.0  # s of one process for the tests of a file; files above it are named at the end
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`make test` prints where its time goes."""
+    parser.addoption("--seconds", action="store_true", help="seconds by folder, and files above the limit")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Each long test is in one shard that exists."""
+    for item in items:
+        shards = [mark.kwargs.get("shard") for mark in item.iter_markers("long")]
+        if shards and (len(shards) > 1 or shards[0] not in SHARDS):
+            raise pytest.UsageError(f"{item.nodeid}: expected one shard of {', '.join(SHARDS)}, got {shards}")
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Worker-seconds by folder; the first test that wants a fixture of the session pays for it."""
+    if not config.getoption("--seconds"):
+        return
+    files, folders = Counter[str](), Counter[str]()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if hasattr(report, "duration"):
+                file = report.nodeid.partition("::")[0]
+                files[file] += report.duration
+                folders[str(Path(file).parent)] += report.duration
+    terminalreporter.section(f"{sum(folders.values()):.0f} worker-seconds")
+    terminalreporter.line("  ".join(f"{name} {seconds:.0f}" for name, seconds in folders.most_common()))
+    for file, seconds in files.most_common():
+        if seconds > MOST:
+            terminalreporter.line(
+                f"{file}: {seconds:.0f} s, expected at most {MOST:.0f}: share, shorten, shard"
+            )
 
 
 @pytest.fixture(scope="session")
@@ -94,3 +133,14 @@ def fmu_dir(built: Path) -> Path:
 def fmi3_dir(built: Path) -> Path:
     """Folder with the same files in FMI 3 and SSP 2."""
     return built / "fmi3"
+
+
+@pytest.fixture
+def workplace(built: Path, tmp_path: Path) -> Path:
+    """A folder like the project's root after `harvester build`, which no test writes into."""
+    (tmp_path / "build").mkdir()
+    for file in built.iterdir():
+        (tmp_path / "build" / file.name).symlink_to(file)
+    for folder in ("data", "docs", "examples"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    return tmp_path

@@ -1,23 +1,23 @@
-"""The documents: links lead somewhere, commands and snippets run, names exist."""
+"""The documents: links lead somewhere, commands and snippets run as printed, names exist."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
-import shlex
 import tomllib
 from pathlib import Path
 
 import pytest
+from kit import shards
+from kit.tutorial import Tutorial, blocks
 
 from orchestrator import load
-from orchestrator.__main__ import main
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
     p for p in ROOT.rglob("*.md") if not {".venv", "build", "node_modules"} & set(p.relative_to(ROOT).parts)
 )
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-GUIDE = (ROOT / "docs" / "run.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
@@ -29,58 +29,56 @@ def test_relative_links_lead_to_files(document):
             assert (document.parent / link.split("#")[0]).exists(), link
 
 
-def commands() -> list[str]:
-    """The `harvester` lines of README and docs/run.md, but those that need files of the user.
-
-    Others have tests of their own: the build for all platforms (tests/export/test_platforms.py), the page,
-    which does not end by itself (tests/view), and the study of 640 runs (tests/sweep/test_swing_peaks.py).
-    """
-    lines = re.findall(r"^    (harvester .*?)(?:\s+#.*)?$", README + GUIDE, re.MULTILINE)
-    elsewhere = ("my_", "--platform all", "harvester view", "harvester sweep")
-    return list(dict.fromkeys(line for line in lines if not any(word in line for word in elsewhere)))
-
-
-@pytest.fixture
-def workplace(fmu_dir, tmp_path, monkeypatch):
-    """A folder like the project's root after `harvester build`."""
-    (tmp_path / "build").mkdir()
-    for file in fmu_dir.iterdir():
-        (tmp_path / "build" / file.name).symlink_to(file)
-    (tmp_path / "data").symlink_to(ROOT / "data")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+# part of a command that is not run here, and why
+ELSEWHERE = {
+    "my_": "files of the reader; docs/tutorials/measurements.md has its own",
+    "my.ssp": "a file of the reader",
+    "rig --out": "minutes; tests/identification/test_command.py",
+    "--platform all": "five platforms; tests/export/test_platforms.py",
+    "harvester view": "does not end by itself; tests/view",
+    "harvester sweep": "640 runs; tests/sweep/test_swing_peaks.py",
+}
+PAGES = ("README.md", "docs/run.md", "docs/coupling.md", "docs/control.md", "docs/machine.md")
 
 
-@pytest.mark.usefixtures("workplace")
-@pytest.mark.parametrize("command", commands())
-def test_commands_of_the_documents_run(command):
-    """Each line works as it stands in the documents, here over the first half second."""
-    arguments = shlex.split(command)[1:]
-    if arguments[0] in ("run", "validate"):
-        arguments += ["--stop", "0.5"]  # the last one counts
-    files = [word for word in arguments[1:] if word.endswith(".csv")]
-    for trace in files if arguments[0] in ("compare", "plot") else ():
-        assert main(["run", "--stop", "0.5", "--out", trace]) == 0
-    assert main(arguments) == 0
+@shards.documents
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_of_a_page_run_as_printed(page, workplace):
+    """In their order in one folder: what one writes the next ones read. The status is 0 or the printed one."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    lines = re.findall(r"^    (harvester .*?)(?:\s+#(.*))?$", text, re.MULTILINE)
+    reader, left = Tutorial(ROOT / page, workplace), []
+    for line, comment in lines:
+        status = re.search(r"status (\d)", comment)
+        if any(word in line for word in ELSEWHERE):
+            left.append(line)
+        else:
+            reader.command(f"{line} # status {status[1]}" if status else line)
+    assert len(left) < len(lines)
+    print(f"{page}: {len(lines) - len(left)} commands run, {len(left)} elsewhere")
 
 
-@pytest.mark.usefixtures("workplace")
-@pytest.mark.parametrize("text", [README, GUIDE], ids=["README.md", "docs/run.md"])
-def test_the_python_snippet_runs(text):
-    """The lines under "In Python"."""
-    (snippet,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    exec(compile(snippet, "snippet.py", "exec"), {})
+# page -> what its snippets leave: `printed`, and the names that they define
+LEFT = {
+    "README.md": "'6 s simulated' in printed and printed.endswith('boom_stick.stick_rod_pressure\\n')",
+    "docs/run.md": "'pass: 27 of 27 signals' in printed and '\\nboom_stick.boom_head_pressure\\n' in printed",
+    # of range, with the tolerance 1e-6 of hermite
+    "docs/coupling.md": "'master hermite, tolerance 0.0001' in printed and float(printed.split()[-1]) < 1e-4",
+    "docs/linearize.md": "plant.nstates == 20 and poles.real.max() < 0",  # the regulator keeps what it is for
+}
 
 
-@pytest.mark.usefixtures("workplace")
-@pytest.mark.parametrize("page", ["coupling.md", "linearize.md"])
-def test_the_python_snippets_of_a_page_run(page):
-    """One after the other, as a reader would type them."""
-    text, names = (ROOT / "docs" / page).read_text(encoding="utf-8"), dict[str, object]()
-    snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert snippets
-    for snippet in snippets:
-        exec(compile(snippet, page, "exec"), names)
+@pytest.mark.parametrize(
+    "page", ["README.md", *(pytest.param(page, marks=shards.documents) for page in [*LEFT][1:])]
+)
+def test_the_python_snippets_of_a_page_run(page, workplace):
+    """One after the other, as a reader would type them; they print and define what the page says."""
+    names, printed = dict[str, object](), io.StringIO()
+    with contextlib.chdir(workplace), contextlib.redirect_stdout(printed):
+        for _, info, text in blocks(ROOT / page):
+            if info.startswith("python"):
+                exec(compile(text, page, "exec"), names)
+    assert eval(LEFT[page], names | {"printed": printed.getvalue()}), printed.getvalue()
 
 
 def test_signals_of_the_mapping_example_exist(fmu_dir):

@@ -6,7 +6,6 @@ import importlib.util
 import json
 import math
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -14,9 +13,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from kit import shards
+from kit.tutorial import Tutorial
 
 from fmus.machine.parts import FAMILIES
-from orchestrator.__main__ import main
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "fidelity"
@@ -40,6 +40,7 @@ def script(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@shards.documents
 @pytest.mark.parametrize("part", ["boom_stick", "manipulator"])
 def test_every_variant_has_a_line(fmu_dir, tmp_path, part):
     """Over 2 s: a line for each variant, one of them the reference, and errors of the others."""
@@ -63,18 +64,14 @@ def test_a_folder_without_a_build_is_told_in_one_line(tmp_path):
     assert run.stderr == f"{tmp_path / 'harvester.ssp'} is not there: run `harvester build` first\n"
 
 
-def test_the_commands_by_hand_run(fmu_dir, tmp_path, monkeypatch):
-    """The `harvester` lines of the README work as they stand, here over the first half second."""
-    (tmp_path / "build").mkdir()
-    for file in fmu_dir.iterdir():
-        (tmp_path / "build" / file.name).symlink_to(file)
-    monkeypatch.chdir(tmp_path)
+@shards.documents
+def test_the_commands_by_hand_run(workplace):
+    """The `harvester` lines of the README work as they stand, one after the other."""
     text = (EXAMPLE / "README.md").read_text(encoding="utf-8")
-    lines = re.findall(r"^    harvester ((?:run|compare) .*)$", text, re.MULTILINE)
+    lines = re.findall(r"^    (harvester (?:run|compare) .*)$", text, re.MULTILINE)
     assert len(lines) == 4
     for line in lines:
-        short = ["--stop", "0.5"] if line.startswith("run") else []
-        assert main([*shlex.split(line), *short]) == 0
+        Tutorial(EXAMPLE / "README.md", workplace).command(line)
 
 
 def test_ripple_parts_a_known_signal(measures):
@@ -109,9 +106,13 @@ def test_modes_of_two_known_oscillators(measures):
 
 
 def test_every_table_of_the_document_is_filled():
-    """docs/fidelity.py has a place for each table, and all are filled."""
+    """docs/fidelity.py has a place for each table; each row is as long as the head and has a number."""
     text = DOCUMENT.read_text(encoding="utf-8")
     script = DOCUMENT.with_suffix(".py").read_text(encoding="utf-8")
     places = dict(re.findall(r"<!-- (.*?) -->\n(.*?)\n<!-- end -->", text, re.DOTALL))
     assert set(places) == set(re.findall(r'fill\(DOCUMENT, "(.*?)"', script))
-    assert all("|" in table for table in places.values())
+    for name, table in places.items():
+        head, _, *rows = (line.strip("|").split("|") for line in table.splitlines())
+        assert len(rows) > 1, name
+        assert {len(row) for row in rows} == {len(head)}, name
+        assert all(re.search(r"\d", " ".join(row[1:])) for row in rows), name

@@ -5,23 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from kit import tutorial
+from kit import shards, tutorial
 
 ROOT = Path(__file__).parents[2]
 TUTORIALS = sorted(p for p in (ROOT / "docs" / "tutorials").glob("*.md") if p.stem != "index")
 
 
-@pytest.fixture
-def workplace(fmu_dir, tmp_path):
-    """A folder like the project's after `harvester build`, so that nothing is written into the project."""
-    (tmp_path / "build").mkdir()
-    for file in fmu_dir.iterdir():
-        (tmp_path / "build" / file.name).symlink_to(file)
-    for folder in ("data", "examples"):
-        (tmp_path / folder).symlink_to(ROOT / folder)
-    return tmp_path
-
-
+@shards.documents
 @pytest.mark.parametrize("path", TUTORIALS, ids=lambda p: p.stem)
 def test_a_tutorial_runs_as_printed(path, workplace):
     """Block after block, in a fresh folder."""
