@@ -44,7 +44,7 @@ PAGES = ("README.md", "docs/run.md", "docs/coupling.md", "docs/control.md", "doc
 @shards.documents
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_of_a_page_run_as_printed(page, workplace):
-    """In their order in one folder: what one writes the next ones read. The status is 0 or the printed one."""
+    """In their order in one folder: what one writes the next ones read. The status is 0 or as printed."""
     text = (ROOT / page).read_text(encoding="utf-8")
     lines = re.findall(r"^    (harvester .*?)(?:\s+#(.*))?$", text, re.MULTILINE)
     reader, left = Tutorial(ROOT / page, workplace), []
