@@ -99,9 +99,7 @@ def test_each_fmu_reproduces_the_experiment_it_ships(request, tmp_path, name, ma
 
 
 # what this importer does is the same for each FMU
-@pytest.mark.parametrize(
-    ("name",), shards.few({(HARVESTER.name,), (OPERATOR.name,)}, ((n,) for n in SUBSYSTEMS), shards.machine)
-)
+@pytest.mark.parametrize("name", shards.few([HARVESTER.name, OPERATOR.name], SUBSYSTEMS, shards.machine))
 def test_another_importer_reproduces_the_result(fmu_dir, name):
     """FMPy reproduces the result when it sets the inputs of the file at each communication point."""
     path = built(fmu_dir, name)

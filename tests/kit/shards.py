@@ -20,8 +20,11 @@ documents, tools, platforms, c, browser, faults, machine, search = (
 )
 
 
-def few(quick: Collection[tuple[Any, ...]], cases: Iterable[tuple[Any, ...]], shard: Any) -> list[Any]:
-    """Parameters of a test: the cases in `quick` for `make test`, all others in a shard."""
+def few(quick: Collection[Any], cases: Iterable[Any], shard: Any) -> list[Any]:
+    """Parameters of a test, values or tuples: those in `quick` for `make test`, all others in a shard."""
     all_ = list(cases)
     assert set(quick) <= set(all_), "a quick case that does not exist"
-    return [case if case in quick else pytest.param(*case, marks=shard) for case in all_]
+    rows = [case if isinstance(case, tuple) else (case,) for case in all_]
+    return [
+        pytest.param(*row, marks=[] if case in quick else shard) for case, row in zip(all_, rows, strict=True)
+    ]
