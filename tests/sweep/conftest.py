@@ -1,4 +1,4 @@
-"""Fixtures: small FMUs in one folder, and Dask clusters that all tests share."""
+"""Fixtures: small FMUs in one folder, the study of one of them, and a Dask cluster that all tests share."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from distributed import Client
 from kit.any_fmu.models import Workshop
+from sweep.studies import GAIN, study
 
 from orchestrator.studies import pool
 
@@ -37,8 +38,7 @@ def one() -> Iterator[Client]:
         yield client
 
 
-@pytest.fixture(scope="session")
-def two() -> Iterator[Client]:
-    """Two workers."""
-    with pool.client(2) as client:
-        yield client
+@pytest.fixture
+def file(gain: Path, tmp_path: Path) -> Path:
+    """The file of the study of the gain."""
+    return study(tmp_path, GAIN, gain)

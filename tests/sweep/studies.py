@@ -6,12 +6,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from distributed import Client
+from kit.mistakes import problem
 
+from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.single_run import RunOutcome
 from orchestrator.studies.store import Results
+from orchestrator.studies.study import Study, read
 
-GAIN = """
+FACTOR = """[factors."gain.factor"]
+distribution = "uniform"
+minimum = 1
+maximum = 3
+"""
+GAIN = f"""
 title = "A gain"
 system = "gain.fmu"
 method = "latin"
@@ -20,11 +28,7 @@ seed = 3
 stop = 0.2
 step = 0.01
 
-[factors."gain.factor"]
-distribution = "uniform"
-minimum = 1
-maximum = 3
-
+{FACTOR}
 [fixed]
 "gain.u" = 2
 
@@ -54,6 +58,32 @@ measure = "final"
 band = true
 """
 
+MACHINE = """
+system = "{system}"
+method = "latin"
+runs = 2
+stop = 0.1
+
+[factors]
+"{name}" = {{ {numbers} }}
+
+[outputs]
+peak = {{ signal = "swing.swing_pressure_a", measure = "maximum" }}
+"""
+
+
+def uniform(low: float, high: float, more: str = "") -> str:
+    """The numbers of a factor, as in a TOML file."""
+    return f'distribution = "uniform", minimum = {low}, maximum = {high}{more}'
+
+
+def machine(folder: Path, fmus: Path, name: str, numbers: str = uniform(1, 2)) -> Path:
+    """The file of a study of the machine with one factor."""
+    text = MACHINE.format(system=(fmus / "harvester.ssp").as_posix(), name=name, numbers=numbers)
+    file = folder / "study.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
 
 def study(folder: Path, text: str, fmu: Path) -> Path:
     """The file of a study, with its FMU beside it."""
@@ -61,6 +91,20 @@ def study(folder: Path, text: str, fmu: Path) -> Path:
     file = folder / "study.toml"
     file.write_text(text, encoding="utf-8")
     return file
+
+
+def resolved(file: Path, text: str | None = None) -> Study:
+    """What a file says, also with another text in it, in the units of the FMUs."""
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    return resolve(read(file))[0]
+
+
+def refused(file: Path, text: str | None = None) -> str:
+    """The line about what is wrong with a study, without the name of its file."""
+    line = problem(lambda: resolved(file, text))
+    assert line.startswith(f"{file}: ")
+    return line.removeprefix(f"{file}: ")
 
 
 def run(file: Path, client: Client, folder: str = "out", fresh: bool = False) -> tuple[Results, list[int]]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-from sweep.studies import GAIN, study
+from kit.mistakes import table
+from sweep.studies import FACTOR, GAIN, resolved, study
 
-from orchestrator.studies.cases import resolve
 from orchestrator.studies.store import changes, to_json
-from orchestrator.studies.study import read
 
 MORE = (
     GAIN.replace('"latin"', '"grid"').replace("runs = 12\n", "")
@@ -28,7 +26,7 @@ values = [10, 20]
 unit = "mm"
 """
 )
-OLD = 'distribution = "uniform"\nminimum = 1\nmaximum = 3\n'
+OLD = FACTOR.partition("\n")[2]
 TEXT = MORE.replace(OLD, 'distribution = "values"\nvalues = [1, 2]\n').replace('[fixed]\n"gain.u" = 2\n', "")
 LIST = ", ".join(map(str, range(40)))
 
@@ -37,30 +35,11 @@ def _changes(folder: Path, fmu: Path, one: str, other: str) -> str:
     """The reported changes between two texts of a study."""
     for name in ("up", "down"):
         (folder / f"{name}.csv").write_text("time,u\n0,0\n0.2,1\n")
-    old, new = (to_json(resolve(read(study(folder, text, fmu)))[0]) for text in (one, other))
+    old, new = (to_json(resolved(study(folder, text, fmu))) for text in (one, other))
     return changes({"study": old, "files": {}}, {"study": new, "files": {}})
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"),
-    [
-        ("values = [1, 2]", "values = [1, 4]", 'factors."gain.factor".values was [1.0, 2.0], is [1.0, 4.0]'),
-        ("[10, 20]", "[10, 30]", 'factors."gain.offset".values was [0.01, 0.02] m, is [0.01, 0.03] m'),
-        ('"final"', '"mean"', 'outputs.end.measure was "final", is "mean"'),
-        ('"final"', '"integral"', 'outputs.end.measure was "final", is "integral"'),
-        ("start = 0.05", "start = 0.1", "outputs.end.start was 0.05, is 0.1"),
-        ("start = 0.05", "", "outputs.end.start was 0.05, is null"),
-        ("[outputs.other]", "[outputs.another]", "outputs.other is no longer there, and 1 more changed"),
-        (
-            '["up.csv", "down.csv"]',
-            '["up.csv"]',
-            'choices.scenario was ["up.csv", "down.csv"], is ["up.csv"]',
-        ),
-        ("band = true", "", "outputs.end.band was true, is false"),
-        ("seed = 3\nstop = 0.2", "seed = 4\nstop = 0.1", "seed was 3, is 4, and 1 more changed"),
-        ("outputs.end]", "outputs.zend]", "outputs.end is no longer there, and 1 more changed"),
-    ],
-)
+@table(__file__, "changes", "old, new, expected")
 def test_the_first_difference_is_told(gain: Path, tmp_path: Path, old: str, new: str, expected: str) -> None:
     """By the name of the item and the key in it, and never cut before the difference."""
     assert old in TEXT

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from kit.mistakes import problem
 from sweep.studies import GAIN, content, run, study
 
-from orchestrator import Problem
 from orchestrator.studies import Factor, Output, Study, read_results, read_study, sweep
 from orchestrator.studies.cases import resolve
 
@@ -46,47 +46,34 @@ def test_a_resolved_study_is_resolved(built):
     assert first.fixed == {"gain.u": 2.0}
 
 
+# what a file is told of when it is read, and one mistake that file and Python share
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
         ({"method": "latim"}, "method: expected one of latin, sobol, grid, saltelli, morris, got 'latim'"),
         ({"runs": 0}, "runs: expected a whole number of at least 1, got 0"),
-        (
-            {"method": "sobol"},
-            "runs: expected a power of two, such as 8 or 16, as the method is sobol, got 12",
-        ),
-        ({"outputs": ()}, "outputs: expected at least one, got none"),
-        ({"outputs": (Output("end", "gain.z", "final"),)}, "outputs.end: signal: unknown variable 'gain.z'"),
         ({"outputs": (Output("end", "gain.y", "last"),)}, "outputs.end: measure: expected one of maximum"),
-        ({"fixed": {"gain.w": 1.0}}, "unknown variable 'gain.w'"),
         ({"method": "grid", "runs": 0}, "distribution: expected values, as the method is grid"),
-        (
-            {"factors": (Factor("gain.factor", "uniform", {"minimum": 1, "maximum": 3}, unit="bar"),)},
-            "factors.\"gain.factor\": unit: unit 'bar' cannot be converted",
-        ),
+        ({"fixed": {"gain.w": 1.0}}, "unknown variable 'gain.w'"),
     ],
+    ids=str,
 )
 def test_mistakes_name_the_study(built, changed, expected):
     """In one line, by the title of the study."""
-    with pytest.raises(Problem) as wrong:
-        resolve(replace(built, **changed))
-    assert str(wrong.value).startswith("study 'A gain': ")
-    assert expected in str(wrong.value)
-    assert "\n" not in str(wrong.value)
+    line = problem(lambda: resolve(replace(built, **changed)))
+    assert line.startswith("study 'A gain': ")
+    assert expected in line
 
 
 @pytest.mark.parametrize(
     ("distribution", "numbers", "expected"),
     [
         ("even", {"minimum": 1, "maximum": 3}, "distribution: expected one of uniform, normal"),
-        ("uniform", {"minimum": 1}, "maximum: expected a number, got nothing"),
-        ("uniform", {"minimum": 3, "maximum": 1}, "maximum: expected more than the minimum 3, got 1"),
         ("normal", {"mean": 1, "sd": 0}, "sd: expected a positive number, got 0"),
         ("values", {"values": [1, 1]}, "values: expected different numbers, got [1, 1]"),
     ],
 )
 def test_a_factor_refuses_impossible_numbers(distribution, numbers, expected):
     """When it is made."""
-    with pytest.raises(Problem) as wrong:
-        Factor("gain.factor", distribution, numbers)
-    assert str(wrong.value).startswith(f'factors."gain.factor": {expected}')
+    line = problem(lambda: Factor("gain.factor", distribution, numbers))
+    assert line.startswith(f'factors."gain.factor": {expected}')
