@@ -31,7 +31,7 @@ def drive(name: str) -> Part:
 
 
 def random_point(part, rng):
-    """States, and inputs by name, in and beyond the working range: cavities, open reliefs, both directions."""
+    """States, and inputs by name, in and beyond the working range: cavities, open reliefs."""
 
     def draw(name, nominal):
         if "pressure" in name and not name.endswith("_rate"):
@@ -72,8 +72,8 @@ def test_energy_balance_closes_to_rounding(name):
 def test_rates_are_exact_and_forces_depend_on_states_alone(name):
     """A rate output is the derivative along the solution; no input moves a force or torque at once.
 
-    The load pressure refers to the return line, which has no rate, so only its rate is compared. The torque of
-    the swing without detailed lines follows its speed: docs/design.md, "The cut between the FMUs".
+    The load pressure refers to the return line, which has no rate, so only its rate is compared. The torque
+    of the lumped swing follows its speed: docs/design.md, "The cut between the FMUs".
     """
     part, rng = drive(name), np.random.default_rng(5)
     u, y = part.expressions["u"], part.expressions["y"]
