@@ -61,11 +61,11 @@ def test_instances_are_freed(each):
 
 def test_a_missing_binary_tells_what_there_is(each):
     """Expected and found, with the component and the FMU."""
-    with pytest.raises(
-        Problem, match=r"it \(.*foreign.fmu\): no binary for this platform: expected binaries/"
-    ) as e:
+    told = (
+        r"it \(.*foreign.fmu\): no binary for this platform: expected binaries/.*got binaries/amiga/foreign"
+    )
+    with pytest.raises(Problem, match=told):
         opened(each.make("gain", "foreign", platform="amiga"))
-    assert "got binaries/amiga/foreign" in str(e.value)
     with pytest.raises(Problem, match="got no binaries at all"):
         opened(each.make("gain", "bare", platform=""))
 
@@ -79,23 +79,15 @@ def test_a_failed_start_tells_what_the_fmu_says(each):
 @pytest.mark.parametrize(
     ("version", "how", "message"),
     [
-        (2, 2, r"the step failed at t = 0.2 s with status discard \(the FMU reached t = 0.2 s\)"),
-        (3, 2, r"the step failed at t = 0.2 s with status discard \(the FMU reached t = 0.2 s\)"),
-        (2, 3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
-        (3, 3, r"the step failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2"),
-        (2, 4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),
-        (3, 4, r"the step failed at t = 0.2 s with status fatal; it says: the house burnt down"),
-        (
-            2,
-            6,
-            r"the step at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.2 s",
+        *((v, 2, r"failed at t = 0.2 s with status discard \(the FMU reached t = 0.2 s\)") for v in (2, 3)),
+        *(
+            (v, 3, r"failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2")
+            for v in (2, 3)
         ),
-        (
-            3,
-            6,
-            r"the step at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.3 s",
-        ),
-        (3, 7, r"the step at t = 0.2 s ended early at t = 0.25 s, which was not allowed"),
+        *((v, 4, r"failed at t = 0.2 s with status fatal; it says: the house burnt down") for v in (2, 3)),
+        (2, 6, r"at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.2 s"),
+        (3, 6, r"at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.3 s"),
+        (3, 7, r"at t = 0.2 s ended early at t = 0.25 s, which was not allowed"),
     ],
 )
 def test_a_failed_step_tells_when_and_why(fmus, fmus3, version, how, message):
@@ -104,7 +96,7 @@ def test_a_failed_step_tells_when_and_why(fmus, fmus3, version, how, message):
     slave.set("u", 1.0)
     slave.step(0.0, 0.1)
     slave.step(0.1, 0.1)
-    with pytest.raises(Problem, match=r"^it: .*" + message):
+    with pytest.raises(Problem, match=r"^it: .*the step " + message):
         slave.step(0.2, 0.1)
     slave.close()
 

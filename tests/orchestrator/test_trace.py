@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.mistakes import table
 
 from orchestrator import Problem, Trace, read_trace, write_trace
 
@@ -64,25 +65,7 @@ def test_values_between_samples_are_linear_and_held_outside():
     np.testing.assert_array_equal(ramp.at([0.0, 1.5, 9.0])["u"], [10.0, 15.0, 20.0])
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("time,u\n0,1\n0.1,\n", r"line 3: column 'u': expected a number, got none"),
-        ("time,u\n0,1\n0.1,off\n", r"line 3: column 'u': expected a number, got 'off'"),
-        ("time,u\n0,1\n0.1,nan\n", r"line 3: column 'u': expected a number, got none"),
-        ("time,u\n0,1\n0.1\n", r"line 3: expected 2 cells, got 1"),
-        ("time,u\n0,1\n\n0.2,1\n", r"line 3: expected 2 cells, got an empty row"),
-        ("time,u\n0,1\n0.1,1,2\n", r"line 3: expected 2 cells, got 3"),
-        ("time,u\n0,1\n0.2,1\n0.1,1\n", r"line 4: expected a time after 0.2 s, got 0.1"),
-        ("time,u\n0,1\n0,1\n", r"line 3: expected a time after 0.0 s, got 0.0"),
-        ("u,time\n0,1\n", r"line 1: expected the first column to be named 'time', got 'u'"),
-        ("time;u\n0;1\n", r"line 1: expected cells separated by ',' \(the default\), got ';'$"),
-        ("time,u,u\n0,1,2\n", r"expected the column 'u' once, got it 2 times"),
-        ("time,,u\n0,1,2\n", r"line 1: column 2 has no name"),
-        ("time,u\n", r"expected two or more rows of numbers, got none"),
-        ("", r"expected two or more rows of numbers, got an empty file"),
-    ],
-)
+@table(__file__, "mistakes", "text, message")
 def test_mistakes_in_a_csv_are_located(tmp_path, text, message):
     """File, line and column, expected and got."""
     path = tmp_path / "bad.csv"
@@ -97,9 +80,8 @@ def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
     time = np.arange(100) * 0.005
     gap, path = np.delete(time, slice(40, 50)), tmp_path / "gap.csv"
     write_trace(Trace(gap, {"u": gap}), path)
-    with pytest.raises(
-        Problem, match=r"line 42: expected a sample every 0.005 s, got none between 0.195 and 0.25 s"
-    ):
+    told = r"line 42: expected a sample every 0.005 s, got none between 0.195 and 0.25 s"
+    with pytest.raises(Problem, match=told):
         read_trace(path)
     points = np.array([0, 0.1, 0.15, 2, 5, 20])
     write_trace(Trace(points, {"u": points}), path)
