@@ -1,14 +1,11 @@
-"""What is told of a study on its way where no terminal is."""
+"""What is told of a study on its way where no terminal is; test_store.py has it from the command line."""
 
 from __future__ import annotations
 
 import io
 import re
-import subprocess
-import sys
 
 import numpy as np
-from sweep.studies import GAIN, study
 
 from orchestrator.studies.parameter_study import StudyProgress
 from orchestrator.studies.single_run import FAILED, OK, RunOutcome
@@ -45,15 +42,3 @@ def test_a_study_that_goes_on_tells_what_failed() -> None:
     told = stream.getvalue().splitlines()
     assert re.fullmatch(rf"50 %: 5 of 10 runs, {RATE}", told[0])
     assert re.fullmatch(rf"100 %: 10 of 10 runs, {RATE}, 5 failed", told[1])
-
-
-def test_the_command_line_in_a_pipe(gain, tmp_path) -> None:
-    """Progress is on standard error, and only the summary on standard output."""
-    file = study(tmp_path, GAIN, gain)
-    command = [sys.executable, "-m", "orchestrator", "sweep", str(file), "--workers", "1", "--no-report"]
-    done = subprocess.run(
-        [*command, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=True
-    )
-    assert re.fullmatch(rf"\d+ %: \d+ of 12 runs, {RATE}", done.stderr.splitlines()[0])
-    assert done.stderr.splitlines()[-1].startswith("100 %: 12 of 12 runs, ")
-    assert done.stdout.startswith("12 runs: 12 ok\n")
