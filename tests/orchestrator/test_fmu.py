@@ -206,12 +206,12 @@ def test_a_broken_binary_is_told(tmp_path):
         load_library(tmp_path, "x", 2, "label")
 
 
-def test_hundreds_of_instances_leave_nothing_behind(each):
-    """Libraries are unloaded: the number of mapped files does not grow."""
+def test_instances_leave_nothing_behind(each):
+    """Their libraries are unloaded, and none of their files is mapped any more."""
     maps = Path("/proc/self/maps")
     if not maps.exists():
         pytest.skip("needs /proc to see what is loaded")
-    for _ in range(100):
+    for _ in range(5):
         opened(each["gain"]).close()
     assert "gain.so" not in maps.read_text()
 

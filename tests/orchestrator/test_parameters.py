@@ -1,5 +1,7 @@
 """Parameter sets of a user: from a file or by name from the SSP, with units; they override bound ones."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from kit.any_fmu.edit import edited
@@ -12,14 +14,14 @@ SSD = f"""<SystemStructureDescription xmlns="{COMMON}Description" version="1.0" 
 <Component name="g" source="resources/gain.fmu"/></Elements></System></SystemStructureDescription>"""
 
 
-def ssv(unit="", **values):
-    """The text of a parameter set; in the names "__" stands for the dot."""
+def ssv(unit="", base='m="1" factor="0.001"', **values):
+    """The text of a parameter set, with the definition of its unit; in the names "__" stands for the dot."""
     written = unit and f"unit={unit!r}"
     rows = "".join(
         f'<Parameter name="{n.replace("__", ".")}"><Real value="{v}" {written}/></Parameter>'
         for n, v in values.items()
     )
-    units = f'<c:Unit name="{unit}"><c:BaseUnit m="1" factor="0.001"/></c:Unit>' if unit else ""
+    units = f'<c:Unit name="{unit}"><c:BaseUnit {base}/></c:Unit>' if unit else ""
     return (
         f'<ParameterSet xmlns="{COMMON}ParameterValues" xmlns:c="{COMMON}Common" version="1.0" name="p">'
         f"<Parameters>{rows}</Parameters>{units and f'<Units>{units}</Units>'}</ParameterSet>"
@@ -67,6 +69,20 @@ def test_a_file_with_units_for_an_assembled_system(fmus, tmp_path):
     np.testing.assert_allclose([trace["p.u"], trace["q.u"]], 0.5, rtol=1e-15)
 
 
+def test_the_unit_is_converted_before_a_value_is_mapped(fmus, zip_ssp, tmp_path):
+    """By the mapping of a binding, and from an input of the system on, for a bound set and a chosen one."""
+    celsius = {"unit": "degC", "base": 'K="1" offset="273.15"'}
+    fmu = fmus.make("gain", "warm", units={"u": "K"})
+    files = {"resources/gain.fmu": fmu, "resources/bound.ssv": ssv(**celsius, command=20.0, air=20.0)}
+    system = load(zip_ssp(Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8"), files))
+    # 20 degC = 293.15 K, times 2 plus 1; rounding only
+    for component in system.components.values():
+        assert component.start["u"] == pytest.approx(587.3, rel=1e-15)
+    (tmp_path / "own.ssv").write_text(ssv(**celsius, command=30.0), encoding="utf-8")
+    trace = run(system, parameters=[tmp_path / "own.ssv"], step=0.5, stop=0.5).trace
+    np.testing.assert_allclose((trace["g.u"], trace["h.u"]), [[607.3] * 2, [587.3] * 2], rtol=1e-15)
+
+
 def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
     """Some tools need it at initialisation; here the source of the input overrides it."""
     file = tmp_path / "own.ssv"
@@ -78,10 +94,7 @@ def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        (
-            "stepp",
-            r"parameter set 'stepp' is unknown; did you mean steep\?; .*system.ssp contains plain, steep",
-        ),
+        ("stepp", r"set 'stepp' is unknown; did you mean steep\?; .*system.ssp contains plain, steep"),
         ("none.ssv", r"none.ssv: no such file"),
         ("odd.ssv", r"odd.ssv: unknown variable 'g.fctor'; did you mean g.factor"),
         ("output.ssv", r"g.y cannot be set: it is a continuous output"),

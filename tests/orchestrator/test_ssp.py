@@ -120,7 +120,7 @@ def test_start_and_stop_come_from_the_default_experiment(make):
 
 def test_nested_systems_are_flattened(make):
     """Names become paths; transformations and unit conversions along the path are combined."""
-    # command [mm] -> inner.demand [m] -> b.u: 0.001, then the transformation of each connection
+    # command [mm] -> inner.demand [m] -> b.u: 0.001, then the transformation of each connection, in order
     inner = system(
         [gain("b")],
         [wire("demand", "b.u", '<ssc:LinearTransformation factor="10" offset="1"/>'), wire("b.y", "answer")],
@@ -128,15 +128,15 @@ def test_nested_systems_are_flattened(make):
         name="inner",
     )
     wires = [
-        wire("command", "inner.demand", '<ssc:LinearTransformation factor="2"/>'),
+        wire("command", "inner.demand", '<ssc:LinearTransformation factor="2" offset="0.5"/>'),
         wire("inner.answer", "a.u"),
     ]
     loaded = load(make(system([inner, gain("a")], wires, connector("command", "input", "mm"))))
     assert list(loaded.components) == ["inner.b", "a"]
     assert str(loaded.connections[0]) == "inner.b.y -> a.u"
     level = Trace(np.array([0.0, 1.0]), {"command": np.array([500.0, 500.0])})
-    # 500 mm = 0.5 m, times 2, times 10 plus 1; three roundings
-    np.testing.assert_allclose(run(loaded, level, step=0.5).trace["a.y"], 11.0, rtol=1e-15)
+    # 500 mm = 0.5 m, times 2 plus 0.5, times 10 plus 1; three roundings
+    np.testing.assert_allclose(run(loaded, level, step=0.5).trace["a.y"], 16.0, rtol=1e-15)
 
 
 def test_direction_follows_from_the_kinds(make):
