@@ -7,17 +7,20 @@ import numpy as np
 import pytest
 from kit.any_fmu.models import Workshop
 from kit.any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, OPENERS, circle
+from kit.mistakes import problem
+from kit.products import thinned
 
-from orchestrator import Problem, assemble, run
+from orchestrator import assemble, run
 from orchestrator.base.coupling import Coupling
 
 STUCK = "hermite makes one pass per step, because q cannot restore a saved state"
-SILENT = "input derivatives from differences of values, because the FMUs provide no output derivatives: q.y"
+DIFFERENCES = "input derivatives from differences of values, because the FMUs provide no output derivatives: "
 STILL = "inputs held at their mean over a step, because the FMUs accept no input derivatives: "
 STRAIGHT = "inputs linear over a step, because the FMUs accept first derivatives only: "
 NONE, WARNING, DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH, EARLY, EVENT, TALK = range(10)
 WHERE = {"DoStep": 0, "Get": 1, "Set": 2, "GetState": 3, "SetState": 4, "GetSlope": 5, "SetSlope": 6}
 PROPERLY = "terminated and freed, states left: 0"
+CIRCLE, TURNS = ["p.y -> q.u", "q.y -> p.u"], {"q.push": 1.0, "q.gain": -1.0}  # p' = q and q' = 1 - p
 
 
 # ---- what FMUs lack
@@ -41,7 +44,7 @@ def expected(quirk: str, fmi: int, master: Coupling) -> list[str]:
     notes = [STUCK] if quirk == "no rollback" and master.master == "hermite" else []
     if order == 0 and degree < 2:
         return notes  # values are all that is wanted of the FMUs
-    notes += [SILENT] if quirk in ("no slopes", "slopes refused") else []
+    notes += [DIFFERENCES + "q.y"] if quirk in ("no slopes", "slopes refused") else []
     notes += [STILL + "q.u"] if quirk == "no rate" else []
     limited = (
         [] if quirk == "no rate" else ["q.u"] if quirk in ("first derivatives only", "one instance") else []
@@ -50,17 +53,26 @@ def expected(quirk: str, fmi: int, master: Coupling) -> list[str]:
     return notes + ([STRAIGHT + ", ".join(straight)] if straight and degree > 1 else [])
 
 
-@pytest.mark.parametrize("quirk", ABLE)
-def test_masters_do_without(each, both, quirk):
+PREDICTING = Coupling("interface-jacobian")  # extrapolates inputs from FMUs without directional derivatives
+
+
+def named(choice):
+    """The name of a case."""
+    return f"{choice.text} {choice.adaptive or ''}".strip() if isinstance(choice, Coupling) else str(choice)
+
+
+# half of the pairs: each ability with masters that want it and with one that does not
+@pytest.mark.parametrize(("quirk", "master"), thinned(2, [*ABLE], [*MASTERS, PREDICTING]), ids=named)
+def test_masters_do_without(each, both, quirk, master):
     """Every master runs, called by C and by Python, with notes on missing abilities, and stays accurate."""
-    for master in MASTERS:
-        result = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), master=master).result
-        assert list(result.card.notes) == expected(quirk, each.fmi, master), master.text
-        error = np.abs(result.trace["q.y"] - np.sin(result.trace.time)).max()
-        # the first neglected term of a polynomial of degree k - 1 is at most h^k / 2 here, where all
-        # derivatives are at most 1; what holds a mean or has one pass only keeps an order of 3 at worst
-        order = {"jacobi": 1, "gauss-seidel": 1, "hermite": 3}[master.master] + (master.order or 0)
-        assert error < 0.1 ** min(order, 2 if master.master != "hermite" else 3) / 2, master.text
+    result = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), master=master).result
+    if master != PREDICTING:
+        assert list(result.card.notes) == expected(quirk, each.fmi, master)
+    error = np.abs(result.trace["q.y"] - np.sin(result.trace.time)).max()
+    # the first neglected term of a polynomial of degree k - 1 is at most h^k / 2 here, where all
+    # derivatives are at most 1; what holds a mean or has one pass only keeps an order of 3 at worst
+    order = {"jacobi": 1, "gauss-seidel": 1, "hermite": 3, "interface-jacobian": 2}[master.master]
+    assert error < 0.1 ** min(order + (master.order or 0), 3 if master.master == "hermite" else 2) / 2
 
 
 def without_rollback(workshop: Workshop, model: str, name: str) -> Path:
@@ -70,43 +82,26 @@ def without_rollback(workshop: Workshop, model: str, name: str) -> Path:
 
 
 def test_only_what_is_repeated_must_go_back(each, both):
-    """A source and its target step once; two components that feed each other are repeated."""
-    pair = circle(each, "circle")
-    files = {"s": without_rollback(each, "source", "wave"), "f": without_rollback(each, "quirk", "follower")}
-    files |= {name: component.source.path for name, component in pair.components.items()}
-    wires = [*map(str, pair.connections), "s.y -> f.u"]
-    four = both(assemble(files, wires, {"q.push": 1.0, "q.gain": -1.0}), master=HERMITE).result
-    two = both(pair, master=HERMITE).result
+    """A source and its target step once; what feeds each other is repeated, and what hears from it, too."""
+    pair, follower = circle(each, "circle"), without_rollback(each, "quirk", "follower")
+    files = {name: component.source.path for name, component in pair.components.items()}
+    files["f"] = follower
+    led = assemble(files | {"s": without_rollback(each, "source", "wave")}, [*CIRCLE, "s.y -> f.u"], TURNS)
+    four, two = (both(system, master=HERMITE).result for system in (led, pair))
     assert not [n for n in four.card.notes if "one pass per step" in n]
     np.testing.assert_array_equal(four.trace["q.y"], two.trace["q.y"])
-
-
-def test_what_hears_from_what_is_repeated_is_repeated_too(each, both):
-    """It has other inputs in the second pass, so it must go back."""
-    pair = circle(each, "circle")
-    files = {"l": without_rollback(each, "quirk", "listener")}
-    files |= {name: component.source.path for name, component in pair.components.items()}
-    start = {"q.push": 1.0, "q.gain": -1.0}
-    result = both(assemble(files, [*map(str, pair.connections), "q.y -> l.u"], start), master=HERMITE).result
-    assert "hermite makes one pass per step, because l cannot restore a saved state" in result.card.notes
+    notes = both(assemble(files, [*CIRCLE, "q.y -> f.u"], TURNS), master=HERMITE).result.card.notes
+    assert "hermite makes one pass per step, because f cannot restore a saved state" in notes
 
 
 def test_an_fmu_for_one_instance_is_not_used_twice(each):
     """Both components are named."""
     able = {"canBeInstantiatedOnlyOncePerProcess": "true"}
     fmu = each.make("gain", "hermit", able=able)
-    with pytest.raises(Problem, match=r"^p and q: expected one instance of their FMU at most, got two$"):
-        run(assemble({"p": fmu, "q": fmu}), step=0.1, stop=0.2)
+    message = problem(lambda: run(assemble({"p": fmu, "q": fmu}), step=0.1, stop=0.2))
+    assert message == "p and q: expected one instance of their FMU at most, got two"
     other = each.make("gain", "other_hermit", able=able, guid="gain")
     run(assemble({"p": fmu, "q": other}), step=0.1, stop=0.2)
-
-
-@pytest.mark.parametrize("quirk", ABLE)
-def test_both_loops_foretell_alike(each, both, quirk):
-    """interface-jacobian extrapolates inputs from FMUs without directional derivatives."""
-    result = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), Coupling("interface-jacobian")).result
-    # as for the others: h^2 / 2 at worst, where all derivatives are at most 1
-    assert np.abs(result.trace["q.y"] - np.sin(result.trace.time)).max() < 0.1**2 / 2
 
 
 def lacking(workshop: Workshop, function: bytes) -> Workshop:
@@ -114,9 +109,8 @@ def lacking(workshop: Workshop, function: bytes) -> Workshop:
     assert function in workshop.library
     folder = workshop.folder / function.decode()
     folder.mkdir(exist_ok=True)
-    return replace(
-        workshop, folder=folder, library=workshop.library.replace(function, b"X" + function[1:]), _made={}
-    )
+    library = workshop.library.replace(function, b"X" + function[1:])
+    return replace(workshop, folder=folder, library=library, _made={})
 
 
 def test_a_missing_function_matters_where_it_is_called(each, both):
@@ -124,23 +118,19 @@ def test_a_missing_function_matters_where_it_is_called(each, both):
     name = {2: b"fmi2GetFMUstate", 3: b"fmi3GetFMUState"}[each.fmi]
     system = circle(lacking(each, name), "no_save")
     assert both(system, "jacobi").error == ""
-    for native in (True, False):
-        with pytest.raises(Problem, match=f": its binary lacks the function {name.decode()}$"):
-            run(system, master="hermite", step=0.1, stop=1.0, open=OPENERS[native])
+    for opener in OPENERS.values():
+        message = problem(lambda: run(system, master="hermite", step=0.1, stop=1.0, open=opener))  # noqa: B023
+        assert message.endswith(f": its binary lacks the function {name.decode()}")
 
 
 def test_slopes_of_a_missing_function_follow_from_differences(each, both):
     """A declared ability that the binary lacks does not end the run."""
     name = {2: b"fmi2GetRealOutputDerivatives", 3: b"fmi3GetOutputDerivatives"}[each.fmi]
     notes = both(circle(lacking(each, name), "no_tell"), HERMITE).result.card.notes
-    assert (
-        "input derivatives from differences of values, because the FMUs provide no output "
-        "derivatives: q.y, p.y"
-    ) in notes
+    assert f"{DIFFERENCES}q.y, p.y" in notes
 
 
-@pytest.mark.parametrize("factor", [1, 3])
-@pytest.mark.parametrize("step", [0.1, 1 / 60])
+@pytest.mark.parametrize(("step", "factor"), [(0.1, 1), (1 / 60, 3)])
 def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor):
     """The FMU refuses any other length; the differences of the communication points are not all the same."""
     able = {"canHandleVariableCommunicationStepSize": "false"}
@@ -155,8 +145,7 @@ def test_equal_steps_are_equal_to_the_last_bit(each, both, step, factor):
     assert "the step is longer than the first by" in varied.error
 
 
-@pytest.mark.parametrize("factor", [3, 7])
-@pytest.mark.parametrize("master", ["jacobi", "hermite"])
+@pytest.mark.parametrize(("master", "factor"), [("jacobi", 7), ("hermite", 3)])
 def test_steps_of_its_own_begin_where_the_last_one_ended(each, both, master, factor):
     """Bit for bit, as the FMU requires."""
     outcome = both(circle(each, "strict"), Coupling(master, factors={"q": factor}), stop=6.0)
@@ -170,21 +159,16 @@ def test_an_fmu_for_slopes_of_states_only(each, both):
     extra = f"<{more} {alias}/>" if each.fmi == 3 else f"<ScalarVariable {alias}><Real/></ScalarVariable>"
     fmu = each.make("quirk", "partly", interpolates=each.fmi == 2, more=extra.replace('"0"', '"3"'))
     files = {"p": fmu, "q": each.make("quirk", "listener", interpolates=each.fmi == 2)}
-    system = assemble(files, ["p.y -> q.u", "q.y -> p.u"], {"q.push": 1.0, "q.gain": -1.0})
-    wired = assemble({**files, "r": files["q"]}, ["p.y -> q.u", "q.y -> p.u", "p.idle -> r.u"])
+    system = assemble(files, CIRCLE, TURNS)
+    wired = assemble({**files, "r": files["q"]}, [*CIRCLE, "p.idle -> r.u"])
     assert "none: " not in " ".join(both(system, master=HERMITE).result.card.notes)
-    notes = both(wired, master=HERMITE).result.card.notes
-    assert (
-        "input derivatives from differences of values, because the FMUs provide no output derivatives: p.idle"
-        in notes
-    )
+    assert f"{DIFFERENCES}p.idle" in both(wired, master=HERMITE).result.card.notes
 
 
 # ---- what FMUs do
 
 
-@pytest.mark.parametrize("how", [DISCARD, FAULT, FATAL])
-@pytest.mark.parametrize("where", WHERE)
+@pytest.mark.parametrize(("where", "how"), thinned(3, [*WHERE], [DISCARD, FAULT, FATAL]))
 def test_failures_lose_nothing(each, both, where, how):
     """In whatever call, both loops say the same; what was computed stays; states and instances are freed.
 
@@ -219,12 +203,13 @@ def test_an_fmu_may_end_the_run(each, both, master):
     assert outcome.result.complete
     assert outcome.result.trace.time[-1] == 0.5
     asked = {2: 0.5, 3: 0.6}[each.fmi]  # with a status that denies the step, or with a step that was done
-    note = f"the FMU requests the end of the simulation at t = {asked} s"
-    assert (
-        outcome.result.card.notes[-1]
-        == f"the run ends early: q: the step at t = 0.5 s is the last one: {note}"
-    )
+    end = f"the FMU requests the end of the simulation at t = {asked} s"
+    note = f"the run ends early: q: the step at t = 0.5 s is the last one: {end}"
+    assert outcome.result.card.notes[-1] == note
     assert outcome.farewells == [PROPERLY] * 2
+    at_once = both(circle(each, "unwilling", when=0.0, how=ENOUGH), master=master).result
+    assert at_once.complete
+    assert at_once.trace.time.tolist() == [0.0]
 
 
 def test_an_estimate_of_the_error_covers_what_there_is(each):
@@ -233,13 +218,6 @@ def test_an_estimate_of_the_error_covers_what_there_is(each):
     card = run(system, master="jacobi", step=0.1, stop=1.0, error_estimate=True).card
     assert [e.name for e in card.errors]
     assert card.simulated == pytest.approx(0.5)  # rounding of five steps
-
-
-def test_an_end_before_the_first_step_is_an_end_too(each, both):
-    """The record contains only the start."""
-    outcome = both(circle(each, "unwilling", when=0.0, how=ENOUGH))
-    assert outcome.result.complete
-    assert outcome.result.trace.time.tolist() == [0.0]
 
 
 def test_a_return_that_was_not_allowed_is_an_error(fmus3, both):
@@ -252,10 +230,8 @@ def test_a_wish_for_event_handling_passes(fmus3, both):
     """As a warning; the values are those of an FMU without such a request."""
     wishing = both(circle(fmus3, "eventful", when=0.45, how=EVENT), master=HERMITE).result
     plain = both(circle(fmus3, "plain"), master=HERMITE).result
-    assert (
-        "q: the FMU requests event handling by the master, which is switched off (event mode is not used)"
-        in wishing.card.warnings[0]
-    )
+    message = "the FMU requests event handling by the master, which is switched off (event mode is not used)"
+    assert wishing.card.warnings == (f"q: {message} (15 times, first at t = 0.5 s)",)  # in 3 passes
     np.testing.assert_array_equal(wishing.trace["q.y"], plain.trace["q.y"])
 
 
@@ -338,30 +314,32 @@ def test_an_error_that_a_shorter_step_avoids_is_none(each, both):
     assert outcome.farewells == [PROPERLY] * 2
 
 
-@pytest.mark.parametrize("quirk", [quirk for quirk in ABLE if quirk != "equal steps"])
-def test_adaptive_steps_do_without(each, both, quirk):
+@pytest.mark.parametrize(("quirk", "master"), thinned(2, [*ABLE][:-1], ADAPTIVE), ids=named)
+def test_adaptive_steps_do_without(each, both, quirk, master):
     """Errors stay below the tolerance, called by C and by Python, with any missing ability."""
-    for master in ADAPTIVE:
-        system = circle(each, quirk.replace(" ", "_"), **ABLE[quirk])
-        outcome = both(system, master=master, stop=2.0)
-        assert outcome.error == "", master.text
-        trace = outcome.result.trace
-        assert trace.time[-1] == 2.0
-        # inputs that are off by the tolerance all the time make twice that of an integral over 2 s
-        assert np.abs(trace["q.y"] - np.sin(trace.time)).max() < 2 * master.adaptive, master.text
-        stands = "adaptive steps with too large an error are not repeated: q cannot restore a saved state"
-        assert (stands in outcome.result.card.notes) == (quirk == "no rollback")
+    outcome = both(circle(each, quirk.replace(" ", "_"), **ABLE[quirk]), master=master, stop=2.0)
+    assert outcome.error == ""
+    trace = outcome.result.trace
+    assert trace.time[-1] == 2.0
+    # inputs that are off by the tolerance all the time make twice that of an integral over 2 s
+    assert np.abs(trace["q.y"] - np.sin(trace.time)).max() < 2 * master.adaptive
+    stands = "adaptive steps with too large an error are not repeated: q cannot restore a saved state"
+    assert (stands in outcome.result.card.notes) == (quirk == "no rollback")
 
 
 def test_adaptive_steps_need_fmus_that_vary_theirs(each):
     """By name."""
     system = circle(each, "equal_steps", **ABLE["equal steps"])
-    with pytest.raises(Problem, match=r"^adaptive steps: expected .* got q: the FMU has a fixed step$"):
-        run(system, step=0.1, stop=1.0, master=ADAPTIVE[0])
+    message = problem(lambda: run(system, step=0.1, stop=1.0, master=ADAPTIVE[0]))
+    assert message.startswith("adaptive steps: expected ")
+    assert message.endswith(" got q: the FMU has a fixed step")
 
 
-@pytest.mark.parametrize("master", ADAPTIVE, ids=lambda m: f"{m.text} {m.adaptive}")
-@pytest.mark.parametrize("how", [DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH])
+@pytest.mark.parametrize(
+    ("master", "how"),
+    thinned(4, ADAPTIVE, [DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH]),
+    ids=named,
+)
 def test_adaptive_runs_end_alike(each, both, master, how):
     """Any failure inside a step has the same messages and values, called by C and by Python."""
     outcome = both(circle(each, "ending", when=0.45, how=how), master=master, stop=2.0)

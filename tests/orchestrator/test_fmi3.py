@@ -160,16 +160,6 @@ def test_inputs_without_a_rate_input_accept_no_derivative(fmus3):
     slave.close()  # test_masters.py has a ramp in such an FMU
 
 
-def test_a_wish_for_event_handling_is_a_warning(fmus3):
-    """Event mode is off, so the FMU must not ask; the run goes on."""
-    card = run(str(fmus3["fails"]), step=0.1, stop=1.0, set={"fails.when": 0.45, "fails.how": 8}).card
-    assert card.steps == 10
-    assert card.warnings == (
-        "fails: the FMU requests event handling by the master, which is switched off (event mode is not used)"
-        " (5 times, first at t = 0.5 s)",
-    )
-
-
 def test_the_resources_are_a_path(fmus, fmus3):
     """With a separator at its end; none when the FMU has no such folder. FMI 2.0 gets a URI."""
     for workshop, model in ((fmus3, "types"), (fmus, "types")):
