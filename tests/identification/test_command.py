@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import shutil
 import tomllib
@@ -9,27 +10,67 @@ from pathlib import Path
 
 import pytest
 from kit import shards
+from kit.mistakes import refused, table
 
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
-from fmus.rig import write_all
+from fmus.rig.recordings import write, write_all
 from orchestrator.__main__ import main
+
+# the fewest that tell all parameters of the procedures
+FEW = (
+    *("valve_pa", "valve_pb", "hose_resistance", "hose_dynamics_1", "hose_dynamics_3", "motor_leakage_1"),
+    *("motor_leakage_2", "damping_swing_1", "damping_boom_1", "damping_stick_1", "weighing_loaded"),
+    *("machine_train_1", "machine_test"),
+)
+RIG = importlib.import_module("fmus.rig.experiments")  # the package has a function of this name
+SECONDS = 5.0  # of the machine at work
+
+
+def write_few(folder: Path) -> None:
+    """A few recordings of the lumped machine, seed 0, those of the machine at work cut short."""
+    with pytest.MonkeyPatch.context() as patch:
+        for constant in ("TRAINING_STOP", "WORK_CYCLE_STOP"):
+            patch.setattr(RIG, constant, SECONDS)
+        for name in FEW:  # not by `experiment`, which keeps what it has simulated
+            write(folder, RIG.EXPERIMENTS[name]("lumped"), 0)
 
 
 @pytest.fixture(scope="session")
 def recordings(once):
-    """All recordings of the lumped machine, seed 0, simulated once for all test processes."""
-    return once("recordings", lambda folder: write_all(folder, "lumped", 0, lambda _: None))
+    """A folder of a few recordings, simulated once for all test processes."""
+    return once("recordings", write_few)
+
+
+@pytest.fixture(scope="session")
+def everything(once):
+    """A folder of all recordings."""
+    return once("all recordings", lambda folder: write_all(folder, "lumped", 0, lambda _: None))
 
 
 @pytest.fixture
-def here(recordings, tmp_path, monkeypatch):
-    """A working directory with the recordings in it."""
+def here(tmp_path, monkeypatch):
+    """here(recordings, *kinds): work in a folder that has the recordings of these kinds in `mine`."""
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(recordings, "mine")
-    return tmp_path
+
+    def enter(folder: Path, *kinds: str) -> None:
+        Path("mine").mkdir()
+        for file in folder.iterdir():
+            if file.name.startswith(kinds or ("",)):
+                shutil.copy(file, "mine")
+
+    return enter
+
+
+def edit(toml: Path, *changes: tuple[str, str]) -> None:
+    """Change the description of a recording, each text once."""
+    text = toml.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    toml.write_text(text, encoding="utf-8")
 
 
 def found(file: str = "parameters.toml") -> dict[str, dict]:
@@ -37,16 +78,17 @@ def found(file: str = "parameters.toml") -> dict[str, dict]:
     return tomllib.loads(Path(file).read_text(encoding="utf-8"))["parameters"]
 
 
-@pytest.mark.usefixtures("here")
-def test_the_procedures_write_parameters_and_a_page(capsys):
+@pytest.mark.parametrize("which", ["recordings", pytest.param("everything", marks=shards.machine)])
+def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys):
     """One entry per parameter with unit, source, interval and sd; equal values in machine, page and JSON."""
+    here(request.getfixturevalue(which))
     assert main(["identify", "mine", "--no-joint"]) == 0
     printed, tables = capsys.readouterr().out, found()
     assert {"valve_area", "valve_dead_band", "swing_damping", "internal_leakage_resistance"} <= set(tables)
     assert all(t["source"] == "identified" and t["sd"] > 0 and "95 %" in t["note"] for t in tables.values())
-    for name, table in tables.items():
+    for name, entry in tables.items():
         # 2 % is the bar of the project; the noise of this seed moves none by more than 0.5 %
-        assert table["value"] == pytest.approx(lookup(name, nominal()).value, rel=0.02, abs=0)
+        assert entry["value"] == pytest.approx(lookup(name, nominal()).value, rel=0.02, abs=0)
         assert name == short_name(name, nominal())
     page = Path("build/identification.html").read_text(encoding="utf-8")
     assert "simulated" in page
@@ -61,57 +103,48 @@ def test_the_procedures_write_parameters_and_a_page(capsys):
 
 
 @shards.machine
-@pytest.mark.usefixtures("here")
-def test_the_joint_refinement_returns_the_machine(capsys):
+def test_the_joint_refinement_returns_the_machine(everything, here, capsys):
     """All parameters of the default set at once, from 60 s: nearly all intervals cover the truth."""
-    for file in Path("mine").glob("*.toml"):
-        if not file.stem.startswith("machine"):
-            file.unlink()
+    here(everything, "machine")
     assert main(["identify", "mine", "--out", "joint.toml", "--starts", "0"]) == 0
     tables = found("joint.toml")
     assert set(tables) == {short_name(name, nominal()) for name in FREE}
     assert len(tables) >= 15
-    far = []
-    for name, table in tables.items():
-        true = lookup(name, nominal()).value
-        # 1.96 sd is the interval, up to a logarithm
-        far.append(abs(table["value"] - true) / table["sd"])
+    truth = {name: lookup(name, nominal()).value for name in tables}
+    # 1.96 sd is the interval, up to a logarithm
+    far = [abs(entry["value"] - truth[name]) / entry["sd"] for name, entry in tables.items()]
     # of 17 intervals 0.85 miss on average, more than 4 once in 400 such sets
     assert sum(d > 1.96 for d in far) <= 4
     assert max(far) < 5
     assert "residual" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("here")
-def test_swapped_levers_are_warned_of(capsys):
+def test_swapped_levers_are_warned_of(recordings, here, capsys):
     """A model that does not follow its training data is a warning, with advice."""
-    for file in Path("mine").glob("*.toml"):
-        if file.stem != "machine_train_1":
-            file.unlink()
-    toml = Path("mine/machine_train_1.toml")
-    text = toml.read_text(encoding="utf-8") + "\n[time]\nstop = 6.0\n"
-    text = text.replace('[time]\nunit = "s"\n', "", 1).replace("stop = 6.0", 'unit = "s"\nstop = 6.0')
-    boom, stick = "boom_stick.boom_command", "boom_stick.stick_command"
-    for own, other in ((boom, stick), (stick, boom)):
-        text = text.replace(f'[signals."{own}"]', f'[signals."{own}"]\ncolumn = "{other}"')
-    toml.write_text(text, encoding="utf-8")
+    here(recordings, "machine_train_1")
+    boom, stick = '[signals."boom_stick.boom_command"]', '[signals."boom_stick.stick_command"]'
+    # each header gets the column of the other lever
+    edit(
+        Path("mine/machine_train_1.toml"),
+        (boom, f'{boom}\ncolumn = "boom_stick.stick_command"'),
+        (stick, f'{stick}\ncolumn = "boom_stick.boom_command"'),
+    )
     assert main(["identify", "mine", "--starts", "1", "--free", "valve_area"]) == 1
     printed = capsys.readouterr().out
-    assert "random starts, up to 25 % away or twice the prior standard deviation: " in printed
-    assert "warning: " in printed
-    assert "times as large as the noise of the sensors (" in printed
-    assert "which command moves which joint" in printed
+    for expected in (
+        "random starts, up to 25 % away or twice the prior standard deviation: ",
+        "warning: ",
+        "times as large as the noise of the sensors (",
+        "which command moves which joint",
+    ):
+        assert expected in printed
 
 
-@pytest.mark.usefixtures("here")
-def test_a_failed_procedure_does_not_stop_the_others(capsys):
+def test_a_failed_procedure_does_not_stop_the_others(recordings, here, capsys):
     """A broken experiment is reported in one line, and the others are identified."""
-    for file in Path("mine").glob("*.toml"):
-        if not file.stem.startswith(("valve", "motor")):
-            file.unlink()
+    here(recordings, "valve", "motor")
     for file in Path("mine").glob("motor*.toml"):
-        text = file.read_text(encoding="utf-8")
-        file.write_text(text.replace("[signals.drain_flow]", '[signals.other]\ncolumn = "drain_flow"'))
+        edit(file, ("[signals.drain_flow]", '[signals.other]\ncolumn = "drain_flow"'))
     assert main(["identify", "mine"]) == 0
     assert set(found()) == {"valve_area", "valve_dead_band"}
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("motor_leakage:")]
@@ -119,46 +152,22 @@ def test_a_failed_procedure_does_not_stop_the_others(capsys):
     assert "drain_flow" in told
 
 
-@pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("file", "old", "new", "told"),
-    [
-        ("machine_test", "deg", "V", "signal manipulator.swing_angle is in V, expected rad"),
-        ("hose_resistance", "bar", "L/min", "signal pressure_in is in L/min (m3/s), expected Pa"),
-    ],
-)
-def test_a_wrong_unit_is_told_before_the_first_procedure(capsys, file, old, new, told):
+@table(__file__, "units", "file, old, new, told")
+def test_a_wrong_unit_is_told_before_the_first_procedure(recordings, here, capsys, file, old, new, told):
     """Also one that only the last step would read, after minutes."""
-    toml = Path(f"mine/{file}.toml")
-    text = toml.read_text(encoding="utf-8")
-    toml.write_text(text.replace(f'unit = "{old}"', f'unit = "{new}"', 1), encoding="utf-8")
+    here(recordings, "machine_t", "hose_resistance", "valve_pa")
+    edit(Path(f"mine/{file}.toml"), (f'unit = "{old}"', f'unit = "{new}"'))
     assert main(["identify", "mine"]) == 2
     printed = capsys.readouterr()
     assert printed.err == f"harvester: mine/{file}.csv: {told}\n"
     assert "valve:" not in printed.out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["nowhere"], "nowhere: expected a folder of recordings, got no such file or folder"),
-        (["mine", "--out", "parameters.csv"], "--out parameters.csv: expected a file that ends in .toml"),
-        (
-            ["mine", "--free", "valve_aera"],
-            "free parameters: expected a parameter of the machine (valve_area), got valve_aera",
-        ),
-    ],
-)
-@pytest.mark.usefixtures("here")
-def test_a_mistake_is_reported_in_one_line(arguments, told, capsys):
+@table(__file__, "mistakes", "arguments, told")
+def test_a_mistake_is_reported_in_one_line(recordings, here, arguments, told, capsys):
     """Expected and actual value; exit status 2; nothing written."""
-    for file in Path("mine").glob("*.toml"):
-        if not file.stem.startswith("machine"):
-            file.unlink()
-    assert main(["identify", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"harvester: {told}")
-    assert error.count("\n") == 1
+    here(recordings, "machine")
+    assert refused(capsys, ["identify", *arguments]).startswith(f"harvester: {told}")
     assert not list(Path().glob("parameters.*"))
 
 
