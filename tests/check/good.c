@@ -16,7 +16,7 @@
 #define TOKEN "{9a0c6f5e-2a31-4f0e-8f57-6d1b7b6b3c55}"
 #endif
 
-#ifdef FREESTANDING /* for systems whose C library the compiler would first have to make, which takes it minutes */
+#ifdef FREESTANDING /* without a C library */
 static void *fill(void *to, int byte, size_t n) {
     for (char *c = to; n--;) *c++ = (char)byte;
     return to;

@@ -2,91 +2,50 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import fmpy
+from kit.any_fmu.description import Description, V, member, packed
 from kit.compile import library
 
 SOURCE = Path(__file__).with_name("oscillator.c")
-PLATFORM = {2: fmpy.platform, 3: fmpy.platform_tuple}
 STEP, STOP = 0.01, 2.0
-# name, causality, attributes of the value, other attributes
-VARIABLES = (
-    ("time", "independent", "", ""),
-    ("u", "input", 'start="0"', ""),
-    ("stiffness", "parameter", 'start="40"', 'variability="fixed"'),
-    ("damping", "parameter", 'start="0.5"', 'variability="fixed"'),
-    ("x", "local", 'start="1"', 'initial="exact"'),
-    ("v", "local", 'start="0"', 'initial="exact"'),
-    ("der_x", "local", 'derivative="5"', ""),
-    ("der_v", "local", 'derivative="6"', ""),
-    ("position", "output", "", ""),
-    ("force", "output", "", ""),
-)
-# unknown -> knowns, by number of the variable counted from 0
-OUTPUTS = {8: (4,), 9: (1, 4, 5)}
-DERIVATIVES = {6: (5,), 7: (1, 4, 5)}
-CAN_2 = (
-    'canGetAndSetFMUstate="true" canSerializeFMUstate="true" providesDirectionalDerivative="true"'
-    ' modelIdentifier="oscillator"'
-)
-CAN_3 = CAN_2.replace("FMUstate", "FMUState").replace("Derivative=", "Derivatives=")
-CAN_3 += ' providesAdjointDerivatives="true"'
-SLAVE = 'canHandleVariableCommunicationStepSize="true" maxOutputDerivativeOrder="1"'
-UPDATE = 'providesIntermediateUpdate="true" canReturnEarlyAfterIntermediateUpdate="true"'
-CATEGORIES = '<LogCategories><Category name="logEvents"/><Category name="logStatusError"/></LogCategories>'
-EXPERIMENT = f'<DefaultExperiment startTime="0" stopTime="{STOP}" stepSize="{STEP}"/>'
+FORCES = ["u", "x", "v"]
+VARIABLES = [
+    V("time", "independent", place=0),
+    V("u", "input", start=0, place=1),
+    V("stiffness", "parameter", start=40, place=2),
+    V("damping", "parameter", start=0.5, place=3),
+    V("x", "local", start=1, exact=True, place=4),
+    V("v", "local", start=0, exact=True, place=5),
+    V("der_x", "local", depends=["v"], derives="x", place=6),
+    V("der_v", "local", depends=FORCES, derives="v", place=7),
+    V("position", "output", depends=["x"], place=8),
+    V("force", "output", depends=FORCES, place=9),
+]
+ABLE = {
+    2: ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative"),
+    3: (
+        *("canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives"),
+        "providesAdjointDerivatives",
+    ),
+}
+UPDATE = {2: (), 3: ("providesIntermediateUpdate", "canReturnEarlyAfterIntermediateUpdate")}
 
 
 def description(major: int) -> str:
     """modelDescription.xml."""
-    return _two() if major == 2 else _three()
-
-
-def _two() -> str:
-    lines = [
-        f'<ScalarVariable name="{name}" valueReference="{i}" causality="{causality}" {more}>'
-        f"<Real {value}/></ScalarVariable>"
-        for i, (name, causality, value, more) in enumerate(VARIABLES)
-    ]
-    return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="oscillator" guid="oscillator" numberOfEventIndicators="0">
-<ModelExchange {CAN_2}/><CoSimulation {CAN_2} {SLAVE}/>{CATEGORIES}{EXPERIMENT}
-<ModelVariables>{"".join(lines)}</ModelVariables>
-<ModelStructure><Outputs>{_unknowns("Unknown", "index", OUTPUTS, 1)}</Outputs>
-<Derivatives>{_unknowns("Unknown", "index", DERIVATIVES, 1)}</Derivatives></ModelStructure>
-</fmiModelDescription>
-"""
-
-
-def _three() -> str:
-    lines = [
-        f'<Float64 name="{name}" valueReference="{i}" causality="{causality}" {_by_reference(value)} {more}/>'
-        for i, (name, causality, value, more) in enumerate(VARIABLES)
-    ]
-    return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="3.0" modelName="oscillator" instantiationToken="oscillator">
-<ModelExchange {CAN_3}/><CoSimulation {CAN_3} {SLAVE} {UPDATE}/>{CATEGORIES}{EXPERIMENT}
-<ModelVariables>{"".join(lines)}</ModelVariables>
-<ModelStructure>{_unknowns("Output", "valueReference", OUTPUTS, 0)}
-{_unknowns("ContinuousStateDerivative", "valueReference", DERIVATIVES, 0)}</ModelStructure>
-</fmiModelDescription>
-"""
-
-
-def _by_reference(value: str) -> str:
-    """FMI 3 names the state of a derivative by its value reference, FMI 2 by its place, counted from 1."""
-    return value.replace('derivative="5"', 'derivative="4"').replace('derivative="6"', 'derivative="5"')
-
-
-def _unknowns(tag: str, key: str, table: Mapping[int, tuple[int, ...]], base: int) -> str:
-    return "".join(
-        f'<{tag} {key}="{i + base}" dependencies="{" ".join(str(d + base) for d in known)}"/>'
-        for i, known in table.items()
-    )
+    able = dict.fromkeys(ABLE[major], "true")
+    slave = dict.fromkeys(("canHandleVariableCommunicationStepSize", *UPDATE[major]), "true")
+    return Description(
+        "oscillator",
+        VARIABLES,
+        {"ModelExchange": able, "CoSimulation": {**able, **slave, "maxOutputDerivativeOrder": 1}},
+        initial=False,
+        categories=("logEvents", "logStatusError"),
+        experiment=f'startTime="0" stopTime="{STOP}" stepSize="{STEP}"',
+    ).text(major)
 
 
 @dataclass
@@ -110,10 +69,5 @@ class Oscillators:
         plain = library("oscillator", [SOURCE], "-std=gnu11", "-fno-sanitize=undefined")
         binary = plain.replace(mark + bytes(14), wanted + bytes(24 - len(wanted)))
         assert (binary == plain) == (fault == "none")
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("modelDescription.xml", text.replace(*change) if change[0] else text)
-            name = f"binaries/{PLATFORM[major]}/oscillator{fmpy.sharedLibraryExtension}"
-            archive.writestr(name, binary)
-            for member, content in (extra or {}).items():
-                archive.writestr(member, content)
-        return path
+        members = {"modelDescription.xml": text.replace(*change) if change[0] else text}
+        return packed(path, members | {member(major, "oscillator"): binary} | dict(extra or {}))

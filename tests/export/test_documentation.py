@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import struct
 import tomllib
@@ -25,7 +26,10 @@ from orchestrator.base.units import pretty
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
-    p for p in ROOT.rglob("*.md") if not {".venv", "build", "node_modules"} & set(p.relative_to(ROOT).parts)
+    [
+        *ROOT.glob("*.md"),
+        *(p for top in ("docs", "examples", "fmus", "orchestrator") for p in (ROOT / top).rglob("*.md")),
+    ]
 )
 OTHERS = [sub for variants in FAMILIES.values() for sub in variants.values() if sub.name not in ALL]
 SUBSYSTEMS = {sub.name: sub for sub in (*ALL.values(), *OTHERS, CONTROLLER, HARVESTER)}
@@ -33,13 +37,15 @@ ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
 
 @pytest.fixture(scope="module")
-def content():
-    """(name, FMI version) -> files of the FMU."""
-    return {
-        (name, fmi): made.files
-        for name, sub in SUBSYSTEMS.items()
-        for fmi, made in packages(sub, 1e-3, 40.0).items()
-    }
+def content(once):
+    """(name, FMI version) -> files of the FMU; made once for all test processes."""
+
+    def make(folder):
+        made = {name: packages(sub, 1e-3, 40.0).items() for name, sub in SUBSYSTEMS.items()}
+        files = {(name, fmi): package.files for name, both in made.items() for fmi, package in both}
+        (folder / "files").write_bytes(pickle.dumps(files))
+
+    return pickle.loads((once("documentation", make) / "files").read_bytes())
 
 
 @pytest.fixture

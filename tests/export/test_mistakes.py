@@ -206,7 +206,10 @@ def test_variables_of_other_types_do_not_exist(open_fmu):
     for call in (fmu.fmu.getInteger, fmu.fmu.getBoolean, fmu.fmu.getString):
         refused(fmu, lambda call=call: call([0]), "Real variables only")
         assert call([]) == []
-    refused(fmu, lambda: fmu.fmu.getReal([99]), "value reference 99", "expected 0 to")
+    for far in (len(fmu.references), 99, 2**32 - 1):
+        refused(
+            fmu, lambda far=far: fmu.fmu.getReal([far]), f"value reference {far} is unknown", "expected 0 to"
+        )
     refused(fmu, lambda: fmu.fmu.setReal([99], [0.0]), "value reference 99")
 
 

@@ -65,23 +65,19 @@ def test_serialised_state_continues_in_a_new_process(open_fmu, unpacked):
     assert there == fmu.step(0.01).get(*fmu.references).tobytes()
 
 
-def test_state_cut_short_is_refused(open_fmu):
-    """The right header with too few bytes behind it is an error."""
-    fmu = open_fmu("decay").start()
-    data = fmu.state()
-    with pytest.raises(fmpy.fmi1.FMICallException):
-        fmu.fmu.deSerializeFMUstate(data[:-8])
-    assert f"has {len(data) - 8} bytes, expected {len(data)}" in fmu.errors()[-1]
-
-
-def test_state_of_another_fmu_is_refused(open_fmu):
-    """Bytes of another FMU and truncated bytes are refused with a message; the instance is still usable."""
+def test_foreign_and_damaged_states_are_refused(open_fmu):
+    """Bytes of another FMU, truncated or changed, are refused with the reason; the instance can go on."""
     gain, decay = open_fmu("gain").start(), open_fmu("decay").start()
-    data = gain.state()
-    for wrong, word in ((data[:50], "50 bytes"), (data, "is of GUID")):
+    data, foreign = decay.state(), gain.state()
+    damaged = [data[:n] + bytes([data[n] ^ 16]) + data[n + 1 :] for n in range(0, len(data), 7)]
+    for wrong in (*damaged, data[:-8], foreign[:50], foreign):
         with pytest.raises(fmpy.fmi1.FMICallException):
             decay.fmu.deSerializeFMUstate(wrong)
-        assert word in decay.errors()[-1]
+    *_, cut, short, other = decay.errors()
+    assert any("the saved state is damaged" in text for text in decay.errors())
+    assert f"has {len(data) - 8} bytes, expected {len(data)}" in cut
+    assert "50 bytes" in short
+    assert "is of GUID" in other
     decay.step(0.1)
 
 

@@ -201,11 +201,16 @@ with driving(Path(path)) as fmu:
 
 def elsewhere(path: Path, state: bytes, time: float, step: float, count: int, *names: str) -> bytes:
     """Values in a new process after some steps from a serialised state."""
-    words = [str(word) for word in (path, state.hex(), time, step, count, *names)]
-    command, folder = [sys.executable, "-c", ELSEWHERE, *words], Path(__file__).parents[1]
+    printed = in_new_process(ELSEWHERE, path, state.hex(), time, step, count, *names)
+    return bytes.fromhex(printed.split()[-1])
+
+
+def in_new_process(code: str, *arguments: object) -> str:
+    """Output of a Python program, which must succeed; it can import what tests can."""
+    command, folder = [sys.executable, "-c", code, *map(str, arguments)], Path(__file__).parents[1]
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
     assert run.returncode == 0, run.stderr
-    return bytes.fromhex(run.stdout.split()[-1])
+    return run.stdout
 
 
 @contextmanager

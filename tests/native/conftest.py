@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import casadi as ca
 import pytest
-from native.bench import Fmu, driver, unpack, zig
+from kit.compile import WARNINGS, compiled
+from kit.toy import toy
+from native.bench import CODE, Fmu, unpack
 
-from fmus.contract import Quantity, Subsystem
+from fmus.contract import Quantity
 from fmus.export.build import build
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL
@@ -33,78 +34,39 @@ def machines(
 
 
 @pytest.fixture(scope="session")
-def drivers(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Path]:
+def drivers() -> Mapping[int, Path]:
     """The drivers for this machine by version of FMI."""
-    folder = tmp_path_factory.mktemp("drivers")
-    return {version: driver(version, folder, zig()) for version in (2, 3)}
+    headers, flags = sorted(CODE.glob("*.h")), ("-std=c99", "-D_XOPEN_SOURCE=700", "-O3", *WARNINGS)
+    code = {version: (CODE / "drive.c", CODE / f"fmu{version}.c") for version in (2, 3)}
+    return {v: compiled(f"drive{v}", code[v], *flags, "-ldl", "-lpthread", included=headers) for v in code}
 
 
 # ---- a model that does not behave -------------------------------------------------------------------
 
 
-def number(**more: Any) -> Any:
-    return Annotated[Any, Quantity("1", "of a wild model", **more)]
+def q(**more: Any) -> Quantity:
+    return Quantity("1", "of a wild model", **more)
 
 
-@dataclass(frozen=True)
-class Parameters:
-    rate: number(tunable=True)
-    gain: number(minimum=0.0, maximum=10.0)
-
-
-@dataclass(frozen=True)
-class States:
-    level: number(minimum=-1e6)
-    root: number()
-    settled: number()
-    position: number()
-    velocity: number()
-
-
-@dataclass(frozen=True)
-class Inputs:
-    target: number(rate="speed")
-    speed: number(rate="push")
-    push: number(maximum=100.0)
-
-
-@dataclass(frozen=True)
-class Outputs:
-    level: number(warn_above=5.0)
-    quotient: number(warn_above=50.0)
-    logarithm: number()
-    power: number()
-
-
-def _dynamics(x: States, u: Inputs, p: Parameters) -> States:
-    return States(
-        level=p.rate * (u.target - x.level),
-        root=u.target / x.level - ca.sqrt(x.root),
-        settled=ca.exp(u.push) - x.settled,
-        position=x.velocity,  # van der Pol's oscillator never comes to rest
-        velocity=(1 - x.position**2) * x.velocity - x.position,
-    )
-
-
-def _observe(x: States, u: Inputs, p: Parameters) -> Outputs:
-    return Outputs(
-        level=x.level,
-        quotient=p.gain / (x.level - u.target),
-        logarithm=ca.log(x.root),
-        power=x.settled**7 * u.speed,
-    )
-
-
-WILD = Subsystem(
-    name="wild",
-    text="Quotients, roots and logarithms of anything",
-    parameters=Parameters,
-    states=States,
-    inputs=Inputs,
-    outputs=Outputs,
-    dynamics=_dynamics,
-    observe=_observe,
-    values=Path(__file__).parent / "none" / "parameters.toml",
+WILD = toy(
+    "wild",
+    p={"rate": q(tunable=True), "gain": q(minimum=0.0, maximum=10.0)},
+    x={"level": q(minimum=-1e6), **dict.fromkeys(("root", "settled", "position", "velocity"), q())},
+    u={"target": q(rate="speed"), "speed": q(rate="push"), "push": q(maximum=100.0)},
+    y={"level": q(warn_above=5.0), "quotient": q(warn_above=50.0), "logarithm": q(), "power": q()},
+    f=lambda x, u, p: {
+        "level": p.rate * (u.target - x.level),
+        "root": u.target / x.level - ca.sqrt(x.root),
+        "settled": ca.exp(u.push) - x.settled,
+        "position": x.velocity,  # van der Pol's oscillator never comes to rest
+        "velocity": (1 - x.position**2) * x.velocity - x.position,
+    },
+    g=lambda x, u, p: {
+        "level": x.level,
+        "quotient": p.gain / (x.level - u.target),
+        "logarithm": ca.log(x.root),
+        "power": x.settled**7 * u.speed,
+    },
     initial=lambda _, u, p: {"settled": p.gain / u.target},
     require=lambda x, *_: {"the level is below 1000": 1000 - x.level},
     next_event=lambda x, u, _: ca.exp(x.position * u.target) / u.speed,

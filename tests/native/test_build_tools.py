@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-import platform
 import shutil
-import subprocess
 import sysconfig
 import zipfile
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy import extract, simulate_fmu
 from kit import shards
+from kit.compile import HEADERS
+from native.bench import needs_gcc, run
 
 from fmus.machine.parts import ALL
 
@@ -22,14 +21,7 @@ pytestmark = shards.c
 
 STEP = 1e-3  # s
 TABLE = [("time", float), ("swing_command", float)]
-
-
-HEADERS = Path(fmpy.__file__).parent / "c-code"
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{HEADERS}"]
-needs_gcc = pytest.mark.skipif(
-    shutil.which("gcc") is None or platform.system() != "Linux",
-    reason="gcc on Linux is not there; the project's own compiler is tested by every build",
-)
 
 
 def sources(fmu: Path, folder: Path) -> Path:
@@ -41,19 +33,13 @@ def sources(fmu: Path, folder: Path) -> Path:
     return folder / "sources" / f"{fmu.stem}_fmu.c"
 
 
-def gcc(*arguments: object) -> None:
-    """Run the compiler; its messages are the failure."""
-    run = subprocess.run(["gcc", *map(str, arguments)], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-
-
 @needs_gcc
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
 @pytest.mark.parametrize("name", tuple(ALL))
 def test_sources_compile_without_a_warning(request, tmp_path, name, version):
     """The C in sources/ is plain C99 for a compiler that did not build the FMU, with FMPy's FMI headers."""
     code = sources(request.getfixturevalue(version) / f"{name}.fmu", tmp_path)
-    gcc(*FLAGS, "-O2", "-fPIC", "-shared", code, "-o", tmp_path / f"{name}.so", "-lm")
+    run(["gcc", *FLAGS, "-O2", "-fPIC", "-shared", code, "-o", tmp_path / f"{name}.so", "-lm"])
 
 
 @needs_gcc
@@ -66,13 +52,13 @@ def test_two_fmus_link_into_one_program(fmi3_dir, tmp_path):
     for name in names:
         code = sources(fmi3_dir / f"{name}.fmu", tmp_path / name)
         objects.append(tmp_path / f"{name}.o")
-        gcc(*FLAGS, f"-DFMI3_FUNCTION_PREFIX={name}_", "-c", code, "-o", objects[-1])
+        run(["gcc", *FLAGS, f"-DFMI3_FUNCTION_PREFIX={name}_", "-c", code, "-o", objects[-1]])
     main = tmp_path / "main.c"
     declared = "".join(f"const char *{name}_fmi3GetVersion(void);" for name in names)
     calls = " && ".join(f"{name}_fmi3GetVersion()" for name in names)
     main.write_text(f"{declared} int main(void) {{ return !({calls}); }}\n", encoding="utf-8")
-    gcc("-std=c99", main, *objects, "-o", tmp_path / "main", "-lm")
-    assert subprocess.run([tmp_path / "main"], check=False).returncode == 0
+    run(["gcc", "-std=c99", main, *objects, "-o", tmp_path / "main", "-lm"])
+    run([tmp_path / "main"])
 
 
 @pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 from fmus.export.python.build import build_user
@@ -69,11 +67,3 @@ def written(folder: Path, *changes: tuple[str, str], name: str = "lag.py") -> Pa
 def built(folder: Path, *changes: tuple[str, str], name: str = "lag.py") -> Path:
     """An FMU of such a file."""
     return build_user(written(folder, *changes, name=name), folder / "out")
-
-
-def in_new_process(code: str, *arguments: object, **environment: str) -> str:
-    """Output of a Python program, which must succeed."""
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment or None)
-    assert done.returncode == 0, done.stderr
-    return done.stdout

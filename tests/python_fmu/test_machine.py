@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from kit import shards
 from kit.any_fmu.edit import edited
 
 from fmus.export.python.build import build_python, build_user
@@ -17,13 +18,28 @@ from orchestrator.ssp.write import write_ssp
 from python_fmu.test_states import ACTUATOR
 
 
-@pytest.mark.parametrize("part", SUBSYSTEMS)
-def test_the_machine_does_not_notice(fmu_dir, tmp_path, part):
+@pytest.fixture(scope="module")
+def machine(fmu_dir):
+    """The system of native FMUs."""
+    return load(fmu_dir / "harvester.ssp")
+
+
+@pytest.fixture(scope="module")
+def actuator(tmp_path_factory):
+    """The FMU of the example's model."""
+    return build_user(ACTUATOR, tmp_path_factory.mktemp("actuator"))
+
+
+# each part over 2 s with the long tests; in every run one of them while its lever begins to move
+@pytest.mark.parametrize(
+    ("part", "stop"),
+    [("swing", 0.7), *(pytest.param(part, 2.0, marks=shards.machine) for part in SUBSYSTEMS)],
+)
+def test_the_machine_does_not_notice(machine, tmp_path, part, stop):
     """With one part in Python every signal of the machine is that of the native FMUs, to 1e-9 of its size."""
     swap = {part: str(build_python(SUBSYSTEMS[part], tmp_path))}
-    machine = load(fmu_dir / "harvester.ssp")
-    native = run(machine, stop=2.0).trace
-    python = run(machine, stop=2.0, swap=swap).trace
+    native = run(machine, stop=stop).trace
+    python = run(machine, stop=stop, swap=swap).trace
     assert set(native.signals) == set(python.signals)
     for name in native.signals:
         # the bar of the issue; signals that do not move are rounding
@@ -31,12 +47,11 @@ def test_the_machine_does_not_notice(fmu_dir, tmp_path, part):
         assert np.abs(python[name] - native[name]).max() <= room, name
 
 
-def test_the_example_stands_in_for_boom_and_stick(fmu_dir, tmp_path):
+@shards.machine
+def test_the_example_stands_in_for_boom_and_stick(machine, actuator):
     """The look-up table moves the machine through the start of the work cycle as the lumped drives do."""
-    path = build_user(ACTUATOR, tmp_path)
-    machine = load(fmu_dir / "harvester.ssp")
     lumped = run(machine, stop=5.0).trace
-    table = run(machine, stop=5.0, swap={"boom_stick": str(path)}).trace
+    table = run(machine, stop=5.0, swap={"boom_stick": str(actuator)}).trace
     for angle in ("manipulator.boom_angle", "manipulator.stick_angle"):
         moved = np.ptp(lumped[angle])
         assert moved > 0.2  # rad
@@ -44,16 +59,14 @@ def test_the_example_stands_in_for_boom_and_stick(fmu_dir, tmp_path):
         assert np.abs(table[angle] - lumped[angle]).max() < 0.2 * moved
 
 
-def test_an_fmu_without_load_pressure_runs_and_says_so(fmu_dir, tmp_path):
+def test_an_fmu_without_load_pressure_runs_and_says_so(machine, actuator, tmp_path):
     """Its wire is left out with a note, with a warning only if the supply needs the load; also in an SSP."""
-    path = build_user(ACTUATOR, tmp_path)
-    machine = load(fmu_dir / "harvester.ssp")
-    line = f"{path} has no boom_stick_load_pressure: the load of boom_stick is not sensed"
-    usual = run(machine, stop=0.1, swap={"boom_stick": str(path)})
+    line = f"{actuator} has no boom_stick_load_pressure: the load of boom_stick is not sensed"
+    usual = run(machine, stop=0.1, swap={"boom_stick": str(actuator)})
     assert line in usual.card.notes
     assert usual.card.warnings == ()
     assert (usual.trace["supply.boom_stick_load_pressure"] == 0.0).all()
-    swap = {"boom_stick": str(path), "supply": "load_sensing"}
+    swap = {"boom_stick": str(actuator), "supply": "load_sensing"}
     needed = run(machine, stop=0.1, swap=swap)
     assert f"{line}; supply (supply_load_sensing) could use this signal" in needed.card.warnings
     assert not any("load_pressure" in note for note in needed.card.notes)
@@ -63,9 +76,8 @@ def test_an_fmu_without_load_pressure_runs_and_says_so(fmu_dir, tmp_path):
     assert not any("boom_stick_load_pressure" in wire for wire in wires)
 
 
-def test_an_fmu_of_the_version_before_fits(fmu_dir, tmp_path):
+def test_an_fmu_of_the_version_before_fits(fmu_dir, machine, tmp_path):
     """Each part without the new ports: one line for each lost signal, none for its rate."""
-    machine = load(fmu_dir / "harvester.ssp")
     new = re.compile("load_pressure|load_sensing|payload_mass")
     notes = {
         "swing": ["flow is not shared with the other drives", "the load of swing is not sensed"],
@@ -87,7 +99,7 @@ def test_an_fmu_of_the_version_before_fits(fmu_dir, tmp_path):
         assert system.warnings == ()
 
 
-def test_check_finds_no_error_in_the_example(tmp_path):
+def test_check_finds_no_error_in_the_example(actuator):
     """`harvester check` without running it: every rule on its files."""
-    report = check(build_user(ACTUATOR, tmp_path), run=False)
+    report = check(actuator, run=False)
     assert [f for f in report.findings if f.severity == "error"] == []

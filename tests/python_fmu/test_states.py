@@ -15,7 +15,7 @@ from python_fmu.lag import built
 from python_fmu.test_agreement import inputs, shown
 
 ACTUATOR = Path(__file__).parents[2] / "examples" / "my_subsystem" / "my_actuator.py"
-SUBS = {s.name: s for family in FAMILIES.values() for s in family.values()}
+PARTS = {s.name: s for family in FAMILIES.values() for s in family.values()}
 
 
 def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[str, float]) -> None:
@@ -37,17 +37,17 @@ def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[s
 FEW = ("swing", "manipulator")
 
 
-@pytest.mark.parametrize("name", [n if n in FEW else pytest.param(n, marks=shards.machine) for n in SUBS])
+@pytest.mark.parametrize("name", [n if n in FEW else pytest.param(n, marks=shards.machine) for n in PARTS])
 def test_a_subsystem_repeats_its_steps(tmp_path, name):
     """A saved state contains states, inputs, their derivatives, and the step size of the solver."""
-    sub: Subsystem = SUBS[name]
+    sub: Subsystem = PARTS[name]
     rows = inputs(sub)
     repeated(build_python(sub, tmp_path), shown(sub), rows[0], rows[40])
 
 
 def test_a_model_by_hand_repeats_its_steps(tmp_path):
     """The example repeats its steps bit-identically."""
-    sub = SUBS["boom_stick"]
+    sub = PARTS["boom_stick"]
     rows = inputs(sub)
     names = ["boom_force", "stick_force", "boom_force_rate", "supply_flow", "return_flow"]
     assert set(names) <= set(quantities(sub.outputs))

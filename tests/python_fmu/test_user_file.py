@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
-from kit.fmu import Fmu, driving
+from kit.fmu import Fmu, driving, in_new_process
+from kit.mistakes import problem, refused, table
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import quantities
@@ -18,20 +19,19 @@ from fmus.export.python import subgroup
 from fmus.export.python.build import build_user
 from orchestrator.__main__ import main
 from orchestrator.base.errors import Problem
-from python_fmu.lag import built, in_new_process, written
+from python_fmu.lag import built, written
 
 OBSERVE = "return Outputs(y=x.y, z=x.y + u.w)"
 STEP = "return State(y=x.y + h * (GAIN * u.u - x.y) / p.delay)"
 BY_HAND = "        "
 THREADS = """
 import sys
-sys.path.insert(0, sys.argv[1])
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from kit.fmu import Fmu
 with ThreadPoolExecutor(4) as pool:
-    for fmu in pool.map(lambda _: Fmu(Path(sys.argv[2])).start(), range(4)):
-        print(round(float(fmu.step(1e-3).get("y")[0]), 12))
+    for fmu in pool.map(lambda _: Fmu(Path(sys.argv[1])).start(), range(4)):
+        print(round(float(fmu.step(1e-3)["y"]), 12))
 """
 
 
@@ -73,93 +73,13 @@ def test_the_description_is_complete(tmp_path):
 # ---- at the build
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (('"z": ["w"]', '"z": []'), "z changes with w, which is missing in depends['z']"),
-        (('"z": ["w"]', '"z": ["v"]'), "depends['z']: expected a list of inputs, got 'v'"),
-        (('"z": ["w"]', '"x": []'), "depends: x is not an output or a state that initial() computes"),
-        (('start = {"u"', 'start = {"v"'), "start: v is not an input"),
-        (fault(STEP, "self.last = h"), "lag.py:41: self.last = ... stores a value outside State"),
-        (fault(STEP, "LOG.append(h)", "h = h * len(LOG)"), "NameError: name 'LOG' is not defined"),
-        (fault(OBSERVE, "raise RuntimeError('no oil')"), "lag.py:44: RuntimeError: no oil"),
-        ((STEP, "return {'y': 1.0}"), "step() returned dict, expected State"),
-        ((STEP, "return State(x=1.0)"), "lag.py:41: TypeError: State.__init__() got an unexpected keyword"),
-        ((STEP, "return State(y='a')"), "step() returned y = 'a', expected a number"),
-        ((STEP, "return State(y=1e400 * 0)"), "y is nan at t = 0.001 s, expected a finite number"),
-        (
-            (OBSERVE, "return Outputs(y=2.0, z=0.0)"),
-            "observe() returned y = 2, expected the value of the state, 0",
-        ),
-        (("class Lag(Model)", "class Lag"), "lag.py: expected one subclass of Model, got none"),
-        (('Quantity("N", "Force", ', 'Quantity("dyn", "Force", '), "dyn"),
-        (
-            ('w: Annotated[float, Quantity("1", "Share")]', "w: float"),
-            "a field of Inputs is not declared as Annotated",
-        ),
-        (("def step(self", "def step(self:"), "lag.py:40: SyntaxError"),
-        (("GAIN = 1.0", "import other\nGAIN = 1.0"), "lag.py:8: imports other from the same folder"),
-        (("GAIN = 1.0", "from .other import GAIN"), "lag.py:8: imports .other from the same folder"),
-        (("GAIN = 1.0", "import sys; sys.exit(3)"), "lag.py:8: SystemExit: 3"),
-        (
-            ('start = {"u"', 'files = tuple(f"{n}.csv" for n in "a")\n    start = {"u"'),
-            "lag.py: files is not a plain list, expected one such as",
-        ),
-        (("def step(", "def stepp("), "lag.py: Lag.stepp is unknown; did you mean step?"),
-        (("def step(", "def advance("), "expected a method step(x, u, p, t, h), found none"),
-        (("def observe(", "def obsrve("), "Lag.obsrve is unknown; did you mean observe?"),
-        (("def observe(", "def outlet("), "expected a method observe(x, u, p, t), found none"),
-        (
-            ("Parameters, Inputs, State, Outputs =", "Parameters, inputs, State, Outputs ="),
-            "inputs is unknown; did you mean Inputs?",
-        ),
-        (
-            ("    start =", "    def inital(self, x, u, p): return {}\n    start ="),
-            "Lag.inital is unknown; did you mean initial?",
-        ),
-        (("    start =", "    inner_stap = 0.1\n    start ="), "did you mean inner_step?"),
-        (("self, x, u, p, t, h)", "self, x, u, p, h)"), "found step(x, u, p, h)"),
-        (
-            ('"N/s", "Its', '"N.s/mm2x", "Its'),
-            "lag.py:19: Quantity: Its derivative: unit 'N.s/mm2x' is unknown",
-        ),
-        (('"N/s", "Its', '"", "Its'), 'lag.py:19: Quantity: Its derivative: expected the unit "1", found ""'),
-        (('"N/s", "Its', 'None, "Its'), "lag.py:19: Quantity: unit: expected text, found None"),
-        (("minimum=1e-3", 'minimum="1e-3"'), "minimum of 'Time constant': expected a number, found '1e-3'"),
-        (('Quantity("1", "Share")', "None"), "Inputs.w: expected Annotated[float, Quantity("),
-        (("] = 0.1", '] = "0.1"'), "lag.py: Parameters.delay: expected a number, found '0.1'"),
-        (("] = 0.1", "] = 0.0"), "lag.py: delay starts at 0, expected 0.001 to inf"),
-        (('{"u": 1.0}', '{"u": [1.0]}'), "lag.py: start of u: expected a number, found [1.0]"),
-        (('{"u": 1.0}', '["u"]'), "lag.py: Lag.start: expected a dictionary, found ['u']"),
-        (('{"z": ["w"]}', '{"z": None}'), "lag.py: depends['z']: expected a list of inputs, got None"),
-        (
-            ("    start =", "    inner_step = 1e-300\n    start ="),
-            "inner_step: expected at least 1e-09 s, found",
-        ),
-        (("    start =", "    name = 5\n    start ="), "lag.py: Lag.name: expected text, found 5"),
-        (
-            ("    start =", "    name = 'my lag'\n    start ="),
-            'lag.py: model name "my lag" is not an identifier',
-        ),
-        (("z=x.y + u.w", "z=[x.y, u.w]"), "lag.py: observe() returned z = [0.0, 0.0], expected a number"),
-        (("z=x.y + u.w", "z=__import__('casadi').SX.sym('q')"), "observe() returned z = SX(q), expected a"),
-        (
-            ("    start =", "    def __init__(self, gain): ...\n\n    start ="),
-            "lag.py: TypeError: Lag.__init__()",
-        ),
-        (("u_rate: Annotated", "delay: Annotated"), "lag.py: variable delay is declared twice"),
-        (("GAIN = 1.0", "GAIN = 1.0\0"), "Error: source code string cannot contain null bytes"),
-        (("GAIN = 1.0", "import not_there"), "lag.py:8: ModuleNotFoundError: No module named 'not_there'"),
-    ],
-)
-def test_the_build_refuses(tmp_path, change, said):
+@table(__file__, "build", "old, new, expected")
+def test_the_build_refuses(tmp_path, old, new, expected):
     """A file that does not work or violates its declarations is refused."""
     (tmp_path / "other.py").write_text("GAIN = 2.0\n", encoding="utf-8")
-    with pytest.raises(Problem) as found:
-        built(tmp_path, change)
-    assert said in str(found.value)
-    assert str(found.value).startswith("lag.py:")
-    assert "\n" not in str(found.value)
+    line = problem(lambda: built(tmp_path, (old, new)))
+    assert line.startswith("lag.py:")
+    assert expected in line
     assert not (tmp_path / "out").exists()
 
 
@@ -177,24 +97,10 @@ def test_helpers_of_any_name_are_the_users_own(tmp_path):
     assert build_user(tmp_path / "sum.py", tmp_path / "out").is_file()
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        ("    def step(self, ", "    @staticmethod\n    def step("),
-        ("    def step(self, ", "    @classmethod\n    def step(cls, "),
-        (
-            "    def step(self, ",
-            "    def __init__(self):\n        self.step = self.later\n\n    def later(self, ",
-        ),
-        ("] = 0.1", "] = np.float32(0.1)"),
-        ('{"u": 1.0}', '{"u": np.array(1.0)}'),
-        ("    start =", "    inner_step = np.float32(0.1)\n    start ="),
-        ("    start =", "    inner_step = np.array(1)\n    start ="),
-    ],
-)
-def test_methods_and_numbers_of_any_origin(tmp_path, change):
+@table(__file__, "allowed", "old, new")
+def test_methods_and_numbers_of_any_origin(tmp_path, old, new):
     """A method may need no instance or be assigned; numbers may be those of NumPy."""
-    assert built(tmp_path, change, ("GAIN = 1.0", "import numpy as np\n\nGAIN = 1.0")).is_file()
+    assert built(tmp_path, (old, new), ("GAIN = 1.0", "import numpy as np\n\nGAIN = 1.0")).is_file()
 
 
 def test_a_folder_and_a_missing_file_are_named(tmp_path):
@@ -235,49 +141,16 @@ LAG = Subsystem(
 """
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (
-            ("y=u.u -", "y=u.v -"),
-            ":16: lag: dynamics(): AttributeError: 'Inputs' object has no attribute 'v'",
-        ),
-        (("y=u.u -", "y=w -"), ":16: lag: dynamics(): NameError: name 'w' is not defined"),
-        (("    return State(", "    State("), ":15: lag: dynamics(): expected State, found NoneType None"),
-        (
-            ("y=u.u -", "y=ca.SX.sym('q') -"),
-            "dynamics(): expected y in terms of x, u and p, found the symbol q",
-        ),
-        (("y=u.u - x.y", "y=ca.vertcat(u.u, x.y)"), "expected y as one expression, found shape (2, 1)"),
-        (("y=u.u - x.y", "y='a'"), "dynamics(): expected y as one expression, found a"),
-        (("return State(y", "if x.y > 0: return State(y"), ":16: lag: dynamics(): RuntimeError: "),
-        (("def observe(x, u, p)", "def observe(x, u)"), ":19: lag: observe(): TypeError: "),
-        (("outputs=State", "outputs=Inputs"), ":19: lag: observe(): expected Inputs, found State"),
-        (
-            ('Quantity("N", "Force")', 'Quantity("N.s/mm2x", "Force")'),
-            ":7: Quantity: Force: unit 'N.s/mm2x' is",
-        ),
-        (("dynamics=dynamics", "dynamic=dynamics"), ":23: TypeError: "),
-        (("return x", "return x x"), ":20: SyntaxError: "),
-        (("import casadi", "import casadia"), ":2: ModuleNotFoundError: No module named 'casadia'"),
-        (
-            ("inputs=Inputs", "inputs=None"),
-            "expected a subclass of Group, or a dataclass of quantities, found None",
-        ),
-        (("parameters=Parameters", "parameters=Group"), "expected a subclass of Group, or a dataclass of"),
-    ],
-)
-def test_a_mistake_in_a_file_of_equations_is_one_line(tmp_path, monkeypatch, capsys, change, said):
+@table(__file__, "equations", "old, new, expected")
+def test_a_mistake_in_a_file_of_equations_is_one_line(tmp_path, monkeypatch, capsys, old, new, expected):
     """File, line and function of a user's subsystem, by the command that builds it."""
-    assert change[0] in NATIVE
+    assert old in NATIVE
     name = f"native_{tmp_path.name}"
-    (tmp_path / f"{name}.py").write_text(NATIVE.replace(*change), encoding="utf-8")
+    (tmp_path / f"{name}.py").write_text(NATIVE.replace(old, new), encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert main(["build", f"{name}:LAG", "--out", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"harvester: {name}:LAG")
-    assert said in told
-    assert told.count("\n") == 1
+    line = refused(capsys, ["build", f"{name}:LAG", "--out", tmp_path / "out"])
+    assert line.startswith(f"harvester: {name}:LAG")
+    assert expected in line
 
 
 def test_a_file_of_equations_is_told_how_to_build_it(tmp_path):
@@ -309,7 +182,7 @@ def test_a_file_that_is_read_goes_along(tmp_path):
     path = built(tmp_path, reading, ('start = {"u"', 'files = ("gain.txt",)\n    start = {"u"'))
     (tmp_path / "gain.txt").unlink()
     with driving(path) as fmu:
-        assert fmu.step(0.01).get("y")[0] == pytest.approx(0.3)
+        assert fmu.step(0.01)["y"] == pytest.approx(0.3)
 
 
 def test_a_point_where_the_model_does_not_work_says_nothing(tmp_path):
@@ -364,27 +237,10 @@ def said(path: Path, capsys: pytest.CaptureFixture[str], **inputs: float) -> str
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        (["1 / (u.w - 2)"], "lag.py:41: ZeroDivisionError: float division by zero"),
-        (["if u.w == 2: import sys; sys.exit(3)"], "lag.py:41: SystemExit: 3"),
-        (
-            ["if u.w == 2: raise KeyError('100 % of #1')"],
-            "lag.py:41: KeyError: '100 % of ##1'",
-        ),  # FMPy leaves FMI's ## as it is
-        (["if u.w == 2: return State(y=float('nan'))"], "y is nan at t = 0.001 s, expected a finite number"),
-        (["if u.w == 2: return None"], "lag: step() returned NoneType, expected State"),
-        (["if u.w == 2: self.seen = 1"], "lag.py:41: self.seen = ... stores a value outside State"),
-        (
-            ["import numpy as np", "if u.w == 2: np.float64(1.0) / 0.0"],
-            "lag.py:42: RuntimeWarning: divide by zero",  # pytest makes errors of warnings
-        ),
-    ],
-)
+@table(__file__, "step", "lines, message")
 def test_a_step_that_fails_says_why(tmp_path, capsys, lines, message):
     """File, line and fault in one message by the FMI logger; status error; the program goes on."""
-    text = said(built(tmp_path, fault(STEP, *lines)), capsys, w=2.0)
+    text = said(built(tmp_path, fault(STEP, *lines.splitlines())), capsys, w=2.0)
     assert f"[ERROR] fmi2DoStep: {message}" in text
     assert text.count("\n") == 1
 
@@ -445,12 +301,12 @@ def test_files_of_one_name_live_together(tmp_path):
     with driving(one) as first, driving(two) as second, driving(one) as third:
         for fmu in (first, second, third):
             fmu.step(0.01)
-        assert [fmu.get("y")[0] for fmu in (first, second, third)] == pytest.approx([0.1, -0.1, 0.1])
+        assert [fmu["y"] for fmu in (first, second, third)] == pytest.approx([0.1, -0.1, 0.1])
 
 
 def test_instances_in_threads_wait_for_the_script(tmp_path):
     """Four threads that load a slow script at the same time all get the complete module."""
-    out = in_new_process(THREADS, Path(__file__).parents[1], built(tmp_path))
+    out = in_new_process(THREADS, built(tmp_path))
     assert out.split() == ["0.01"] * 4
 
 
