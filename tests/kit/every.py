@@ -69,11 +69,7 @@ def outputs(sub: Subsystem) -> list[str]:
 
 def native(name: str, folder: Path) -> Path:
     """The native FMU in a folder that `build_machine` filled."""
-    return (
-        folder / f"{name}.fmu"
-        if name in (OPERATOR.name, CONTROLLER.name)
-        else folder / "variants" / f"{name}.fmu"
-    )
+    return folder / ("" if name in (OPERATOR.name, CONTROLLER.name) else "variants") / f"{name}.fmu"
 
 
 def python(name: str, folder: Path) -> Path:

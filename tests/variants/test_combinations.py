@@ -24,7 +24,8 @@ WATCH = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 
 def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsys, monkeypatch):
     """Every variant with its states and inputs, where it holds, and its cost beside the usual one's."""
-    monkeypatch.setattr("orchestrator.studies.variants.LENGTH", 0.5)
+    monkeypatch.setattr("orchestrator.studies.variants.LENGTH", 0.02)
+    monkeypatch.setattr("orchestrator.studies.variants.REPEATS", 1)
     assert main(["variants", str(fmu_dir / "harvester.ssp")]) == 0
     printed = capsys.readouterr().out
     indented = (line for line in printed.splitlines() if line.startswith("  ") and line[2] != " ")
@@ -33,9 +34,9 @@ def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsy
         assert variant in rows
     assert rows["detailed"][1:3] == ["32", "17"]  # of boom_stick, the last one
     assert printed.count("valid: ") == len(variant_names())
-    costs = {r[0]: float(r[-1]) for r in rows.values() if r[0] in ("pendulum", "friction", "rigid")}
-    assert costs["rigid"] == 1.0
-    assert min(costs.values()) == 1.0  # the others do more; a ratio within one run
+    costs = {name: float(row[-1]) for name, row in rows.items()}
+    assert costs["rigid"] == 1.0  # a ratio to the usual variant
+    assert all(cost > 0 for cost in costs.values())
 
 
 def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, capsys):
@@ -66,9 +67,12 @@ def test_a_combination_that_does_not_start_is_a_row(fmu_dir, tmp_path):
 ALL_COMBINATIONS = [dict(zip(VARIANTS, v, strict=True)) for v in itertools.product(*VARIANTS.values())]
 
 
-@pytest.mark.parametrize("chosen", ALL_COMBINATIONS[::7], ids=lambda c: "-".join(c.values()))
+SOME = ALL_COMBINATIONS[::26]
+
+
+@pytest.mark.parametrize("chosen", SOME, ids=lambda c: "-".join(c.values()))
 def test_a_combination_starts_and_moves(fmu_dir, chosen):
-    """Every seventh combination, every variant among them, over two seconds: boom and swing have started."""
+    """Every 26th combination, every variant among them, over two seconds: boom and swing have started."""
     system = load(fmu_dir / "harvester.ssp")
     one = {part: [variant] for part, variant in chosen.items()}
     (row,) = combinations(system, one, WATCH, step=1e-3, stop=2.0, record_step=0.02)
@@ -76,10 +80,9 @@ def test_a_combination_starts_and_moves(fmu_dir, chosen):
     assert row.reached == pytest.approx(2.0)
 
 
-def test_every_seventh_has_every_variant():
+def test_the_sample_has_every_variant():
     """The sample above leaves no variant out."""
-    met = {(part, variant) for chosen in ALL_COMBINATIONS[::7] for part, variant in chosen.items()}
-    assert met == set(variant_names())
+    assert {item for chosen in SOME for item in chosen.items()} == set(variant_names())
     assert len(ALL_COMBINATIONS) == 4 * 4 * 4 * 3
 
 
@@ -89,8 +92,7 @@ def test_every_combination_runs_the_work_cycle(fmu_dir):
     system = load(fmu_dir / "harvester.ssp")
     found = list(combinations(system, VARIANTS, WATCH, step=1e-3, record_step=0.02))
     assert [dict(row.variants) for row in found] == ALL_COMBINATIONS
-    for run_at_1_ms in found:
-        row = run_at_1_ms
+    for row in found:
         assert row.failure == "", row.variants
         assert row.reached == pytest.approx(42.0), row.variants
         drives = (row.variants["swing"], row.variants["boom_stick"])
@@ -99,33 +101,40 @@ def test_every_combination_runs_the_work_cycle(fmu_dir):
             # a compensated section whose load is as high as the supply: 2.4e-4, and 7e-6 at half the step
             assert "compensated" in drives, row.variants
             one = {part: [variant] for part, variant in row.variants.items()}
-            (row,) = combinations(system, one, WATCH, step=5e-4, record_step=0.02)
-        assert row.residual < 1e-4, row.variants
+            (half,) = combinations(system, one, WATCH, step=5e-4, record_step=0.02)
+            assert half.residual < 1e-4, row.variants
         # load_sensing: a fifth of the pressure drop at the valves, slower; compensated: another circuit
         if row.variants["supply"] != "load_sensing" and "compensated" not in drives:
             assert row.change < 0.1, row.variants  # another fidelity, not another machine
 
 
-def test_the_table_is_written(fmu_dir, tmp_path, capsys, monkeypatch):
-    """One row for each combination, on paper and in the file; here of few."""
-    few = {"swing": {"lumped": 0, "quasistatic": 0}}
-    monkeypatch.setattr("fmus.machine.parts.FAMILIES", few)
+@pytest.fixture
+def few(monkeypatch):
+    """Two combinations of one part, over a tenth of a second."""
+    family = {"swing": {"lumped": 0, "quasistatic": 0}}
+    monkeypatch.setattr("fmus.machine.parts.FAMILIES", family)
     monkeypatch.setattr("orchestrator.studies.variants.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
+    return list(family["swing"])
+
+
+def test_the_table_is_written(fmu_dir, tmp_path, capsys, few):
+    """One row for each combination, on paper and in the file; here of few."""
     out = tmp_path / "new" / "table.csv"
     assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     with out.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert [row["swing"] for row in rows] == ["lumped", "quasistatic"]
+    assert [row["swing"] for row in rows] == few
     assert all(row["reached [s]"] == "0.1" and row["failure"] == "" for row in rows)
     numbers = [name for name in rows[0] if name not in ("swing", "failure")]
     assert all(float(row[name]) >= 0 for row in rows for name in numbers)  # plain, units in the header
     assert float(rows[0]["change [1]"]) == 0
     assert "1/2 lumped" in printed
     assert "us per ms is the time in the steps of all FMUs, calls from Python included" in printed
-    assert all(variant in printed for variant in few["swing"])
+    assert all(variant in printed for variant in few)
 
 
+@pytest.mark.usefixtures("few")
 def test_an_interrupt_tells_where_the_table_is(fmu_dir, tmp_path, capsys, monkeypatch):
     """Exit status 130; the rows so far are in the file."""
 
@@ -133,9 +142,6 @@ def test_an_interrupt_tells_where_the_table_is(fmu_dir, tmp_path, capsys, monkey
         yield next(combinations(*arguments, **options))
         raise KeyboardInterrupt
 
-    few = {"swing": {"lumped": 0, "quasistatic": 0}}
-    monkeypatch.setattr("fmus.machine.parts.FAMILIES", few)
-    monkeypatch.setattr("orchestrator.studies.variants.RUN", {"step": 1e-3, "record_step": 0.02, "stop": 0.1})
     monkeypatch.setattr("orchestrator.studies.variants.combinations", interrupted)
     out = tmp_path / "table.csv"
     assert main(["variants", str(fmu_dir / "harvester.ssp"), "--combinations", "--out", str(out)]) == 130
@@ -143,6 +149,7 @@ def test_an_interrupt_tells_where_the_table_is(fmu_dir, tmp_path, capsys, monkey
     assert len(out.read_text(encoding="utf-8").splitlines()) == 2
 
 
+# python_fmu/test_machine.py exchanges each usual part, python_fmu/test_agreement.py drives each variant
 SAMPLE = [
     {"swing": "quasistatic", "manipulator": "pendulum_friction"},
     {"boom_stick": "lumped", "supply": "engine_pump"},
@@ -150,6 +157,7 @@ SAMPLE = [
 ]
 
 
+@shards.machine
 @pytest.mark.parametrize("chosen", SAMPLE, ids=lambda c: "-".join(itertools.chain(*c.items())))
 def test_python_fmus_take_the_place_of_native_ones(fmu_dir, tmp_path, chosen):
     """The machine moves the same with Python FMUs of the same variants: to 1e-9 of each signal's range."""
