@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from kit.wait import LONG
 from zoo.faulty import faulty
 
 from orchestrator import Problem, RunFailed, assemble, load, read_trace, run, write_ssp
@@ -69,15 +70,13 @@ def test_relative_paths_are_those_of_the_caller(fmus, tmp_path, monkeypatch):
 def test_a_crash_gives_the_rows_and_the_next_run_works(tmp_path):
     """The point before the crash is the last row, also between two recorded ones."""
     crashing, good = faulty(tmp_path, "segfault", name="bad"), faulty(tmp_path)
-    for record_step, last in ((0.01, 0.5), (0.03, 0.5)):
-        with pytest.raises(
-            RunFailed, match=r"^segmentation fault in fmi2DoStep at t = 0\.5 s of bad "
-        ) as failed:
+    for record_step in (0.01, 0.03):
+        told = r"^segmentation fault in fmi2DoStep at t = 0\.5 s of bad "
+        with pytest.raises(RunFailed, match=told) as failed:
             run(crashing.fmu, **STEPS, record_step=record_step)
         trace = failed.value.result.trace
-        expected = [*np.arange(0.0, 0.5, record_step), last]
-        np.testing.assert_allclose(trace.time, expected[: len(trace.time)], rtol=0, atol=1e-12)  # rounding
-        assert trace.time[-1] == pytest.approx(last)
+        expected = [*np.arange(0.0, 0.5 - 1e-9, record_step), 0.5]
+        np.testing.assert_allclose(trace.time, expected, rtol=0, atol=1e-12)  # rounding
         assert not failed.value.result.complete
         assert failed.value.result.card.steps == 50
     assert len(run(good.fmu, **STEPS).trace.time) == 101
@@ -87,9 +86,8 @@ def test_a_crash_gives_the_rows_and_the_next_run_works(tmp_path):
 def test_a_crash_before_the_run_is_a_problem_without_a_result(tmp_path):
     """Nothing has been recorded."""
     crashing = faulty(tmp_path, "exit_0", "initialise")
-    with pytest.raises(
-        Problem, match=r"^the process ended with exit status 0 in fmi2ExitInitializationMode"
-    ) as problem:
+    told = r"^the process ended with exit status 0 in fmi2ExitInitializationMode"
+    with pytest.raises(Problem, match=told) as problem:
         run(crashing.fmu, **STEPS)
     assert type(problem.value) is Problem
 
@@ -97,7 +95,8 @@ def test_a_crash_before_the_run_is_a_problem_without_a_result(tmp_path):
 @posix
 def test_a_limit_of_time_ends_a_run_that_hangs(tmp_path):
     """With the call that does not return."""
-    hanging = faulty(tmp_path, "sleep")
+    hanging, good = faulty(tmp_path, "sleep"), faulty(tmp_path, name="good")
+    run(good.fmu, **STEPS)  # on a busy computer, a process takes longer than the limit to start
     with pytest.raises(RunFailed, match=r"^not done within 1 s in fmi2DoStep at t = 0\.5 s of lag "):
         run(hanging.fmu, **STEPS, time_limit=1.0)
 
@@ -122,9 +121,8 @@ def test_a_crash_at_the_end_does_not_hide_why_the_run_failed(tmp_path):
     """Many FMUs crash when they are freed after an error."""
     failing, crashing = faulty(tmp_path, "nan", name="lag"), faulty(tmp_path, "segfault", "free", name="bad")
     system = assemble({"first": failing.fmu, "second": crashing.fmu}, ["first.y -> second.u"])
-    with pytest.raises(
-        RunFailed, match=r"^first\.y: expected a .* got nan .*; then segmentation fault in fmi2Free"
-    ):
+    told = r"^first\.y: expected a .* got nan .*; then segmentation fault in fmi2Free"
+    with pytest.raises(RunFailed, match=told):
         run(system, **STEPS)
 
 
@@ -135,7 +133,7 @@ def test_a_forked_process_has_its_own_process_for_runs(fmus, oscillator):
     before = process()
     child = multiprocessing.get_context("fork").Process(target=run, args=(fmus["source"],), kwargs=STEPS)
     child.start()
-    child.join(60.0)
+    child.join(LONG)
     assert child.exitcode == 0
     run(oscillator, **STEPS)
     assert process() == before
@@ -147,7 +145,6 @@ def test_a_defect_has_the_traceback_of_the_child(oscillator):
     broken.components["mass_a"].__dict__["start"] = {"mass": object()}
     with pytest.raises(RuntimeError, match=r"Traceback(.|\n)*TypeError"):
         run(broken, **STEPS)
-    assert os.getpid() > 0
     assert run(oscillator, **STEPS).complete
 
 
@@ -174,10 +171,9 @@ print(lost)
 @posix
 def test_no_interrupt_is_lost(fmus):
     """Whenever it comes: a loop over runs ends, also if the run is complete at the same moment."""
-    arguments = [sys.executable, "-c", INTERRUPTS, str(fmus["source"])]
-    paths = os.pathsep.join(filter(None, sys.path))
-    environment = {**os.environ, "PYTHONPATH": paths}
+    command = [sys.executable, "-c", INTERRUPTS, str(fmus["source"])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     ended = subprocess.run(
-        arguments, capture_output=True, text=True, env=environment, timeout=120, check=False
+        command, capture_output=True, text=True, env=environment, timeout=LONG, check=False
     )
     assert (ended.stdout, ended.stderr) == ("0\n", "")
