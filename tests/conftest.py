@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import time
@@ -117,10 +118,14 @@ def once(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureReques
 
 @pytest.fixture(scope="session")
 def built(once: Once) -> Path:
-    """Folder of the machine in both versions of FMI, built once for all test processes."""
-    from fmus.machine.build import build_machine
+    """Folder of the machine in both versions of FMI, built by the command, once for all test processes."""
+    from orchestrator.__main__ import main
 
-    return once("machine", lambda folder: build_machine(folder, versions=(2, 3)))
+    def build(folder: Path) -> None:
+        with (folder.parent / "machine.printed").open("w") as file, contextlib.redirect_stdout(file):
+            assert main(["build", "--out", str(folder)]) == 0
+
+    return once("machine", build)
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from kit.mistakes import refused, table
 
 from fmus.machine.build import data
 from fmus.machine.parts import ALL, FAMILIES
@@ -42,17 +43,15 @@ def own_reference(old: str = "", new: str = "") -> str:
     return "own.csv"
 
 
-def test_build_makes_the_machine(tmp_path, monkeypatch, capsys):
+def test_build_makes_the_machine(built):
     """The FMUs, the system that connects them and all variants, for FMI 2.0 and 3.0, each with its size."""
-    monkeypatch.chdir(tmp_path)
-    assert main(["build", "--out", "new/folder"]) == 0
     files = [*(f"{name}.fmu" for name in (*ALL, "controller", "harvester"))]
     files += ["harvester.ssp", "harvester_control.ssp"]
     files += [f"variants/{part}_{v}.fmu" for part, variants in FAMILIES.items() for v in variants]
     names = [*files, *(f"fmi3/{name}" for name in files)]
-    printed = capsys.readouterr().out.splitlines()
-    assert {Path(line.split()[0]) for line in printed} == {Path("new/folder") / name for name in names}
-    assert all((Path("new/folder") / name).stat().st_size > 10_000 for name in names)
+    printed = (built.parent / "machine.printed").read_text().splitlines()
+    assert {Path(line.split()[0]) for line in printed} == {built / name for name in names}
+    assert all((built / name).stat().st_size > 10_000 for name in names)
 
 
 @pytest.mark.usefixtures("here")
@@ -364,85 +363,20 @@ def test_validate_needs_no_trace(capsys):
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (
-            ["validate", "--monolithic", "--reference", "own.csv"],
-            "--monolithic: expected no --reference, because the solution replaces it, got own.csv",
-        ),
-        (["validate", "--monolithic", "--play", "a"], "--play a: expected a --reference"),
-        (["validate", "--limit", "0.1"], "--limit 0.1: expected --monolithic"),
-        (["validate", "--monolithic", "--limit", "0"], "--limit: expected a positive number, got 0"),
-        (["validate", "none.ssp"], "none.ssp: no such file"),
-        (
-            ["validate", "--reference", "none.csv"],
-            "none.csv: expected a .csv, .parquet, .mat or .toml file, got no such file",
-        ),
-        (["validate", "--layout", "none.toml"], "none.toml: no such file"),
-        (["validate", "--out", "file.txt"], "file.txt: expected a folder, which cannot be made: "),
-        (["validate", "--stop", "1", "--set", "manipulator.boom_mas=1"], "manipulator.boom_mass"),
-        (["validate", "--stop", "1", "--set", "gravity=1"], "manipulator.gravity"),
-        (
-            ["validate", "--stop", "1", "--set", "manipulator.boom_mass=-1"],
-            "boom_mass: expected at least 0.001 kg, got -1 kg",
-        ),
-        (["validate", "--start", "99", "--stop", "99.1"], "the reference covers 0 to 42 s"),
-        (["validate", "--record-step", "0.0015"], "expected a multiple of the step 0.001 s, got 0.0015 s"),
-        (["validate", "--stop", "1", "--master", "magic"], "expected one of jacobi, gauss-seidel"),
-        (
-            ["run", "--scenario", "file.txt"],
-            "file.txt: expected a file name ending in .csv, .parquet or .mat",
-        ),
-        (["build", "--out", "file.txt"], "file.txt: expected a folder, which cannot be made: "),
-        (["parameters", "nosuch"], "'nosuch', expected one of swing, boom_stick, manipulator"),
-        (["parameters", "swing", "boom"], "boom"),
-        (["parameters", "--source", "hearsay"], "'hearsay', expected one of paper, derived, literature"),
-        (["signals", "--kind", "state"], "kind: expected one of input, output, parameter, got 'state'"),
-        (["run", "--cut", "*_jerk"], "cut *_jerk: no connected input matches"),
-        (["run", "--parameters", "rech"], "parameter set 'rech' is unknown; did you mean reach?; build"),
-        (["run", "--parameters", "none.ssv"], "none.ssv: no such file"),
-        (["run", "--set", "boom_command=3"], "--cut boom_stick.boom_command removes the connection"),
-    ],
-)
+@table(__file__, "mistakes_are_one_line_and_status_2", "arguments, told")
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, told):
     """Named with what was expected and found, without a traceback."""
     Path("file.txt").write_text("", encoding="utf-8")
-    assert main(arguments) == 2
-    printed = capsys.readouterr().err
+    printed = refused(capsys, arguments)
     assert printed.startswith("harvester: ")
-    assert printed.count("\n") == 1
     assert told in printed
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        (
-            'unit = "Pa"',
-            'unit = "bear"',
-            "own.toml: signals.\"swing.swing_pressure_a\": unit 'bear' is unknown",
-        ),
-        ('unit = "Pa"', 'unit = "m"', "unit 'm' cannot be converted, expected a unit like 'Pa'"),
-        (
-            "limit = 0.005",
-            "limit = -1",
-            "own.toml: tolerances.speed: limit: expected a number above 0, got -1",
-        ),
-        (
-            "manipulator.boom_speed",
-            "manipulator.speed",
-            ("own.csv: expected a column 'manipulator.speed', got "),
-        ),
-    ],
-)
+@table(__file__, "a_bad_reference_is_told", "old, new, told")
 def test_a_bad_reference_is_told(capsys, old, new, told):
     """File, signal, expected and found, before anything is simulated."""
-    assert main(["validate", "--stop", "0.1", "--reference", own_reference(old, new)]) == 2
-    printed = capsys.readouterr().err
-    assert printed.count("\n") == 1
-    assert told in printed
+    assert told in refused(capsys, ["validate", "--stop", "0.1", "--reference", own_reference(old, new)])
     assert not list(Path("build").glob("run*"))
 
 
@@ -463,8 +397,7 @@ def test_what_cannot_be_compared_is_told_before_the_run(capsys):
         (["--start", "50", "--stop", "50.1"], "expected two or more samples in a common window"),
         (["--layout", "own.layout.toml"], "own.layout.toml: figure 'A': no signal swing.nothing in the run"),
     ):
-        assert main(["validate", "--stop", "0.1", *options]) == 2
-        assert told in capsys.readouterr().err
+        assert told in refused(capsys, ["validate", "--stop", "0.1", *options])
         assert not list(Path("build").glob("run*"))
 
 

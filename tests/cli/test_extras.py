@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tarfile
 import tomllib
+from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions
 from pathlib import Path
 
@@ -49,9 +50,12 @@ def without(hidden, code, folder):
     )
 
 
+packages = cache(packages_distributions)  # it reads the metadata of all packages: half a second
+
+
 def package_of(module):
     """The package that brings a module."""
-    (package,) = packages_distributions()[module]
+    (package,) = packages()[module]
     return package.lower()
 
 
@@ -59,8 +63,8 @@ def test_the_extras_are_those_of_the_project_file():
     """The messages name extras that exist, and each package is in the extra that they name."""
     declared = PROJECT["optional-dependencies"]
     for extra, modules in EXTRAS.items():
-        packages = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in declared[extra]}
-        assert packages == {package_of(module) for module in modules}
+        named = {re.match(r"[\w-]+", requirement)[0].lower() for requirement in declared[extra]}
+        assert named == {package_of(module) for module in modules}
     assert declared["all"] == [f"harvester-cosim[{','.join(EXTRAS)}]"]
 
 
@@ -91,32 +95,26 @@ def test_a_command_without_its_extra_says_what_to_install(extra, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "package"),
-    [("a.parquet", b"PAR1", "pyarrow"), ("a.mat", b"\0" * 512 + b"\x89HDF\r\n\x1a\n", "h5py")],
-)
-def test_a_file_that_needs_a_package_says_so(name, content, package, tmp_path):
-    """The line names the file."""
-    (tmp_path / name).write_bytes(content)
+# a call, and the Problem that tells what to install
+CALLS = {
+    "orchestrator.read_recording('a.parquet')": ("a.parquet: a .*", "pyarrow", "files"),
+    "orchestrator.read_recording('a.mat')": ("a.mat: a .*", "h5py", "files"),
+    "orchestrator.Linear.to_control(None)": (".*", "control", "control"),
+    "orchestrator.Result.to_pandas(None)": (".*", "pandas", "files"),
+}
+
+
+def test_a_call_that_needs_a_package_says_so(tmp_path):
+    """As a Problem, whose message names the file, the package and what to install."""
+    (tmp_path / "a.parquet").write_bytes(b"PAR1")
+    (tmp_path / "a.mat").write_bytes(b"\0" * 512 + b"\x89HDF\r\n\x1a\n")
     (tmp_path / "a.toml").write_text('[signals."manipulator.boom_angle"]\nunit = "rad"\n', encoding="utf-8")
-    code = f"from orchestrator import read_recording, Problem\ntry: read_recording({name!r})\n"
-    done = without(EVERY, f"{code}except Problem as problem: print(problem)", tmp_path)
-    install = r'install with: pip install "harvester-cosim\[files\]"'
-    assert re.fullmatch(rf"{name}: a .* file.* needs the package {package}; {install}\n", done.stdout), done
-
-
-@pytest.mark.parametrize(
-    ("call", "package", "extra"),
-    [
-        ("from orchestrator import Linear; Linear.to_control(None)", "control", "control"),
-        ("from orchestrator import Result; Result.to_pandas(None)", "pandas", "files"),
-    ],
-)
-def test_a_method_that_needs_a_package_says_so(call, package, extra, tmp_path):
-    """As a Problem, whose message says what to install."""
-    code = f"from orchestrator import Problem\ntry: {call}\nexcept Problem as problem: print(problem)"
-    done = without(EVERY, code, tmp_path)
-    assert f'the package {package}; install with: pip install "harvester-cosim[{extra}]"' in done.stdout, done
+    each = "try: {}\nexcept orchestrator.Problem as problem: print(problem)\n"
+    done = without(EVERY, "import orchestrator\n" + "".join(map(each.format, CALLS)), tmp_path)
+    assert len(done.stdout.splitlines()) == len(CALLS), done
+    for line, (begin, package, extra) in zip(done.stdout.splitlines(), CALLS.values(), strict=True):
+        install = rf'install with: pip install "harvester-cosim\[{extra}\]"'
+        assert re.fullmatch(rf"{begin} the package {package}; {install}", line)
 
 
 def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
@@ -145,14 +143,15 @@ BASE = {
 }
 
 
-@pytest.mark.parametrize("command", BASE)
-def test_a_command_of_the_base_needs_no_extra(command, fmu_dir, tmp_path):
+def test_a_command_of_the_base_needs_no_extra(fmu_dir, tmp_path):
     """It runs although no package of any extra can be imported."""
     for name in ("a", "b"):
         (tmp_path / f"{name}.csv").write_text("time,part.speed\n0,0\n1,1\n2,0\n", encoding="utf-8")
     names = {"system": fmu_dir / "harvester.ssp", "fmu": fmu_dir / "supply.fmu"}
-    arguments = [argument.format(**names) for argument in BASE[command]]
-    done = without(EVERY, COMMAND.format(arguments=arguments), tmp_path)
+    commands = [[argument.format(**names) for argument in arguments] for arguments in BASE.values()]
+    code = "from orchestrator.__main__ import main\n"
+    code += f"for words in {commands!r}:\n    status = main(words)\n    assert status == 0, words"
+    done = without(EVERY, code, tmp_path)
     assert done.returncode == 0, done.stderr
     assert "harvester: " not in done.stderr
 
