@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit.any_fmu.edit import edited
+from kit.mistakes import table
 
 from orchestrator import Problem, assemble, load, run
 
@@ -91,16 +92,7 @@ def test_a_connected_input_may_stand_in_a_set(fmus, tmp_path):
     assert run(chain, parameters=[file], step=0.5, stop=0.5).trace["q.u"][0] == 3.0
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("stepp", r"set 'stepp' is unknown; did you mean steep\?; .*system.ssp contains plain, steep"),
-        ("none.ssv", r"none.ssv: no such file"),
-        ("odd.ssv", r"odd.ssv: unknown variable 'g.fctor'; did you mean g.factor"),
-        ("output.ssv", r"g.y cannot be set: it is a continuous output"),
-        ("text.ssv", r"text.ssv: parameter g.factor: expected a value of type Real, got 'x'"),
-    ],
-)
+@table(__file__, "mistakes", "name, message")
 def test_sets_that_do_not_fit_are_refused(system, tmp_path, monkeypatch, name, message):
     """In one line: the set or file, the variable, expected and got."""
     monkeypatch.chdir(tmp_path)
