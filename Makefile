@@ -16,7 +16,7 @@ RELEASING := .venv/.have-release
 # With stored byte code every command starts 0.3 to 4 s sooner; the tests start hundreds of commands.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-long lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
+.PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
   docs clean release constraints test-lowest test-newest audit
 
 # FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
@@ -25,15 +25,19 @@ demo: $(INSTALLED)
 	$(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/harvester validate
 
-test: $(TESTING)
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal --seconds
 
-# the long tests in shards (tests/kit/shards.py); `make test-long SHARD="browser faults"` runs some of them
-SHARD := documents tools platforms c browser faults machine search
-test-long: $(TESTING)
-	for shard in $(SHARD); do \
-	  $(BIN)/python -m pytest -n 2 --dist worksteal -m "long(shard='$$shard')" || exit 1; \
-	done
+test: $(TESTING)
+	$(PYTEST)
+
+# the long tests, in shards (tests/kit/shards.py): all of them, or `make test-browser`, `make test-c`
+test-long: test-documents test-tools test-platforms test-c test-browser test-faults test-machine test-search
+
+test-search: $(TESTING)
+	$(PYTEST) -m "long(shard='search') or hypothesis" --hypothesis-profile=search
+
+test-%: $(TESTING)
+	$(PYTEST) -m "long(shard='$*')"
 
 lint: $(TESTING)
 	$(BIN)/ruff check .

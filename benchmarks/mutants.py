@@ -122,12 +122,7 @@ def number(text: str) -> str:
 
 def c_places(content: str) -> Iterator[tuple[int, int, str]]:
     """Operators and numbers of C, but for comments and directives."""
-    blank = re.sub(
-        r"/\*.*?\*/|//[^\n]*|^#[^\n]*|\"[^\"\n]*\"",
-        lambda m: re.sub(r"[^\n]", "_", m[0]),
-        content,
-        flags=re.S | re.M,
-    )
+    blank = C_ASIDE.sub(lambda aside: re.sub(r"[^\n]", "_", aside[0]), content)
     for found in C_TOKEN.finditer(blank):
         text = found[0]
         if text != "*" or re.search(r"[\w)\]] $", blank[: found.start()]):
@@ -169,16 +164,11 @@ def python_places(content: str) -> Iterator[tuple[int, int, str]]:
         elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
             yield begin(node), end(node), number(content[begin(node) : end(node)].replace("_", ""))
         for name, field in ast.iter_fields(node):
-            if name not in (
-                "annotation",
-                "returns",
-                "decorator_list",
-                "bases",
-                "keywords" if isinstance(node, ast.ClassDef) else "",
-            ):
-                for child in field if isinstance(field, list) else [field]:
-                    if isinstance(child, ast.AST) and not isinstance(child, ast.JoinedStr):
-                        yield from visit(child)
+            if name in NO_VALUES or (name == "keywords" and isinstance(node, ast.ClassDef)):
+                continue
+            for child in field if isinstance(field, list) else [field]:
+                if isinstance(child, ast.AST) and not isinstance(child, ast.JoinedStr):
+                    yield from visit(child)
 
     yield from visit(ast.parse(content))
 
