@@ -12,8 +12,11 @@ from fmpy import read_model_description, simulate_fmu
 from fmpy.container_fmu.cli import create_container_fmu
 from fmpy.container_fmu.config import Component, Configuration, Connection
 from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable
+from kit import shards
 from kit.plain_jacobi import ours
 from kit.work_cycle import JACOBI, ORDER, RATED, SIGNALS, STEP, agree, check_log, load, same
+
+pytestmark = shards.tools
 
 # the same algorithm; what is left is rounding of the times of the steps, and what the inner steps of the
 # solvers make of it: measured 2e-8 in the swing pressures, which hardly forget, after 42 s

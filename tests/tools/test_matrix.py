@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import shards
+from kit.wait import LONG, runs, until
 from lxml import etree
 
 from benchmarks.matrix import __main__ as matrix
@@ -55,15 +57,16 @@ GOOD = 'out.write_text("time,y\\n0,1\\n1,2\\n"); out.with_name("wall.txt").write
 # ---- cells
 
 
-def test_shares_have_two_digits_and_no_power_of_ten_from_one_on():
-    """100 % is 100, not 1e+02."""
-    shares = (0.0, 8.6e-5, 0.0149, 0.5, 0.994, 0.996, 1.0, 3.24)
-    assert [percent(x) for x in shares] == ["0", "0.0086", "1.5", "50", "99", "100", "100", "324"]
-
-
-def test_speeds_have_two_digits():
-    """Also slow and fast ones."""
-    assert [two(x) for x in (0.0412, 2.4, 3.26, 83.6, 1234.5)] == ["0.041", "2.4", "3.3", "84", "1200"]
+@pytest.mark.parametrize(
+    ("write", "values", "texts"),
+    [
+        (percent, (0.0, 8.6e-5, 0.0149, 0.5, 0.994, 0.996, 1.0, 3.24), "0 0.0086 1.5 50 99 100 100 324"),
+        (two, (0.0412, 2.4, 3.26, 83.6, 1234.5), "0.041 2.4 3.3 84 1200"),
+    ],
+)
+def test_numbers_have_two_digits(write, values, texts):
+    """Shares and speeds; from 1 on without a power of ten: 100 % is 100, not 1e+02."""
+    assert [write(x) for x in values] == texts.split()
 
 
 @pytest.mark.parametrize(
@@ -106,16 +109,12 @@ def test_the_page_merges_versions_of_fmi_that_agree():
     assert matrix.on_page(sides, None) == sides
 
 
-def test_a_page_without_marks_is_told_in_one_line(tmp_path):
-    """And so is one that is not there."""
+def test_what_is_missing_is_told_in_one_line(tmp_path, monkeypatch):
+    """A page that is not there or has no marks; a folder without FMUs, with what makes them."""
     (tmp_path / "page.md").write_text("no table")
     for name in ("page.md", "none.md"):
         with pytest.raises(SystemExit, match=rf"{name}: [^\n]*$"):
             matrix.write(tmp_path / name, "t", "")
-
-
-def test_a_folder_without_fmus_is_told_in_one_line(tmp_path, monkeypatch):
-    """It says what makes them."""
     monkeypatch.setattr(sys, "argv", ["matrix", "--build", str(tmp_path)])
     with pytest.raises(SystemExit, match="no FMU there; `harvester build` makes them"):
         matrix.main()
@@ -168,10 +167,10 @@ def test_a_system_that_cannot_be_read_is_a_row(tmp_path):
     assert rows[1].remark == "harvester.ssp: File is not a zip file"
 
 
-def row(rates: str, speed: float | None = None, said: str = "", master: str = "jacobi") -> Row:
+def row(rates: str, speed: float | None = None, said: str = "") -> Row:
     """One row of a tool."""
     errors = None if speed is None else dict.fromkeys(systems.KINDS, speed)
-    return Row("X", 2, master, rates, said, errors)
+    return Row("X", 2, "jacobi", rates, said, errors)
 
 
 @pytest.mark.parametrize(
@@ -189,14 +188,10 @@ def row(rates: str, speed: float | None = None, said: str = "", master: str = "j
     ],
 )
 def test_advice_on_rate_ports_follows_from_two_measurements(wired, open_, so):
-    """Without both there is none."""
+    """Of the same master; without both there is none."""
     assert by_tool([wired, open_]) == [("X", "jacobi", wired.speed, open_.speed, so)]
-
-
-def test_advice_needs_both_rows():
-    """One alone says nothing, and masters are not mixed."""
-    rows = [row(WIRED, 1e-4), row(OPEN, 1e-3, master="gauss-seidel")]
-    assert [line[-1] for line in by_tool(rows)] == ["not measured", "not measured"]
+    other = by_tool([wired, replace(open_, master="gauss-seidel")])
+    assert [line[-1] for line in other] == ["not measured"] * 2
 
 
 # ---- what a run is worth
@@ -209,39 +204,30 @@ def cycle(stop: float = systems.CYCLE, **change) -> Outcome:
     return Outcome({n: c[keep] for n, c in truth.items()}, 2.0)
 
 
-def test_the_reference_is_a_perfect_run():
-    """The judge finds no error in it, and 42 s in 2 s are 21 times real time."""
-    assert judged(cycle()) == ("21", dict.fromkeys(systems.KINDS, 0.0))
+ANGLE, PRESSURE = systems.reference()["manipulator.boom_angle"], "swing.swing_pressure_a"
+GROWN = np.exp(16 * systems.reference()["time"])  # to 1e291
+NO_NUMBER = np.where(np.arange(ANGLE.size) < 100, systems.reference()[PRESSURE], np.nan)
 
 
-def test_an_error_is_that_of_the_worst_signal_of_its_kind():
-    """Half of the range of one angle, and no other kind has any."""
-    name = "manipulator.boom_angle"
-    exact = systems.reference()[name]
-    _, worst = judged(cycle(**{name: exact + 0.5 * np.ptp(exact)}))
-    assert worst == pytest.approx({"speed": 0.0, "angle": 0.5, "pressure": 0.0})
-
-
-def test_a_run_that_is_lost_diverges():
-    """Also when infinite values follow."""
-    time_ = systems.reference()["time"]
-    with np.errstate(over="ignore"):
-        grown = np.exp(20 * time_)
-    assert np.isinf(grown[-1])
-    assert judged(cycle(**{SIGNALS[0]: grown})) == (DIVERGES, None)
-
-
-def test_a_run_that_ends_early_is_said_to_end_early():
-    """It has not diverged, and its accuracy up to there is no result."""
-    assert judged(cycle(12.0)) == ("ends at 12 s", None)
-
-
-def test_a_value_that_is_no_number_is_no_result():
-    """It is told where it comes first."""
-    name = "swing.swing_pressure_a"
-    column = systems.reference()[name].copy()
-    column[100:] = np.nan
-    assert judged(cycle(**{name: column})) == ("swing.swing_pressure_a is nan at 2 s", None)
+@pytest.mark.parametrize(
+    ("run", "remark_", "errors"),
+    [
+        (cycle(), "21", {"speed": 0.0, "angle": 0.0, "pressure": 0.0}),
+        (
+            cycle(**{"manipulator.boom_angle": ANGLE + 0.5 * np.ptp(ANGLE)}),
+            "21",
+            {"speed": 0.0, "angle": pytest.approx(0.5), "pressure": 0.0},
+        ),
+        (cycle(**{SIGNALS[0]: GROWN}), DIVERGES, None),
+        (cycle(**{SIGNALS[0]: np.where(GROWN > 1e200, np.inf, GROWN)}), DIVERGES, None),
+        (cycle(12.0), "ends at 12 s", None),
+        (cycle(**{PRESSURE: NO_NUMBER}), f"{PRESSURE} is nan at 2 s", None),
+    ],
+    ids=["perfect", "half off", "lost", "infinite", "early", "no number"],
+)
+def test_a_run_is_judged_by_the_reference(run, remark_, errors):
+    """By its worst signal of each kind, with 42 s in 2 s as 21 times real time; or there is no accuracy."""
+    assert judged(run) == (remark_, errors)
 
 
 def outcome(y, wall: float = 0.5, stop: float = 1.0) -> Outcome:
@@ -250,7 +236,7 @@ def outcome(y, wall: float = 0.5, stop: float = 1.0) -> Outcome:
 
 
 def test_only_fmus_that_ran_count():
-    """In deviation and wall time; the others say why, those with one reason together."""
+    """In deviation and wall time, if any; the others say why, those with one reason together."""
     tally, truth = single.Tally(), outcome([0, 1, 2])
     tally.add("good", outcome([0, 1, 4], wall=0.2), truth, {"y": 10.0})
     tally.add("nan", outcome([0, 1, np.nan]), truth, {"y": 10.0})
@@ -260,10 +246,6 @@ def test_only_fmus_that_ran_count():
     tally.add("lone", outcome([0, 1, 2]), Outcome({}, 0.0, "x"), {"y": 10.0})
     told = "nan: y is nan at 1 s; early: ends at 0.5 s; broken, also: 2 errors; lone: our own run: x"
     assert tally.cells(6) == ("1 of 6", "0.2 (good.y)", "0.2 s", told)
-
-
-def test_a_tool_that_ran_nothing_has_no_wall_time():
-    """Neither has it a deviation."""
     tally = single.Tally()
     tally.fail("a", "no")
     assert tally.cells(1) == ("0 of 1", "", "", "a: no")
@@ -297,36 +279,31 @@ def pressures(y, stop: float = single.STROKE, wall: float = 1.5) -> Outcome:
     return Outcome(moved | {"swing_pressure_a": 1e-3 * moved["boom_head_pressure"]}, wall)
 
 
-def stroke(tmp_path, monkeypatch, own: Outcome, found: Outcome) -> list[tuple[str, ...]]:
-    """The rows of a tool."""
+TWICE = pressures([0, 5, 10, 0])  # rows at one time: FMPy has two at an event
+TWICE.rows["time"][:] = (0.0, 3.0, 3.0, 6.0)
+
+
+@pytest.mark.parametrize(
+    ("own", "found", "cells"),
+    [
+        (pressures([0, 10, 0]), pressures([0, 12, 0]), ("20", "12", "1.5 s")),  # a fifth, in one of 3
+        (pressures([0, 10, 0]), pressures([0, np.nan, 0]), ("", "", "boom_head_pressure is nan at 3 s")),
+        (pressures([0, 10, 0]), TWICE, ("0", "0", "1.5 s")),
+    ],
+    ids=["off", "no number", "of rows at one time the last counts"],
+)
+def test_a_stroke_is_compared_with_our_own(tmp_path, monkeypatch, own, found, cells):
+    """At both intervals, if it has numbers; of rows at one time the last one counts."""
     monkeypatch.setattr(single, "carried_out", lambda tool, *_, **__: own if tool is OURS else found)
-    return list(single.strokes([fake("fake")], tmp_path, tmp_path))
-
-
-def test_a_stroke_is_compared_with_our_own(tmp_path, monkeypatch):
-    """Off by a fifth of the range in one of three rows, at both intervals."""
-    rows = stroke(tmp_path, monkeypatch, pressures([0, 10, 0]), pressures([0, 12, 0]))
-    assert rows == [("Fake", "2.0 CS", f"{ms} ms", "20", "12", "1.5 s") for ms in (1, 10)]
-
-
-def test_a_stroke_of_no_numbers_did_not_run(tmp_path, monkeypatch):
-    """It is not a perfect run."""
-    rows = stroke(tmp_path, monkeypatch, pressures([0, 10, 0]), pressures([0, np.nan, 0]))
-    assert [line[3:] for line in rows] == [("", "", "boom_head_pressure is nan at 3 s")] * 2
+    rows = list(single.strokes([fake("fake")], tmp_path, tmp_path))
+    assert rows == [("Fake", "2.0 CS", f"{ms} ms", *cells) for ms in (1, 10)]
 
 
 def test_without_our_own_stroke_there_is_one_row(tmp_path, monkeypatch):
     """It says why."""
-    rows = stroke(tmp_path, monkeypatch, Outcome({}, 0.0, "no such file"), pressures([0, 10, 0]))
+    monkeypatch.setattr(single, "carried_out", lambda *_, **__: Outcome({}, 0.0, "no such file"))
+    rows = list(single.strokes([fake("fake")], tmp_path, tmp_path))
     assert rows == [("harvester-cosim", "2.0 CS", "1 ms", "", "", "no such file")]
-
-
-def test_of_rows_at_one_time_the_last_counts(tmp_path, monkeypatch):
-    """FMPy has two at an event; the first holds what was before."""
-    found = pressures([0, 5, 10, 0])
-    found.rows["time"][:] = (0.0, 3.0, 3.0, 6.0)
-    rows = stroke(tmp_path, monkeypatch, pressures([0, 10, 0]), found)
-    assert rows[0][3:5] == ("0", "0")
 
 
 # ---- jobs and programs
@@ -364,29 +341,16 @@ def test_a_program_that_cannot_be_started_fails(tmp_path):
     assert ended.reason == ended.err != ""
 
 
-def alive(number: int) -> bool:
-    """Does a process run?"""
-    try:
-        os.kill(number, 0)
-    except ProcessLookupError:
-        return False
-    with open(f"/proc/{number}/stat") as file:
-        return file.read().rpartition(")")[2].split()[0] != "Z"
-
-
 @pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="no /proc")
-@pytest.mark.parametrize("end", ["time.sleep(600)", ""], ids=["at the limit", "at its end"])
+@pytest.mark.parametrize("end", shards.few([""], ["time.sleep(600)", ""], shards.faults))
 def test_a_job_leaves_no_process_behind(program, tmp_path, end):
     """What it has started ends with it, and would else disturb the times of the next job."""
     child = 'subprocess.Popen(["sleep", "600"])'
     note = f"pathlib.Path({str(tmp_path / 'child')!r}).write_text(str({child}.pid))"
-    found = carried_out(fake(program(f"import pathlib\n{note}\n{end}")), tmp_path, limit=5.0 if end else 60.0)
+    found = carried_out(fake(program(f"import pathlib\n{note}\n{end}")), tmp_path, limit=5.0 if end else LONG)
     assert found.problem == ("not done in 5 s" if end else "ends without rows")
     number = int((tmp_path / "child").read_text())
-    deadline = time.monotonic() + 10
-    while alive(number) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not alive(number)
+    assert until(lambda: not runs(number))
 
 
 # ---- which tools are here
@@ -406,29 +370,23 @@ def test_a_program_tells_its_version(program, text, version):
     assert Tool("fake", "Fake", command=program(text)).presence().version == version
 
 
-def test_a_number_in_an_error_message_is_no_version(program):
-    """The program does not start, and is not run."""
-    text = """sys.exit("fake: libc.so.6: version `GLIBC_2.38' not found")"""
-    found = Tool("fake", "Fake", command=program(text)).presence()
-    assert (found.version, found.problem) == (
-        "",
-        "`fake --version`: fake: libc.so.6: version `GLIBC_2.38' not found",
-    )
+NOT_FOUND = "fake: libc.so.6: version `GLIBC_2.38' not found"  # a number that is no version
 
 
-@pytest.mark.parametrize("module", ["", "fake"])
-def test_a_program_that_does_not_answer_is_not_run(program, monkeypatch, module):
-    """Nobody waits for it for ever."""
-    monkeypatch.setattr(present, "ANSWER", 0.5)
-    found = Tool("fake", "Fake", command=program("time.sleep(600)"), module=module).presence()
-    assert found.version == ""
-    assert found.problem.endswith("gives no answer in 0.5 s")
-
-
-def test_a_python_without_its_module_is_not_run(program):
-    """It says what Python says."""
-    found = Tool("fake", "Fake", command=program("sys.exit('no module')"), module="fake").presence()
-    assert found.problem == "`import fake`: no module"
+@pytest.mark.parametrize(
+    ("text", "module", "problem"),
+    [
+        (f'sys.exit("{NOT_FOUND}")', "", f"`fake --version`: {NOT_FOUND}"),
+        ("time.sleep(600)", "", "`fake --version` gives no answer in 0.5 s"),
+        ("time.sleep(600)", "fake", "`import fake` gives no answer in 0.5 s"),
+        ("sys.exit('no module')", "fake", "`import fake`: no module"),
+    ],
+)
+def test_a_tool_that_does_not_start_is_not_run(program, monkeypatch, text, module, problem):
+    """It says what it or Python says; nobody waits for it for ever."""
+    monkeypatch.setattr(present, "ANSWER", 0.5 if "sleep" in text else LONG)
+    found = Tool("fake", "Fake", command=program(text), module=module).presence()
+    assert (found.version, found.problem) == ("", problem)
 
 
 def test_what_is_not_here_is_not_run():

@@ -21,8 +21,6 @@ from fmus.monolith import join, simulate
 from orchestrator import Problem
 from orchestrator.modelica import write_package
 
-pytestmark = shards.tools
-
 EXAMPLES = Path(__file__).parents[2] / "examples" / "modelica"
 CONSTANT_INPUTS = ("supply_pressure", "tank_pressure", "payload_mass")
 POSE = {"initial_swing_angle": 0.3, "initial_boom_angle": 0.5, "initial_stick_angle": -1.2}
@@ -162,6 +160,7 @@ def errors(result: pd.DataFrame, time: np.ndarray, exact: Mapping[str, np.ndarra
     }
 
 
+@shards.tools
 @pytest.mark.parametrize(
     ("name", "case"),
     [
@@ -180,6 +179,7 @@ def test_openmodelica_solves_the_machine(results, truth, name, case):
     assert max(found[n] for n in PRESSURES) < 1e-4, found
 
 
+@shards.tools
 def test_constant_forces_at_the_flanges_hold_the_arm(results):
     """The sign of the adapters: pushes that balance the weight leave boom and stick where they are.
 
@@ -191,6 +191,7 @@ def test_constant_forces_at_the_flanges_hold_the_arm(results):
         assert np.ptp(angle) < 1e-6  # forces are given to 1e-6 N of 1e5
 
 
+@shards.tools
 def test_hydraulics_of_ones_own_drive_the_arm(results):
     """A cylinder in Modelica, with der() of the flange's position: rest, then the volume that oil takes.
 

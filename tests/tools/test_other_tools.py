@@ -6,12 +6,12 @@ carry those values through the step.
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from kit import shards
 from kit.plain_jacobi import SAME, ours
 from kit.work_cycle import (
     FMUS,
@@ -29,9 +29,10 @@ from kit.work_cycle import (
     step_through,
     worst,
 )
-from lxml import etree
 
 from fmus.machine.parts import COMMAND_WIRES
+
+pytestmark = shards.tools
 
 # Ecos asks for the version before it has loaded the library; the library does have the function
 ECOS = ('Function "fmi3GetVersion" is not provided by this FMU.',)
@@ -169,18 +170,3 @@ def test_libcosim_runs_the_ssp(fmu_dir, capfd):
     same(found, ours(fmu_dir, STEP, 42.0), SAME)
     agree(time, found, JACOBI)
     check_log("".join(capfd.readouterr()))
-
-
-# ---- what else tools ask of the SSP ----------------------------------------------------------------
-
-
-def test_ssp_has_what_omsimulator_and_libcosim_ask_for(fmu_dir):
-    """OMSimulator 3.0 opens no system without its annotation, with a SystemGeometry or with a dictionary;
-    libcosim takes the step from its annotation; Ecos and libcosim refuse connectors of the system."""
-    root = etree.fromstring(zipfile.ZipFile(fmu_dir / "harvester.ssp").read("SystemStructure.ssd"))
-    system = root.find("{*}System")
-    assert system.find("{*}Annotations//{*}FixedStepMaster").get("stepSize") == "0.001"
-    experiment = root.find("{*}DefaultExperiment/{*}Annotations//{*}FixedStepAlgorithm")
-    assert experiment.get("baseStepSize") == "0.001"
-    for tag in ("SystemGeometry", "SignalDictionaries", "Connectors"):
-        assert system.find(f"{{*}}{tag}") is None
