@@ -7,12 +7,13 @@
  *   thermo    on where y falls to low, off where it rises to high                                       state events
  *   room      T' = -T + power if on                                                       discrete input
  *   gain      y = a u + b u^3                                                             loops
+ *   swing     x' = v, v' = mu (1 - x^2) v - x                                             none: not linear
  */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-typedef enum { BALL, COUNTER, THERMO, ROOM, GAIN, MODELS } Model;
+typedef enum { BALL, COUNTER, THERMO, ROOM, GAIN, SWING, MODELS } Model;
 typedef struct {
     Model model;
     double time, r[8]; /* variables of type Real by value reference */
@@ -20,7 +21,7 @@ typedef struct {
     int events;        /* in event mode */
 } Instance;
 
-static const char *const names[MODELS] = {"ball", "counter", "thermo", "room", "gain"};
+static const char *const names[MODELS] = {"ball", "counter", "thermo", "room", "gain", "swing"};
 
 static Instance *make(const char *token) {
     Instance *m = calloc(1, sizeof *m);
@@ -32,10 +33,11 @@ static Instance *make(const char *token) {
     if (m->model == THERMO) m->r[2] = 0.4, m->r[3] = 0.6; /* y low high */
     if (m->model == ROOM) m->r[3] = 1.0;                  /* T T' power */
     if (m->model == GAIN) m->r[3] = 0.5;                  /* u y a b */
+    if (m->model == SWING) m->r[1] = 2.0, m->r[5] = 1.0;  /* x v x' v' mu */
     return m;
 }
 
-static int count(const Instance *m) { return m->model == BALL ? 2 : m->model == ROOM; }
+static int count(const Instance *m) { return m->model == BALL || m->model == SWING ? 2 : m->model == ROOM; }
 
 static double indicator(const Instance *m) {
     double y = m->r[1];
@@ -55,6 +57,7 @@ static void calculate(Instance *m) {
     }
     if (m->model == ROOM) r[2] = -r[1] + (m->i[5] ? r[3] : 0.0);
     if (m->model == GAIN) r[2] = r[3] * r[1] + r[4] * r[1] * r[1] * r[1];
+    if (m->model == SWING) r[3] = r[2], r[4] = r[5] * (1.0 - r[1] * r[1]) * r[2] - r[1];
 }
 
 /* One event iteration; the time of the next time event, or infinity. */
