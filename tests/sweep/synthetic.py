@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -38,19 +39,8 @@ def results(
     failed   which rows of the table of runs count as failed
     """
     output = Output("peak", "part.pressure", "maximum", 0.0, 1.0, True, unit, unit)
-    study = Study(
-        "A function",
-        "none.ssp",
-        method,
-        runs,
-        seed,
-        1.0,
-        None,
-        None,
-        tuple(factors),
-        tuple(choices),
-        (output,),
-    )
+    space = {"factors": tuple(factors), "choices": tuple(choices), "outputs": (output,)}
+    study = Study("A function", "none.ssp", method, runs, seed, stop=1.0, **space)
     table = design.table(study).reset_index()
     columns = {f.name: table[f.column].to_numpy(float) for f in factors}
     columns |= {c.name: table[c.column].to_numpy(str) for c in choices}
@@ -61,14 +51,21 @@ def results(
     return Results(study, table, _bands(table, output), {output.signal: unit})
 
 
+def every(count: int, first: int = 0) -> Callable[[pd.DataFrame], np.ndarray]:
+    """Each of so many runs failed, from the first one on."""
+    return lambda table: (table["run"] % count == first).to_numpy()
+
+
 def finding(found: Results) -> OutputAnalysis:
     """What the analysis says about the only output."""
     return analyse(found).findings[0]
 
 
 def effects(found: OutputAnalysis) -> dict[str, Effect]:
-    """By name."""
+    """By name. In all analyses they stand in the order of the tornado: the largest first."""
     assert found.sensitivity is not None
+    values = [effect.estimates[found.sensitivity.measure].value for effect in found.sensitivity.effects]
+    assert all(a >= b for a, b in itertools.pairwise(values))
     return {effect.name: effect for effect in found.sensitivity.effects}
 
 

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
-import pandas as pd
 import pytest
-from sweep.synthetic import ISHIGAMI, effects, finding, ishigami, ishigami_indices, results, uniform
+from sweep.pages import SINGLE, TWO
+from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigami_indices, results, uniform
 
+from orchestrator.studies import design
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.morris_sobol import RESAMPLES, intervals
 from orchestrator.studies.analysis.results import FIRST, MU_STAR, TOTAL, Effect, IntervalEstimate
 from orchestrator.studies.study import Choice, Factor
 
-TWO = Choice("swing", ("lumped", "detailed"))
 LINEAR = {"x1": 4.0, "x2": -2.0, "x3": 1.0, "x4": 0.0}
 UNIT = tuple(uniform(name, 0.0, 1.0) for name in LINEAR)
+GRID = tuple(Factor(f.name, "values", {"values": (0.5, 1.0, 2.0)}, unit="m") for f in UNIT[:2])
 
 
 def linear(x: Mapping[str, np.ndarray]) -> np.ndarray:
     """A sum of the factors with known weights."""
     return 10.0 + sum(weight * x[name] for name, weight in LINEAR.items())
+
+
+def bent(x: Mapping[str, np.ndarray]) -> np.ndarray:
+    """A function in which both factors act, alone and together."""
+    return np.sin(3 * x["x1"]) + x["x1"] * x["x2"]
 
 
 def near(estimate: IntervalEstimate, truth: float) -> bool:
@@ -61,13 +66,11 @@ def test_ishigami_has_its_closed_form_indices() -> None:
 def test_a_choice_takes_its_part_of_the_variance() -> None:
     """An option that adds a constant d moves Var = d^2 / 4; the factors share the rest as without it."""
     step = 4e5
-    found = effects(
-        finding(
-            results(
-                lambda x: ishigami(x) + step * (x["swing"] == "detailed"), ISHIGAMI, "saltelli", 512, [TWO]
-            )
-        )
-    )
+
+    def function(x: Mapping[str, np.ndarray]) -> np.ndarray:
+        return ishigami(x) + step * (x["swing"] == "detailed")
+
+    found = effects(finding(results(function, ISHIGAMI, "saltelli", 512, [TWO])))
     own = 13.8446e10  # variance of the Ishigami function, in Pa^2
     part = own / (own + step**2 / 4)
     for key in (FIRST, TOTAL):
@@ -98,12 +101,7 @@ def test_a_factor_without_effect_has_none() -> None:
 
 def test_lost_base_samples_leave_the_indices_true() -> None:
     """With a few failed runs the base samples of these are left out, which is told."""
-
-    def some(table: pd.DataFrame) -> np.ndarray:
-        return (table["run"] % 97 == 5).to_numpy()
-
-    found = finding(results(ishigami, ISHIGAMI, "saltelli", 512, failed=some))
-    assert found.sensitivity is not None
+    found = finding(results(ishigami, ISHIGAMI, "saltelli", 512, failed=every(97, 5)))
     assert "base samples are left out" in found.sensitivity.notes[0]
     for name, (_, total) in ishigami_indices().items():
         assert near(effects(found)[name].estimates[TOTAL], total)
@@ -111,12 +109,7 @@ def test_lost_base_samples_leave_the_indices_true() -> None:
 
 def test_a_broken_design_is_taken_as_a_plain_sample() -> None:
     """With many failed runs the independent rows are a plain sample, which is told."""
-
-    def many(table: pd.DataFrame) -> np.ndarray:
-        return (table["run"] % 7 == 2).to_numpy()
-
-    found = finding(results(ishigami, ISHIGAMI, "saltelli", 256, failed=many))
-    assert found.sensitivity is not None
+    found = finding(results(ishigami, ISHIGAMI, "saltelli", 256, failed=every(7, 2)))
     assert "too few for the estimators of a Saltelli design" in found.sensitivity.notes[0]
     assert "RBD-FAST" in found.sensitivity.method
     # 3 sd of first order indices from some 440 samples
@@ -126,17 +119,11 @@ def test_a_broken_design_is_taken_as_a_plain_sample() -> None:
 @pytest.mark.parametrize("crossed", [(), (TWO,)])
 def test_morris_gives_the_coefficients_of_a_linear_function(crossed: tuple[Choice, ...]) -> None:
     """mu* is the weight times the range, sigma is zero, mu has the sign, a crossed choice its difference."""
-    found = effects(
-        finding(
-            results(
-                lambda x: linear(x) + 3.0 * (x["swing"] == "detailed" if crossed else 0.0),
-                UNIT,
-                "morris",
-                6,
-                crossed,
-            )
-        )
-    )
+
+    def function(x: Mapping[str, np.ndarray]) -> np.ndarray:
+        return linear(x) + 3.0 * (x["swing"] == "detailed" if crossed else 0.0)
+
+    found = effects(finding(results(function, UNIT, "morris", 6, crossed)))
     for name, weight in LINEAR.items():
         _is(found[name], abs(weight))
         assert found[name].more["mu"] == pytest.approx(weight, abs=1e-12)
@@ -161,20 +148,30 @@ def test_a_grid_has_its_analysis_of_variance() -> None:
     assert found["b"].estimates[TOTAL].value == pytest.approx(y.var(axis=1).mean() / y.var(), rel=1e-12)
 
 
-def test_equal_results_have_equal_analyses() -> None:
-    """Nothing is drawn anew: the same runs give the same numbers, whatever the rows' order."""
-    for method, runs in (("saltelli", 32), ("latin", 220), ("morris", 8)):
-        found = results(ishigami, ISHIGAMI, method, runs, [TWO])
-        shuffled = replace(found, table=found.table.sort_values("run", ascending=False))
-        first, second = (analyse(one).findings[0].sensitivity for one in (found, shuffled))
-        assert first == second
-
-
-def test_effects_stand_in_the_order_of_the_tornado() -> None:
-    """The largest first, by the measure that orders them, whatever the method."""
-    for method, runs in (("saltelli", 64), ("latin", 220), ("latin", 60), ("morris", 8)):
-        found = finding(results(linear, UNIT, method, runs)).sensitivity
-        assert found is not None
-        values = [effect.estimates[found.measure].value for effect in found.effects]
-        assert all(a >= b for a, b in itertools.pairwise(values))
-        assert [effect.name for effect in found.effects][:3] == ["x1", "x2", "x3"]
+# without another choice where the groups of options make an analysis long
+@pytest.mark.parametrize(
+    ("method", "runs", "others"),
+    [
+        ("saltelli", 16, (TWO,)),
+        ("latin", 220, ()),
+        ("sobol", 64, ()),
+        ("morris", 6, (TWO,)),
+        ("grid", 0, (TWO,)),
+    ],
+)
+def test_one_option_and_the_order_of_the_rows_change_nothing(
+    method: str, runs: int, others: tuple[Choice, ...]
+) -> None:
+    """A choice of one option, drawn or crossed, is none: all numbers are those of the study without it."""
+    factors = GRID if method == "grid" else UNIT[:2]
+    plain = results(bent, factors, method, runs, others)
+    found = results(bent, factors, method, runs, (SINGLE[0], *others, SINGLE[1]))
+    assert len(found.table) == found.study.count == len(plain.table)
+    assert set(found.table[SINGLE[0].column]) == {"reach"}
+    columns = [choice.column for choice in SINGLE]
+    assert design.table(found.study).drop(columns=columns).equals(design.table(plain.study))
+    analysis = analyse(plain)
+    assert analyse(found) == analysis
+    # nothing is drawn anew either: the same runs give the same indices
+    shuffled = replace(plain, table=plain.table.sort_values("run", ascending=False))
+    assert finding(shuffled).sensitivity == analysis.findings[0].sensitivity

@@ -2,62 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
-from sweep.synthetic import ISHIGAMI, ishigami, results, uniform
+from kit import shards
+from sweep.pages import CASES, TWO, UNIT, shown, written
+from sweep.synthetic import ISHIGAMI, Columns, effects, every, finding, ishigami, results
 
 from orchestrator.base.text import display_unit
-from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import sentences
-from orchestrator.studies.report.study_figures import bands, medians, quantiles
-from orchestrator.studies.report.study_page import NUMBERS, PAGE, write
-from orchestrator.studies.store import Results
-from orchestrator.studies.study import Choice, Factor
-
-TWO = Choice("swing", ("lumped", "detailed"))
-MANY = Choice("parameters", ("near", "nominal", "reach", "raised"))
-ONE = (uniform("x1", 0.0, 1.0),)
+from orchestrator.studies.report.study_figures import bands, medians, quantiles, tornado
+from orchestrator.studies.study import Choice
 
 
-def _some(table: pd.DataFrame) -> np.ndarray:
-    return (table["run"] % 25 == 0).to_numpy()
-
-
-CASES: dict[str, Callable[[], Results]] = {
-    "saltelli": lambda: results(ishigami, ISHIGAMI, "saltelli", 32, [TWO]),
-    "latin": lambda: results(ishigami, ISHIGAMI, "latin", 220),
-    "morris": lambda: results(ishigami, ISHIGAMI, "morris", 6, [TWO, MANY]),
-    "failed runs": lambda: results(ishigami, ISHIGAMI, "saltelli", 32, [MANY], failed=_some),
-    "all failed": lambda: results(ishigami, ISHIGAMI, "latin", 20, failed=lambda t: np.ones(len(t), bool)),
-    "constant": lambda: results(lambda x: np.full(len(x["x1"]), 3e6), ONE, "latin", 20),
-    "one factor": lambda: results(lambda x: x["x1"], ONE, "latin", 20),
-    "one run": lambda: results(lambda x: x["x1"], ONE, "latin", 1),
-    "choices only": lambda: results(lambda x: 1.0 * (x["swing"] == "lumped"), (), "grid", 0, [TWO]),
-    "grid": lambda: results(
-        lambda x: x["x1"] ** 2, [Factor("x1", "values", {"values": (1.0, 2.0)}, relative=True)], "grid", 0
-    ),
-    "no bands": lambda: replace(results(ishigami, ISHIGAMI, "latin", 30), bands=None),
-}
-
-
-def _written(folder: Path, found: Results) -> tuple[str, dict[str, object]]:
-    write(folder, found, analyse(found))
-    return (folder / PAGE).read_text("utf-8"), json.loads((folder / NUMBERS).read_text("utf-8"))
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_the_page_stands_alone(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("case", CASES)
+def test_the_page_stands_alone(case: str) -> None:
     """Whatever came of a study there is a page, with no address of another file or server in it."""
-    found = CASES[name]()
-    page, numbers = _written(tmp_path, found)
+    found, _, page, numbers = shown(case)
     assert page.rstrip().endswith("</html>")
     places = re.findall(r"""(?:src|href|xlink:href)\s*=\s*["']([^"']*)|url\(([^)]*)\)|@import""", page)
     assert {p for pair in places for p in pair if p and not p.startswith(("#", "data:"))} == set()
@@ -65,50 +29,69 @@ def test_the_page_stands_alone(name: str, tmp_path: Path) -> None:
     assert numbers["runs"] == len(found.table)
 
 
-def test_failed_runs_are_shown_with_their_reason(tmp_path: Path) -> None:
-    """Counts, reason, and that the numbers are without them."""
-    found = CASES["failed runs"]()
-    page, _ = _written(tmp_path, found)
+def test_failed_runs_are_shown_with_their_reason() -> None:
+    """Counts, and a row for each kind of reason with its first run; that the numbers are without them."""
+    found, analysis, page, _ = shown("failed runs")
     bad = int((found.table["status"] != "ok").sum())
     assert f"{bad} of {len(found.table)} runs failed or ended early" in page
     assert "state became inf at 0.4 s" in page
+    assert "(run 50; the numbers differ from run to run)" in page
+    assert ("mass is -2 kg", (50, 100, 150), True) in [
+        (f.reason, f.examples[:3], f.various) for f in analysis.failures
+    ]
+    assert sum(f.count for f in analysis.failures) == bad
 
 
-def test_equal_results_have_equal_pages(tmp_path: Path) -> None:
+def test_equal_results_have_equal_pages() -> None:
     """The same bytes, so that a page can be kept under version control."""
-    pages = [_written(tmp_path, CASES["saltelli"]()) for _ in range(2)]
-    assert pages[0] == pages[1]
+    again = written(CASES["one factor"]())
+    assert (again.page, again.numbers) == shown("one factor")[2:]
 
 
-def test_the_page_says_what_the_analysis_says(tmp_path: Path) -> None:
+def test_the_page_says_what_the_analysis_says() -> None:
     """The sentences and the numbers in brackets are those of analysis.json."""
-    found = CASES["saltelli"]()
-    page, numbers = _written(tmp_path, found)
-    told = sentences(analyse(found).findings[0])
+    _, analysis, page, numbers = shown("saltelli")
+    told = sentences(analysis.findings[0])
     assert numbers["sentences"] == {"peak": told}
     assert all(sentence in page for sentence in told)
-    findings = numbers["findings"]
-    assert isinstance(findings, list)
-    assert findings[0]["unit"] == "Pa"
-    assert findings[0]["sensitivity"]["effects"][0]["name"] == "x1"
+    assert numbers["findings"][0]["unit"] == "Pa"
+    assert numbers["findings"][0]["sensitivity"]["effects"][0]["name"] == "x1"
 
 
-def test_names_of_users_do_not_become_markup(tmp_path: Path) -> None:
+def test_names_of_users_do_not_become_markup() -> None:
     """A title with < in it is shown as it is."""
-    found = CASES["one factor"]()
-    page, _ = _written(tmp_path, replace(found, study=replace(found.study, title="<b>peaks</b>")))
+    page = shown("one factor").page
     assert "&lt;b&gt;peaks&lt;/b&gt;" in page
     assert "<b>peaks</b>" not in page
 
 
+@pytest.mark.parametrize(("case", "choices"), [("saltelli", ", 1 choice"), ("latin", "")])
+def test_one_option_is_no_choice(case: str, choices: str) -> None:
+    """It says what all runs have."""
+    _, _, page, numbers = shown(case)
+    names = {effect["name"] for effect in numbers["findings"][0]["sensitivity"]["effects"]}
+    assert names == {"x1", "x2", "x3", *(["swing"] if choices else [])}
+    assert f"3 factors{choices}, " in page
+    assert "By parameters" not in page
+    assert 'reach <span class="soft">in all runs</span>' in page
+
+
+def test_the_number_at_the_top_is_called_the_median() -> None:
+    """With the unit; or it says that all runs have the same number, or that none has one."""
+    page = shown("latin").page
+    assert 'bar</b><span class="soft">median; ' in page
+    assert " in nine of ten runs<br>" in page
+    assert '30 bar</b><span class="soft">in all 20 runs<br>' in shown("constant").page
+    assert '<b>-</b><span class="soft">no run has it<br>' in shown("all failed").page
+
+
 def test_bands_are_quantiles_over_the_runs() -> None:
     """At each time those of all runs, by an independent route."""
-    found = CASES["latin"]()
-    assert found.bands is not None
-    time, bands = quantiles(found.bands, "part.pressure")
+    found = shown("latin").found
+    time, quantile = quantiles(found.bands, "part.pressure")
     at = found.bands.loc[np.isclose(found.bands["time"], time[5]), "part.pressure"]
     # rounding only
-    assert bands[:, 5] == pytest.approx(at.quantile([0, 0.05, 0.5, 0.95, 1]).to_numpy(), rel=1e-12)
+    assert quantile[:, 5] == pytest.approx(at.quantile([0, 0.05, 0.5, 0.95, 1]).to_numpy(), rel=1e-12)
 
 
 def test_the_line_of_a_scatter_is_the_median_in_bins() -> None:
@@ -119,18 +102,20 @@ def test_the_line_of_a_scatter_is_the_median_in_bins() -> None:
     assert medians(many, many)[1] == pytest.approx((np.arange(12) + 0.5) / 12, abs=1 / 240)  # one sample
 
 
+@shards.browser
 def test_a_browser_shows_the_page_without_any_request(tmp_path: Path, chromium: Any) -> None:
     """In Chromium: nothing is asked from anywhere, no error, and nothing is wider than a narrow window."""
-    _written(tmp_path, CASES["failed runs"]())
+    file = tmp_path / "report.html"
+    file.write_text(shown("failed runs").page, encoding="utf-8")
     asked: list[str] = []
     page = chromium.new_page(viewport={"width": 700, "height": 800})
     page.on("request", lambda request: asked.append(request.url))
     page.on("pageerror", lambda error: asked.append(str(error)))
-    page.goto((tmp_path / PAGE).as_uri())
+    page.goto(file.as_uri())
     width = page.evaluate("document.documentElement.scrollWidth")
     figures = page.evaluate("[...document.querySelectorAll('figure svg')].map(s => s.clientHeight)")
     page.close()
-    assert [url for url in asked if not url.startswith("data:")] == [(tmp_path / PAGE).as_uri()]
+    assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
     assert width <= 700
     assert len(figures) >= 5
     assert min(figures) > 100
@@ -139,8 +124,7 @@ def test_a_browser_shows_the_page_without_any_request(tmp_path: Path, chromium: 
 @pytest.mark.parametrize("choice", [None, TWO])
 def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
     """Median, area and dashed lines in bar, over all runs and by option, where some runs failed."""
-    found = results(ishigami, ISHIGAMI, "saltelli", 32, [TWO], failed=_some)
-    assert found.bands is not None
+    found = results(ishigami, ISHIGAMI, "saltelli", 32, [TWO], failed=every(25))
     (panel,) = bands(found, "part.pressure", display_unit("Pa"), choice).panels
     ended = found.bands.merge(found.table[found.table["status"] == "ok"], on="run")
     groups = [ended] if choice is None else [ended[ended[choice.column] == o] for o in choice.options]
@@ -158,3 +142,25 @@ def test_the_drawn_bands_are_those_of_pandas(choice: Choice | None) -> None:
     for area, own in zip(panel.areas, quantiles, strict=True):
         assert area.low == pytest.approx(own[0.05].to_numpy(), rel=1e-12, abs=1e-12)
         assert area.high == pytest.approx(own[0.95].to_numpy(), rel=1e-12, abs=1e-12)
+
+
+def _mostly_one(x: Columns) -> np.ndarray:
+    """Nearly all of it is x1, in units of 1e5 Pa."""
+    return 1e5 * (10 * x["x1"] ** 4 + 0.1 * x["x2"])
+
+
+@pytest.mark.parametrize("choices", [(), (TWO,)])
+@pytest.mark.parametrize("runs", [8, 16])
+def test_shares_end_within_the_axis(runs: int, choices: tuple[Choice, ...]) -> None:
+    """All marks, of a linear model (8) and of Sobol' indices (16); a cap at 100 % is in sight."""
+    found = finding(results(_mostly_one, UNIT, "saltelli", runs, choices))
+    estimate = effects(found)["x1"].estimates[found.sensitivity.measure]
+    assert estimate.ceiling > 1.03  # beyond the axis, if it were drawn as it is
+    axes = tornado(found, found.sensitivity).axes[0]
+    drawn = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
+    widths = [bar.get_width() for bar in axes.patches]
+    assert drawn.max() == 100.0
+    assert drawn.min() >= 0.0
+    assert max(widths) <= 100.0
+    assert min(widths) >= 0.0
+    assert 100.0 < axes.get_xlim()[1] <= 103.0

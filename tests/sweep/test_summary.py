@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 import pytest
+from sweep.pages import with_reasons
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
-from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.parameter_study import summary
-from orchestrator.studies.report.study_page import PAGE, write
 from orchestrator.studies.store import Results
 
 
 def _failed(reasons: dict[int, str]) -> Results:
     """40 runs; those of these numbers failed, for these reasons."""
     found = results(ishigami, ISHIGAMI, "latin", 40, failed=lambda t: t["run"].isin(list(reasons)).to_numpy())
-    told = found.table["run"].map(reasons).fillna("")
-    return replace(found, table=found.table.assign(reason=told))
+    return with_reasons(found, reasons)
 
 
-@pytest.mark.parametrize("failed", [5, 20, 35])
-def test_runs_that_ended_come_first(failed: int) -> None:
-    """However many failed."""
-    found = _failed(dict.fromkeys(range(failed), "it broke"))
-    assert summary(found).splitlines()[0] == f"40 runs: {40 - failed} ok, {failed} failed"
-
-
-def test_an_early_end_stands_between() -> None:
-    """ok, early, failed."""
+def test_runs_that_ended_come_first() -> None:
+    """ok, early, failed, however many failed."""
+    for failed in (5, 20, 35):
+        found = _failed(dict.fromkeys(range(failed), "it broke"))
+        assert summary(found).splitlines()[0] == f"40 runs: {40 - failed} ok, {failed} failed"
     found = _failed({0: "it broke", 1: "it broke", 2: "it broke"})
     status = found.table["status"].where(found.table["run"] != 2, "early")
     found = replace(found, table=found.table.assign(status=status))
@@ -54,17 +47,6 @@ def test_other_kinds_are_counted() -> None:
     lines = summary(found).splitlines()
     assert lines[-1] == "... and for 2 other reasons"
     assert lines[-6] == "2 failed, such as: part a broke at 0 s"
-
-
-def test_the_page_groups_them_too(tmp_path: Path) -> None:
-    """One row with the number of runs, the first of them as its example."""
-    found = _failed({n: f"mass is {-n} kg" for n in (7, 5, 9)})
-    one = analyse(found)
-    assert [(f.reason, f.count, f.examples, f.various) for f in one.failures] == [
-        ("mass is -5 kg", 3, (5, 7, 9), True)
-    ]
-    write(tmp_path, found, one)
-    assert "(run 5; the numbers differ from run to run)" in (tmp_path / PAGE).read_text("utf-8")
 
 
 @pytest.mark.parametrize(
