@@ -9,21 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import VALVE
 
 from fmus.components import chamber, cylinder, hose, motor, smooth, spool_valve
-from fmus.components.spool_valve import Valve
 
 PS = 20.684e6  # Pa
 RHO = 970.0  # kg/m3
-VALVE = Valve(
-    area=4e-5,
-    discharge_coefficient=0.62,
-    dead_band=0.6,
-    full_command=10.0,
-    command_rounding=0.4,
-    leakage=1.6e-14,
-    transition_flow=1e-5,
-)
 
 pressures = st.floats(-2e5, 4e7)
 flows = st.floats(-5e-3, 5e-3)

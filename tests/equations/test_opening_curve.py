@@ -9,6 +9,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import VALVE
 from kit.fmu import driving
 from scipy.interpolate import PchipInterpolator
 
@@ -25,7 +26,6 @@ from fmus.components.opening_curve import (
     pieces,
     requirements,
 )
-from fmus.components.spool_valve import Valve
 from fmus.contract import quantities, symbols
 from fmus.export.build import build
 from fmus.export.c_code import native_sources
@@ -34,15 +34,6 @@ from fmus.parameters import values
 from fmus.swing import SWING
 from orchestrator.base.compiler import SUFFIX, shared_library
 
-VALVE = Valve(
-    area=4e-5,
-    discharge_coefficient=0.62,
-    dead_band=0.6,
-    full_command=10.0,
-    command_rounding=0.4,
-    leakage=1.6e-14,
-    transition_flow=1e-5,
-)
 MEASURED = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10.0, 1.0))
 
 

@@ -5,32 +5,24 @@ All at random states and parameters of the declared subsystems, without simulati
 
 from __future__ import annotations
 
-import itertools
 import math
+from functools import cache
 
 import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import EDGES, VALVE, random_curve
+from kit.properties import examples
 from scipy.optimize import brentq
 
-from fmus.components import chamber, cylinder, motor, spool_valve
-from fmus.components.spool_valve import Valve
+from fmus.components import cylinder, motor, spool_valve
 from fmus.contract import column, quantities, symbolic
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
 from orchestrator.base.units import BASES, parse_unit
 
-VALVE = Valve(
-    area=4e-5,
-    discharge_coefficient=0.62,
-    dead_band=0.6,
-    full_command=10.0,
-    command_rounding=0.4,
-    leakage=1.6e-14,
-    transition_flow=1e-5,
-)
 PS, RHO = 20.684e6, 970.0  # Pa, kg/m3
 HYDRAULIC = ("swing", "boom_stick")
 ZERO_BY_CHOICE = {"line_turbulent_resistance": 1e10, "stick_centre_z": 0.1, "stick_pin_z": 0.05}
@@ -74,27 +66,18 @@ class Equations:
 
         p = {n: (a or ZERO_BY_CHOICE.get(n, 0.0)) * rng.uniform(0.9, 1.1) for n, a in v.p.items()}
         if "valve_pa_command_1" in p:
-            p |= {name: a for edge in ("pa", "at", "pb", "bt") for name, a in table(rng, edge).items()}
+            for edge in EDGES:
+                p |= random_curve(rng, f"valve_{edge}")
         start = self.initial(*(list(group.values()) for group in (v.x, v.u, v.p))).full()[:, 0]
         x = {n: one(n, q, a) for (n, q), a in zip(self.x.items(), start, strict=True)}
         u = {n: one(n, q, v.u[n]) for n, q in self.u.items()}
         return x, u, p
 
 
-def table(rng, edge):
-    """An opening curve of three points in every second case, else none: all zero."""
-    if rng.random() < 0.5:
-        return {}
-    commands, openings = np.sort(rng.uniform(0.3, 9.0, 3)), np.sort(rng.uniform(0.0, 1.0, 3))
-    points = zip(commands + 0.1 * np.arange(3), openings - openings[0], strict=True)
-    return {
-        f"valve_{edge}_{what}_{i}": float(a)
-        for i, point in enumerate(points, 1)
-        for what, a in zip(("command", "opening"), point, strict=True)
-    }
-
-
-EQUATIONS = {name: Equations(name) for name in SUBSYSTEMS}
+@cache
+def equations(name):
+    """The equations of a usual part."""
+    return Equations(name)
 
 
 def close(ours, theirs, declared, tolerance=1e-9):
@@ -113,7 +96,7 @@ def test_every_formula_keeps_its_dimensions(name):
     A term of wrong dimension, a number that hides one or a wrongly declared unit shows. Pressures stay far
     above the cavity, whose three constants are the only numbers with a dimension in the components.
     """
-    e, rng = EQUATIONS[name], np.random.default_rng(11)
+    e, rng = equations(name), np.random.default_rng(11)
     scale = dict.fromkeys(BASES, 1.0) | {"kg": 1.9, "m": 0.7, "s": 1.3, "A": 0.6}
 
     def in_other_units(values, group, per_second=0):
@@ -134,39 +117,12 @@ def test_every_formula_keeps_its_dimensions(name):
             close(kept, in_other_units({n: ours[n] for n in kept}, group, per_second), group)
 
 
-@pytest.mark.parametrize("name", HYDRAULIC)
-def test_oil_is_conserved(name):
-    """What the supply gives and the tank does not get back fills chambers, lines, voids and strokes."""
-    e, rng = EQUATIONS[name], np.random.default_rng(5)
-    for _ in range(50):
-        x, u, p = e.draw(rng, pressures=(-6e4, 2.5e7))
-        dx, y, _ = e.at(x, u, p)
-        if name == "swing":
-            parts = [(s, p["line_capacitance"], 0.0) for s in ("swing_pressure_a", "swing_pressure_b")]
-        else:
-            parts = list(itertools.chain(*(_chambers(a, u, p) for a in ("boom", "stick"))))
-        filled = sum(
-            (c + float(ca.DM(chamber.cavity_capacitance(x[s])))) * dx[s] + displaced
-            for s, c, displaced in parts
-        )
-        # exact identity; flows of up to 1 L/s, and through open edges terms 1e3 times as large
-        assert y["supply_flow"] - y["return_flow"] == pytest.approx(filled, rel=1e-9, abs=1e-12)
-
-
-def _chambers(a, u, p):
-    """(pressure, capacitance, flow displaced by the piston) of both chambers of a cylinder."""
-    x, v, beta = u[f"{a}_position"], u[f"{a}_velocity"], p["bulk_modulus"]
-    areas = cylinder.areas(p[f"{a}_bore"], p[f"{a}_rod"])
-    volumes = cylinder.volumes(x, p[f"{a}_stroke"], *areas, p[f"{a}_dead_volume"])
-    for side, volume, area, sign in zip(("head", "rod"), volumes, areas, (1, -1), strict=True):
-        yield f"{a}_{side}_pressure", p[f"{a}_hose_capacitance"] + volume / beta, sign * area * v
-
-
 @pytest.mark.parametrize("name", SUBSYSTEMS)
+@examples(40)
 @given(seed=seeds)
 def test_no_subsystem_creates_power(name, seed):
     """The heat of valves, lines, leakage and friction is not negative in any state, cavitation included."""
-    e = EQUATIONS[name]
+    e = equations(name)
     heat = e.at(*e.draw(np.random.default_rng(seed), pressures=(-8e4, 4e7)))[1]["dissipated_power"]
     # rounding of products of 1e-3 m3/s and 1e7 Pa
     assert heat >= -1e-6
@@ -178,16 +134,11 @@ def test_motor_turns_all_power_that_it_does_not_leak(p_a, p_b, tank, speed):
     d, r, r_in, r_ex = 1.5e-3, 6.2e6, 2e12, 1.1e12
     n = motor.nodes(p_a, p_b, tank, d * speed, r, r, r_in, r_ex)
     p1, p2 = n.pressure_1, n.pressure_2
-    heat = [
-        r * n.flow_1**2,
-        r * n.flow_2**2,
-        (p1 - p2) ** 2 / r_in,
-        (p1 - tank) ** 2 / r_ex,
-        (p2 - tank) ** 2 / r_ex,
-    ]
+    lines, leakage = r * (n.flow_1**2 + n.flow_2**2), (p1 - p2) ** 2 / r_in
+    heat = lines + leakage + ((p1 - tank) ** 2 + (p2 - tank) ** 2) / r_ex
     given_in = p_a * n.flow_1 + p_b * n.flow_2
     # exact identity; rounding of up to 1e5 W
-    assert given_in == pytest.approx(d * speed * (p1 - p2) + tank * n.drain + sum(heat), rel=1e-9, abs=1e-6)
+    assert given_in == pytest.approx(d * speed * (p1 - p2) + tank * n.drain + heat, rel=1e-9, abs=1e-6)
     assert n.flow_1 + n.flow_2 == pytest.approx(n.drain, rel=1e-6, abs=1e-15)
 
 
@@ -200,11 +151,12 @@ def test_end_stops_only_take_power(x, v):
     assert float(ca.DM(damping)) * v <= 1e-6
 
 
+@examples(40)
 @given(seed=seeds, shift=st.floats(-4e5, 5e6))
 @pytest.mark.parametrize("name", HYDRAULIC)
 def test_only_pressure_differences_drive_oil(name, seed, shift):
     """All pressures raised together leave every rate, flow and the swing torque as they are."""
-    e = EQUATIONS[name]
+    e = equations(name)
     x, u, p = e.draw(np.random.default_rng(seed), pressures=(1e6, 2e7))
     raised = [{n: a + shift * ("pressure" in n) for n, a in group.items()} for group in (x, u)]
     (ours, out, _), (theirs, other, _) = e.at(x, u, p), e.at(*raised, p)
@@ -214,10 +166,11 @@ def test_only_pressure_differences_drive_oil(name, seed, shift):
     close({n: other[n] for n in kept}, {n: out[n] for n in kept}, e.y, 1e-8)
 
 
+@examples(40)
 @given(seed=seeds)
 def test_swing_turns_right_as_it_turns_left(seed):
     """Mirrored command, speed, lines and tables of the edges give mirrored rates and the opposite torque."""
-    e = EQUATIONS["swing"]
+    e = equations("swing")
     x, u, p = e.draw(np.random.default_rng(seed), pressures=(-6e4, 2.5e7))
     swapped = {f"{n[:-1]}{'ba'['ab'.index(n[-1])]}": a for n, a in x.items()}
     turned = {
@@ -232,10 +185,11 @@ def test_swing_turns_right_as_it_turns_left(seed):
         assert sign * other[n] == pytest.approx(out[n], rel=1e-9, abs=1e-9 * e.y[n].nominal), n
 
 
+@examples(40)
 @given(seed=seeds)
 def test_arm_swings_right_as_it_swings_left(seed):
     """Opposite swing torque, angle and speed: opposite swing acceleration, the plane of the arm unchanged."""
-    e = EQUATIONS["manipulator"]
+    e = equations("manipulator")
     x, u, p = e.draw(np.random.default_rng(seed))
     x2, u2 = ({n: -a if "swing" in n else a for n, a in group.items()} for group in (x, u))
     ours, theirs = e.at(x, u, p)[0], e.at(x2, u2, p)[0]
@@ -246,20 +200,18 @@ def test_arm_swings_right_as_it_swings_left(seed):
 def test_nothing_depends_on_where_the_arm_points():
     """The swing angle enters only the position of the tip seen from above."""
     s = symbolic(SUBSYSTEMS["manipulator"])
-    angle = s.x[list(EQUATIONS["manipulator"].x).index("swing_angle")]
-    touched = [
-        n
-        for n, y in zip(EQUATIONS["manipulator"].y, ca.vertsplit(s.y), strict=True)
-        if ca.depends_on(y, angle)
-    ]
+    angle = s.x[list(equations("manipulator").x).index("swing_angle")]
+    outputs = dict(zip(equations("manipulator").y, ca.vertsplit(s.y), strict=True))
+    touched = [n for n, y in outputs.items() if ca.depends_on(y, angle)]
     assert touched == ["swing_angle", "tip_x", "tip_y"]
     assert not ca.depends_on(column(s.dx, s.require), angle)
 
 
+@examples(40)
 @given(seed=seeds)
 def test_boom_and_stick_drives_are_the_same_equations(seed):
     """Exchanged numbers, states and inputs give exchanged rates and forces."""
-    e = EQUATIONS["boom_stick"]
+    e = equations("boom_stick")
 
     def other(n):
         if n.startswith("boom_stick"):  # of both drives
@@ -267,10 +219,8 @@ def test_boom_and_stick_drives_are_the_same_equations(seed):
         return n.replace("boom", "#").replace("stick", "boom").replace("#", "stick")
 
     drawn = e.draw(np.random.default_rng(seed))
-    (ours, out, start), (theirs, out2, start2) = (
-        e.at(*drawn),
-        e.at(*({n: g[other(n)] for n in g} for g in drawn)),
-    )
+    ours, out, start = e.at(*drawn)
+    theirs, out2, start2 = e.at(*({n: g[other(n)] for n in g} for g in drawn))
     # the same operations; sums of both drives in another order
     for a, b, group in ((ours, theirs, e.x), (out, out2, e.y), (start, start2, e.x)):
         close({n: b[other(n)] for n in b}, a, group)
@@ -304,7 +254,7 @@ def test_commands_saturate_and_the_dead_band_is_dead(name, command, same):
 
     Only the load pressure is sensed before the edges open.
     """
-    e = EQUATIONS[name]
+    e = equations(name)
     x, u, _ = e.draw(np.random.default_rng(3))
     p = values(e.sub).p
     ours, theirs = (

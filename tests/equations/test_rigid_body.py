@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -20,16 +21,22 @@ P = NUMBERS["rigid"]
 CYLINDERS = ("boom", "stick")
 
 
-def _mechanics(sub):
+@cache
+def mechanics_of(variant):
     """(x, p) -> (M, V, G, T, U) of a variant."""
+    sub = VARIANTS[variant]
     x, p = symbols(sub.states), symbols(sub.parameters)
     motion = mechanics(x, p, sub.dynamics.args[0].head)
     terms = [motion.mass, motion.coriolis, motion.gravity, motion.kinetic, motion.potential]
     return ca.Function("mechanics", [ca.vertcat(*vars(group).values()) for group in (x, p)], terms)
 
 
-MECHANICS = {variant: _mechanics(sub) for variant, sub in VARIANTS.items()}
-MODEL = {variant: symbolic(sub).function() for variant, sub in VARIANTS.items()}
+@cache
+def model(variant):
+    """(x, u, p) -> (dx, y) of a variant."""
+    return symbolic(VARIANTS[variant]).function()
+
+
 COORDINATES = ("swing", "boom", "stick", "head", "head_side")
 
 
@@ -48,10 +55,8 @@ def state(variant, q, w, z=0.0, held=0.0):
     angles, speeds, others = indices(variant)
     x = np.zeros(len(angles) + len(speeds) + len(others))
     x[angles], x[speeds], x[others] = q, w, z
-    x[[list(quantities(VARIANTS[variant].states)).index(n) for n in ("held_mass", "payload_flow")]] = (
-        held,
-        0.0,
-    )
+    names = list(quantities(VARIANTS[variant].states))
+    x[names.index("held_mass")], x[names.index("payload_flow")] = held, 0.0
     return x
 
 
@@ -61,7 +66,7 @@ def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=P, variant="rigid"):
     u = dict.fromkeys(quantities(sub.inputs), 0.0)
     u |= dict(zip(("swing_torque", "boom_force", "stick_force"), forces, strict=True))
     u["payload_mass"] = x[list(quantities(sub.states)).index("held_mass")]  # nothing is picked up or dropped
-    dx, y = MODEL[variant](x, list(u.values()), list(numbers.values()))
+    dx, y = model(variant)(x, list(u.values()), list(numbers.values()))
     return np.array(dx).ravel(), dict(zip(quantities(sub.outputs), np.array(y).ravel(), strict=True))
 
 
@@ -89,14 +94,14 @@ def arm(pin, p, held=0.0):
 
     held   mass of a payload, a further point mass at the centre of the head
     """
-    model, up, nowhere = pin.Model(), np.array([0.0, -1.0, 0.0]), np.zeros(3)
-    model.gravity.linear = np.array([0.0, 0.0, -p["gravity"]])
+    tree, up, nowhere = pin.Model(), np.array([0.0, -1.0, 0.0]), np.zeros(3)
+    tree.gravity.linear = np.array([0.0, 0.0, -p["gravity"]])
 
     def link(parent, joint, place, *parts):
-        number = model.addJoint(parent, joint, pin.SE3(np.eye(3), place), f"joint {parent}")
+        number = tree.addJoint(parent, joint, pin.SE3(np.eye(3), place), f"joint {parent}")
         for mass, centre, inertia in parts:
             body = pin.Inertia(mass, np.array(centre), np.diag(inertia))
-            model.appendBodyToJoint(number, body, pin.SE3.Identity())
+            tree.appendBodyToJoint(number, body, pin.SE3.Identity())
         return number
 
     column = link(0, pin.JointModelRZ(), nowhere, (0.0, nowhere, (0.0, 0.0, p["column_inertia"])))
@@ -117,7 +122,7 @@ def arm(pin, p, held=0.0):
         centre = (0.0, 0.0, -p["head_length"])
         load = (held, centre, (0.0, 0.0, 0.0))
         link(yoke, pin.JointModelRX(), nowhere, (p["head_mass"], centre, inertia), load)
-    return model, model.createData()
+    return tree, tree.createData()
 
 
 def joint_angles(variant):
@@ -134,14 +139,14 @@ def test_mass_matrix_coriolis_gravity_and_energies_are_pinocchio_s(pin, variant)
     for _ in range(100):
         numbers, (q, w) = random_numbers(rng, variant), random_state(rng, variant)
         held = rng.choice([0.0, rng.uniform(0.0, 500.0)])
-        model, data = arm(pin, numbers, held)
-        upper = np.triu(pin.crba(model, data, turn @ q))
-        gravity = pin.computeGeneralizedGravity(model, data, turn @ q).copy()
-        coriolis = pin.rnea(model, data, turn @ q, turn @ w, np.zeros(len(q))) - gravity
+        tree, data = arm(pin, numbers, held)
+        upper = np.triu(pin.crba(tree, data, turn @ q))
+        gravity = pin.computeGeneralizedGravity(tree, data, turn @ q).copy()
+        coriolis = pin.rnea(tree, data, turn @ q, turn @ w, np.zeros(len(q))) - gravity
         theirs = [turn.T @ (upper + np.triu(upper, 1).T) @ turn, turn.T @ coriolis, turn.T @ gravity]
-        theirs += [pin.computeKineticEnergy(model, data, turn @ q, turn @ w)]
-        theirs += [pin.computePotentialEnergy(model, data, turn @ q)]
-        ours = MECHANICS[variant](state(variant, q, w, held=held), [*numbers.values()])
+        theirs += [pin.computeKineticEnergy(tree, data, turn @ q, turn @ w)]
+        theirs += [pin.computePotentialEnergy(tree, data, turn @ q)]
+        ours = mechanics_of(variant)(state(variant, q, w, held=held), [*numbers.values()])
         for own, expected in zip(ours, theirs, strict=True):
             # exact identity; 1e-9 is 1e2 rounding errors of terms up to 7e4 that cancel
             np.testing.assert_allclose(np.array(own).squeeze(), expected, rtol=1e-11, atol=1e-9)
@@ -169,7 +174,7 @@ def test_acceleration_is_pinocchio_s(pin, variant):
         numbers |= {n: 0.0 for n in numbers if n.endswith("stop_stiffness")}
         (q, w), z = random_state(rng, variant), rng.uniform(-1e-4, 1e-4)
         held = rng.choice([0.0, rng.uniform(0.0, 500.0)])
-        model, data = arm(pin, numbers, held)
+        tree, data = arm(pin, numbers, held)
         forces = rng.uniform(-1.0, 1.0, 3) * (3e4, 1e5, 1e5)
         x = state(variant, q, w, z, held)
         dx, y = evaluate(x, forces, numbers, variant)
@@ -178,7 +183,7 @@ def test_acceleration_is_pinocchio_s(pin, variant):
         for i, name in enumerate(CYLINDERS, start=1):
             torque[i] -= y[f"{name}_velocity"] / w[i] * pistons[i - 1]
         torque += [-h for h in head]
-        theirs = np.linalg.solve(turn, pin.aba(model, data, turn @ q, turn @ w, np.array(torque)))
+        theirs = np.linalg.solve(turn, pin.aba(tree, data, turn @ q, turn @ w, np.array(torque)))
         # exact identity; rounding times the condition of M, below 1e3, with the head beside its pin 1e4
         np.testing.assert_allclose(dx[indices(variant)[1]], theirs, rtol=1e-9, atol=1e-9)
 
@@ -189,8 +194,8 @@ def test_elbow_tip_and_head_are_where_pinocchio_s_kinematics_put_them(pin, varia
     rng, turn = np.random.default_rng(6), joint_angles(variant)
     for _ in range(50):
         numbers, (q, w) = random_numbers(rng, variant), random_state(rng, variant)
-        model, data = arm(pin, numbers)
-        pin.forwardKinematics(model, data, turn @ q, turn @ w)
+        tree, data = arm(pin, numbers)
+        pin.forwardKinematics(tree, data, turn @ q, turn @ w)
         offset = pin.SE3(np.eye(3), np.array([numbers["stick_length"], 0.0, 0.0]))
         tip = data.oMi[3].act(offset).translation
         velocity = data.oMi[3].rotation @ offset.actInv(data.v[3]).linear
@@ -236,7 +241,7 @@ def test_free_link_swings_with_the_period_of_a_compound_pendulum(joint, amplitud
     def rates(_, y):
         q, w = np.array([0.0, 0.0, -1.4]), np.zeros(3)
         q[i], w[i] = y[0] + rest, y[1]
-        mass, coriolis, gravity, _, _ = MECHANICS["rigid"](state("rigid", q, w), [*P.values()])
+        mass, coriolis, gravity, _, _ = mechanics_of("rigid")(state("rigid", q, w), [*P.values()])
         return [y[1], -(float(coriolis[i]) + float(gravity[i])) / float(mass[i, i])]
 
     def crossing(_, y):
@@ -256,17 +261,13 @@ def test_free_arm_keeps_its_energy_and_its_angular_momentum(variant):
     start = state(variant, [0.0, 0.4, -1.2, 0.3, -0.2][: len(angles)], [0.7, 0, 0, 0, 0][: len(angles)])
 
     def kept(x):
-        mass, _, _, kinetic, potential = MECHANICS[variant](x, [*free.values()])
+        mass, _, _, kinetic, potential = mechanics_of(variant)(x, [*free.values()])
         return float(kinetic), float(kinetic + potential), float(mass[0, :] @ x[speeds])
 
-    run = solve_ivp(
-        lambda _, x: evaluate(x, numbers=free, variant=variant)[0],
-        (0, 3),
-        start,
-        "DOP853",
-        rtol=1e-11,
-        atol=1e-11,
-    )
+    def falling(_, x):
+        return evaluate(x, numbers=free, variant=variant)[0]
+
+    run = solve_ivp(falling, (0, 3), start, "DOP853", rtol=1e-11, atol=1e-11)
     rows = np.array([kept(x) for x in run.y.T])
     exchanged = np.ptp(rows[:, 0])
     assert exchanged > 2e4  # the arm does fall: most of its potential energy passes through the kinetic

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from equations import circuits_transcription as printed
+from kit.equations import EDGES, random_curve
 
 from fmus.contract import quantities, symbolic
 from fmus.machine.parts import FAMILIES
@@ -23,22 +24,12 @@ ZEROS = {
 }
 
 
-def curve(rng, edge):
-    """An opening curve of three to ten points in every second case, else none: all zero."""
-    count = rng.integers(3, 11) if rng.random() < 0.5 else 0
-    commands, openings = np.zeros(10), np.zeros(10)
-    commands[:count] = np.sort(rng.uniform(0.3, 10.0, count)) + 0.01 * np.arange(count)
-    openings[1:count] = np.sort(rng.uniform(0.0, 1.0, max(count - 1, 0)))
-    columns = (("command", commands), ("opening", openings))
-    return {f"valve_{edge}_{n}_{i}": float(v) for n, column in columns for i, v in enumerate(column, 1)}
-
-
 def random_numbers(rng, own):
     """All parameters, each moved by up to 20 %, and curves of the edges."""
     p = {n: v * rng.uniform(0.8, 1.2) for n, v in own.items()}
     p |= {n: size * rng.random() * rng.integers(0, 2) for n, size in ZEROS.items() if n in p}
-    for edge in ("pa", "at", "pb", "bt"):
-        p |= {n: v for n, v in curve(rng, edge).items() if n in own}
+    for edge in EDGES:
+        p |= {n: v for n, v in random_curve(rng, f"valve_{edge}").items() if n in own}
     return p
 
 
@@ -63,7 +54,7 @@ def test_right_hand_sides_and_observables_are_those_of_the_document(part):
     sub = FAMILIES[part][variant]
     own, f, rng = values(sub).p, symbolic(sub).function(), np.random.default_rng(46)
     states, inputs, outputs = (quantities(g) for g in (sub.states, sub.inputs, sub.outputs))
-    for _ in range(500):
+    for _ in range(200):
         p = random_numbers(rng, own)
         x, u = ({n: drawn(rng, n, q.nominal) for n, q in group.items()} for group in (states, inputs))
         if part != "supply" and rng.random() < 0.4:  # where setting, saturation and check valve meet

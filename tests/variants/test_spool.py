@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import VALVE
 from kit.properties import examples
 
 from fmus.components import spool_valve
-from fmus.components.spool_valve import Edges, Spool, SpoolState, Valve
+from fmus.components.spool_valve import Edges, Spool, SpoolState
 
 W, Z, V_MAX = 2 * math.pi * 30.0, 0.707, 20.0
 
@@ -98,15 +99,6 @@ def test_the_stroke_is_never_exceeded(x, u, w, z, v_max):
     assert rate + z * w * speed <= 1e-10 * w * w  # d/dt (v - z w (1 - x)); rounding
 
 
-VALVE = Valve(
-    area=4e-5,
-    discharge_coefficient=0.62,
-    dead_band=0.6,
-    full_command=10.0,
-    command_rounding=0.4,
-    leakage=1.6e-14,
-    transition_flow=1e-5,
-)
 EDGES = Edges.of(VALVE)
 ROUNDING = 0.04  # of the foot, as share of the stroke
 UNEQUAL = moving(W, Z, V_MAX, (0.06, 0.1, 0.2, 0.3))
