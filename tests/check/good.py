@@ -20,17 +20,10 @@ TARGETS = {  # target of the compiler -> folder in FMI 2, folder in FMI 3, suffi
     "aarch64-macos.11.0": ("aarch64-darwin", "aarch64-darwin", ".dylib"),
 }
 DESCRIPTION = "modelDescription.xml"
-XML_2, XML_3 = (SOURCE.with_name(f"good{major}.xml").read_text(encoding="utf-8") for major in (2, 3))
-BUILD = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration modelIdentifier="lag"><SourceFileSet language="C99">
-<SourceFile name="lag.c"/></SourceFileSet></BuildConfiguration></fmiBuildDescription>
-"""
-TERMINALS = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiTerminalsAndIcons fmiVersion="3.0"><Terminals><Terminal name="port" matchingRule="plug">
-<TerminalMemberVariable variableName="u" memberName="set" variableKind="signal"/>
-<TerminalMemberVariable variableName="y" memberName="pressure" variableKind="signal"/>
-</Terminal></Terminals></fmiTerminalsAndIcons>
-"""
+XML_2, XML_3, BUILD, TERMINALS = (
+    SOURCE.with_name(f"{name}.xml").read_text(encoding="utf-8")
+    for name in ("good2", "good3", "good_build", "good_terminals")
+)
 # for systems whose C library the compiler would first have to make, which takes it minutes
 WINDOWS_HEADERS = Path(ziglang.__file__).parent / "lib/libc/include/any-windows-any"
 FREESTANDING = ["-nostdlib", "-fno-builtin", "-DFREESTANDING", "-idirafter", str(WINDOWS_HEADERS)]

@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from fmpy.validation import validate_fmu
 from kit.any_fmu.models import WIDTHS
 from kit.fmu import Fmu
 
@@ -154,8 +153,7 @@ def test_calls_that_would_break_a_step_are_refused_inside(open_fmu):
 def test_event_mode_is_entered_where_the_caller_uses_it(open_fmu):
     """With event mode, initialisation ends in it; steps follow fmi3EnterStepMode; inputs may jump there."""
     fmu = open_fmu("decay", fmi=3, eventModeUsed=True).start()
-    with pytest.raises(FMICallException):
-        fmu.fmu.doStep(0.0, 0.1)
+    fmu.refuses(lambda: fmu.fmu.doStep(0.0, 0.1))
     assert fmu.fmu.updateDiscreteStates()[:5] == (False, False, False, False, False)
     fmu.fmu.enterStepMode()
     step(fmu, 0.0, 0.1)
@@ -172,9 +170,7 @@ def test_event_mode_is_entered_where_the_caller_uses_it(open_fmu):
 def test_event_mode_is_refused_where_it_was_not_announced(open_fmu):
     """Without eventModeUsed co-simulation goes from initialisation straight to steps."""
     fmu = open_fmu("decay", fmi=3).start().step(0.1)
-    with pytest.raises(FMICallException):
-        fmu.fmu.enterEventMode()
-    assert "without event mode" in fmu.errors()[-1]
+    fmu.refuses(lambda: fmu.fmu.enterEventMode(), "without event mode")
 
 
 def test_scheduled_execution_is_refused_with_a_reason(open_fmu):
@@ -206,18 +202,10 @@ def test_types_that_the_model_lacks_are_refused(open_fmu, kind):
 def test_number_of_values_must_be_that_of_the_variables(open_fmu):
     """All variables are scalars, so another number of values is an error."""
     fmu = open_fmu("gain", fmi=3).start()
-    with pytest.raises(FMICallException):
-        fmu.fmu.getFloat64([fmu.references["product"]], nValues=2)
-    assert "2 values for 1 scalar" in fmu.errors()[-1]
+    fmu.refuses(lambda: fmu.fmu.getFloat64([fmu.references["product"]], nValues=2), "2 values for 1 scalar")
 
 
 # ---- values and derivatives --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["decay", "path", "vanderpol", "chamber", "gain"])
-def test_description_is_valid(unpacked, name):
-    """FMPy finds no fault: schema, references, units, model structure."""
-    assert validate_fmu(str(unpacked[3, name])) == []
 
 
 @pytest.mark.parametrize("name", ["decay", "vanderpol", "chamber"])
@@ -275,6 +263,4 @@ def test_output_derivatives_follow_the_solution(open_fmu):
 def test_time_is_no_variable_to_set(open_fmu):
     """Setting the independent variable is an error."""
     fmu = open_fmu("decay", fmi=3).start()
-    with pytest.raises(FMICallException):
-        fmu.set(time=1.0)
-    assert "the time cannot be set" in fmu.errors()[-1]
+    fmu.refuses(lambda: fmu.set(time=1.0), "the time cannot be set")

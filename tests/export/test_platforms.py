@@ -25,16 +25,8 @@ lief.logging.disable()
 
 # FMI 2.0 with the smallest FMU, FMI 3.0 with the largest
 FMUS = {2: SWING, 3: HARVESTER}
-FOLDERS = {
-    2: {
-        "x86_64-linux": "linux64",
-        "aarch64-linux": "aarch64-linux",
-        "x86_64-windows": "win64",
-        "x86_64-darwin": "darwin64",
-        "aarch64-darwin": "aarch64-darwin",
-    },
-    3: {name: name for name in PLATFORMS},
-}
+FOLDERS = {3: {name: name for name in PLATFORMS}}
+FOLDERS[2] = FOLDERS[3] | {"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin": "darwin64"}
 
 
 @pytest.fixture(scope="session")

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd, read_ssv, validate_tree
+from kit.any_fmu.edit import edited
 from kit.mistakes import problem, table
 from lxml import etree
 
-from fmus.export.build import build
 from orchestrator.base.errors import Problem
 from orchestrator.ssp.assembly import assemble
 from orchestrator.ssp.write import write_ssp
@@ -120,14 +120,9 @@ def test_unit_mismatch_is_refused(toy_dir):
 
 def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
     """Degrees Celsius in an FMU are degrees Celsius in the system, not Kelvin."""
-    source, target = toy_dir / "gain.fmu", tmp_path / "warm.fmu"
-    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
-        for name in old.namelist():
-            data = old.read(name)
-            if name == "modelDescription.xml":
-                data = data.replace(b"<BaseUnit/>", b'<BaseUnit K="1" offset="273.15"/>')
-            new.writestr(name, data)
-    system = write_ssp(assemble({"warm": target}), tmp_path / "x.ssp")
+    change = ("<BaseUnit/>", '<BaseUnit K="1" offset="273.15"/>')
+    warm = edited(toy_dir / "gain.fmu", tmp_path / "warm.fmu", change)
+    system = write_ssp(assemble({"warm": warm}), tmp_path / "x.ssp")
     root = structure(system)
     assert root.find(".//{*}Unit/{*}BaseUnit").attrib == {"K": "1", "offset": "273.15"}
 
@@ -142,17 +137,15 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
 )
 def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):
     """Values of an unknown variable, a binding to an unknown set, an unknown version."""
-    with pytest.raises(Problem, match=words):
-        write_ssp(assemble(fmus, WIRES), tmp_path / "x.ssp", **options)
+    assert words in problem(lambda: write_ssp(assemble(fmus, WIRES), tmp_path / "x.ssp", **options))
 
 
 SCHEMAS = {"ssd": "Description", "ssv": "ParameterValues", "ssb": "SignalDictionary"}
 
 
-def test_version_2_is_valid_against_its_schema(toys, tmp_path):
+def test_version_2_is_valid_against_its_schema(unpacked, tmp_path):
     """With FMUs of FMI 3.0 and the types of that version."""
-    sub, numbers = toys["decay"]
-    decay = build(sub, tmp_path, values=numbers, fmi=3)
+    decay = unpacked[3, "decay"].with_suffix(".fmu")
     system = write_ssp(
         assemble({"first": decay, "second": decay}, WIRES[:1], start={"first.level": 0.5}, name="chain"),
         tmp_path / "chain.ssp",

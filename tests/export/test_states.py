@@ -71,8 +71,7 @@ def test_foreign_and_damaged_states_are_refused(open_fmu):
     data, foreign = decay.state(), gain.state()
     damaged = [data[:n] + bytes([data[n] ^ 16]) + data[n + 1 :] for n in range(0, len(data), 7)]
     for wrong in (*damaged, data[:-8], foreign[:50], foreign):
-        with pytest.raises(fmpy.fmi1.FMICallException):
-            decay.fmu.deSerializeFMUstate(wrong)
+        decay.refuses(lambda wrong=wrong: decay.fmu.deSerializeFMUstate(wrong))
     *_, cut, short, other = decay.errors()
     assert any("the saved state is damaged" in text for text in decay.errors())
     assert f"has {len(data) - 8} bytes, expected {len(data)}" in cut
@@ -85,8 +84,7 @@ def test_failed_step_can_be_taken_back(open_fmu):
     """After an error an instance can continue from a saved state."""
     fmu = open_fmu("blowup").start()
     saved = fmu.fmu.getFMUstate()
-    with pytest.raises(fmpy.fmi1.FMICallException):
-        fmu.fmu.doStep(0.0, 2.0)
+    fmu.refuses(lambda: fmu.fmu.doStep(0.0, 2.0))
     fmu.fmu.setFMUstate(saved)
     fmu.fmu.freeFMUstate(saved)
     fmu.fmu.doStep(0.0, 0.5)
@@ -168,7 +166,6 @@ def test_saved_state_memory_is_used_again(open_fmu):
     assert saved.value == address
     size = c_size_t()
     fmu.fmu.fmi2SerializedFMUstateSize(fmu.fmu.component, saved, byref(size))
-    with pytest.raises(fmpy.fmi1.FMICallException):
-        fmu.fmu.fmi2SerializeFMUstate(fmu.fmu.component, saved, (c_char * 4)(), 4)
+    fmu.refuses(lambda: fmu.fmu.fmi2SerializeFMUstate(fmu.fmu.component, saved, (c_char * 4)(), 4))
     fmu.fmu.freeFMUstate(saved)
     assert "memory is too small" in fmu.errors()[-1]

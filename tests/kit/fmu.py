@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from fmpy import extract, fmi2, fmi3, read_model_description
+from fmpy.fmi1 import FMICallException
 
 CLASSES = {
     (2, "cs"): fmi2.FMU2Slave,
@@ -180,6 +182,13 @@ class Fmu:
     def logged(self, wanted: str) -> list[str]:
         """Texts of a category."""
         return [text for category, text in self.messages if category == wanted]
+
+    def refuses(self, call: Callable[[], object], *words: str) -> None:
+        """A call fails, and the message of the error has all words."""
+        with pytest.raises(FMICallException):
+            call()
+        for word in words:
+            assert word in self.errors()[-1]
 
     def close(self) -> None:
         """Free the instance and what was unpacked."""

@@ -6,51 +6,7 @@ from pathlib import Path
 
 from fmus.export.python.build import build_user
 
-LAG = '''"""A lag."""
-from dataclasses import dataclass
-from typing import Annotated
-
-from fmus.contract import Quantity
-from fmus.export.python import Model
-
-GAIN = 1.0
-
-
-@dataclass(frozen=True)
-class Parameters:
-    delay: Annotated[float, Quantity("s", "Time constant", minimum=1e-3, tunable=True)] = 0.1
-
-
-@dataclass(frozen=True)
-class Inputs:
-    u: Annotated[float, Quantity("N", "Force", rate="u_rate")]
-    u_rate: Annotated[float, Quantity("N/s", "Its derivative")]
-    w: Annotated[float, Quantity("1", "Share")]
-
-
-@dataclass(frozen=True)
-class State:
-    y: Annotated[float, Quantity("N", "Force behind the lag")]
-
-
-@dataclass(frozen=True)
-class Outputs(State):
-    z: Annotated[float, Quantity("N", "Force and share", warn_above=100.0)]
-
-
-class Lag(Model):
-    """A first-order lag"""
-
-    Parameters, Inputs, State, Outputs = Parameters, Inputs, State, Outputs
-    start = {"u": 1.0}
-    depends = {"z": ["w"]}
-
-    def step(self, x, u, p, t, h):
-        return State(y=x.y + h * (GAIN * u.u - x.y) / p.delay)
-
-    def observe(self, x, u, p, t):
-        return Outputs(y=x.y, z=x.y + u.w)
-'''
+LAG = Path(__file__).with_suffix(".txt").read_text(encoding="utf-8")
 
 
 def written(folder: Path, *changes: tuple[str, str], name: str = "lag.py") -> Path:

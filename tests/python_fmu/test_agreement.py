@@ -10,38 +10,25 @@ import pytest
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from kit import shards
+from kit.every import EVERY, native, row
 from kit.fmu import driving
 
 from fmus.contract import Subsystem, quantities
-from fmus.controller import CONTROLLER
-from fmus.export.ls_ref import COMMUNICATION_STEP, data_file
+from fmus.export.ls_ref import COMMUNICATION_STEP
 from fmus.export.python.build import build_python
 from fmus.export.python.instance import Refused, of_subsystem
-from fmus.machine.parts import FAMILIES
-from fmus.operator_input.model import OPERATOR
 from fmus.parameters import values
-from python_fmu.stimulus import Array, stimulus
 
-SUBS = {sub.name: sub for family in FAMILIES.values() for sub in family.values()} | {
-    "operator_input": OPERATOR,
-    "controller": CONTROLLER,
-}
 # parts that differ in kind in every run: the code around the equations is the same for all
-FEW = ("swing", "manipulator", "operator_input", "controller")
-EACH = [name if name in FEW else pytest.param(name, marks=shards.machine) for name in SUBS]
+FEW = ("swing_lumped", "manipulator_rigid", "operator_input", "controller")
+EACH = [name if name in FEW else pytest.param(name, marks=shards.machine) for name in EVERY]
 STOP = 3.0  # s: boom and swing are moved in this part of the work cycle
-Run = dict[str, Array]
+Run = dict[str, np.ndarray]
 
 
 def inputs(sub: Subsystem) -> list[dict[str, float]]:
     """The inputs of the part in the work cycle, one row for each step."""
-    path, count = data_file(sub, "input.csv"), round(STOP / COMMUNICATION_STEP)
-    if not path.is_file():
-        table = stimulus(sub, np.arange(count) * COMMUNICATION_STEP)
-        return [{n: float(v[k]) for n, v in table.items()} for k in range(count)]
-    names = path.read_text(encoding="utf-8").splitlines()[0].split(",")[1:]
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)[:count, 1:]
-    return [dict(zip(names, row, strict=True)) for row in rows.tolist()]
+    return [row(sub, k) for k in range(round(STOP / COMMUNICATION_STEP))]
 
 
 def of_fmu(path: Path, sub: Subsystem) -> Run:
@@ -49,8 +36,8 @@ def of_fmu(path: Path, sub: Subsystem) -> Run:
     rows, names = inputs(sub), shown(sub)
     with driving(path, **rows[0]) as fmu:
         found = [fmu.get(*names)]
-        for row in rows:
-            fmu.set(**row)
+        for u in rows:
+            fmu.set(**u)
             found.append(fmu.step(COMMUNICATION_STEP).get(*names))
     return dict(zip(names, np.array(found).T, strict=True))
 
@@ -61,8 +48,8 @@ def in_python(sub: Subsystem) -> Run:
     run = of_subsystem(sub).initialise(**rows[0])
     found = [[run[n] for n in names]]
     time = 0.0
-    for row in rows:
-        run.assign(**row)
+    for u in rows:
+        run.assign(**u)
         run.step(time, COMMUNICATION_STEP)  # the master's time, as above
         time += COMMUNICATION_STEP
         found.append([run[n] for n in names])
@@ -80,14 +67,13 @@ def test_native_python_and_pythonfmu_agree(fmu_dir, tmp_path, name):
 
     FMPy's validation finds no problem in the FMU.
     """
-    sub = SUBS[name]
-    file = f"{name}.fmu" if (fmu_dir / f"{name}.fmu").exists() else f"variants/{name}.fmu"
-    native = of_fmu(fmu_dir / file, sub)
+    sub = EVERY[name]
+    compiled = of_fmu(native(name, fmu_dir), sub)
     python = in_python(sub)
     path = build_python(sub, tmp_path)
     fmu = of_fmu(path, sub)
     magnitude = {n: q.nominal for n, q in {**quantities(sub.states), **quantities(sub.outputs)}.items()}
-    for n, samples in native.items():
+    for n, samples in compiled.items():
         assert python[n].tobytes() == fmu[n].tobytes(), n
         # the bar of the issue; below 1e-12 of its magnitude a signal is rounding
         room = 1e-9 * np.abs(samples).max() + 1e-12 * magnitude[n]
@@ -95,10 +81,9 @@ def test_native_python_and_pythonfmu_agree(fmu_dir, tmp_path, name):
     assert validate_fmu(str(path)) == []
 
 
-@pytest.mark.parametrize("name", ["boom_stick", "swing"])
-def test_two_builds_are_equal(tmp_path, name):
+def test_two_builds_are_equal(tmp_path):
     """Equal subsystems give equal bytes; other values give another GUID."""
-    sub = SUBS[name]
+    sub = EVERY["swing_lumped"]
     one, two = (build_python(sub, tmp_path / part) for part in ("one", "two"))
     assert one.read_bytes() == two.read_bytes()
     numbers = values(sub)
@@ -110,7 +95,7 @@ def test_two_builds_are_equal(tmp_path, name):
 
 def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes():
     """A governor without a range of speeds divides by zero; the message contains the violated requirement."""
-    run = of_subsystem(SUBS["supply_engine_pump"])
+    run = of_subsystem(EVERY["supply_engine_pump"])
     run.setup(0.0, None, None)
     run.assign(engine_no_load_speed=260.0, engine_rated_speed=260.0)
     run.enter()
@@ -121,7 +106,7 @@ def test_a_violated_requirement_is_told_rather_than_the_nan_that_it_causes():
 
 def test_refused_derivatives_name_what_is_possible():
     """The messages of the native FMU: all kinds of variables that are accepted, in each phase."""
-    run = of_subsystem(SUBS["swing"])
+    run = of_subsystem(EVERY["swing_lumped"])
     torque, pressure, command, bore = (
         run.references[n] for n in ("swing_torque", "swing_pressure_a", "swing_command", "line_bore")
     )

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 from kit import shards
+from kit.every import EVERY
 from kit.fmu import driving, elsewhere
 
 from fmus.contract import Subsystem, quantities
 from fmus.export.python.build import build_python, build_user
-from fmus.machine.parts import FAMILIES
 from python_fmu.lag import built
 from python_fmu.test_agreement import inputs, shown
 
 ACTUATOR = Path(__file__).parents[2] / "examples" / "my_subsystem" / "my_actuator.py"
-PARTS = {s.name: s for family in FAMILIES.values() for s in family.values()}
+PARTS = [name for name in EVERY if name not in ("operator_input", "controller")]
 
 
 def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[str, float]) -> None:
@@ -34,20 +34,20 @@ def repeated(path: Path, names: list[str], start: dict[str, float], last: dict[s
 
 
 # each kind of part once in every run: what a state holds is the same code for all of them
-FEW = ("swing", "manipulator")
+FEW = ("swing_lumped", "manipulator_rigid")
 
 
 @pytest.mark.parametrize("name", [n if n in FEW else pytest.param(n, marks=shards.machine) for n in PARTS])
 def test_a_subsystem_repeats_its_steps(tmp_path, name):
     """A saved state contains states, inputs, their derivatives, and the step size of the solver."""
-    sub: Subsystem = PARTS[name]
+    sub: Subsystem = EVERY[name]
     rows = inputs(sub)
     repeated(build_python(sub, tmp_path), shown(sub), rows[0], rows[40])
 
 
 def test_a_model_by_hand_repeats_its_steps(tmp_path):
     """The example repeats its steps bit-identically."""
-    sub = PARTS["boom_stick"]
+    sub = EVERY["boom_stick_lumped"]
     rows = inputs(sub)
     names = ["boom_force", "stick_force", "boom_force_rate", "supply_flow", "return_flow"]
     assert set(names) <= set(quantities(sub.outputs))

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import sysconfig
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import lief
@@ -49,74 +48,53 @@ os._exit(0)
 """
 
 
-def changed(path: Path, change: Callable[[dict[str, object]], None]) -> Path:
-    """A copy of the FMU whose card was changed."""
-    with zipfile.ZipFile(path) as archive:
-        content = {name: archive.read(name) for name in archive.namelist()}
-    card = json.loads(content["resources/model.json"])
-    change(card)
-    content["resources/model.json"] = json.dumps(card).encode()
-    write_zip(path.with_name("changed.fmu"), content)
-    return path.with_name("changed.fmu")
+@pytest.fixture(scope="module")
+def boom_stick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The FMU of a part."""
+    return build_python(BOOM_STICK, tmp_path_factory.mktemp("boom_stick"))
 
 
-def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """The one message of an FMU that cannot be instantiated."""
-    with pytest.raises(Exception, match="Failed to instantiate"):
-        Fmu(path)
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("[ERROR] fmi2Instantiate: ")
-    return lines[0].removeprefix("[ERROR] fmi2Instantiate: ")
-
-
-def test_a_missing_package_is_told(tmp_path):
+def test_a_missing_package_is_told(boom_stick):
     """If the package is not installed, the message contains what the FMU needs, in which Python."""
-    out = in_new_process(BLOCKED, build_python(BOOM_STICK, tmp_path))
+    out = in_new_process(BLOCKED, boom_stick)
     assert re.search(r"ERROR.*boom_stick needs the package harvester-cosim \S+ in the Python in \S+: ", out)
 
 
-def test_another_version_is_told(tmp_path, capsys):
-    """An FMU of another version of the package refuses to run."""
-    path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(version="0.0.9"))
-    assert refused(path, capsys).startswith("boom_stick: built with harvester-cosim 0.0.9, the one in ")
+CANNOT = "cannot be imported by the Python in "
+CARDS = [
+    ("version", "0.0.9", "boom_stick: built with harvester-cosim 0.0.9, the one in "),
+    (
+        "fingerprint",
+        "0" * 64,
+        "has other equations or variables than at the time of the build: build the FMU",
+    ),
+    ("origin", "fmus.boom_stick:VARIANTS.old", f"fmus.boom_stick:VARIANTS.old {CANNOT}"),
+    ("origin", "fmus.no_stick:VARIANTS.lumped", f"fmus.no_stick:VARIANTS.lumped {CANNOT}"),
+    ("origin", "fmus.contract:Subsystem", "fmus.contract:Subsystem is of type type, expected Subsystem"),
+    ("guid", "{0}", 'the GUID differs, expected "{0}" (files of different builds)'),
+]
 
 
-def test_other_equations_are_told(tmp_path, capsys):
-    """An FMU built from other equations than those that are installed refuses instead of running them."""
-    built_for_rigid = build_python(BOOM_STICK, tmp_path)
-    other = changed(built_for_rigid, lambda card: card.update(fingerprint="0" * 64))
-    text = refused(other, capsys)
-    assert text.startswith("boom_stick: fmus.boom_stick:")
-    assert "has other equations or variables than at the time of the build: build the FMU again" in text
+@pytest.mark.parametrize(("key", "value", "message"), CARDS)
+def test_an_fmu_that_does_not_fit_the_installation_is_refused(
+    boom_stick, tmp_path, capsys, key, value, message
+):
+    """Another version, other equations, a part that is missing, files of different builds: one line each."""
+    with zipfile.ZipFile(boom_stick) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    card = json.loads(content["resources/model.json"]) | {key: value}
+    write_zip(tmp_path / "changed.fmu", content | {"resources/model.json": json.dumps(card).encode()})
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        Fmu(tmp_path / "changed.fmu")
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("[ERROR] fmi2Instantiate: ")
+    assert message in line
 
 
-@pytest.mark.parametrize(
-    ("origin", "said"),
-    [
-        ("fmus.boom_stick:VARIANTS.old", "fmus.boom_stick:VARIANTS.old cannot be imported by the Python in "),
-        (
-            "fmus.no_stick:VARIANTS.lumped",
-            "fmus.no_stick:VARIANTS.lumped cannot be imported by the Python in ",
-        ),
-        ("fmus.contract:Subsystem", "fmus.contract:Subsystem is of type type, expected Subsystem"),
-    ],
-)
-def test_a_missing_subsystem_is_told(tmp_path, capsys, origin, said):
-    """A missing variant of the installation is in the message."""
-    path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(origin=origin))
-    assert refused(path, capsys).startswith(said)
-
-
-def test_another_guid_is_told(tmp_path, capsys):
-    """An FMU with files of different builds is refused."""
-    path = changed(build_python(BOOM_STICK, tmp_path), lambda card: card.update(guid="{0}"))
-    assert refused(path, capsys) == 'the GUID differs, expected "{0}" (files of different builds)'
-
-
-def test_check_finds_nothing_but_python(tmp_path):
+@pytest.mark.parametrize("run", [False, pytest.param(True, marks=shards.machine)], ids=["files", "run"])
+def test_check_finds_nothing_but_python(tmp_path, run):
     """`harvester check` finds no error and notes that Python is needed."""
-    report = check(built(tmp_path))
+    report = check(built(tmp_path), run=run)
     assert [f for f in report.findings if f.severity == "error"] == []
     found = {f.rule: f.text for f in report.findings}
     assert "needs Python on the target" in found["python.needed"]
@@ -156,19 +134,18 @@ def test_there_is_a_library_for_each_platform(platform):
     assert not [name for name in names if re.search(r"libpython|python3|Python\.framework", name)]
 
 
-def test_pythonfmu_runs_the_same_slave(tmp_path):
+def test_pythonfmu_runs_the_same_slave(boom_stick, tmp_path):
     """With the library of PythonFMU the slave gives the same results.
 
     In a process of its own: that library frees a dictionary of the script's module once too often.
     """
-    ours = build_python(BOOM_STICK, tmp_path)
     theirs = tmp_path / "theirs.fmu"
     folder = Path(pythonfmu.__file__).parent / "resources" / "binaries"
-    with zipfile.ZipFile(ours) as archive:
+    with zipfile.ZipFile(boom_stick) as archive:
         content = {n: archive.read(n) for n in archive.namelist() if not n.startswith("binaries/")}
     for path in folder.rglob("*pythonfmu-export.*"):
         content[f"binaries/{path.parent.name}/boom_stick{path.suffix}"] = path.read_bytes()
     write_zip(theirs, content)
-    found = [in_new_process(PUSHED, path).splitlines()[-1] for path in (ours, theirs)]
+    found = [in_new_process(PUSHED, path).splitlines()[-1] for path in (boom_stick, theirs)]
     assert found[0] == found[1]
     assert len(found[0]) == 32

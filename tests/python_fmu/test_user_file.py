@@ -112,33 +112,7 @@ def test_a_folder_and_a_missing_file_are_named(tmp_path):
         build_user(tmp_path / "folder.py", tmp_path / "out")
 
 
-NATIVE = """
-import casadi as ca
-from fmus import Group, Quantity, Scalar, Subsystem
-
-
-class Inputs(Group):
-    u: Scalar = Quantity("N", "Force")
-
-
-class Parameters(Group): ...
-class State(Group):
-    y: Scalar = Quantity("N", "Force behind the lag")
-
-
-def dynamics(x, u, p):
-    return State(y=u.u - x.y)
-
-
-def observe(x, u, p):
-    return x
-
-
-LAG = Subsystem(
-    name="lag", text="A lag", parameters=Parameters, states=State, inputs=Inputs, outputs=State,
-    dynamics=dynamics, observe=observe,
-)
-"""
+NATIVE = Path(__file__).with_name("lag_of_equations.txt").read_text(encoding="utf-8")
 
 
 @table(__file__, "equations", "old, new, expected")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -40,7 +41,7 @@ NAMES3 = {"Real": "Float64", "Integer": "Int32"}
 class V:
     """One variable.
 
-    depends    the variables that an output, derivative or indicator depends on; None leaves that undeclared
+    depends    the variables that an output or derivative depends on; None leaves that undeclared
     derives    the variable whose time derivative this one is
     steady     its variability, where it is not the usual one
     place      its value reference, where that is not the next one
@@ -61,6 +62,12 @@ class V:
     exact: bool = False
     indicates: bool = False
     more: str = ""
+
+
+def tables(file: str) -> dict[str, list[V]]:
+    """Model -> its variables, from the TOML file beside a file of Python."""
+    models = tomllib.loads(Path(file).with_suffix(".toml").read_text(encoding="utf-8"))
+    return {model: [V(name, **rest) for name, rest in table.items()] for model, table in models.items()}
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,7 @@ class Description:
         rates = [v for v in self.variables if v.causality == "local" and v.derives]
         derivatives = [self._unknown(v, place, fmi) for v in rates]
         initial = [*outputs, *derivatives] if self.initial else []
-        indicators = [v for v in self.variables if v.indicates]
+        indicators = [self._unknown(v, place, fmi) for v in self.variables if v.indicates]
         if fmi == 2:
             token, lines = "guid", [_scalar2(v, references[v.name] % 100, place) for v in self.variables]
             groups = {"Outputs": outputs, "Derivatives": derivatives, "InitialUnknowns": initial}
@@ -108,7 +115,7 @@ class Description:
             if all(v.causality != "independent" for v in self.variables):
                 lines.append(TIME)
             groups = {"Output": outputs, "ContinuousStateDerivative": derivatives, "InitialUnknown": initial}
-            groups["EventIndicator"] = [self._unknown(v, place, fmi) for v in indicators]
+            groups["EventIndicator"] = indicators
             structure = "".join(f"<{name} {u}/>" for name, found in groups.items() for u in found)
         head = {
             "fmiVersion": self.version or f"{fmi}.0",
@@ -131,7 +138,11 @@ class Description:
 
     def _unknown(self, v: V, place: Mapping[str, int], fmi: int) -> str:
         """An unknown with its dependencies, as attributes."""
-        on = None if self.undeclared or v.depends is None else " ".join(str(place[d]) for d in v.depends)
+        on = (
+            None
+            if self.undeclared or v.depends is None or v.indicates
+            else " ".join(str(place[d]) for d in v.depends)
+        )
         key = "index" if fmi == 2 else "valueReference"
         return _attributes({key: place[v.name], "dependencies": on}).strip()
 

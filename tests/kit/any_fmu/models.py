@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
-from kit.any_fmu.description import Description, V, member, packed
+from kit.any_fmu.description import Description, V, member, packed, tables
 from kit.compile import library
 from orchestrator import System, assemble
 
@@ -43,102 +43,7 @@ HIGHEST = V("highest", "parameter", None, 3, "Integer")  # and the order of inpu
 LATE = V("late", "parameter", None, 0, "Integer", place=1)  # 1: slopes are NaN before the first step
 RAMP = [V("ramp", "parameter", "m/s", 0.0), V("bend", "parameter", "s", 0.0)]  # of a source, from a corner on
 MODELS: Mapping[str, list[V]] = {
-    "mass_a": [
-        V("x2", "input", "m", 0.0),
-        V("force", "output", "N", depends=["x2"]),
-        V("x", "output", "m"),
-        V("v", "output", "m/s"),
-        V("mass", "parameter", "kg", 1.0),
-        V("spring", "parameter", "N/m", 10.0),
-        V("coupling", "parameter", "N/m", 100.0),
-    ],
-    "mass_b": [
-        V("force", "input", "N", 0.0),
-        V("x", "output", "m"),
-        V("v", "output", "m/s"),
-        V("mass", "parameter", "kg", 1.0),
-        V("spring", "parameter", "N/m", 1000.0),
-    ],
-    "spring": [
-        V("v", "input", "m/s", 0.0),
-        V("force", "output", "N"),
-        V("stretch", "output", "m"),
-        V("stiffness", "parameter", "N/m", 100.0),
-    ],
-    "source": [
-        V("y", "output", "m"),
-        V("amplitude", "parameter", "m", 1.0),
-        V("omega", "parameter", "rad/s", 1.0),
-        V("offset", "parameter", "m", 0.0),
-    ],
-    "gain": [
-        V("u", "input", "m", 0.0),
-        V("y", "output", "m", depends=["u"]),
-        V("factor", "parameter", None, 1.0),
-        V("offset", "parameter", "m", 0.0),
-    ],
-    "bent": [
-        V("u", "input", "m", 0.0),
-        V("w", "input", "m", 0.0),
-        V("y", "output", "m", depends=["u", "w"]),
-        V("factor", "parameter", None, 1.0),
-        V("bend", "parameter", None, 0.0),
-    ],
-    "fails": [
-        V("u", "input", None, 0.0),
-        V("y", "output"),
-        V("when", "parameter", None, 1e9),
-        V("how", "parameter", None, 0, "Integer"),
-    ],
-    "drift": [
-        V("u", "input", "m", 0.0),
-        V("u_rate", "input", "m/s", 0.0, derives="u"),
-        V("y", "output"),
-    ],
-    "glide": [
-        V("position", "input", "m", 0.0),
-        V("velocity", "input", "m/s", 0.0, derives="position"),
-        V("acceleration", "input", "m/s2", 0.0, derives="velocity"),
-        V("y", "output"),
-    ],
-    "quirk": [
-        V("u", "input", None, 0.0),
-        V("y", "output"),
-        V("gain", "parameter", None, 1.0),
-        V("push", "parameter", None, 0.0),
-        V("when", "parameter", None, 1e9),
-        V("longest", "parameter", None, 0.0),
-        V("u_rate", "input", None, 0.0, derives="u"),
-        V("how", "parameter", None, 0, "Integer"),
-        V("where", "parameter", None, 0, "Integer"),
-        V("highest", "parameter", None, 3, "Integer"),
-        V("even", "parameter", None, 0, "Integer"),
-        V("mute", "parameter", None, -1, "Integer"),
-    ],
-    "single": [  # QUIRK in FMI 3.0 with single precision only
-        V("u", "input", None, 0.0, "Float32"),
-        V("y", "output", None, kind="Float32"),
-        V("gain", "parameter", None, 1.0, "Float32"),
-        V("push", "parameter", None, 0.0, "Float32"),
-        V("when", "parameter", None, 1e9, "Float32"),
-        V("longest", "parameter", None, 0.0, "Float32"),
-        V("u_rate", "input", None, 0.0, "Float32", derives="u"),
-    ],
-    "types": [
-        V("real_in", "input", None, 0.0),
-        V("real_out", "output", None, depends=["real_in"]),
-        V("gain", "parameter", None, 1.0),
-        V("int_in", "input", None, 0, "Integer"),
-        V("int_out", "output", None, kind="Integer", depends=["int_in"]),
-        V("bool_in", "input", None, "false", "Boolean"),
-        V("bool_out", "output", None, kind="Boolean", depends=["bool_in"]),
-        V("enum_in", "input", None, 1, "Enumeration"),
-        V("enum_out", "output", None, kind="Enumeration", depends=["enum_in"]),
-        V("alive", "output", None, kind="Integer"),
-        V("label", "parameter", None, "nobody", "String"),
-        V("echo", "output", None, kind="String"),
-        V("resources", "output", None, kind="String"),
-    ],
+    **tables(__file__),
     "wide": [  # FMI 3.0 only
         V("float32_in", "input", "m", 0.0, "Float32"),
         V("float32_out", "output", "m", kind="Float32", depends=["float32_in"]),
