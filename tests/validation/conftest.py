@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,7 +29,7 @@ group = "pressure"
 """
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def trace() -> Trace:
     """A run of 2 s at 1 ms in SI units."""
     t = np.arange(2001) * 1e-3
@@ -40,24 +41,32 @@ def trace() -> Trace:
     return Trace(t, signals, {"shaft.angle": "rad", "pump.pressure": "Pa", "pump.command": "V"})
 
 
-@pytest.fixture
-def folder(tmp_path: Path, trace: Trace) -> Path:
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory, trace: Trace) -> Path:
     """A folder with ref.csv (10 ms, degrees and bar, 1 bar below the run) and ref.toml."""
-    t = trace.time[::10]
-    table = np.column_stack(
-        (t, np.degrees(trace["shaft.angle"][::10]), trace["pump.pressure"][::10] / 1e5 - 1.0)
-    )
-    np.savetxt(
-        tmp_path / "ref.csv", table, "%.12g", ",", header="time,shaft.angle,pump.pressure", comments=""
-    )
-    (tmp_path / "ref.toml").write_text(META, encoding="utf-8")
-    return tmp_path
+    folder = tmp_path_factory.mktemp("reference")
+    angle, pressure = np.degrees(trace["shaft.angle"][::10]), trace["pump.pressure"][::10] / 1e5 - 1.0
+    write(folder, trace.time[::10], angle, pressure)
+    (folder / "ref.toml").write_text(META, encoding="utf-8")
+    return folder
+
+
+def write(folder: Path, time: np.ndarray, angle: np.ndarray, pressure: np.ndarray) -> None:
+    """Write ref.csv."""
+    table, header = np.column_stack((time, angle, pressure)), "time,shaft.angle,pump.pressure"
+    np.savetxt(folder / "ref.csv", table, "%.12g", ",", header=header, comments="")
 
 
 @pytest.fixture
-def outcome(folder: Path, trace: Trace) -> Validation:
+def folder(tmp_path: Path, written: Path) -> Path:
+    """A copy of that folder, to be changed."""
+    return shutil.copytree(written, tmp_path, dirs_exist_ok=True)
+
+
+@pytest.fixture(scope="session")
+def outcome(written: Path, trace: Trace) -> Validation:
     """The run compared with the reference, without the slow ISO rating."""
-    return validate(trace, read_recording(folder / "ref.csv"), rate=False)
+    return validate(trace, read_recording(written / "ref.csv"), rate=False)
 
 
 @pytest.fixture

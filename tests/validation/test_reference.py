@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit.mistakes import table
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.description import Tolerance
@@ -81,62 +82,7 @@ def test_a_signals_own_limit_beats_its_groups(edited: Edit) -> None:
     assert read_recording(path).criterion("shaft.angle").tolerance is None
 
 
-MISTAKES = [
-    ("[tolerances]", "[tolerance]", r"ref.toml: unknown key 'tolerance'; did you mean tolerances"),
-    ("title =", "titel =", r"ref.toml: reference: unknown key 'titel'; did you mean title\?$"),
-    ("title =", "q =", r"ref.toml: reference: unknown key 'q'; there are title, kind, origin"),
-    ('"Shaft test"', "7", r"reference: title: expected a text, got 7$"),
-    ("[reference]", "[reference", r"ref.toml: expected TOML, got "),
-    (
-        "[reference]",
-        '[reference]\nkind = "guess"',
-        r"reference: kind: expected one of simulation, measurement, published, got 'guess'$",
-    ),
-    (
-        "[reference]",
-        '[reference]\nkind = "simulation"',
-        r"reference: expected origin, made_by, solver, relative_tolerance, date, change for a trace of kind",
-    ),
-    ('metric = "nrmse"', 'metric = "mae"', r"tolerances.angle: metric: expected one of nrmse.*, got 'mae'$"),
-    ("limit = 0.01", "limit = 0", r"tolerances.angle: limit: expected a number above 0, got 0$"),
-    ("limit = 0.01", "limit = true", r"limit: expected a number, got True$"),
-    (", limit = 0.01", "", r"tolerances.angle: limit: expected a number above 0, got nothing$"),
-    (
-        '{ metric = "nrmse", limit = 0.01 }',
-        "0.01",
-        r"tolerances: angle: expected a table of metric, limit or 'none', got 0.01$",
-    ),
-    ('group = "angle"', 'group = "angel"', r"group: expected one of angle, pressure, got 'angel'$"),
-    ('unit = "deg"', 'unit = "degrees"', r'ref.toml: signals."shaft.angle": unit \'degrees\' is unknown'),
-    ('unit = "deg"\n', "", r'signals."shaft.angle": unit: expected a text, got nothing$'),
-    ('unit = "deg"', 'unit = "deg"\nrange = 0', r"range: expected a number above 0, got 0$"),
-    ('unit = "deg"', 'unit = "deg"\nfactor = true', r"factor: expected a number, got True$"),
-    (
-        'unit = "deg"',
-        'unit = "deg"\ncolumn = "shaft"',
-        (
-            r"ref.csv: expected a column 'shaft', "
-            r"got time, shaft"
-        ),
-    ),
-    (
-        "[reference]",
-        '[time]\nunit = "bar"\n[reference]',
-        r"time: unit: expected a unit of time .*, got 'bar'$",
-    ),
-    ("[reference]", '[file]\ncsv = "no.csv"\n[reference]', r"no.csv: no such file"),
-    ("[reference]", '[file]\ndecimal = ";"\n[reference]', r"\[file\] decimal: expected '.' or ',', got ';'"),
-    ("\n0.02,", "\n0.005,", r"ref.csv: line 4: column 'time': expected increasing .*, got 0.005 after 0.01"),
-    ("\n0.02,", "\nabc,", r"ref.csv: line 4: column 'time': expected a number, got 'abc'"),
-    ("\n0.02,", "\nnan,", r"ref.csv: line 4: column 'time': expected a time, got none"),
-    ("\n0.02,", "\ninf,", r"ref.csv: line 4: column 'time': expected a finite number, got inf"),
-    ("\n0.02,", "\n0.02,,", r"ref.csv: line 4: expected 3 cells, got 4"),
-    ("time,shaft.angle,", "time,time,", r"ref.csv: expected a column 'shaft.angle', got "),
-    (",pump.pressure", ",shaft.angle", r"ref.csv: expected a column 'pump.pressure', got "),
-]
-
-
-@pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
+@table(__file__, "mistakes", "old, new, message")
 def test_every_mistake_is_named(edited: Edit, old: str, new: str, message: str) -> None:
     """The message about a mistake in the TOML or CSV file contains file, position, expected and got."""
     path = edited(old, new)
