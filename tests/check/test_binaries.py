@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import lief
 import pytest
@@ -28,20 +29,25 @@ def flags(*options: str, target: str = LINUX) -> Patch:
     return patch
 
 
+def copied(target: str) -> Patch:
+    """The library for Linux in one more folder."""
+    return lambda good, _: good.put(f"binaries/{target}/lag.so", good.members[good.library()])
+
+
 def data(change: Callable[[bytes], bytes], target: str = LINUX) -> Patch:
     """Other bytes of the library of one target."""
     return lambda good, _: good.put(good.library(target), change(good.members[good.library(target)]))
 
 
-def elf(change: Callable[[lief.ELF.Binary], object]) -> Patch:
-    """The library for Linux, changed with lief."""
+def lib(change: Callable[[Any], object], target: str = LINUX) -> Patch:
+    """The library of one target, changed with lief."""
 
     def patch(good: Archive, folder: Path) -> Archive:
-        binary = lief.ELF.parse(good.members[good.library()])
+        binary = lief.parse(good.members[good.library(target)])
         assert binary is not None
         change(binary)
-        binary.write(str(folder / "changed.so"))
-        return good.put(good.library(), (folder / "changed.so").read_bytes())
+        binary.write(str(folder / "changed"))
+        return good.put(good.library(target), (folder / "changed").read_bytes())
 
     return patch
 
@@ -51,12 +57,9 @@ def move(old: str, new: str) -> Patch:
     return lambda good, _: good.put(new, good.members[old]).drop(old)
 
 
-def _segment(binary: lief.ELF.Binary, kind: object) -> lief.ELF.Segment:
-    return next(s for s in binary.segments if s.type == kind)
-
-
 def _executable_stack(binary: lief.ELF.Binary) -> None:
-    _segment(binary, lief.ELF.Segment.TYPE.GNU_STACK).add(lief.ELF.Segment.FLAGS.X)
+    stack = next(s for s in binary.segments if s.type == lief.ELF.Segment.TYPE.GNU_STACK)
+    stack.add(lief.ELF.Segment.FLAGS.X)
 
 
 def _writable_code(binary: lief.ELF.Binary) -> None:
@@ -72,7 +75,7 @@ def _prefixed(binary: lief.ELF.Binary) -> None:
 
 def _fortran(good: Archive, folder: Path) -> Archive:
     """The library needs the Fortran runtime, which is documented as the standard requires."""
-    changed = elf(lambda b: b.add_library("libgfortran.so.5"))(good, folder)
+    changed = lib(lambda b: b.add_library("libgfortran.so.5"))(good, folder)
     return changed.put("documentation/externalDependencies.txt", "libgfortran")
 
 
@@ -96,28 +99,13 @@ def _exporting(*names: str) -> Callable[[lief.ELF.Binary], None]:
     return change
 
 
-def _new_macos(good: Archive, folder: Path) -> Archive:
-    return _mac(good, folder, lambda part: setattr(part.build_version, "minos", [15, 0, 0]))
-
-
-def _unsigned(good: Archive, folder: Path) -> Archive:
-    return _mac(good, folder, lambda part: part.remove_signature())
-
-
-def _mac(good: Archive, folder: Path, change: Callable[[lief.MachO.Binary], object]) -> Archive:
-    """The library for Apple processors, changed with lief."""
-    binary = lief.MachO.parse(good.members[good.library(ARM_MAC)])
-    assert binary is not None
-    part = binary.at(0)
-    assert part is not None
-    change(part)
-    part.write(str(folder / "changed.dylib"))
-    return good.put(good.library(ARM_MAC), (folder / "changed.dylib").read_bytes())
+def _new_macos(binary: lief.MachO.Binary) -> None:
+    binary.build_version.minos = [15, 0, 0]
 
 
 def _without_rpath(good: Archive, folder: Path) -> Archive:
     """The library needs one in the same folder, and has no rpath to find it."""
-    changed = elf(lambda b: b.add_library(SONAME))(good, folder)
+    changed = lib(lambda b: b.add_library(SONAME))(good, folder)
     return changed.put(f"binaries/linux64/{SONAME}", b"")
 
 
@@ -128,15 +116,15 @@ FAULTS: Mapping[str, tuple[str, Patch, str]] = {
     "function missing, Linux": ("binary.functions", flags(LACKS), "fmi2GetDirectionalDerivative"),
     "function missing, Windows": ("binary.functions", flags(LACKS, target=WINDOWS), "win64"),
     "function missing, Mac": ("binary.functions", flags(LACKS, target=ARM_MAC), "aarch64-darwin"),
-    "functions with prefix": ("binary.functions", elf(_prefixed), "static linking"),
-    "undefined symbol": ("binary.symbols", elf(lambda b: b.add_dynamic_symbol(_undefined())), "Py_Anything"),
-    "functions of FMI 3": ("binary.version", elf(_exporting("fmi3GetVersion")), "fmi3GetVersion"),
-    "names of its own": ("binary.private", elf(_exporting(*(f"help_{i}" for i in range(30)))), "help_0"),
-    "new macOS": ("binary.macos", _new_macos, "15"),
+    "functions with prefix": ("binary.functions", lib(_prefixed), "static linking"),
+    "undefined symbol": ("binary.symbols", lib(lambda b: b.add_dynamic_symbol(_undefined())), "Py_Anything"),
+    "functions of FMI 3": ("binary.version", lib(_exporting("fmi3GetVersion")), "fmi3GetVersion"),
+    "names of its own": ("binary.private", lib(_exporting(*(f"help_{i}" for i in range(30)))), "help_0"),
+    "new macOS": ("binary.macos", lib(_new_macos, ARM_MAC), "15"),
     "debug information": ("binary.debug", flags("-g"), "debug"),
-    "executable stack": ("binary.traits", elf(_executable_stack), "2.41"),
-    "writable code": ("binary.traits", elf(_writable_code), "writable code"),
-    "unsigned for Apple": ("binary.traits", _unsigned, "unsigned"),
+    "executable stack": ("binary.traits", lib(_executable_stack), "2.41"),
+    "writable code": ("binary.traits", lib(_writable_code), "writable code"),
+    "unsigned for Apple": ("binary.traits", lib(lambda b: b.remove_signature(), ARM_MAC), "unsigned"),
     "Fortran runtime": ("binary.libraries", _fortran, "Fortran"),
     "rpath of the machine": ("binary.path", flags("-Wl,-rpath,/srv/anna/lib"), "/srv/anna/lib"),
     "library in the same folder, not found": ("binary.loader", _without_rpath, "$ORIGIN"),
@@ -147,16 +135,8 @@ FAULTS: Mapping[str, tuple[str, Patch, str]] = {
     "empty library": ("platform.format", EMPTY, "empty"),
     "Git LFS pointer": ("platform.format", data(lambda _: LFS), "Git LFS"),
     "other name": ("platform.name", move("binaries/win64/lag.dll", "binaries/win64/log.dll"), "lag.dll"),
-    "folder of FMI 3": (
-        "platform.folder",
-        lambda good, _: good.put("binaries/x86_64-linux/lag.so", good.members[good.library()]),
-        "expected binaries/linux64",
-    ),
-    "unknown folder": (
-        "platform.folder",
-        lambda good, _: good.put("binaries/plan9/lag.so", good.members[good.library()]),
-        "plan9",
-    ),
+    "folder of FMI 3": ("platform.folder", copied("x86_64-linux"), "expected binaries/linux64"),
+    "unknown folder": ("platform.folder", copied("plan9"), "plan9"),
     "no Windows": ("platform.windows", lambda good, _: good.drop("binaries/win64"), "win64"),
     "no Linux": ("platform.linux", lambda good, _: good.drop("binaries/linux64"), "linux64"),
     "no Apple": ("platform.macos", lambda good, _: good.drop("binaries/aarch64-darwin"), "Apple"),
@@ -193,7 +173,7 @@ def test_fmi_3_needs_the_functions_of_all_kinds(good: Mapping[int, Archive], tmp
 
 def test_foreign_libraries_must_be_documented(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """FMI 3 asks for documentation/externalDependencies when the FMU needs other libraries."""
-    broken = elf(lambda b: b.add_library("libgfortran.so.5"))(good[3], tmp_path)
+    broken = lib(lambda b: b.add_library("libgfortran.so.5"))(good[3], tmp_path)
     found = {rule: severity for rule, severity, _ in new_findings(broken, tmp_path)}
     assert found == {"binary.libraries": "warning", "binary.documented": "error"}
 
@@ -207,24 +187,27 @@ def test_each_kind_may_have_its_own_binary(good: Mapping[int, Archive], tmp_path
     assert {rule for rule, _, _ in new_findings(two, tmp_path)} == {"identity.same"}
 
 
+def named(archive: Archive, identifier: str) -> Archive:
+    """With another model identifier."""
+    for kind in ("ModelExchange", "CoSimulation"):
+        archive = archive.swap(f'<{kind} modelIdentifier="lag"', f'<{kind} modelIdentifier="{identifier}"')
+    return archive
+
+
 @pytest.mark.parametrize("identifier", ["my lag", "2lag", "double", "läg"])
 def test_a_model_identifier_is_a_c_identifier(
     good: Mapping[int, Archive], identifier: str, tmp_path: Path
 ) -> None:
     """Model identifiers name binaries and C functions; anything else is an error."""
-    named = good[2]
-    for kind in ("ModelExchange", "CoSimulation"):
-        named = named.swap(f'<{kind} modelIdentifier="lag"', f'<{kind} modelIdentifier="{identifier}"')
-    assert "identity.identifier" in {rule for rule, _, _ in new_findings(named, tmp_path)}
+    found = new_findings(named(good[2], identifier), tmp_path)
+    assert "identity.identifier" in {rule for rule, _, _ in found}
 
 
 def test_a_keyword_as_model_identifier_is_noted(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """An FMU called operator is legal; a wrapper in Modelica or C++ cannot have its name."""
-    named = good[2]
-    for kind in ("ModelExchange", "CoSimulation"):
-        named = named.swap(f'<{kind} modelIdentifier="lag"', f'<{kind} modelIdentifier="operator"')
-    for member in [m for m in named.members if m.startswith("binaries/")]:
-        named = named.put(member.replace("lag.", "operator."), named.members[member]).drop(member)
-    found = new_findings(named, tmp_path)
+    archive = named(good[2], "operator")
+    for member in [m for m in archive.members if m.startswith("binaries/")]:
+        archive = move(member, member.replace("lag.", "operator."))(archive, tmp_path)
+    found = new_findings(archive, tmp_path)
     assert [(rule, severity) for rule, severity, _ in found] == [("identity.keyword", "note")]
     assert "Modelica and C++" in found[0][2]

@@ -16,19 +16,12 @@ from orchestrator.check.report import ANY, TOOLS
 @pytest.mark.parametrize("major", [2, 3])
 def test_the_complete_fmu_gives_no_finding(good: Mapping[int, Archive], major: int, tmp_path: Path) -> None:
     """An FMU that fulfils all rules has no findings; only FMI 3 gives a note, because some tools lack it."""
-    report = check(good[major].write(tmp_path / "lag.fmu"), run=False)
+    path = good[major].write(tmp_path / "lag.fmu")
+    report = check(path, run=False)
     assert [f.rule for f in report.findings] == (["version.new"] if major == 3 else [])
     assert report.summary() == ("nothing found" if major == 2 else "0 errors, 0 warnings, 1 note")
-
-
-@pytest.mark.parametrize("tool", TOOLS)
-def test_the_complete_fmi_2_fmu_suits_every_tool(
-    good: Mapping[int, Archive], tool: str, tmp_path: Path
-) -> None:
-    """The complete FMI 2 FMU has no findings for any tool."""
-    report = check(good[2].write(tmp_path / "lag.fmu"), tool, run=False)
-    assert report.findings == ()
-    assert not report.failed
+    for tool in TOOLS if major == 2 else ():  # FMI 2 suits every tool
+        assert check(path, tool, run=False).findings == (), tool
 
 
 def test_the_machine_gives_neither_error_nor_warning(fmu_dir: Path) -> None:

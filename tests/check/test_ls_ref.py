@@ -58,11 +58,6 @@ def built(folder: Path, name: str) -> Path:
     )
 
 
-def test_the_source_without_states_ships_no_experiment():
-    """Its outputs follow its inputs at once."""
-    assert ls_ref_files(ALL["supply"]) == {}
-
-
 def compared(path: Path, folder: Path) -> ExperimentComparison:
     """The first experiment of an FMU."""
     with zipfile.ZipFile(path) as archive:
@@ -171,13 +166,10 @@ def test_an_fmu_with_other_values_reproduces_the_same_experiment(tmp_path):
     assert max(result.errors.values()) < NRMSE_LIMIT
 
 
-def test_a_subsystem_without_reference_ships_none(tmp_path):
-    """A user's subsystem is built without an experiment."""
+def test_what_has_no_experiment_ships_none(tmp_path):
+    """A source without states, a user's subsystem without a reference, and a variant with other variables."""
+    assert ls_ref_files(ALL["supply"]) == {}
     assert ls_ref_files(replace(SWING, values=tmp_path / "parameters.toml")) == {}
-
-
-def test_a_subsystem_with_other_variables_does_not_ship_the_wrong_experiment():
-    """A variant does not ship files with variables that it does not have."""
     assert ls_ref_files(replace(SWING, outputs=SWING.states)) == {}
 
 

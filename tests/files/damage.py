@@ -24,29 +24,14 @@ HOSTILE = (  # values of attributes
 )
 NAMES = (  # of members
     *("../evil", "a/../../evil", "/outside/evil", "C:/evil", "C:evil", "\\evil", "..\\evil", "evil\0.fmu"),
-    *(
-        "d/" * 3000 + "x",
-        "x" * 300,
-        "y/" * 100 + "z",
-        "a\nb",
-        "modelDescription.xml/x",
-        "resources",
-        "binaries",
-    ),
+    *("d/" * 3000 + "x", "x" * 300, "y/" * 100 + "z", "a\nb", "modelDescription.xml/x", "resources"),
     *("MODELDESCRIPTION.XML", "binaries/linux64/../../evil", "\N{GRINNING FACE}", "con", "a:b", "."),
+    "binaries",
 )
 SNIPPETS = (  # bytes in a text
     *(b"<", b">", b'"', b"&", b"\0", b"\xff", b"]]>", b"<!--", b"<![CDATA[", b"&#0;", b"&#x1b;", b"&a;"),
-    *(
-        b"\xef\xbb\xbf",
-        b"<?x y?>",
-        b"<a>" * 3000,
-        b"<a/>" * 3000,
-        b' x="1"',
-        b' name="a"',
-        b"<odd:e/>",
-        b"[" * 5000,
-    ),
+    *(b"\xef\xbb\xbf", b"<?x y?>", b"<a>" * 3000, b"<a/>" * 3000, b' x="1"', b' name="a"', b"<odd:e/>"),
+    b"[" * 5000,
 )
 ENTITIES = b'<!ENTITY a0 "ha">' + b"".join(
     b'<!ENTITY a%d "%s">' % (n, b"&a%d;" % (n - 1) * 10) for n in range(1, 10)
@@ -240,15 +225,9 @@ def cut(draw: random.Random, data: bytes) -> bytes:
     """The end, the beginning or the middle is missing, or something is in front or behind."""
     at = draw.randrange(len(data) + 1)
     length = draw.choice((1, 30, 1000))
+    more = b"x" * length
     return draw.choice(
-        (
-            data[:at],
-            data[at:],
-            data[:at] + data[at + length :],
-            b"x" * length + data,
-            data + b"x" * length,
-            data * 2,
-        )
+        (data[:at], data[at:], data[:at] + data[at + length :], more + data, data + more, data * 2)
     )
 
 

@@ -59,6 +59,19 @@ def packed(members: Good) -> bytes:
     return buffer.getvalue()
 
 
+def good_system(gain: Path) -> Good:
+    """An SSP with all that the reader reads."""
+    fmu = {"resources/gain.fmu": gain.read_bytes()}
+    return {
+        "SystemStructure.ssd": OUTER.encode(),
+        "other.ssd": INNER.encode(),
+        **fmu,
+        "resources/start.ssv": START.encode(),
+        "resources/names.ssm": MAPPING.encode(),
+        "resources/inner.ssp": packed({"SystemStructure.ssd": INNER.encode(), **fmu}),
+    }
+
+
 @pytest.fixture(scope="module")
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """Small FMUs with a library."""
@@ -69,7 +82,6 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 def good(fmus: Workshop) -> Mapping[str, Good]:
     """Suffix and content of good files: FMUs of both versions, and an SSP with all that the reader reads."""
     icon, library = b"\x89PNG\r\n\x1a\n", fmus.library
-    gain = fmus["gain"].read_bytes()
     return {
         "fmi2": {
             DESCRIPTION: XML_2.encode(),
@@ -87,17 +99,7 @@ def good(fmus: Workshop) -> Mapping[str, Good]:
             "binaries/x86_64-linux/lag.so": library,
             "resources/model.py": b"class Model: pass",
         },
-        "ssp": {
-            "SystemStructure.ssd": OUTER.encode(),
-            "other.ssd": INNER.encode(),
-            "resources/gain.fmu": gain,
-            "resources/start.ssv": START.encode(),
-            "resources/names.ssm": MAPPING.encode(),
-            "resources/view.toml": VIEW.read_bytes(),
-            "resources/inner.ssp": packed(
-                {"SystemStructure.ssd": INNER.encode(), "resources/gain.fmu": gain}
-            ),
-        },
+        "ssp": {**good_system(fmus["gain"]), "resources/view.toml": VIEW.read_bytes()},
     }
 
 
