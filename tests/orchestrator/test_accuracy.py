@@ -42,7 +42,7 @@ def test_steps_are_halved_without_an_estimate(moving, exact):
 
 
 def searched(system, accuracy, *errors):
-    """The settings of the run that follows runs with these errors, over the accuracy; None: no further run."""
+    """The settings of the run that follows runs with these errors, over the accuracy; None if none does."""
     search = accuracy_search.AccuracySearch(system, accuracy, ["a.x"], None)
     for rms in accuracy * np.array(errors):
         found = {"errors": (SignalError("a.x", rms, rms, change=rms),), "errors_of_inputs": True}

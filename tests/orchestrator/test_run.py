@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Execution, Interrupted, Problem, Record, RunFailed, Trace, assemble, run
+from orchestrator import Execution, Interrupted, Problem, Record, Trace, assemble, run
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import job
 from orchestrator.engine.result import Card, compare
@@ -142,27 +142,6 @@ def test_outside_its_scenario_a_run_holds_the_first_and_last_values(fmus):
         "the scenario begins at 0.5 s; before that time its first values are held",
         "the scenario ends at 1 s; after that time its last values are held",
     )
-
-
-@pytest.mark.parametrize("how", [2, 3, 4])
-def test_a_failure_keeps_what_was_recorded(fmus, how):
-    """Discard, error and fatal in the middle of a run."""
-    system = assemble({"s": fmus["source"], "bad": fmus["fails"]}, ["s.y -> bad.u"])
-    with pytest.raises(RunFailed, match=r"bad: the step failed at t = 0.5 s") as caught:
-        run(system, step=0.1, stop=1.0, set={"bad.when": 0.45, "bad.how": how})
-    result = caught.value.result
-    np.testing.assert_allclose(result.trace.time, np.arange(6) * 0.1)
-    assert not result.complete
-    assert result.card.steps == 5
-
-
-def test_not_a_number_ends_the_run(fmus):
-    """If an FMU returns NaN with status OK, the message has signal and time."""
-    with pytest.raises(RunFailed, match=r"fails.y: expected a finite value, got nan at t = 0.4 s") as caught:
-        run(str(fmus["fails"]), step=0.1, stop=1.0, set={"fails.when": 0.25, "fails.how": 5})
-    trace = caught.value.result.trace
-    np.testing.assert_allclose(trace.time, np.arange(4) * 0.1)  # up to the last point with numbers
-    assert np.isfinite(trace["fails.y"]).all()
 
 
 def test_ctrl_c_keeps_what_was_recorded():
