@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 from kit import shards
 from kit.wait import until
+from zoo.command import command
 
 from check.test_probes import apply, opened
 from orchestrator.check import probe_process
@@ -20,7 +20,6 @@ from orchestrator.check.probe_process import ProbeLimits, use_probe_limits
 from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.process import MAX_STDERR, LimitExceeded, Worker, WorkerLimits
 
-ROOT = Path(__file__).parents[2]
 PATIENCE = 60.0  # s: for what takes less than a second, on a machine with other things to do
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 bounded = pytest.mark.timeout(PATIENCE)  # a limit that is not enforced lets a test wait for ever
@@ -116,13 +115,6 @@ def test_a_defect_of_the_check_is_not_reported_as_a_fault_of_the_fmu(oscillators
     assert outcome.failure == ""
 
 
-def _usual_signals() -> None:
-    """What a terminal gives a command: in the background, or under nohup, some signals are ignored."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-
-
 def _hangs_in_a_step(there: Path) -> bool:
     """A child process is in the same call of fmi2DoStep as half a second ago."""
 
@@ -139,20 +131,8 @@ def _hangs_in_a_step(there: Path) -> bool:
     "number", ["SIGINT", *(pytest.param(other, marks=shards.faults) for other in ("SIGTERM", "SIGHUP"))]
 )
 def test_an_interrupted_check_leaves_nothing(oscillators, tmp_path, number):
-    """Ctrl-C, SIGTERM and a closed terminal end the check at once and leave no folder."""
-    there = tmp_path / "temporary"
-    there.mkdir()
-    check = subprocess.Popen(
-        [sys.executable, "-m", "orchestrator", "check", "--timeout", "1000", oscillators.make(fault="hang")],
-        cwd=ROOT,
-        env=os.environ | {"TMPDIR": str(there)},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        preexec_fn=_usual_signals,
-    )
-    hangs = until(lambda: _hangs_in_a_step(there))
-    check.send_signal(getattr(signal, number))
-    _, errors = check.communicate(timeout=PATIENCE)  # the call that hangs has a thousand seconds
-    assert hangs
-    assert (check.returncode, errors) == (130, b"harvester: interrupted\n")
-    assert list(there.iterdir()) == []
+    """Ctrl-C, SIGTERM and a closed terminal end the check while the FMU hangs, and leave no folder."""
+    words = ["check", "--timeout", "1000", oscillators.make(fault="hang")]
+    hangs = partial(_hangs_in_a_step, tmp_path / "temporary")
+    ended = command(words, tmp_path, hangs, number=getattr(signal, number))
+    assert (ended.status, ended.lines, ended.left) == (130, ["harvester: interrupted"], ())

@@ -42,11 +42,13 @@ def command(
     folder: Path,
     interrupt: Callable[[], bool] | None = None,
     setup: str = "pass",
+    number: int = signal.SIGINT,
 ) -> Ended:
     """Run `harvester ARGUMENTS` in a folder until it ends; a test fails that waits long for the end.
 
-    interrupt   sends SIGINT to the command alone when this becomes true
+    interrupt   sends a signal to the command alone when this becomes true
     setup       Python statement before the command, such as one that sets a limit
+    number      of the signal
     """
     temporary, mark = folder / "temporary", uuid.uuid4().hex
     temporary.mkdir(exist_ok=True)
@@ -66,7 +68,7 @@ def command(
     try:
         if interrupt is not None:
             until(lambda: interrupt() or child.poll() is not None)
-            child.send_signal(signal.SIGINT)
+            child.send_signal(number)
         status = child.wait(LONG)
         until(lambda: not (_marked(mark) or _files(temporary)), VANISH)
         left = tuple(map(_command_line, _marked(mark)))
@@ -79,8 +81,10 @@ def command(
 
 
 def _usual_signals() -> None:
-    """What a terminal gives a command; a job in the background ignores SIGINT."""
+    """What a terminal gives a command: in the background, or under nohup, some signals are ignored."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def _marked(mark: str) -> list[int]:
