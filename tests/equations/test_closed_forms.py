@@ -35,9 +35,11 @@ def settled_force(path, name: str, command: float, velocity: float) -> float:
         return float(fmu.step(0.05, 40).get(f"{name}_force")[0])
 
 
-@pytest.mark.parametrize("name", ["boom", "stick"])
-@pytest.mark.parametrize("command", [10.0, 4.0, -10.0, -4.0])
-@pytest.mark.parametrize("load", [0.0, 50e3])
+# each pair of a cylinder, a direction and a load once
+@pytest.mark.parametrize(
+    ("name", "command", "load"),
+    [("boom", 10.0, 0.0), ("boom", -4.0, 50e3), ("stick", 4.0, 50e3), ("stick", -10.0, 0.0)],
+)
 def test_cylinder_speeds(fmu_dir, name, command, load):
     """v = sqrt((A_in P_s -+ F) / (C_R (A_h^3 + A_r^3))): extension and retraction, free and under load."""
     head, rod = areas(name)
@@ -60,15 +62,9 @@ def test_swing_speed_with_leakage(fmu_dir, load):
 
     def equations(z):
         q1, q2, w, p1, p2 = z * (1e-3, 1e-3, 1.0, 1e7, 1e7)
-        return np.array(
-            [
-                (SUPPLY - c_r * q1 * abs(q1) - r * q1 - p1) / 1e7,
-                (p2 - r * q2 - c_r * q2 * abs(q2)) / 1e7,
-                (q1 - d * w - (p1 - p2) / r_in - p1 / r_ex) / 1e-3,
-                (d * w + (p1 - p2) / r_in - p2 / r_ex - q2) / 1e-3,
-                (d * (p1 - p2) - friction * w - load) / 1e4,
-            ]
-        )
+        drops = SUPPLY - c_r * q1 * abs(q1) - r * q1 - p1, p2 - r * q2 - c_r * q2 * abs(q2)
+        flows = q1 - d * w - (p1 - p2) / r_in - p1 / r_ex, d * w + (p1 - p2) / r_in - p2 / r_ex - q2
+        return np.array([*drops, *flows, d * (p1 - p2) - friction * w - load]) / (1e7, 1e7, 1e-3, 1e-3, 1e4)
 
     expected = fsolve(equations, [1.0, 1.0, 1.0, 1.0, 1.0], xtol=1e-12)[2]
 
@@ -121,47 +117,43 @@ def test_holding_forces_and_pressures(fmu_dir, pose):
             assert min(p_head, p_rod) > 0.9 * preload * rod / head
 
 
+def frequency(name: str, mass: float, position: float) -> float:
+    """omega [rad/s] of a mass on the locked cylinder: omega^2 = beta (A_h^2/V_h + A_r^2/V_r) / m."""
+    head, rod = areas(name)
+    p, beta = BOOM_STICK, BOOM_STICK["bulk_modulus"]
+    both = p[f"{name}_hose_capacitance"] * beta + p[f"{name}_dead_volume"]
+    v_head, v_rod = both + head * position, both + rod * (p[f"{name}_stroke"] - position)
+    return math.sqrt(beta * (head**2 / v_head + rod**2 / v_rod) / mass)
+
+
 @pytest.mark.parametrize("name", ["boom", "stick"])
 def test_hydraulic_natural_frequency(fmu_dir, name):
-    """omega^2 = beta (A_h^2/V_h + A_r^2/V_r) / m of a mass on the locked cylinder, by FMU Jacobian."""
+    """The closed form of a mass on the locked cylinder, by FMU Jacobian."""
     mass, position = 1e4, 0.3
     oil = [f"{name}_{s}_{k}" for k in ("pressure", "flow") for s in ("head", "rod")]
     with driving(fmu_dir / "boom_stick.fmu", "me", **{f"{name}_position": position}) as fmu:
         rates = [f"der_{n}" for n in oil]
-        a_oil = fmu.derivative(rates, oil)
-        b_velocity = fmu.derivative(rates, [f"{name}_velocity"])
+        a_oil, b_velocity = fmu.derivative(rates, oil), fmu.derivative(rates, [f"{name}_velocity"])
         c_force = fmu.derivative([f"{name}_force"], oil)
     system = np.block([[a_oil, b_velocity], [c_force / mass, np.zeros((1, 1))]])
     slow = [e for e in np.linalg.eigvals(system) if abs(e.imag) > 1.0]
-    head, rod = areas(name)
-    beta = BOOM_STICK["bulk_modulus"]
-    hose = BOOM_STICK[f"{name}_hose_capacitance"] * beta
-    v_head = hose + BOOM_STICK[f"{name}_dead_volume"] + head * position
-    v_rod = hose + BOOM_STICK[f"{name}_dead_volume"] + rod * (BOOM_STICK[f"{name}_stroke"] - position)
-    expected = math.sqrt(beta * (head**2 / v_head + rod**2 / v_rod) / mass)
-    assert min(abs(e.imag) for e in slow) == pytest.approx(expected, rel=BAR)
+    assert min(abs(e.imag) for e in slow) == pytest.approx(frequency(name, mass, position), rel=BAR)
 
 
 def test_free_oscillation_has_the_hydraulic_natural_frequency(fmu_dir):
     """The same frequency as counted in time: boom cylinder, closed valve, a mass of 10 t."""
-    mass, step, stop = 1e4, 1e-4, 1.0
-    x, v, hold = 0.3, 0.0, 86714.3394
+    mass, step, stop = 1e4, 1e-4, 0.6
+    x, v, hold = 0.3, 0.02, 86714.3394
     with driving(fmu_dir / "boom_stick.fmu", boom_position=x) as fmu:
         crossings, before = [], 0.0
-        v = 0.02
         for n in range(round(stop / step)):
-            acceleration = (fmu.get("boom_force")[0] - hold) / mass
+            acceleration = (fmu["boom_force"] - hold) / mass
             fmu.set(boom_position=x, boom_velocity=v, boom_acceleration=acceleration)
-            fmu.step(step)
-            after = (fmu.get("boom_force")[0] - hold) / mass
+            after = (fmu.step(step)["boom_force"] - hold) / mass
             x, v = x + step * v + step**2 / 2 * acceleration, v + step * (acceleration + after) / 2  # Verlet
             if before < 0 <= v:
                 crossings.append((n + 1) * step - step * v / (v - before))
             before = v
-    head, rod = areas("boom")
-    beta = BOOM_STICK["bulk_modulus"]
-    hose = BOOM_STICK["boom_hose_capacitance"] * beta
-    v_head = hose + BOOM_STICK["boom_dead_volume"] + head * 0.3
-    v_rod = hose + BOOM_STICK["boom_dead_volume"] + rod * (BOOM_STICK["boom_stroke"] - 0.3)
-    expected = math.sqrt(beta * (head**2 / v_head + rod**2 / v_rod) / mass) / (2 * math.pi)
-    assert 1 / np.mean(np.diff(crossings)) == pytest.approx(expected, rel=BAR)
+    assert len(crossings) > 2
+    counted = 2 * math.pi / np.mean(np.diff(crossings))
+    assert counted == pytest.approx(frequency("boom", mass, 0.3), rel=BAR)

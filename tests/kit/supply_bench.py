@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from fmus.contract import quantities, symbolic
+from fmus.contract import Symbolic, quantities, symbolic
 from fmus.parameters import values
 from fmus.supply import VARIANTS
 
@@ -28,13 +28,21 @@ class Bench:
 
     def __init__(self, variant: str) -> None:
         self.sub = VARIANTS[variant]
-        self.model = symbolic(self.sub)
         self.numbers = values(self.sub).p
-        self.function = self.model.function()
         self.states, self.outputs, self.inputs = (
             list(quantities(g)) for g in (self.sub.states, self.sub.outputs, self.sub.inputs)
         )
         self.nominal = np.array([q.nominal for q in quantities(self.sub.states).values()])
+
+    @cached_property
+    def model(self) -> Symbolic:
+        """The equations, when a test first asks for them."""
+        return symbolic(self.sub)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """(x, u, p) -> dx, y."""
+        return self.model.function()
 
     def constants(self, **changes: float) -> list[float]:
         """The parameters in order, some of them changed."""

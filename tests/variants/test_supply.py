@@ -15,6 +15,7 @@ from fmus.components import engine_and_pump
 from fmus.components.engine_and_pump import Pump
 
 ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
+IDEAL = Bench("ideal")
 pumps = pytest.mark.parametrize("bench", BENCHES, ids=lambda b: b.sub.variant)
 P = ENGINE_PUMP.numbers
 SETTING = P["pump_1_pressure_setting"]
@@ -68,10 +69,9 @@ def inputs_of(bench: Bench, flows, loads=(0.0, 0.0)) -> list[float]:
 @given(FLOWS)
 def test_ideal_source_holds_its_pressure_for_any_flow(flows):
     """Setting and tank pressure, rate zero, and the power that these flows carry."""
-    bench = Bench("ideal")
-    row = inputs_of(bench, flows)
-    y = bench.show([], row, bench.constants(reservoir_pressure=1e5))
-    u = dict(zip(bench.inputs, row, strict=True))
+    row = inputs_of(IDEAL, flows)
+    y = IDEAL.show([], row, IDEAL.constants(reservoir_pressure=1e5))
+    u = dict(zip(IDEAL.inputs, row, strict=True))
     taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
     given_back = u["return_flow_swing"] + u["return_flow_boom_stick"]
     assert (y["supply_pressure"], y["supply_pressure_rate"], y["tank_pressure"]) == (SETTING, 0.0, 1e5)
@@ -357,10 +357,8 @@ def test_a_narrow_band_and_a_stiff_line_tend_to_the_ideal_source():
             engine_inertia=1e3 / e,
         )
         _, y = through_orifices([gain(q * L_MIN, 2e7) for q in (80, 200, 120)], p, 0.2)
-        settled_ = y["supply_pressure"][
-            19::20
-        ]  # half-way and at the end of each: the peak of a step is short
-        return np.abs(settled_ - SETTING).max()
+        halves = y["supply_pressure"][19::20]  # half-way and at the end of each: the peak of a step is short
+        return np.abs(halves - SETTING).max()
 
     found = [sag(0.5**k) for k in range(4)]
     # measured order 1; the droop of the engine bends it by a few hundredths
