@@ -163,8 +163,8 @@ def test_units_of_a_reference_are_converted(moving, truth):
 def test_signals_at_rest_are_left_out():
     """What moves a millionth of what others of its unit do has no range to compare with."""
     time = np.linspace(0, 1, 11)
-    trace = Trace(time, {"a.x": np.sin(time), "a.y": 1e-7 * np.sin(time)}, {"a.x": "m", "a.y": "m"})
-    found = from_run("run", trace)
+    signals = {"a.x": np.sin(time), "a.y": 1e-7 * np.sin(time)}
+    found = from_run("run", Trace(time, signals, dict.fromkeys(signals, "m")))
     assert found.names == ["a.x"]
     assert found.notes == ("not compared, at rest: a.y",)
 

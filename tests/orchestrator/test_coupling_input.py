@@ -102,7 +102,7 @@ def moment(c, h):
 
 @given(cubics, lengths)
 def test_projections_keep_mean_and_moment(c, h):
-    """A polynomial of lower degree has the mean of the cubic; the line, which is nearest, also that of s u(s).
+    """A polynomial of lower degree has the mean of the cubic; the line also that of s u(s): it is nearest.
 
     A polynomial that has the degree is unchanged, bit for bit.
     """

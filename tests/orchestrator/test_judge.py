@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator import Problem, System, Trace, assemble, load, run
+from orchestrator import Problem, Result, System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
+from orchestrator.engine.recorder import BondEnergy
+from orchestrator.engine.result import Card
 from orchestrator.results.layout import FigureSpec, Layout, MovingPoint, PanelSpec
 from orchestrator.results.validate_system import card, describe, judge, parameters
 
@@ -79,13 +81,10 @@ def test_parameters_tell_their_source_where_the_fmu_knows_it(fmus):
     fmu = fmus.make("gain", "known", extra={"resources/parameters.toml": PROVENANCE})
     system = load(fmu).with_start({"known.offset": 0.5})
     found = {p.name: p for p in parameters(system)}
-    assert (found["factor"].value, found["factor"].source, found["factor"].note) == (
-        1.0,
-        "assumed",
-        "a free choice",
-    )
-    assert (found["offset"].value, found["offset"].unit, found["offset"].source) == (0.5, "m", "")
-    assert (found["factor"].changed, found["offset"].changed) == (False, True)
+    factor, offset = found["factor"], found["offset"]
+    assert (factor.value, factor.source, factor.note) == (1.0, "assumed", "a free choice")
+    assert (offset.value, offset.unit, offset.source) == (0.5, "m", "")
+    assert (factor.changed, offset.changed) == (False, True)
 
 
 @pytest.mark.parametrize("text", ["x = ", "parameters = 3", "[parameters.other]\nvalue = 1\n", "\udcff"])
@@ -96,31 +95,34 @@ def test_another_file_of_that_name_does_no_harm(fmus, text):
     assert [(p.name, p.source) for p in parameters(load(fmu))] == [("factor", ""), ("offset", "")]
 
 
-def test_the_machines_parameters_carry_their_sources(fmu_dir):
-    """Every parameter of the machine has its source and note."""
-    found = list(parameters(load(fmu_dir / "harvester.ssp")))
+def test_the_machine_is_described_by_its_files(fmu_dir):
+    """Every parameter has its source and note; of each component the place in the SSP, and its GUID."""
+    system = load(fmu_dir / "harvester.ssp")
+    found = list(parameters(system))
     assert {p.component for p in found} == {"swing", "boom_stick", "manipulator", "supply", "operator_input"}
     assert all(p.source and p.note and p.text for p in found)
-
-
-def test_components_are_described_by_their_files(fmu_dir):
-    """The FMU's place in the SSP, and its GUID."""
-    for name, component in load(fmu_dir / "harvester.ssp").components.items():
-        assert describe(component).file == f"resources/{name}.fmu"
-        assert describe(component).guid == component.interface.guid != ""
-        assert describe(component).version == version("harvester-cosim")
-        assert describe(component).tool.startswith("harvester-cosim ")
-        assert describe(component).text
+    for name, component in system.components.items():
+        told = describe(component)
+        assert told.file == f"resources/{name}.fmu"
+        assert told.guid == component.interface.guid != ""
+        assert told.version == version("harvester-cosim")
+        assert told.tool.startswith("harvester-cosim ")
+        assert told.text
 
 
 def test_the_card_in_the_report(oscillator):
-    """Times, steps and energies of the power bonds, by name."""
-    result = run(oscillator, step=0.01, stop=0.5)
-    told = card(result)
-    assert told["steps"] == 50
-    assert told["real-time factor"] == round(0.5 / result.card.wall, 1)
-    bonds = told["energy residual of the power bonds, share of the exchanged energy"]
-    assert list(bonds) == [b.name for b in result.card.bonds]
+    """Times and steps, and the energies of the power bonds by name: 2 s took 0.8 s, and lost 3 J of 40 J."""
+    bonds = (BondEnergy("boom", -3.0, 3.0, 40.0), BondEnergy("idle", 0.0, 0.0, 0.0))
+    known = Card("jacobi", 1e-2, 1e-2, 200, 2.0, 0.8, bonds)
+    assert card(Result(oscillator, Trace(np.zeros(1), {}), known)) == {
+        "wall time [s]": 0.8,
+        "real-time factor": 2.5,
+        "steps": 200,
+        "energy residual of the power bonds, share of the exchanged energy": {
+            "boom": "-7.5e-02 (-3 J of 40 J)",
+            "idle": "no exchange",
+        },
+    }
 
 
 def test_a_layout_gives_title_figures_and_motion(fmus, ramp, reference, tmp_path):
