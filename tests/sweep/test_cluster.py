@@ -84,10 +84,8 @@ def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
 def test_a_scheduler_that_is_not_there_is_told(url, monkeypatch):
     """In one line, with what was expected."""
     monkeypatch.setattr(pool, "CONNECT_TIMEOUT", 0.5)
-    with (
-        pytest.raises(Problem, match=rf"^--scheduler {url}: expected a Dask scheduler, got [^\n]+$"),
-        pool.client(scheduler=url),
-    ):
+    expected = rf"^--scheduler {url}: expected a Dask scheduler, got [^\n]+$"
+    with pytest.raises(Problem, match=expected), pool.client(scheduler=url):
         pass
 
 
@@ -163,7 +161,6 @@ def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     monkeypatch.setattr(pool, "as_completed", Nothing)
     monkeypatch.setattr(pool, "WORKER_TIMEOUT", 0.0)
     batches = pool.Batches(Deserted(), "study", None, [(Sample(0, (), {}),)], lambda: None)
-    with pytest.raises(
-        Problem, match=r"^the Dask cluster has no workers left; finished runs are stored; the"
-    ):
+    expected = r"^the Dask cluster has no workers left; finished runs are stored; the"
+    with pytest.raises(Problem, match=expected):
         next(batches.outcomes())

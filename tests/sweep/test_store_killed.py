@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +14,10 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from kit import shards
+from kit.wait import until
 from sweep.studies import GAIN, content, run, study
+
+from orchestrator.studies import pool
 
 pytestmark = shards.faults
 
@@ -24,10 +26,11 @@ LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 
 
 @pytest.fixture(scope="module")
-def long(gain, two, tmp_path_factory):
-    """The file of a study of some seconds, and its results without a kill."""
+def long(gain, tmp_path_factory):
+    """The file of a study of some seconds, and its results without a kill, by two workers."""
     file = study(tmp_path_factory.mktemp("long"), LONG, gain)
-    _, runs = run(file, two, "undisturbed")
+    with pool.client(2) as two:
+        _, runs = run(file, two, "undisturbed")
     assert runs == list(range(RUNS))
     return file, content(file.parent / "undisturbed")
 
@@ -38,24 +41,15 @@ def command(file: Path, out: Path, **environment: str) -> subprocess.Popen[str]:
     # a process that was started in the background would ignore Ctrl-C: its handler is set again
     begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     begin += f"import sys; sys.argv[1:] = {arguments!r}; from orchestrator.__main__ import script; script()"
-    pipe = subprocess.PIPE
-    return subprocess.Popen(
-        [sys.executable, "-c", begin],
-        stdout=pipe,
-        stderr=pipe,
-        text=True,
-        start_new_session=True,
-        env=os.environ | environment,
-    )
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    environ = os.environ | environment
+    return subprocess.Popen([sys.executable, "-c", begin], start_new_session=True, env=environ, **pipes)
 
 
-def started(file: Path, out: Path) -> subprocess.Popen[str]:
-    """The same, after its first batch is kept."""
-    process = command(file, out)
-    while not list(out.glob("parts/batch-*.parquet")):
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.01)
-    return process
+def reached(process: subprocess.Popen[str], folder: Path, pattern: str) -> None:
+    """Wait until a command that runs has made such a file."""
+    assert until(lambda: process.poll() is not None or list(folder.glob(pattern)))
+    assert process.poll() is None, process.communicate()
 
 
 def stopped(
@@ -66,7 +60,8 @@ def stopped(
     Where much else is done a signal may come after the last run: then all is done once more.
     """
     for _ in range(10):
-        process = started(file, out)
+        process = command(file, out)
+        reached(process, out, "parts/batch-*.parquet")
         children = psutil.Process(process.pid).children()
         stop(process.pid)
         told, wrong = process.communicate()
@@ -118,8 +113,7 @@ def test_an_interrupt_while_the_processes_start(long, tmp_path):
     out = file.parent / "early"
     for _ in range(10):
         process = command(file, out, TMPDIR=str(tmp_path))
-        while not list(tmp_path.glob("sweep-*/errors")):
-            assert process.poll() is None, process.communicate()
+        reached(process, tmp_path, "sweep-*/errors")
         os.killpg(process.pid, signal.SIGINT)
         _, wrong = process.communicate()
         if not kept(out) and not (out / "runs.parquet").exists():

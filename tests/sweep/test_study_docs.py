@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from sweep.studies import run
+from sweep.studies import resolved, run
 
-from orchestrator.studies.cases import resolve
 from orchestrator.studies.report import study_page
-from orchestrator.studies.study import read
 
 DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"
 
@@ -54,15 +52,11 @@ scenario = "rest.csv"
 
 def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
     """docs/sweep.md shows a complete file; it can be read as it is, next to a build."""
-    file = tmp_path / "study.toml"
-    file.write_text(_block("toml", 1), encoding="utf-8")
     (tmp_path / "commands.csv").write_text("time,swing_command\n0,0\n1,3\n")
-    file.write_text(file.read_text().replace("../build", fmu_dir.as_posix()))
-    found = resolve(read(file))[0]
+    found = resolved(tmp_path / "study.toml", _block("toml", 1).replace("../build", fmu_dir.as_posix()))
     assert [f.distribution for f in found.factors] == ["uniform", "normal", "values"]
-    assert found.fixed["manipulator.head_mass"] == pytest.approx(
-        340.0, rel=1e-15
-    )  # t in kg, but for rounding
+    # t in kg, but for rounding
+    assert found.fixed["manipulator.head_mass"] == pytest.approx(340.0, rel=1e-15)
     assert [c.name for c in found.choices] == ["boom_stick", "parameters", "scenario"]
     assert [o.name for o in found.outputs] == ["peak_pressure", "angle"]
 

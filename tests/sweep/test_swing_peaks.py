@@ -13,8 +13,6 @@ from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.report import study_page
 from orchestrator.studies.study import read
 
-pytestmark = shards.machine
-
 EXAMPLE = Path(__file__).parents[2] / "examples" / "swing_peaks"
 
 
@@ -39,6 +37,7 @@ def test_names_and_units_of_the_studies_are_right(name: str, fmu_dir: Path, tmp_
     assert played <= {"operator_input.swing_1_command", "operator_input.swing_2_command"}
 
 
+@shards.machine
 def test_the_small_study_runs_to_its_report(fmu_dir: Path, tmp_path: Path) -> None:
     """All runs end, and at a start the pressure of the driving line is between preload and supply."""
     short = (

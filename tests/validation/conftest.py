@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from orchestrator.data.recording import read_recording
@@ -46,15 +47,10 @@ def written(tmp_path_factory: pytest.TempPathFactory, trace: Trace) -> Path:
     """A folder with ref.csv (10 ms, degrees and bar, 1 bar below the run) and ref.toml."""
     folder = tmp_path_factory.mktemp("reference")
     angle, pressure = np.degrees(trace["shaft.angle"][::10]), trace["pump.pressure"][::10] / 1e5 - 1.0
-    write(folder, trace.time[::10], angle, pressure)
+    table = pd.DataFrame({"time": trace.time[::10], "shaft.angle": angle, "pump.pressure": pressure})
+    table.to_csv(folder / "ref.csv", float_format="%.12g", index=False)
     (folder / "ref.toml").write_text(META, encoding="utf-8")
     return folder
-
-
-def write(folder: Path, time: np.ndarray, angle: np.ndarray, pressure: np.ndarray) -> None:
-    """Write ref.csv."""
-    table, header = np.column_stack((time, angle, pressure)), "time,shaft.angle,pump.pressure"
-    np.savetxt(folder / "ref.csv", table, "%.12g", ",", header=header, comments="")
 
 
 @pytest.fixture

@@ -88,7 +88,7 @@ def test_reference_is_solid_and_simulation_dotted(figure: Figure) -> None:
 
 
 def test_names_and_verdict_stand_at_the_panel(figure: Figure) -> None:
-    """The names above it, not on the curves; beside them the judged number, its limit and whether it holds."""
+    """The names above it, off the curves; beside them the judged number, its limit and whether it holds."""
     panel = figure.axes[3]
     assert panel.get_legend().get_window_extent().y0 >= panel.get_window_extent().y1
     assert [text.get_text() for text in panel.texts] == ["✓ head 1 bar\nmax. error ≤ 2 bar"]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from kit.mistakes import problem
 
-from orchestrator.base.errors import Problem
 from orchestrator.results.motion import MachineMotion, frames, strobe
 
 TIME = np.linspace(0.0, 4.0, 4001)
+ORIGIN = np.zeros((len(TIME), 3))
 
 
 def arm(radius: float = 5.0) -> MachineMotion:
@@ -16,14 +19,8 @@ def arm(radius: float = 5.0) -> MachineMotion:
     angle = TIME * np.pi / 8
     still = np.zeros_like(TIME)
     tip = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), still + 1.0))
-    return MachineMotion(
-        TIME,
-        {
-            "foot": np.zeros((len(TIME), 3)),
-            "top": np.column_stack((still, still, still + 2.0)),
-            "tip": tip,
-        },
-    )
+    top = np.column_stack((still, still, still + 2.0))
+    return MachineMotion(TIME, {"foot": ORIGIN, "top": top, "tip": tip})
 
 
 def test_side_view_turns_with_the_arm() -> None:
@@ -78,18 +75,16 @@ def test_strobe_picture_shows_both_views() -> None:
 
 def test_strobe_of_a_machine_at_rest() -> None:
     """A machine that does not move is drawn, not divided by zero."""
-    rest = MachineMotion(TIME, {"foot": np.zeros((len(TIME), 3)), "tip": np.ones((len(TIME), 3))})
+    rest = MachineMotion(TIME, {"foot": ORIGIN, "tip": ORIGIN + 1.0})
     assert strobe(rest, poses=3).axes
 
 
 def test_mistakes_are_named() -> None:
     """Wrong shapes, positions that are no numbers and unknown labels are refused."""
-    points = {"tip": np.zeros((len(TIME), 3))}
-    with pytest.raises(Problem, match=r"motion: 'tip': expected shape \(4001, 3\), got \(3, 3\)"):
-        MachineMotion(TIME, {"tip": np.zeros((3, 3))})
-    with pytest.raises(Problem, match="motion: 'tip': expected finite positions"):
-        MachineMotion(TIME, {"tip": np.full((len(TIME), 3), np.nan)})
-    with pytest.raises(Problem, match="motion: expected points hand, got tip"):
-        MachineMotion(TIME, points, lines=(("tip", "hand"),))
-    with pytest.raises(Problem, match="motion: expected points hand, got tip"):
-        MachineMotion(TIME, points, tip="hand")
+
+    def line(tips: np.ndarray = ORIGIN, **more: Any) -> str:
+        return problem(lambda: MachineMotion(TIME, {"tip": tips}, **more))
+
+    assert line(np.zeros((3, 3))).startswith("motion: 'tip': expected shape (4001, 3), got (3, 3)")
+    assert line(np.full((len(TIME), 3), np.nan)).startswith("motion: 'tip': expected finite positions")
+    assert line(lines=(("tip", "hand"),)) == line(tip="hand") == "motion: expected points hand, got tip"

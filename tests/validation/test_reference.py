@@ -1,19 +1,35 @@
-"""Reading reference traces and measurements: what is read, and what every mistake is told."""
+"""References and measurements in files of any kind: what is read and written, and what mistakes are told."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
-from kit.mistakes import table
+import scipy.io
+from kit.mistakes import problem, table
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.description import Tolerance
-from orchestrator.data.recording import read_recording
+from orchestrator.data.description import Origin, Tolerance
+from orchestrator.data.recording import Recording, fill_gaps, read_recording, write_recording
+from orchestrator.data.trace import Trace
+from orchestrator.results.validation import validate
 
 Edit = Callable[[str, str], Path]
+ORIGIN = Origin(
+    title='The "joined" machine',
+    origin="monolith, version 1",
+    made_by="make reference",
+    solver="Radau, order 5",
+    relative_tolerance=1e-10,
+    absolute_tolerance=1e-8,
+    date=date(2026, 1, 31),
+    change="first version",
+)
 
 
 def test_reads_columns_units_groups_and_limits(folder: Path) -> None:
@@ -101,25 +117,85 @@ def test_column_that_stands_twice_is_refused(edited: Edit) -> None:
 def test_missing_and_empty_files(tmp_path: Path) -> None:
     """A missing file, a folder, a missing meta file, one without signals, a CSV without numbers are named."""
     csv, toml = tmp_path / "a.csv", tmp_path / "a.toml"
-    expected = r"a.csv: expected a .csv, .parquet, .mat or .toml file, got no such file"
-    with pytest.raises(Problem, match=expected):
-        read_recording(csv)
-    with pytest.raises(Problem, match=r"expected a .csv, .parquet, .mat or .toml file, got a folder"):
-        read_recording(tmp_path)
+
+    def line(path: Path = csv) -> str:
+        return problem(lambda: read_recording(path))
+
+    kinds = "expected a .csv, .parquet, .mat or .toml file, got "
+    assert line().endswith(f"a.csv: {kinds}no such file")
+    assert line(tmp_path).endswith(f"{kinds}a folder")
     csv.write_text("time,x\n0,1\n", encoding="utf-8")
-    with pytest.raises(
-        Problem, match=r"a.toml: expected a TOML file that describes the columns, got no such"
-    ):
-        read_recording(csv)
+    assert "a.toml: expected a TOML file that describes the columns, got no such" in line()
     toml.write_text("[time]\n", encoding="utf-8")
-    with pytest.raises(Problem, match=r"a.toml: expected at least one table \[signals.NAME\], got none"):
-        read_recording(csv)
+    assert "a.toml: expected at least one table [signals.NAME], got none" in line()
     toml.write_text('[signals.x]\nunit = "m"\n', encoding="utf-8")
-    with pytest.raises(Problem, match=r"a.csv: expected two or more rows of numbers, got 1"):
-        read_recording(csv)
+    assert "a.csv: expected two or more rows of numbers, got 1" in line()
     csv.write_text("", encoding="utf-8")
-    with pytest.raises(Problem, match=r"a.csv: expected two or more rows of numbers, got an empty file"):
-        read_recording(csv)
+    assert "a.csv: expected two or more rows of numbers, got an empty file" in line()
     csv.write_bytes(b"time,x\n\xff\xfe,1\n")
-    with pytest.raises(Problem, match=r"a.csv: line 2: expected text in UTF-8, got the byte 0xff"):
-        read_recording(csv)
+    assert "a.csv: line 2: expected text in UTF-8, got the byte 0xff" in line()
+
+
+@pytest.mark.parametrize("kind", ["parquet", "mat"])
+def test_parquet_and_matlab_are_compared_like_csv(folder: Path, trace: Trace, kind: str) -> None:
+    """The same columns in another file give the same metrics; a gap is left out and counted."""
+    cells = pd.read_csv(folder / "ref.csv")
+    cells.loc[20:29, "shaft.angle"] = np.nan
+    csv = read_recording(folder / "ref.toml")
+    (folder / "ref.csv").unlink()
+    if kind == "parquet":
+        cells.to_parquet(folder / "ref.parquet")
+    else:
+        text = (folder / "ref.toml").read_text(encoding="utf-8")
+        for name in ("shaft.angle", "pump.pressure"):  # a dot is a struct in MATLAB
+            column = f'[signals."{name}"]\ncolumn = "{name.replace(".", "_")}"'
+            text = text.replace(f'[signals."{name}"]', column)
+        (folder / "ref.toml").write_text(text, encoding="utf-8")
+        columns = {name.replace(".", "_"): cells[name].to_numpy() for name in cells}
+        scipy.io.savemat(folder / "ref.mat", columns)
+    found = validate(trace, read_recording(folder / "ref.toml"), rate=False)
+    expected = validate(trace, csv, rate=False)
+    assert found["pump.pressure"].metrics == expected["pump.pressure"].metrics
+    assert found["shaft.angle"].notes == ("10 of 201 samples are in gaps of the reference, left out",)
+    assert len(found["shaft.angle"].time) == 191
+
+
+def test_short_gaps_of_a_command_are_bridged() -> None:
+    """What drives a run has a value at every time; half a second without is refused."""
+    time = np.arange(0.0, 2.0, 0.01)
+    short = np.where((time > 0.495) & (time < 0.555), np.nan, time)
+    made = Recording(Path("ref.csv"), time, {"short": short, "none": np.full(200, np.nan)}, {})
+    np.testing.assert_allclose(fill_gaps(made, "short"), time, atol=1e-15)  # a straight line, rounding
+    line = problem(lambda: fill_gaps(made, "short", longest=0.05))
+    assert line.startswith("ref.csv: short: expected gaps of at most 0.05 s, got one from 0.5 s to 0.55 s")
+    assert problem(lambda: fill_gaps(made, "none")).startswith("ref.csv: none: expected a sample")
+    np.testing.assert_allclose(made.trace()["short"], time, atol=1e-15)
+    assert "none" not in made.trace().signals
+
+
+def test_written_trace_is_read_back(tmp_path: Path, trace: Trace) -> None:
+    """Numbers, units, groups, limits and the story of a reference survive the files."""
+    meta = write_recording(
+        tmp_path / "ref.csv",
+        trace,
+        ORIGIN,
+        tolerances={"angle": Tolerance("nrmse", 0.0005)},
+        groups={"shaft.angle": "angle", "pump.command": "command"},
+        labels={"shaft.angle": "Shaft angle"},
+    )
+    found = read_recording(meta)
+    assert found.metadata["title"] == 'The "joined" machine'
+    assert found.metadata["date"] == "2026-01-31"
+    assert found.criterion("shaft.angle").tolerance == Tolerance("nrmse", 0.0005)
+    assert found.criterion("pump.command").tolerance is None
+    assert found.file_units["pump.pressure"] == "Pa"
+    outcome = validate(trace, found, rate=False)
+    assert outcome.passed
+    # nine digits in the CSV
+    np.testing.assert_allclose(outcome["pump.pressure"].reference, trace["pump.pressure"], rtol=1e-8)
+
+
+def test_reason_of_the_change_is_required(tmp_path: Path, trace: Trace) -> None:
+    """Nobody records a reference again without saying why."""
+    line = problem(lambda: write_recording(tmp_path / "ref.csv", trace, replace(ORIGIN, change=" "), {}, {}))
+    assert line.endswith("ref.csv: expected the reason of this change of the reference, got none")
