@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
 import re
 import struct
 import tomllib
+import zipfile
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -37,15 +38,14 @@ ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
 
 @pytest.fixture(scope="module")
-def content(once):
-    """(name, FMI version) -> files of the FMU; made once for all test processes."""
-
-    def make(folder):
-        made = {name: packages(sub, 1e-3, 40.0).items() for name, sub in SUBSYSTEMS.items()}
-        files = {(name, fmi): package.files for name, both in made.items() for fmi, package in both}
-        (folder / "files").write_bytes(pickle.dumps(files))
-
-    return pickle.loads((once("documentation", make) / "files").read_bytes())
+def content(fmu_dir, fmi3_dir):
+    """(name, FMI version) -> files of the FMU as built."""
+    found = {}
+    for name, (fmi, folder) in product(SUBSYSTEMS, ((2, fmu_dir), (3, fmi3_dir))):
+        part = name in ALL or name in (CONTROLLER.name, HARVESTER.name)
+        with zipfile.ZipFile(folder / ("" if part else "variants") / f"{name}.fmu") as archive:
+            found[name, fmi] = {member: archive.read(member) for member in archive.namelist()}
+    return found
 
 
 @pytest.fixture
