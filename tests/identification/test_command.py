@@ -26,7 +26,7 @@ FEW = (
     *("machine_train_1", "machine_test"),
 )
 RIG = importlib.import_module("fmus.rig.experiments")  # the package has a function of this name
-SECONDS = 5.0  # of the machine at work
+SECONDS = 3.5  # of the machine at work
 
 
 def write_few(folder: Path) -> None:
@@ -54,6 +54,7 @@ def everything(once):
 def here(tmp_path, monkeypatch):
     """here(recordings, *kinds): work in a folder that has the recordings of these kinds in `mine`."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # one more process takes longer than these simulations
 
     def enter(folder: Path, *kinds: str) -> None:
         Path("mine").mkdir()
@@ -103,9 +104,10 @@ def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys
 
 
 @shards.machine
-def test_the_joint_refinement_returns_the_machine(everything, here, capsys):
+def test_the_joint_refinement_returns_the_machine(everything, here, capsys, monkeypatch):
     """All parameters of the default set at once, from 60 s: nearly all intervals cover the truth."""
     here(everything, "machine")
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
     assert main(["identify", "mine", "--out", "joint.toml", "--starts", "0"]) == 0
     tables = found("joint.toml")
     assert set(tables) == {short_name(name, nominal()) for name in FREE}

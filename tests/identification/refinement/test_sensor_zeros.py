@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from identification.refinement.oscillator import NUMBERS, OSCILLATOR, recording, run
 from identification.refinement.oscillator import problem as oscillator_problem
-from identification.refinement.test_refine_machine import machine_recording
+from identification.refinement.test_refine_machine import SOME, WHOLE, machine_recording
+from kit import shards
 
 from fmus.identification import machine
 from fmus.identification.machine import nominal
@@ -22,16 +23,22 @@ BOOM = "manipulator.boom_angle"
 OFF, DECLARED = np.radians(2.0), np.radians(3.0)
 
 
-def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals() -> None:
+@pytest.mark.parametrize(
+    ("names", "seconds", "least"),
+    # of 17 intervals at 95 % at most 2 miss the truth in 95 of 100 sets of recordings, of 4 at most 1
+    [(SOME, 8.0, 3), pytest.param(*WHOLE, 15, marks=shards.machine)],
+    ids=["some", "all"],
+)
+def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals(names, seconds, least) -> None:
     """All encoders declare 3 degrees: the boom's zero is found, the swing's, which nothing tells, is open."""
-    clean = machine_recording()
+    clean = machine_recording(seconds)
     encoders = {n: replace(clean.sensors[n], zero_error=DECLARED) for n in clean.signals if "_angle" in n}
     read = replace(
         clean,
         signals={**clean.signals, BOOM: clean[BOOM] + OFF},
         sensors={**clean.sensors, **encoders},
     )
-    task = machine.problem([read], nominal())
+    task = machine.problem([read], nominal(), names)
     away = [
         f if f.name.startswith("zero_") else replace(f, value=f.value * k, sd=0.3 * f.value)
         for f, k in zip(task.free, [1.2, 0.85] * len(task.free), strict=False)
@@ -41,9 +48,8 @@ def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals() -
     assert found.converged
     estimates = machine.estimates(found)
     truth = {e.name: machine.lookup(e.name, nominal()).value for e in estimates}
-    assert len(estimates) == 17
-    # of 17 intervals at 95 % at most 2 miss the truth in 95 of 100 sets of recordings
-    assert sum(e.low <= truth[e.name] <= e.high for e in estimates) >= 15
+    assert len(estimates) in (len(SOME), 17)
+    assert sum(e.low <= truth[e.name] <= e.high for e in estimates) >= least
     zeros = machine.zeros(found)
     assert zeros[BOOM].low <= OFF <= zeros[BOOM].high
     assert zeros[BOOM].high - zeros[BOOM].low < np.radians(0.1)
