@@ -2,8 +2,10 @@
 
 import ctypes
 import tempfile
+import zipfile
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
 
@@ -197,8 +199,6 @@ def test_a_missing_function_is_named_when_it_is_needed(fmus):
 
 def test_a_broken_binary_is_told(tmp_path):
     """The file that cannot be loaded is named."""
-    import fmpy
-
     folder = tmp_path / "binaries" / fmpy.platform
     folder.mkdir(parents=True)
     (folder / f"x{fmpy.sharedLibraryExtension}").write_text("no library")
@@ -226,8 +226,6 @@ def test_a_file_that_is_no_fmu_is_told(tmp_path, text):
 
 def test_members_that_point_outside_are_refused(tmp_path):
     """An archive may not write beside its folder."""
-    import zipfile
-
     with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
         archive.writestr("../evil", "")
     with pytest.raises(Problem, match=r"has .* in its path"):

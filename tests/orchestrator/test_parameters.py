@@ -71,7 +71,7 @@ def test_a_file_with_units_for_an_assembled_system(fmus, tmp_path):
 
 
 def test_the_unit_is_converted_before_a_value_is_mapped(fmus, zip_ssp, tmp_path):
-    """By the mapping of a binding, and from an input of the system on, for a bound set and a chosen one."""
+    """By a binding, and from an input of the system on: for a bound set, a chosen one, and a single value."""
     celsius = {"unit": "degC", "base": 'K="1" offset="273.15"'}
     fmu = fmus.make("gain", "warm", units={"u": "K"})
     files = {"resources/gain.fmu": fmu, "resources/bound.ssv": ssv(**celsius, command=20.0, air=20.0)}
@@ -79,6 +79,8 @@ def test_the_unit_is_converted_before_a_value_is_mapped(fmus, zip_ssp, tmp_path)
     # 20 degC = 293.15 K, times 2 plus 1; rounding only
     for component in system.components.values():
         assert component.start["u"] == pytest.approx(587.3, rel=1e-15)
+    start = system.with_start({"command": "25 degC"}).components["g"].start
+    assert start["u"] == pytest.approx(597.3, rel=1e-15)
     (tmp_path / "own.ssv").write_text(ssv(**celsius, command=30.0), encoding="utf-8")
     trace = run(system, parameters=[tmp_path / "own.ssv"], step=0.5, stop=0.5).trace
     np.testing.assert_allclose((trace["g.u"], trace["h.u"]), [[607.3] * 2, [587.3] * 2], rtol=1e-15)

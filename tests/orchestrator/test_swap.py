@@ -1,6 +1,7 @@
 """Swaps: the choice of the new FMU, checks of its ports, and runs with it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from kit.mistakes import problem, refused, table
 
 from orchestrator import Problem, assemble, load, run
 from orchestrator.__main__ import main
+from orchestrator.base.units import LinearTransformation
 from orchestrator.results.validate_system import validate_system
 from orchestrator.ssp.swap import with_swaps
 
@@ -73,6 +75,7 @@ def test_convertible_units_are_converted(fmus):
     pascal = fmus.make("gain", "gain_pa", units={"u": "Pa", "y": "Pa", "offset": "Pa"})
     bar = fmus.make("gain", "gain_bar", units={"u": "bar", "y": "bar", "offset": "bar"})
     source = fmus.make("source", "source_pa", units={"y": "Pa", "offset": "Pa"})
+    source_bar = fmus.make("source", "source_bar", units={"y": "bar", "offset": "bar"})
     wires = [("s.y", "g.u", 2.0, 1e5), "g.y -> end.u"]
     start = {"s.offset": 3e5, "s.amplitude": 0.0, "g.offset": 4e5}
     system = assemble({"s": source, "g": pascal, "end": pascal}, wires, start)
@@ -80,6 +83,8 @@ def test_convertible_units_are_converted(fmus):
     # 2 * 3 bar + 1 bar, plus 4 bar; a few roundings
     np.testing.assert_allclose(result.trace["g.u"], 7.0, rtol=1e-14)
     np.testing.assert_allclose(result.trace["end.u"], 11e5, rtol=1e-14)
+    other = run(system, step=0.5, stop=1.0, swap={"s": source_bar})
+    np.testing.assert_allclose(other.trace["g.u"], 7e5, rtol=1e-14)
     units = "u in [bar], not [Pa], y in [bar], not [Pa], offset in [bar], not [Pa]"
     note = f"{bar} has other units, which are converted: {units}"
     assert f"{note}; values that you set keep the unit of the replaced FMU" in result.card.notes
@@ -109,6 +114,10 @@ def test_units_that_the_fmu_does_not_state_are_assumed(fmus, oscillator):
 FAULTS = {
     "missing": ([renamed("force")], "expected input force [N], got none"),
     "misspelt": ([renamed("force", "forces")], "expected input force [N], got none (it has forces)"),
+    "not to suggest": (
+        [renamed("force", "forces"), caused("forces", "local")],
+        "expected input force [N], got none",
+    ),
     "unit": ([('unit="m"', 'unit="N"')], "expected output x [m], got [N]"),
     "undefined": ([('unit="m"', 'unit="cm"')], "expected output x [m], got [cm], a unit without definition"),
     "causality": ([caused("x", "local")], "expected output x [m], got a local variable"),
@@ -327,13 +336,6 @@ def test_an_input_that_is_new_is_told(oscillator, fmus):
     assert f"{more} has additional inputs, which are not connected: push" in notes
 
 
-def test_a_name_is_suggested_only_if_it_would_fit(fmus, oscillator):
-    """Suggestions have the same causality and are not in use."""
-    output = edited(fmus["mass_b"], "output", renamed("force", "forces"), caused("forces", "local"))
-    with pytest.raises(Problem, match=r"expected input force \[N\], got none; to do without"):
-        with_swaps(oscillator, {"b": output})
-
-
 def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
     """An input and an output of the outermost system."""
     bare = edited(fmus["gain"], "bare", renamed("y"))
@@ -341,10 +343,16 @@ def test_ports_of_the_system_are_checked_and_converted(bench, fmus):
         with_swaps(bench, {"g": bare})
     units = ('unit="m"', 'unit="mm"'), ('name="m"><BaseUnit m="1"', 'name="mm"><BaseUnit m="1" factor="1e-3"')
     small = edited(fmus["gain"], "small", *units)
-    trace = run(bench, step=0.5, stop=1.0, swap={"g": small}, set={"command": 4.0}).trace
-    # 4 m = 4000 mm, times 3 plus 2 m; a few roundings
-    np.testing.assert_allclose(trace["g.u"], 4000.0, rtol=1e-14)
-    np.testing.assert_allclose(trace["result"], 14.0, rtol=1e-14)
+    linear, (inlet, outlet) = (
+        LinearTransformation(2.0, 1.0),
+        (bench.inputs["command"], bench.outputs["result"]),
+    )
+    inlet = replace(inlet, targets=tuple((port, linear) for port, _ in inlet.targets))
+    mapped = replace(bench, inputs={"command": inlet}, outputs={"result": replace(outlet, map=linear)})
+    trace = run(mapped, step=0.5, stop=1.0, swap={"g": small}, set={"command": 4.0}).trace
+    # 4 m, times 2 plus 1 m = 9000 mm, times 3 plus 2 m = 29 m, times 2 plus 1 m; a few roundings
+    np.testing.assert_allclose(trace["g.u"], 9000.0, rtol=1e-14)
+    np.testing.assert_allclose(trace["result"], 59.0, rtol=1e-14)
 
 
 @pytest.mark.usefixtures("bench")
