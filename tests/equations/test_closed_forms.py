@@ -14,7 +14,7 @@ from fmus.parameters import values
 
 BAR = 5e-3  # the stated bar: rounding of |Q| at Q_t and the leakage of closed edges lie below
 SUPPLY = 20.684e6
-BOOM_STICK, SWING, MANIPULATOR = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing", "manipulator"))
+BOOM_STICK, SWING = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing"))
 
 
 def areas(name: str) -> tuple[float, float]:
@@ -75,48 +75,6 @@ def test_swing_speed_with_leakage(fmu_dir, load):
     assert brentq(excess, 0.9 * expected, 1.1 * expected) == pytest.approx(expected, rel=BAR)
 
 
-@pytest.mark.parametrize("pose", [(0.2, -1.4), (0.0, -0.6), (0.9, -2.0)])
-def test_holding_forces_and_pressures(fmu_dir, pose):
-    """Gravity moments over moment arms, from positions worked out here; then P = F / A with the preload."""
-    boom, stick = pose
-    p = MANIPULATOR
-
-    def turn(a, x, z):
-        return np.array([x * math.cos(a) - z * math.sin(a), x * math.sin(a) + z * math.cos(a)])
-
-    elbow = turn(boom, p["stick_pivot_x"], p["stick_pivot_z"])
-    centre_b = turn(boom, p["boom_centre_x"], p["boom_centre_z"])
-    centre_s = elbow + turn(boom + stick, p["stick_centre_x"], p["stick_centre_z"])
-    tip = elbow + turn(boom + stick, p["stick_length"], 0.0)
-    g = p["gravity"]
-    moment_boom = g * (p["boom_mass"] * centre_b[0] + p["stick_mass"] * centre_s[0] + p["head_mass"] * tip[0])
-    moment_stick = g * (p["stick_mass"] * (centre_s - elbow)[0] + p["head_mass"] * (tip - elbow)[0])
-
-    def arm(angle, base, pin):
-        moved = turn(angle, *pin)
-        line = (moved - base) / np.linalg.norm(moved - base)
-        return base[0] * line[1] - base[1] * line[0]  # distance of the cylinder's line from the joint, signed
-
-    arms = {
-        n: arm(q, np.array([p[f"{n}_base_x"], p[f"{n}_base_z"]]), (p[f"{n}_pin_x"], p[f"{n}_pin_z"]))
-        for n, q in (("boom", boom), ("stick", stick))
-    }
-    expected = {"boom": moment_boom / arms["boom"], "stick": moment_stick / arms["stick"]}
-    with driving(fmu_dir / "manipulator.fmu", initial_boom_angle=boom, initial_stick_angle=stick) as fmu:
-        for n, force in expected.items():
-            # exact geometry, rounding only
-            assert fmu.get(f"{n}_holding_force")[0] == pytest.approx(force, rel=1e-9)
-    loads = {f"{n}_holding_force": f for n, f in expected.items()}
-    with driving(fmu_dir / "boom_stick.fmu", **loads) as fmu:
-        for n, force in expected.items():
-            head, rod = areas(n)
-            p_head, p_rod = fmu.get(f"{n}_head_pressure", f"{n}_rod_pressure")
-            preload = BOOM_STICK["initial_preload"]
-            loaded = (force + rod * preload) / head if force > 0 else (head * p_head - force) / rod
-            assert (p_head if force > 0 else p_rod) == pytest.approx(loaded, rel=BAR)
-            assert min(p_head, p_rod) > 0.9 * preload * rod / head
-
-
 def frequency(name: str, mass: float, position: float) -> float:
     """omega [rad/s] of a mass on the locked cylinder: omega^2 = beta (A_h^2/V_h + A_r^2/V_r) / m."""
     head, rod = areas(name)
@@ -138,22 +96,3 @@ def test_hydraulic_natural_frequency(fmu_dir, name):
     system = np.block([[a_oil, b_velocity], [c_force / mass, np.zeros((1, 1))]])
     slow = [e for e in np.linalg.eigvals(system) if abs(e.imag) > 1.0]
     assert min(abs(e.imag) for e in slow) == pytest.approx(frequency(name, mass, position), rel=BAR)
-
-
-def test_free_oscillation_has_the_hydraulic_natural_frequency(fmu_dir):
-    """The same frequency as counted in time: boom cylinder, closed valve, a mass of 10 t."""
-    mass, step, stop = 1e4, 1e-4, 0.6
-    x, v, hold = 0.3, 0.02, 86714.3394
-    with driving(fmu_dir / "boom_stick.fmu", boom_position=x) as fmu:
-        crossings, before = [], 0.0
-        for n in range(round(stop / step)):
-            acceleration = (fmu["boom_force"] - hold) / mass
-            fmu.set(boom_position=x, boom_velocity=v, boom_acceleration=acceleration)
-            after = (fmu.step(step)["boom_force"] - hold) / mass
-            x, v = x + step * v + step**2 / 2 * acceleration, v + step * (acceleration + after) / 2  # Verlet
-            if before < 0 <= v:
-                crossings.append((n + 1) * step - step * v / (v - before))
-            before = v
-    assert len(crossings) > 2
-    counted = 2 * math.pi / np.mean(np.diff(crossings))
-    assert counted == pytest.approx(frequency("boom", mass, 0.3), rel=BAR)

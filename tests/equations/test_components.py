@@ -90,18 +90,6 @@ def test_reversing_the_command_swaps_the_ports(command: float, flow: float) -> N
     assert number(b.pressure) == number(d.pressure)
 
 
-@pytest.mark.parametrize("command", [0.0, 0.3, 0.6, -0.6])
-def test_closed_valve_passes_exactly_the_stated_leakage(command: float) -> None:
-    """Inside the dead band each edge has only the leakage conductance."""
-    target = 5e6
-    # the line flow at which the node stands at the target pressure
-    flow = VALVE.leakage * ((PS - target) - target)
-    a, _ = spool_valve.ports_from_flow(VALVE, command, flow, 0.0, PS, 0.0, RHO)
-    # exact identity, rounding only
-    assert number(a.supply) == pytest.approx(VALVE.leakage * (PS - target), rel=1e-9, abs=0)
-    assert number(a.tank) == pytest.approx(VALVE.leakage * target, rel=1e-9, abs=0)
-
-
 @pytest.mark.parametrize(("command", "flow"), [(2.0, 3e-4), (5.0, 5e-4), (5.0, 2e-3), (10.0, 4e-3)])
 def test_open_edge_obeys_the_orifice_equation(command: float, flow: float) -> None:
     """P_s - P_A = C_R Q |Q| with C_R = rho / (2 C_d^2 A^2), eqs. (1), (2)."""
@@ -261,14 +249,15 @@ def test_leakage_of_a_motor_by_hand() -> None:
     assert motor.leakage_loss(nodes, 1e6, 2e12, 1e12) == pytest.approx(loss, rel=1e-12)
 
 
-def test_leakage_of_a_closed_valve_by_hand() -> None:
-    """Both edges closed: G_leak of each edge, in both forms of the port equations."""
+@pytest.mark.parametrize("command", [0.0, 0.6, -0.6])
+def test_leakage_of_a_closed_valve_by_hand(command: float) -> None:
+    """Both edges closed, up to the dead band: G_leak of each edge, in both forms of the port equations."""
     leak = VALVE.leakage
     # exact identities but for differences of pressures, which lose three digits to rounding
-    port = spool_valve.ports_from_flow(VALVE, 0.0, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
+    port = spool_valve.ports_from_flow(VALVE, command, 1e-7, 0.0, 20e6, 1e6, 970.0)[0]
     assert number(port.supply) == pytest.approx(leak * (20e6 - number(port.pressure)), rel=1e-9, abs=0)
     assert number(port.pressure) == pytest.approx(10.5e6 - 1e-7 / (2 * leak), rel=1e-9)
-    direct = spool_valve.ports_from_pressure(VALVE, 0.0, 8e6, 3e6, 20e6, 1e6, 970.0, 3e10)
+    direct = spool_valve.ports_from_pressure(VALVE, command, 8e6, 3e6, 20e6, 1e6, 970.0, 3e10)
     for port, pressure in zip(direct, (8e6, 3e6), strict=True):
         assert number(port.supply) == pytest.approx(leak * (20e6 - pressure), rel=1e-9, abs=0)
         assert number(port.tank) == pytest.approx(leak * (pressure - 1e6), rel=1e-9, abs=0)

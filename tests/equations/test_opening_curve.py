@@ -26,7 +26,7 @@ from fmus.components.opening_curve import (
     pieces,
     requirements,
 )
-from fmus.contract import quantities, symbols
+from fmus.contract import quantities
 from fmus.export.build import build
 from fmus.export.c_code import native_sources
 from fmus.export.c_functions import Routine, c_function
@@ -255,8 +255,3 @@ def test_an_fmu_takes_a_table(tmp_path, capsys):
         pass
     logged = capsys.readouterr()
     assert 'valve_pa_openings do not descend, and begin with 0" is violated' in logged.out + logged.err
-
-
-def test_names_of_the_swing_drive():
-    """The parameters of a drive have the tables under the names of the valve."""
-    assert {f"valve_{e}_command_1" for e in EDGES} <= set(vars(symbols(SWING.parameters)))

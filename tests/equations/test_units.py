@@ -5,6 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.mistakes import table
 
 from fmus.export.model_description import base_unit
 from orchestrator.base.errors import Problem
@@ -19,22 +20,7 @@ from orchestrator.base.units import (
 )
 
 
-@pytest.mark.parametrize(
-    ("unit", "base"),
-    [
-        ("1", {}),
-        ("Pa", {"kg": 1, "m": -1, "s": -2}),
-        ("m3/s", {"m": 3, "s": -1}),
-        ("N.m", {"kg": 1, "m": 2, "s": -2}),
-        ("N.m.s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}),
-        ("Pa.s2/m6", {"kg": 1, "m": -7}),
-        ("kg.m2", {"kg": 1, "m": 2}),
-        ("V", {"kg": 1, "m": 2, "s": -3, "A": -1}),
-        ("m3/(s.V.Pa)", {"m": 2, "s": 4, "A": 1, "kg": -2}),
-        ("m3/s/Pa", {"m": 4, "s": 1, "kg": -1}),
-        ("s-1", {"s": -1}),
-    ],
-)
+@table(__file__, "base", "unit, base")
 def test_unit_has_the_base_units_of_the_si(unit, base):
     """Each unit of the models is a product of base units with factor one."""
     assert parse_unit(unit).base() == base
@@ -78,38 +64,12 @@ def test_wrong_unit_is_refused_by_name(unit, word):
         base_unit(unit)
 
 
-# Unit of a logger, a value in it, the value in SI, the SI unit: by definition or from tables of conversion.
-LOGGED = [
-    ("psi", 3000.0, 20.6842719e6, "Pa"),
-    ("gpm", 1.0, 6.30901964e-5, "m3/s"),
-    ("gal", 1.0, 3.785411784e-3, "m3"),
-    ("lpm", 60.0, 1e-3, "m3/s"),
-    ("mL/min", 6e7, 1.0, "m3/s"),
-    ("l/min/bar", 6e9, 1.0, "m3/(s.Pa)"),
-    ("rpm", 60.0, 2 * math.pi, "rad/s"),
-    ("cm3/rev", 2e6 * math.pi, 1.0, "m3/rad"),
-    ("kN.m", 31.0, 31e3, "N.m"),
-    ("lbf", 1.0, 4.4482216152605, "N"),
-    ("hp", 152.0, 113.3463805e3, "W"),
-    ("ft", 1.0, 0.3048, "m"),
-    ("in", 1.0, 0.0254, "m"),
-    ("lb", 1.0, 0.45359237, "kg"),
-    ("degC", 40.0, 313.15, "K"),
-    ("degF", 212.0, 373.15, "K"),
-    ("°/s²", 180.0, math.pi, "rad/s2"),
-    ("%", 50.0, 0.5, "1"),
-    ("-", 3.0, 3.0, "1"),
-    ("m³/(s·Pa)", 1.0, 1.0, "m3/(s.Pa)"),
-    ("N*m*s/rad", 1.0, 1.0, "N.m.s/rad"),
-]
-
-
-@pytest.mark.parametrize(("unit", "value", "si", "name"), LOGGED)
+@table(__file__, "logged", "unit, value, si, name")
 def test_units_of_loggers_become_si(unit, value, si, name):
     """A value in a unit of a logger comes out right in the SI unit of the same quantity."""
     found = parse_unit(normalised(unit))
     assert si_unit(normalised(unit)) == name
-    # the digits printed in LOGGED
+    # the digits printed in the table
     assert found.factor * value + found.offset == pytest.approx(si, rel=1e-8)
     assert (parse_unit(name).factor, parse_unit(name).offset) == (1.0, 0.0)
 

@@ -6,7 +6,6 @@ holds its pressure: the test bench gives the velocity that keeps a chamber at th
 
 from __future__ import annotations
 
-import ctypes
 import math
 
 import numpy as np
@@ -93,10 +92,8 @@ def test_the_flow_of_a_section_does_not_depend_on_the_load(fmus):
 def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_openings(fmus):
     """A pump of 60 % of what is asked for: boom at 150 bar, swing at about 30 bar, in the ratio of q_0 y."""
     commands, pump = {"boom": 8.0, "swing": 7.0}, 2.0e-3
-    assert pump < 0.7 * sum(
-        q * opening(c)
-        for q, c in zip((P["boom_section_flow"], S["swing_section_flow"]), (8.0, 7.0), strict=True)
-    )
+    asked = P["boom_section_flow"] * opening(8.0), S["swing_section_flow"] * opening(7.0)
+    assert pump < 0.7 * sum(asked)
     displacement = S["motor_displacement"] * S["gear_ratio"]
     with (
         driving(fmus["boom_stick"], boom_command=commands["boom"], **START) as boom,
@@ -104,22 +101,21 @@ def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_
     ):
         bench, supply, speed = Bench(boom, 150e5), SUPPLY, 0.0
         for _ in range(4000):
-            loads = (boom.get("boom_stick_load_pressure")[0], swing.get("swing_load_pressure")[0])
+            loads = (boom["boom_stick_load_pressure"], swing["swing_load_pressure"])
             boom.set(supply_pressure=supply, load_sensing_pressure=max(loads))
             swing.set(supply_pressure=supply, load_sensing_pressure=max(loads), swing_speed=speed)
             bench.step()
             swing.step(STEP)
             flow, pressure = swing.get("swing_flow_a", "swing_pressure_a")
             speed = (flow + 2e-11 * (pressure - 30e5)) / displacement
-            taken = boom.get("supply_flow")[0] + swing.get("supply_flow")[0]
+            taken = boom["supply_flow"] + swing["supply_flow"]
             supply += STEP * (pump - taken) / 1e-10  # a line of 160 L
-        flows = np.array([boom.get("boom_meter_in_flow")[0], swing.get("swing_meter_in_flow")[0]])
-        ports = (boom.get("boom_head_valve_pressure")[0], swing.get("swing_pressure_a")[0])
-        drops = (boom.get("boom_metering_drop")[0], swing.get("swing_metering_drop")[0])
+        flows = np.array([boom["boom_meter_in_flow"], swing["swing_meter_in_flow"]])
+        ports = (boom["boom_head_valve_pressure"], swing["swing_pressure_a"])
+        drops = (boom["boom_metering_drop"], swing["swing_metering_drop"])
     margin = supply - max(ports)
     assert 0 < margin < P["compensator_setting"]  # saturated
     assert flows.sum() == pytest.approx(pump, rel=1e-3)  # the line has settled
-    asked = P["boom_section_flow"] * opening(8.0), S["swing_section_flow"] * opening(7.0)
     droop = [regulated(port, supply) / P["compensator_setting"] for port in ports]
     # the bar: openings and droop of the law; margin below zero is rounded over 0.2 bar, equal for both
     expected = asked[0] / asked[1] * math.sqrt(droop[0] / droop[1])
@@ -127,52 +123,6 @@ def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_
     assert flows[0] / flows[1] == pytest.approx(asked[0] / asked[1], rel=0.015)  # the droop alone
     shared = P["compensator_sharing"] * (margin + 1e8 / margin)  # m(z) of docs/equations.md, Symbols
     assert np.array(drops) / droop == pytest.approx(np.full(2, shared), rel=5e-3)
-
-
-def set_states(fmu, **states):
-    """Set continuous states of an FMU in Model Exchange by name; the others stay."""
-    names = list(BOOM_STICK.states.__dataclass_fields__)
-    column = (ctypes.c_double * len(names))()
-    fmu.fmu.getContinuousStates(column, len(names))
-    for name, value in states.items():
-        column[names.index(name)] = value
-    fmu.fmu.setContinuousStates(column, len(names))
-
-
-def opening_rate(fmu, **states):
-    """Rate [1/s] of the opening of the head side's counterbalance valve."""
-    names = list(BOOM_STICK.states.__dataclass_fields__)
-    set_states(fmu, boom_head_counterbalance_opening=0.0, **states)
-    rates = (ctypes.c_double * len(names))()
-    fmu.fmu.getDerivatives(rates, len(names))
-    return rates[names.index("boom_head_counterbalance_opening")]
-
-
-@pytest.mark.parametrize("load", [20e5, 80e5, 140e5, 200e5])
-def test_a_counterbalance_valve_opens_at_the_pilot_pressure_of_its_balance(fmus, load):
-    """P_X = (P_set - P_C)/R above the tank, by bisection; no back pressure counts."""
-    expected = (P["counterbalance_pressure"] - load) / P["counterbalance_pilot_ratio"]
-    with driving(fmus["boom_stick"], "me", **START) as fmu:
-        low, high = 0.0, 1e8
-        for _ in range(60):
-            middle = (low + high) / 2
-            state = {"boom_rod_valve_pressure": middle, "boom_head_valve_pressure": 3e5}
-            closed = opening_rate(fmu, boom_head_pressure=load, **state) == 0.0
-            low, high = (middle, high) if closed else (low, middle)
-    # the valve is exactly closed below; the foot of the opening, cubic, is 0 in floating point over 1e-5 of
-    # the band
-    assert high == pytest.approx(expected, rel=5e-3, abs=1e-5 * P["counterbalance_band"])
-
-
-def test_a_back_pressure_counts_with_three_ports(fmus):
-    """The usual valve: (1 + R) times the pressure of its own hose adds to the setting."""
-    r, back, load = P["counterbalance_pilot_ratio"], 1e6, 80e5
-    expected = (P["counterbalance_pressure"] - load + (1 + r) * back) / r
-    start = {**START, "counterbalance_back_pressure_share": 1.0}
-    with driving(fmus["boom_stick"], "me", **start) as fmu:
-        state = {"boom_head_pressure": load, "boom_head_valve_pressure": back}
-        assert opening_rate(fmu, boom_rod_valve_pressure=0.999 * expected, **state) == 0.0
-        assert opening_rate(fmu, boom_rod_valve_pressure=1.01 * expected, **state) > 0.0
 
 
 @pytest.mark.parametrize("command", [0.0, 10.0, -10.0])
@@ -211,25 +161,25 @@ def test_crossover_reliefs_limit_the_torque(fmus):
 
 
 def test_the_brake_holds_and_does_not_creep(fmus):
-    """95 % of its torque for a minute: twisted by T/k, without drift, the oil's share leaked away.
+    """95 % of its torque for half a minute: twisted by T/k, without drift, the oil's share leaked away.
 
     The column has an inertia of 2e4 kg m2, and as much viscous friction that it comes to rest.
     """
     inertia, damping, torque = 2e4, 4e4, 0.95 * S["brake_torque"]
     with driving(fmus["swing"], supply_pressure=0.0) as fmu:
         angle, speed, shown = 0.0, 0.0, []
-        for k in range(60000):
-            hydraulic = fmu.get("swing_torque")[0]
+        for k in range(30000):
+            hydraulic = fmu["swing_torque"]
             speed += STEP * (min(1.0, k * STEP / 2) * torque + hydraulic - damping * speed) / inertia
             angle += STEP * speed
             fmu.set(swing_speed=speed)
             fmu.step(STEP)
-            if k >= 40000:
+            if k >= 20000:
                 shown.append(angle)
-        held = fmu.get("swing_brake_torque")[0]
+        held = fmu["swing_brake_torque"]
     assert held == pytest.approx(torque, rel=5e-3)
     assert shown[-1] == pytest.approx(torque / S["brake_stiffness"], rel=5e-3)
-    assert abs(shown[-1] - shown[0]) < 1e-9  # rad in 20 s; what the oil still leaks is gone after seconds
+    assert abs(shown[-1] - shown[0]) < 1e-9  # rad in 10 s; what the oil still leaks is gone after seconds
 
 
 def test_the_brake_waits_for_command_and_pressure(fmus):
@@ -237,32 +187,12 @@ def test_the_brake_waits_for_command_and_pressure(fmus):
 
     def applied(command, supply, time):
         with driving(fmus["swing"], swing_command=0.0, supply_pressure=supply) as fmu:
-            assert fmu.get("swing_brake_applied")[0] == 1.0
+            assert fmu["swing_brake_applied"] == 1.0
             fmu.set(swing_command=command)
             fmu.step(STEP, round(time / STEP))
-            return fmu.get("swing_brake_applied")[0]
+            return fmu["swing_brake_applied"]
 
     assert applied(0.3, 2e6, 1.0) == 1.0
     # exp(-5); the FMU's solver has a tolerance of 1e-6
     assert applied(1.0, 2e6, 5 * S["brake_release_time"]) == pytest.approx(math.exp(-5), rel=1e-3)
     assert applied(10.0, 0.5e6, 1.0) == 1.0
-
-
-def test_tables_of_opening_curves_work_in_sections(fmus):
-    """A table of P-A replaces the line: the flow at its points is q_0 times their openings."""
-    table = {1: (1.5, 0.0), 2: (4.0, 0.1), 3: (7.0, 0.3), 4: (10.0, 0.8)}
-    start = {f"valve_pa_command_{i}": v for i, (v, _) in table.items()}
-    start |= {f"valve_pa_opening_{i}": a for i, (_, a) in table.items()}
-    for command, share in table.values():
-        with driving(fmus["boom_stick"], boom_command=command, **START, **start) as fmu:
-            bench = Bench(fmu, 100e5)
-            for _ in range(1000 if share else 1):
-                bench.step()
-            flow, a, b = fmu.get("boom_meter_in_flow", "boom_head_valve_pressure", "boom_rod_valve_pressure")
-        stated = P["boom_section_flow"] * share * math.sqrt(regulated(a) / P["compensator_setting"])
-        stated += P["valve_leakage"] * (2 * SUPPLY - a - b - 1e4)
-        # the rounding of the turbulent law, (Q_t/2Q)^2 = 3.4e-4 at 16 L/min
-        assert flow == pytest.approx(stated, rel=5e-4)
-    with driving(fmus["boom_stick"], boom_command=0.74, **START, **start) as fmu:
-        # below half of the dead band of 1.5 V; a shuttle of two lines without pressure is 0.05 bar above
-        assert fmu.get("boom_stick_load_pressure")[0] < 5e3

@@ -58,7 +58,7 @@ def speed(load) -> float:
 
 
 def regulated(flow: float, setting: float, band: float) -> float:
-    """Supply pressure [Pa] at a flow from the parameters alone: regulator, check valve, governor; tank at 0."""
+    """Supply pressure [Pa] at a flow, from the parameters alone: regulator, check valve, governor."""
     d, leakage = P["main_pump_displacement"], P["main_pump_leakage"]
 
     def rail(p):
