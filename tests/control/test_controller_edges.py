@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit import shards
 from kit.properties import examples
-from kit.steering import INPUTS, STATES, V, measured, model, start
+from kit.steering import INPUTS, STATES, V, measured, rates, start
 
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES
@@ -58,7 +59,7 @@ def test_whatever_comes_in_the_rates_are_finite_and_commands_stay_within_the_val
     for sign in (-1, 1):
         for axis in AXES:
             x[STATES.index(f"{axis}_command")] = sign * FULL * (1 + 1e-6)
-        dx = model()[0](x, list(u.values()), list(V.p.values()))[0].full()[:, 0]
+        dx = rates(x, u)
         assert np.isfinite(dx).all()
         for axis in AXES:
             assert sign * dx[STATES.index(f"{axis}_command")] <= 0, axis
@@ -76,20 +77,14 @@ def test_what_is_no_number_is_an_error_of_the_step():
 RISE = [0.0, 1.0, 1.5, 12.0]
 
 
-@pytest.mark.parametrize(
-    "wanted",
-    [
-        {"radial_velocity": 0.5},
-        {"radial_velocity": -0.5},
-        {"vertical_velocity": -0.5},
-        {"radial_velocity": 3.0, "vertical_velocity": 3.0},
-        {"radial_velocity": 1e6},
-    ],
-    ids=str,
-)
-def test_beyond_the_reach_the_arm_comes_to_rest(machine, wanted):
+BEYOND = [(0.5, 0.0), (-0.5, 0.0), (0.0, -0.5), (3.0, 3.0), (1e6, 0.0)]  # m/s
+
+
+@pytest.mark.parametrize(("out", "up"), shards.few(BEYOND[:2] + BEYOND[4:], BEYOND, shards.machine))
+def test_beyond_the_reach_the_arm_comes_to_rest(machine, out, up):
     """A joystick held for ten seconds, outwards, into the column, down, too fast: it comes to rest."""
-    trace = driven(machine, RISE, engaged=1, **{n: [0, 0, v, v] for n, v in wanted.items()})
+    wanted = {"radial_velocity": [0, 0, out, out], "vertical_velocity": [0, 0, up, up]}
+    trace = driven(machine, RISE, engaged=1, **wanted)
     resting(trace)
     assert trace["controller.tip_error"][-1] < 0.005
 
@@ -104,18 +99,18 @@ def moved(**by: tuple[float, float]) -> dict[str, np.ndarray]:
     return {"time": square.time, **found}
 
 
-@pytest.mark.parametrize(
-    "by",
-    [
-        {"path_height": (1, 0.5)},
-        {"path_radius": (1, 3.0)},
-        {"path_radius": (0, 0.5), "path_height": (0, -3.0)},
-        {"path_angle": (1, 2 * np.pi)},
-    ],
-    ids=["jumps by 0.5 m", "out of reach", "into the column", "a turn away"],
-)
-def test_a_path_that_jumps_is_approached_calmly(machine, by):
+JUMPS = {
+    "by 0.5 m": {"path_height": (1, 0.5)},
+    "out of reach": {"path_radius": (1, 3.0)},
+    "into the column": {"path_radius": (0, 0.5), "path_height": (0, -3.0)},
+    "a turn away": {"path_angle": (1, 2 * np.pi)},
+}
+
+
+@pytest.mark.parametrize("jump", shards.few(("out of reach", "a turn away"), JUMPS, shards.machine))
+def test_a_path_that_jumps_is_approached_calmly(machine, jump):
     """Reference and tip move to the path at the limited speed, as far as the strokes allow."""
+    by = JUMPS[jump]
     trace = driven(machine, pose="square", **moved(**by))
     assert trace["controller.tip_error"].max() < 0.060
     if "path_angle" not in by:  # a whole turn takes a minute
@@ -135,7 +130,7 @@ def test_the_swing_goes_on_past_half_a_turn(machine):
 # ---- faults
 
 
-@pytest.mark.parametrize("pressure", [0.0, 3e6, 8e6])
+@pytest.mark.parametrize("pressure", shards.few([3e6], [0.0, 3e6, 8e6], shards.machine))
 def test_without_supply_the_arm_stays_up(machine, pressure):
     """Lost while the path goes up: the valve closes, for open it would let the arm sink; then it goes on.
 
@@ -144,8 +139,7 @@ def test_without_supply_the_arm_stays_up(machine, pressure):
     square = read_trace(data("scenarios/square.csv"))
     gone = np.clip(np.minimum((square.time - 5.5) / 0.1, (8.5 - square.time) / 0.1), 0, 1)
     supply = 20.684e6 + gone * (pressure - 20.684e6)
-    columns = {n: square[n] for n in square.signals}
-    trace = driven(machine, square.time, "square", supply_pressure=supply, **columns)
+    trace = driven(machine, square.time, "square", supply_pressure=supply, **square.signals)
     assert trace[TIP[2]].min() > square["path_height"].min() - 0.05
     assert np.abs(trace["manipulator.boom_speed"]).max() < 0.3
     assert trace["controller.tip_error"][-1] < 0.005
@@ -154,9 +148,7 @@ def test_without_supply_the_arm_stays_up(machine, pressure):
 def test_engaged_that_flickers_makes_no_more_than_a_smaller_motion(machine):
     """10 Hz: commands bend with blend time and amplifier, the tip stays within 0.2 m of its path."""
     square = read_trace(data("scenarios/square.csv"))
-    columns = {n: square[n] for n in square.signals} | {
-        "engaged": (np.floor(20 * square.time) % 2).astype(float)
-    }
+    columns = dict(square.signals) | {"engaged": np.floor(20 * square.time) % 2}
     trace = driven(machine, square.time, "square", **columns)
     for name in COMMANDS:
         assert np.abs(np.diff(trace[name])).max() < 1.0  # V in 10 ms
@@ -168,11 +160,5 @@ def test_engaging_at_full_swing_brings_the_arm_to_rest(machine):
     The arm swings out on its oil, and what is left dies away slowly, as the valve crosses its dead band late:
     17 mm of the tip in the sixth second, 4 mm in the tenth.
     """
-    trace = driven(
-        machine,
-        [0, 0.5, 1, 2, 2.001, 13],
-        engaged=[0, 0, 0, 0, 1, 1],
-        boom_lever=[0, 0, 4, 4, 4, 4],
-        swing_lever=[0, 0, 5, 5, 5, 5],
-    )
-    resting(trace)
+    levers = {"boom_lever": [0, 0, 4, 4, 4, 4], "swing_lever": [0, 0, 5, 5, 5, 5]}
+    resting(driven(machine, [0, 0.5, 1, 2, 2.001, 13], engaged=[0, 0, 0, 0, 1, 1], **levers))

@@ -3,9 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-from kit.steering import INPUTS, STATES, V, at, measured, model, rates, start
+from kit.steering import INPUTS, OUTPUTS, STATES, V, at, measured, model, outputs, rates, start
 
-from fmus.contract import quantities, symbolic
 from fmus.controller.model import CONTROLLER
 from fmus.controller.variables import AXES, CYLINDERS, GEOMETRY, MOTOR, VALVE
 from fmus.export.python.instance import of_subsystem
@@ -13,14 +12,8 @@ from fmus.machine.build import controller_of, parts_with_parameters
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import numbers, values
 
-OUTPUTS = list(quantities(CONTROLLER.outputs))
 FEEDBACK = [n for n in INPUTS if (n.startswith(AXES) and n.endswith(("_angle", "_speed"))) or "pressure" in n]
 COMMANDS = [f"{axis}_command" for axis in AXES]
-
-
-def outputs(x: np.ndarray, u: dict[str, float], **p: float) -> dict[str, float]:
-    found = model()[0](x, list(u.values()), list((V.p | p).values()))[1].full()[:, 0]
-    return dict(zip(OUTPUTS, map(float, found), strict=True))
 
 
 def test_at_rest_everything_stays():
@@ -34,14 +27,11 @@ def test_at_rest_everything_stays():
 
 def test_commands_depend_on_states_alone_and_carry_their_exact_rates():
     """No command depends directly on an input, so no algebraic loop; rate outputs are derivatives."""
-    whole = symbolic(CONTROLLER)
+    whole = model()[0]
+    x = start(V.u) + 0.01 * np.random.default_rng(1).normal(size=len(STATES))
     for name in COMMANDS:
         assert not ca.depends_on(whole.y[OUTPUTS.index(name)], whole.u)
-        rate, dx = whole.y[OUTPUTS.index(f"{name}_rate")], whole.dx[STATES.index(name)]
-        difference = ca.Function("d", [whole.x, whole.u, whole.p], [rate - dx])
-        rng = np.random.default_rng(1)
-        x = start(V.u) + 0.01 * rng.normal(size=len(STATES))
-        assert float(difference(x, list(V.u.values()), list(V.p.values()))) == pytest.approx(0, abs=1e-9)
+        assert outputs(x, V.u)[f"{name}_rate"] == pytest.approx(at(rates(x, V.u), name), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -69,18 +59,18 @@ def test_signs(wanted, signs):
 
 def test_feedforward_alone_uses_no_measurement():
     """With feedback 0 and engaged, commands and reference do not depend on measured inputs."""
-    whole = symbolic(CONTROLLER)
     rows = [STATES.index(n) for n in STATES if n.endswith("_command") or n.startswith("reference_")]
     columns = [INPUTS.index(n) for n in FEEDBACK]
-    jacobian = ca.Function("j", [whole.x, whole.u, whole.p], [ca.jacobian(whole.dx[rows], whole.u[columns])])
-    rng = np.random.default_rng(2)
     u = measured(0.2, -1.4, radial_velocity=0.3, swing_velocity=0.1, follow=0.5)
-    x = start(u) + 0.01 * rng.normal(size=len(STATES))
-    without, whole_feedback = (
+    x = start(u) + 0.01 * np.random.default_rng(2).normal(size=len(STATES))
+
+    whole = model()[0]
+    jacobian = ca.Function("j", [whole.x, whole.u, whole.p], [ca.jacobian(whole.dx[rows], whole.u[columns])])
+    without, with_feedback = (
         jacobian(x, list(u.values()), list((V.p | {"feedback": f}).values())).full() for f in (0.0, 1.0)
     )
     assert (without == 0).all()
-    assert (np.abs(whole_feedback).sum(axis=0) > 0).sum() > 10  # and with feedback nearly all count
+    assert (np.abs(with_feedback).sum(axis=0) > 0).sum() > 10  # nearly all count
 
 
 def test_engaging_a_moving_machine_is_bumpless():
@@ -145,30 +135,23 @@ def test_the_correction_is_bounded_and_lets_go():
 def test_numbers_are_those_of_the_machine():
     """Parameters of geometry, cylinders, valves and motor are only in the files of the parts."""
     found = numbers(CONTROLLER)["parameters"]
-    for part, names, prefix in (
-        ("manipulator", GEOMETRY, ""),
-        ("boom_stick", CYLINDERS, ""),
-        ("swing", VALVE, "swing_"),
-        ("swing", MOTOR, ""),
-    ):
+    drives = ("boom_stick", CYLINDERS, ""), ("swing", VALVE, "swing_"), ("swing", MOTOR, "")
+    for part, names, prefix in (("manipulator", GEOMETRY, ""), *drives):
         own = numbers(SUBSYSTEMS[part])["parameters"]
         for name in names:
-            assert (found[prefix + name].value, found[prefix + name].unit) == (
-                own[name].value,
-                own[name].unit,
-            )
+            here, there = found[prefix + name], own[name]
+            assert (here.value, here.unit) == (there.value, there.unit)
 
 
 def test_a_set_of_numbers_changes_the_controller_too(tmp_path):
     """`harvester build --parameters`: of all parts, of one part, a gain, and of the controller alone."""
     entry = '[parameters.{}]\nvalue = {}\nunit = "{}"\nsource = "identified"\nnote = "bench"\n'
-    given = (("valve_area", 4.1e-5, "m2"), ("stick_length", 3.0, "m"), ("piston_position_gain", 5.0, "1/s"))
-    text = "".join(entry.format(*one) for one in given)
-    text += entry.format('"swing.valve_dead_band"', 0.8, "V") + entry.format(
-        '"controller.density"', 900.0, "kg/m3"
+    given = (
+        *(("valve_area", 4.1e-5, "m2"), ("stick_length", 3.0, "m"), ("piston_position_gain", 5.0, "1/s")),
+        *(('"swing.valve_dead_band"', 0.8, "V"), ('"controller.density"', 900.0, "kg/m3")),
     )
     path = tmp_path / "set.toml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text("".join(entry.format(*one) for one in given), encoding="utf-8")
     found = values(controller_of(parts_with_parameters(path)[0], path)).p
     expected = {
         **{

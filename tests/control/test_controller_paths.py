@@ -7,22 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import Part
 
-from fmus.contract import quantities, symbolic
 from fmus.controller import paths
-from fmus.controller.paths import (
-    COLUMNS,
-    PATHS,
-    Route,
-    controller_inputs,
-    sample,
-    segment_motion,
-    segment_profile,
-)
+from fmus.controller.paths import COLUMNS, PATHS, Route
 from fmus.machine.build import data
 from fmus.machine.poses import controlled_poses, path_pose, pose_set
 from fmus.manipulator import MANIPULATOR
-from fmus.parameters import values
 from orchestrator.base.errors import Problem
 
 ROUTES = st.builds(
@@ -37,9 +28,9 @@ ROUTES = st.builds(
 @given(ROUTES, st.floats(0.01, 10.0))
 def test_a_segment_ends_at_rest_at_its_end(route, length):
     """From the jerks alone: the length is met, neither speed nor acceleration is above its limit."""
-    duration, *_ = segment_profile(length, route)
+    duration, *_ = paths.segment_profile(length, route)
     time = np.linspace(0, duration, 4001)
-    way, speed = segment_motion(time, length, route)
+    way, speed = paths.segment_motion(time, length, route)
     assert way[0] == speed[0] == 0
     # what is left before the last step, at the full jerk: j h^3/6 and j h^2/2
     jerk, last = route.acceleration / route.rise, time[1]
@@ -60,8 +51,8 @@ def test_a_segment_ends_at_rest_at_its_end(route, length):
 @pytest.mark.parametrize("name", PATHS)
 def test_velocities_are_the_slopes_of_the_path(name):
     """In cylinder coordinates, by central differences at 200 Hz, whose error is jerk times step squared."""
-    time, points, velocities = sample(PATHS[name])
-    table = dict(zip(COLUMNS, controller_inputs(points, velocities).T, strict=True))
+    time, points, velocities = paths.sample(PATHS[name])
+    table = dict(zip(COLUMNS, paths.controller_inputs(points, velocities).T, strict=True))
     for place, velocity in (("radius", "radial"), ("height", "vertical"), ("angle", "swing")):
         slope = np.gradient(table[f"path_{place}"], time)
         np.testing.assert_allclose(slope[1:-1], table[f"{velocity}_velocity"][1:-1], atol=1e-4)
@@ -72,7 +63,7 @@ def test_velocities_are_the_slopes_of_the_path(name):
 
 def test_line_and_square_are_what_they_are_called():
     """4 m at constant height and radius free; four sides of 1 m, right angles, closed, upright."""
-    _, line, _ = sample(PATHS["line"])
+    _, line, _ = paths.sample(PATHS["line"])
     assert np.ptp(line, axis=0) == pytest.approx([0, 4, 0], abs=1e-12)
     corners = np.array(PATHS["square"].points)
     sides = np.diff(corners, axis=0)
@@ -86,12 +77,8 @@ def test_the_start_of_a_path_is_a_pose_with_the_tip_there(name):
     """The run starts at rest on the path: to a micrometre."""
     pose = path_pose(PATHS[name])
     assert controlled_poses()[name] == pose
-    v = values(MANIPULATOR)
-    found = pose_set(pose)
-    p = {n: found.get(f"manipulator.{n}", value) for n, value in v.p.items()}
-    whole, rest = symbolic(MANIPULATOR), (list(v.u.values()), list(p.values()))
-    x = whole.initial()(list(v.x.values()), *rest)
-    y = dict(zip(quantities(MANIPULATOR.outputs), whole.function()(x, *rest)[1].full()[:, 0], strict=True))
+    arm = Part(MANIPULATOR, **{n.partition(".")[2]: value for n, value in pose_set(pose).items()})
+    y = arm(arm.start())[1]
     assert [y["tip_x"], y["tip_y"], y["tip_height"]] == pytest.approx(PATHS[name].points[0], abs=1e-6)
 
 
@@ -105,13 +92,13 @@ def test_the_files_are_those_of_the_paths(name, tmp_path):
 def test_two_equal_waypoints_are_refused():
     """A segment without a direction."""
     with pytest.raises(Problem, match=r"two waypoints in a row at .* expected different ones"):
-        sample(Route(((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))))
+        paths.sample(Route(((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))))
 
 
 def test_a_short_side_is_passed_more_slowly():
     """1 cm: the speed that the acceleration and its rise allow, from 2 v sqrt(v/j) = length."""
     route = PATHS["line"]
-    _, speed = segment_motion(np.linspace(0, 5, 5001), 0.01, route)
+    _, speed = paths.segment_motion(np.linspace(0, 5, 5001), 0.01, route)
     assert speed.max() == pytest.approx(
         (0.005 * math.sqrt(route.acceleration / route.rise)) ** (2 / 3), rel=1e-4
     )

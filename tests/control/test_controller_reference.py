@@ -16,12 +16,18 @@ from fmus.controller.geometry import Cylindrical, Joints, strokes_and_moment_arm
 from orchestrator.base.errors import Problem
 
 P = SimpleNamespace(**V.p)
+STROKES = P.boom_stroke, P.stick_stroke
 ANGLES = st.tuples(st.floats(-0.4, 0.95), st.floats(-2.1, -0.6))  # inside the strokes
 
 
 def tip(boom: float, stick: float) -> tuple[float, float]:
     at = geometry.tip_position(Joints(0.0, boom, stick), P)
     return float(at.radius), float(at.height)
+
+
+def pistons(boom: float, stick: float) -> list[float]:
+    """Positions of both pistons [m]."""
+    return [float(position) for position, _ in strokes_and_moment_arms(Joints(0.0, boom, stick), P)]
 
 
 # ---- inverse kinematics
@@ -99,11 +105,8 @@ def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
     assert abs(swing) * factor <= P.swing_speed_limit * slack
     for name, position, speed in (("boom", boom_at, boom), ("stick", stick_at, stick)):
         assert abs(speed) * factor <= getattr(P, f"{name}_speed_limit") * slack
-        left = (
-            getattr(P, f"{name}_stroke") - P.stroke_margin - position
-            if speed > 0
-            else position - P.stroke_margin
-        )
+        way = getattr(P, f"{name}_stroke") - position if speed > 0 else position
+        left = way - P.stroke_margin
         assert abs(speed) * factor <= P.stroke_gain * max(left, 0.0) + reference.CREEP * slack
 
 
@@ -122,24 +125,20 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
     """
     velocity = speed * math.cos(heading), speed * math.sin(heading)
     u = measured(*angles, radial_velocity=velocity[0], vertical_velocity=velocity[1])
-    x = start(u)
+    x, first = start(u), pistons(*angles)
     x[STATES.index("radial_lever")], x[STATES.index("vertical_lever")] = velocity
     for _ in range(200):
         boom, stick = at(x, "reference_boom"), at(x, "reference_stick")
         dx = rates(x, u | {"boom_angle": boom, "stick_angle": stick})
         q = Joints(0.0, boom, stick, 0.0, at(dx, "reference_boom"), at(dx, "reference_stick"))
-        now = geometry.tip_velocity(q, P)
-        across = float(now.radius) * velocity[1] - float(now.height) * velocity[0]
+        moving = geometry.tip_velocity(q, P)
+        across = float(moving.radius) * velocity[1] - float(moving.height) * velocity[0]
         bend = math.sin(stick - math.atan2(P.stick_pivot_z, P.stick_pivot_x))
         if abs(bend) > P.singular_share:
             assert abs(across) <= 1e-9 * speed
         x = x + 0.02 * dx
-        for (position, _), name in zip(strokes_and_moment_arms(q, P), ("boom", "stick"), strict=True):
-            start_of_both = [float(p[0]) for p in strokes_and_moment_arms(Joints(0.0, *angles), P)]
-            before = start_of_both[name == "stick"]
-            low = min(P.stroke_margin, before) - 1e-4
-            high = max(getattr(P, f"{name}_stroke") - P.stroke_margin, before) + 1e-4
-            assert low <= float(position) <= high
+        for now, before, stroke in zip(pistons(boom, stick), first, STROKES, strict=True):
+            assert min(P.stroke_margin, before) - 1e-4 <= now <= max(stroke - P.stroke_margin, before) + 1e-4
 
 
 def test_beyond_the_margin_only_the_way_back_is_open():
@@ -156,16 +155,14 @@ def test_the_reference_waits_for_a_machine_at_rest():
     x = start(u)
     for _ in range(2000):
         x = x + 0.01 * rates(x, u)
-    found = strokes_and_moment_arms(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
-    there = strokes_and_moment_arms(Joints(0.0, 0.2, -1.4), P)
-    errors = [float(a[0] - b[0]) for a, b in zip(found, there, strict=True)]
-    assert math.hypot(*errors) < 1.5 * P.piston_error_limit
+    ahead = math.dist(pistons(at(x, "reference_boom"), at(x, "reference_stick")), pistons(0.2, -1.4))
+    assert ahead < 1.5 * P.piston_error_limit
     # and turns round at once: half a second backwards brings it nearer
     back = u | {"radial_velocity": -0.5}
     for _ in range(50):
         x = x + 0.01 * rates(x, back)
-    found = strokes_and_moment_arms(Joints(0.0, at(x, "reference_boom"), at(x, "reference_stick")), P)
-    assert math.hypot(*(float(a[0] - b[0]) for a, b in zip(found, there, strict=True))) < math.hypot(*errors)
+    later = pistons(at(x, "reference_boom"), at(x, "reference_stick"))
+    assert math.dist(later, pistons(0.2, -1.4)) < ahead
 
 
 def test_s_curve_goes_from_none_to_all():

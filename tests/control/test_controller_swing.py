@@ -1,7 +1,10 @@
 """The swing of the stretched arm under control: damped, in the linear model and in time."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from kit import shards
 
 from orchestrator import Trace, linearize, run
 
@@ -40,9 +43,13 @@ def test_the_closed_loop_of_the_stretched_arm_is_damped(machine):
     assert damping(machine, **OLD) < 0.05  # the figure of docs/control.md: 0.034
 
 
-@pytest.mark.parametrize("limit", [0.1, 0.03], ids=["usual", "tight"])
-@pytest.mark.parametrize("before", [0.4, 0.0, -0.4, -0.6])
-@pytest.mark.parametrize("after", [0.4, 0.6])
+USUAL, TIGHT = 0.1, 0.03  # rad, the error up to which the reference waits
+BEFORE_AFTER = [*product((0.4, 0.0, -0.4, -0.6), (0.4, 0.6), (USUAL, TIGHT))]
+# the largest jump with both limits, the smallest, and one to each speed
+QUICK = [(-0.6, 0.6, USUAL), (-0.6, 0.6, TIGHT), (0.4, 0.6, USUAL), (0.0, 0.4, TIGHT)]
+
+
+@pytest.mark.parametrize(("before", "after", "limit"), shards.few(QUICK, BEFORE_AFTER, shards.machine))
 def test_what_is_asked_at_once_is_reached(machine, before, after, limit):
     """However the speed wanted jumps and however soon the reference waits, the arm does not swing on.
 

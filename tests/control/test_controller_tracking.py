@@ -1,7 +1,8 @@
-"""The tip on line and square, with the built FMUs: errors in space, other machines, lost supply."""
+"""The tip on its path, with the built FMUs: other machines, sensors, lost supply. The bars: test_track.py."""
 
 import numpy as np
 import pytest
+from kit import shards
 from kit.sensors import opener
 
 from fmus.machine.build import data
@@ -15,6 +16,7 @@ DETAILED = {
     "supply": "engine_pump",
 }
 TIP = [f"manipulator.tip_{n}" for n in ("x", "y", "height")]
+ANGLE = "manipulator.swing_angle"
 COMMANDS = [f"controller.{n}_command" for n in ("swing", "boom", "stick")]
 
 
@@ -24,58 +26,45 @@ def machine(fmu_dir):
     return fmu_dir / "harvester_control.ssp"
 
 
-def tracked(machine, path: str, scenario: Trace | None = None, **options) -> tuple[np.ndarray, np.ndarray]:
-    """Times and distances in space between the commanded point and the stick end [m]."""
+def tracked(
+    machine, path: str, scenario: Trace | None = None, **options
+) -> tuple[np.ndarray, np.ndarray, Trace]:
+    """Times and distances in space between the commanded point and the stick end [m]; the trace."""
     commanded = scenario or read_trace(data(f"scenarios/{path}.csv"))
-    options = {"record": TIP, "record_step": 0.01, "parameters": [path], **options}
+    options = {"record": [*TIP, ANGLE], "record_step": 0.01, "parameters": [path], **options}
     trace = run(machine, commanded, **options).trace
     radius, angle, height = (
         np.interp(trace.time, commanded.time, commanded[f"path_{n}"]) for n in ("radius", "angle", "height")
     )
     there = radius * np.cos(angle), radius * np.sin(angle), height
     apart = [trace[name] - place for name, place in zip(TIP, there, strict=True)]
-    return trace.time, np.linalg.norm(apart, axis=0)
+    return trace.time, np.linalg.norm(apart, axis=0), trace
 
 
 def rms(error: np.ndarray) -> float:
     return float(np.sqrt((error**2).mean()))
 
 
-@pytest.mark.parametrize("path", ["line", "square"])
-def test_the_tip_stays_on_its_path(machine, path):
-    """At 0.5 m/s below 30 mm and 10 mm RMS; by the feedforward alone five times that and more."""
-    _, error = tracked(machine, path)
-    assert error[0] < 1e-6  # the run starts on the path
-    assert error.max() < 0.030
-    assert rms(error) < 0.010
-    _, without = tracked(machine, path, set={"controller.feedback": 0.0})
-    assert without.max() > 5 * error.max()
-    assert rms(without) > 5 * rms(error)
+def both(name: str, value: float) -> dict[str, float]:
+    """A parameter of both drives."""
+    return {f"{part}.{name}": value for part in ("swing", "boom_stick")}
 
 
-@pytest.mark.parametrize("path", ["line", "square"])
-def test_the_same_gains_hold_a_machine_with_all_details(machine, path):
-    """Long hoses, spools of 30 Hz, dry friction, a swinging head, an engine: below 60 mm."""
-    _, error = tracked(machine, path, swap=DETAILED)
-    assert error.max() < 0.060
+OTHERS = {
+    "light head": {"manipulator.head_mass": 300.0},
+    "heavy head": {"manipulator.head_mass": 600.0},
+    "low supply": {"supply.pressure_setting": 15e6},
+    "small valves": both("valve_area", 3.2e-5),
+    "large valves": both("valve_area", 4.8e-5),
+    "long hoses": {"boom_stick.boom_hose_capacitance": 2.7e-12, "boom_stick.stick_hose_capacitance": 3.6e-12},
+    "small dead band": both("valve_dead_band", 0.5),
+}
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"manipulator.head_mass": 300.0},
-        {"manipulator.head_mass": 600.0},
-        {"supply.pressure_setting": 15e6},
-        {"swing.valve_area": 3.2e-5, "boom_stick.valve_area": 3.2e-5},
-        {"swing.valve_area": 4.8e-5, "boom_stick.valve_area": 4.8e-5},
-        {"boom_stick.boom_hose_capacitance": 2.7e-12, "boom_stick.stick_hose_capacitance": 3.6e-12},
-        {"swing.valve_dead_band": 0.5, "boom_stick.valve_dead_band": 0.5},
-    ],
-    ids=lambda changed: ", ".join(f"{n}={v:g}" for n, v in changed.items()),
-)
+@pytest.mark.parametrize("changed", shards.few(("heavy head", "small valves"), OTHERS, shards.machine))
 def test_another_machine_than_assumed(machine, changed):
     """Masses, supply, valves and hoses that the controller does not know: the limits of the usual machine."""
-    _, error = tracked(machine, "square", set=changed)
+    _, error, _ = tracked(machine, "square", set=OTHERS[changed])
     assert error.max() < 0.030
     assert rms(error) < 0.010
 
@@ -84,7 +73,7 @@ def test_another_machine_than_assumed(machine, changed):
     ("swap", "changed", "limit"),
     [
         ({}, {}, 0.030),
-        ({}, {"swing.valve_dead_band": 0.5, "boom_stick.valve_dead_band": 0.5}, 0.030),
+        ({}, OTHERS["small dead band"], 0.030),
         (DETAILED, {}, 0.060),
     ],
     ids=["lumped", "dead band of 0.5 V", "detailed"],
@@ -92,7 +81,7 @@ def test_another_machine_than_assumed(machine, changed):
 def test_sampled_and_noisy_the_bars_hold(machine, swap, changed, limit):
     """A computer that looks every 10 ms and answers 10 ms later, encoder counts, noise of 0.1 bar."""
     options = {"swap": swap, "set": changed, "open": opener, "master": "gauss-seidel"}
-    _, error = tracked(machine, "square", stop=7.0, step=1e-3, **options)
+    _, error, _ = tracked(machine, "square", stop=7.0, step=1e-3, **options)
     assert error.max() < limit
     assert rms(error) < 0.010
 
@@ -103,7 +92,7 @@ def test_the_step_of_the_master_does_not_matter(machine):
     assert np.abs(errors[0] - errors[1]).max() < 0.1 * errors[0].max()
 
 
-@pytest.mark.parametrize("pose", [*POSES, "line", "square"])
+@pytest.mark.parametrize("pose", shards.few(("reach", "square"), [*POSES, "line", "square"], shards.machine))
 def test_every_pose_is_held(machine, pose):
     """Engaged from the start without a wish: no command leaves the dead band, the tip stays within 2 mm."""
     still = Trace(np.array([0.0, 2.0]), {"controller.engaged": np.ones(2)})
@@ -130,15 +119,11 @@ def test_a_lost_supply_is_waited_for_and_made_up_for(machine):
     usual = read_trace(data("scenarios/line.csv"))
     time = usual.time
     lost = 20.684e6 - 17.684e6 * np.clip(np.minimum((time - 3) / 0.2, (6 - time) / 0.2), 0, 1)
-    columns = dict(usual.signals) | {"supply_pressure": lost}
-    wanted = Trace(time, columns)
-    when, error = tracked(machine, "line", wanted)
+    wanted = Trace(time, dict(usual.signals) | {"supply_pressure": lost})
+    when, error, trace = tracked(machine, "line", wanted)
     assert error[when < 3].max() < 0.030
     assert 0.050 < error[(when > 5) & (when < 6)].max() < 0.200
     assert error[-1] < 0.010
-    angle = run(
-        machine, wanted, parameters=["line"], record=["manipulator.swing_angle"], record_step=0.01
-    ).trace
-    goal = np.interp(angle.time, time, usual["path_angle"])
-    out = (angle.time > 6) & (angle.time < 11)  # on the way out: swinging to the left, behind its point
-    assert (angle["manipulator.swing_angle"] - goal)[out].max() * 4.2 < 0.020
+    goal = np.interp(when, time, usual["path_angle"])
+    out = (when > 6) & (when < 11)  # on the way out: swinging to the left, behind its point
+    assert (trace["manipulator.swing_angle"] - goal)[out].max() * 4.2 < 0.020

@@ -1,5 +1,7 @@
 """Inverse of valve and oil, from speed to command, against the equations of valve and oil."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -29,16 +31,9 @@ VALVES = st.builds(
 )
 
 
-class Numbers:
-    """Parameters by attribute."""
-
-    def __init__(self, **changed: float) -> None:
-        vars(self).update(P | changed)
-
-
-def drives(**changed: float) -> dict[str, Actuator]:
+def drives() -> dict[str, Actuator]:
     """All three, pistons in the middle."""
-    return actuators((P["boom_stroke"] / 2, P["stick_stroke"] / 2), Numbers(**changed))
+    return actuators((P["boom_stroke"] / 2, P["stick_stroke"] / 2), SimpleNamespace(**P))
 
 
 def number(expression) -> float:

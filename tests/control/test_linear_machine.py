@@ -5,16 +5,13 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from kit import equations, shards
 from scipy.optimize import linear_sum_assignment
 
 from fmus.contract import quantities, symbolic
-from fmus.export.build import build
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.parts import parts, wiring
 from fmus.machine.poses import POSES
-from fmus.monolith import join
 from fmus.parameters import values
-from fmus.swing import SWING
 from orchestrator import Trace, linearize, run
 from orchestrator.linear.modes import eigen
 
@@ -37,8 +34,7 @@ SAME = 1e-6  # relative, what is promised of eigenvalues
 @cache
 def monolith(machine):
     """Names of states and inputs of the monolithic equations, and their Jacobian by CasADi as a function."""
-    subsystems = parts(**{"supply": "ideal"} | MACHINES[machine])
-    whole = join(subsystems, *wiring(subsystems))
+    whole = equations.machine(**{"supply": "ideal"} | MACHINES[machine])
     x, u = ca.SX.sym("x", len(whole.states)), ca.SX.sym("u", len(whole.inputs))
     rate = whole.right_hand_side(x, u, whole.p)
     jacobians = [ca.densify(ca.jacobian(rate, v)) for v in (x, u)]
@@ -84,11 +80,10 @@ def found(fmu_dir):
     return at
 
 
+KINDS = ("lumped", "quasistatic", "load_sensing", "all")  # "all" has every other part
 CASES = [
-    *((machine, "reach", ()) for machine in MACHINES),
-    *(
-        (machine, "close", SPEEDS) for machine in ("lumped", "quasistatic", "load_sensing", "all")
-    ),  # "all" has every other part
+    *shards.few([(m, "reach", ()) for m in KINDS], [(m, "reach", ()) for m in MACHINES], shards.machine),
+    *((m, "close", SPEEDS) for m in KINDS),
 ]
 
 
@@ -123,17 +118,6 @@ def test_a_steady_state_is_steady(found, machine, pose, speeds):
             assert abs(rate) <= 1e-8 * state.nominal, state.name  # rounding: 2e-10 are seen
         if joint in ("swing", "boom", "stick") and kind == "speed":
             assert x == speed
-
-
-def test_fmi_3_gives_the_same_matrices(tmp_path):
-    """Both versions are the same code: A, B, C and D of the swing agree bit for bit."""
-    start = {"swing_command": 3.0, "swing_speed": 0.2, "supply_pressure": 2e7}
-    two, three = (
-        linearize(build(SWING, tmp_path / str(fmi), fmi=fmi), steady=True, set=start) for fmi in (2, 3)
-    )
-    assert two.b.any()
-    for name in "abcd":
-        np.testing.assert_array_equal(getattr(two, name), getattr(three, name))
 
 
 def test_the_machine_as_one_block_has_the_jacobian_of_its_equations(fmu_dir):
@@ -181,15 +165,9 @@ def test_a_load_sensing_supply_does_not_hunt(fmu_dir, speeds):
 
 def test_a_slower_load_sensing_line_damps_the_lifted_boom(fmu_dir):
     """The supply follows the load late, so that a valve passes less oil while the load rises."""
-    found = []
+    found, lifted = [], {"steady": True, "speeds": {"boom": 0.1}, "swap": MACHINES["load_sensing"]}
     for lag in (0.005, 0.02, 0.05):
-        linear = linearize(
-            fmu_dir / "harvester.ssp",
-            steady=True,
-            speeds={"boom": 0.1},
-            swap=MACHINES["load_sensing"],
-            set={"supply.load_sensing_lag": lag},
-        )
+        linear = linearize(fmu_dir / "harvester.ssp", set={"supply.load_sensing_lag": lag}, **lifted)
         swinging = (m for m in linear.modes if m.oscillates and "boom" in m.name)
         found.append(min(m.damping for m in swinging))
     assert found == sorted(found)  # measured: 0.09, 0.18, 0.35

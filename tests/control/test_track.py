@@ -1,38 +1,46 @@
-"""The tip on its path: what is measured, what it is measured with, and what the command tells."""
+"""The tip on its path: what is measured, what it is measured with, and what the command prints and draws."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit import mistakes
+from kit.equations import Part
 
-from fmus.contract import quantities, symbolic
 from fmus.controller.paths import start_angles
 from fmus.manipulator import MANIPULATOR
-from fmus.parameters import values
+from orchestrator import Trace, load
 from orchestrator.__main__ import main
-from orchestrator.data.trace import Trace
+from orchestrator.studies.path_figure import draw, side_view, top_view
 from orchestrator.studies.path_following import PathRun, points
-from orchestrator.studies.path_study import rows
+from orchestrator.studies.path_study import differences, rows, text
 
-DETAILED = [
-    "--swap", "swing=detailed", "--swap", "boom_stick=detailed",
-    "--swap", "manipulator=pendulum_friction", "--swap", "supply=engine_pump",
-]  # fmt: skip
+VARIANTS = ("swing=detailed", "boom_stick=detailed", "manipulator=pendulum_friction", "supply=engine_pump")
+DETAILED = [f"--swap={variant}" for variant in VARIANTS]
+ALONE = ["--no-compare", "--swap=swing=lumped"]
+TIME = np.linspace(0, 4, 5)
+TIP = ("tip_radius", "tip_height", "swing_angle")
 
 
-def made(offset: float, feedback: bool) -> PathRun:
-    """A run `offset` [m] away from a straight path of 2 m, and 3 `offset` at the end."""
-    time = np.linspace(0, 4, 5)
-    commanded = np.column_stack([np.full(5, 3.0), 0.5 * time, np.ones(5)])
-    away = np.array([1, 1, 1, 1, 3])[:, None] * np.array([0.6, 0.0, 0.8]) * offset
-    return PathRun("made", "thing", feedback, time, commanded, commanded + away)
+def made(offset: float, feedback: bool = True, shape=(0, 0, 1, 1, 0.5), **uses: float) -> PathRun:
+    """A run `offset` [m] times `shape` away from a straight path of 2 m; limits are used from 2 s on."""
+    commanded = np.column_stack([np.full(5, 3.0), 0.5 * TIME, np.ones(5)])
+    away = np.array(shape)[:, None] * np.array([0.6, 0.0, 0.8]) * offset
+    limits = {f"controller.{name}_use": np.array([0, 0, 1, 1, 0.5]) * most for name, most in uses.items()}
+    return PathRun("made", "thing", feedback, TIME, commanded, commanded + away, uses=limits)
+
+
+def through(*given: str) -> list[str]:
+    """Options for points x,y,z."""
+    return [f"--through={point}" for point in given]
 
 
 def test_error_is_the_distance_in_space_at_the_same_instant():
     """Largest, RMS, last error and speed of a ride beside a straight path are those of the triangle 3-4-5."""
-    ride = made(0.01, True)
+    ride = made(0.01, shape=(1, 1, 1, 1, 3))
     assert ride.largest == pytest.approx(0.03, rel=1e-12, abs=0)  # exact but for rounding
     assert ride.rms == pytest.approx(0.01 * np.sqrt(13 / 5), rel=1e-12, abs=0)
     assert (ride.time_of_largest, ride.speed) == (4.0, 0.5)
@@ -59,126 +67,207 @@ def test_a_tip_that_is_late_has_an_error():
 
 def test_places_are_those_of_the_manipulator():
     """Radius, height and swing angle give the place that the manipulator tells in x, y and z."""
-    model, v = symbolic(MANIPULATOR), values(MANIPULATOR)
-    angles = np.random.default_rng(1).uniform([-3, -0.4, -2.1], [3, 1.0, -0.7], (20, 3))
-    for swing, boom, stick in angles:
-        x = [swing, boom, stick, 0, 0, 0, 0, 0]
-        y = model.function()(x, list(v.u.values()), list(v.p.values()))[1].full()[:, 0]
-        told = dict(zip(quantities(MANIPULATOR.outputs), y, strict=True))
-        trace = Trace(
-            np.zeros(1), {n: np.array([told[n]]) for n in ("tip_radius", "tip_height", "swing_angle")}
-        )
-        found = points(trace, ("tip_radius", "tip_height", "swing_angle"), "")[0]
-        assert found == pytest.approx(
-            [told[n] for n in ("tip_x", "tip_y", "tip_height")], abs=1e-12
-        )  # rounding
+    arm, rng = Part(MANIPULATOR), np.random.default_rng(1)
+    for swing, boom, stick in rng.uniform([-3, -0.4, -2.1], [3, 1.0, -0.7], (20, 3)):
+        y = arm(np.array([swing, boom, stick, 0, 0, 0, 0, 0]))[1]
+        found = points(Trace(np.zeros(1), {n: np.array([y[n]]) for n in TIP}), TIP, "")[0]
+        place = [y[n] for n in ("tip_x", "tip_y", "tip_height")]
+        assert found == pytest.approx(place, abs=1e-12)  # rounding
 
 
 def test_table_tells_how_many_times_as_large_without_feedback():
     """The last cell of the row without feedback is its largest error over that of the ride with feedback."""
-    assert [row[-1] for row in rows([made(0.01, True), made(0.07, False)])] == ["", "7.0"]
+    assert [row[-1] for row in rows([made(0.01), made(0.07, False)])] == ["", "7.0"]
 
 
 def test_start_puts_the_tip_to_the_path():
     """With the start angles of a path the manipulator has its tip at the path's first point."""
-    v, model = values(MANIPULATOR), symbolic(MANIPULATOR)
-    p = {**v.p, **{n.partition(".")[2]: a for n, a in start_angles("path", (4.2, 0.7, 0.3), {}).items()}}
-    x = model.initial()(list(v.x.values()), list(v.u.values()), list(p.values()))
-    y = model.function()(x, list(v.u.values()), list(p.values()))[1].full()[:, 0]
-    told = dict(zip(quantities(MANIPULATOR.outputs), y, strict=True))
-    found = told["tip_radius"], told["tip_height"], told["swing_angle"]
-    assert found == pytest.approx((4.2, 0.7, 0.3), abs=1e-12)  # both closed forms
+    angles = start_angles("path", (4.2, 0.7, 0.3), {})
+    arm = Part(MANIPULATOR, **{n.partition(".")[2]: a for n, a in angles.items()})
+    y = arm(arm.start())[1]
+    assert [y[n] for n in TIP] == pytest.approx((4.2, 0.7, 0.3), abs=1e-12)  # both closed forms
 
 
-def test_a_longer_stick_starts_on_the_path_too(fmu_dir, tmp_path):
-    """Where machine and controller have another length, the ride begins at its path and stays near it."""
-    longer = [f"--set={part}.stick_length=3.3" for part in ("manipulator", "controller")]
-    given = ["--path", "square", "--no-compare", "--swap", "swing=lumped", *longer, "--limit", "30"]
-    assert main(["track", str(fmu_dir / "harvester_control.ssp"), *given, "--out", str(tmp_path)]) == 0
+# ---- the command
 
 
-def test_command_keeps_the_bars(fmu_dir, tmp_path, capsys):
+@pytest.fixture
+def track(fmu_dir, tmp_path):
+    """track(*arguments): the status of `harvester track`, and what it writes about its runs."""
+
+    def tracked(*arguments: str) -> tuple[int, list[dict]]:
+        status = main(["track", str(fmu_dir / "harvester_control.ssp"), *arguments, "--out", str(tmp_path)])
+        return status, json.loads((tmp_path / "tracking.json").read_text())
+
+    return tracked
+
+
+def test_command_keeps_the_bars(track, tmp_path, capsys):
     """Line and square at 0.5 m/s: within 30 mm and 10 mm RMS, and five times as far off without feedback."""
-    assert main(["track", str(fmu_dir / "harvester_control.ssp"), "--swap", "swing=lumped", "--limit", "30",
-                 "--out", str(tmp_path)]) == 0  # fmt: skip
-    told = json.loads((tmp_path / "tracking.json").read_text())
+    status, told = track("--swap", "swing=lumped", "--limit", "30")
+    assert status == 0
     by = {(r["path"], r["feedback"]): r for r in told}
     for path in ("line", "square"):
         near, far = by[path, True], by[path, False]
         assert near["highest speed asked for [m/s]"] == pytest.approx(0.5, rel=1e-3)  # sampled at 200 Hz
         assert near["RMS error [m]"] < 0.010  # the bar; 1.7 mm and 2.6 mm are usual
-        assert far["largest error [m]"] > 5 * near["largest error [m]"]
+        for kind in ("largest error [m]", "RMS error [m]"):
+            assert far[kind] > 5 * near[kind]
     assert "times as large" in capsys.readouterr().out
     assert (tmp_path / "tracking.png").stat().st_size > 20_000  # a picture, not an empty one
 
 
-def test_command_keeps_the_bar_of_the_detailed_machine(fmu_dir, tmp_path):
+def test_command_keeps_the_bar_of_the_detailed_machine(track):
     """With hoses, spools, friction, a swinging head and a real supply the tip stays within 60 mm."""
-    system = str(fmu_dir / "harvester_control.ssp")
-    assert main(["track", system, *DETAILED, "--no-compare", "--limit", "60", "--out", str(tmp_path)]) == 0
+    assert track(*DETAILED, "--no-compare", "--limit", "60")[0] == 0
 
 
-def test_a_missed_limit_is_reported(fmu_dir, tmp_path, capsys):
-    """A limit that cannot be met gives status 1 and a line with path, limit and error."""
-    through = [a for point in ("4,0,1", "4,0.5,1") for a in ("--through", point)]
-    system = str(fmu_dir / "harvester_control.ssp")
-    assert main(["track", system, *through, "--no-compare", "--swap", "swing=lumped", "--limit", "0.01",
-                 "--out", str(tmp_path)]) == 1  # fmt: skip
-    assert "expected at most 0.01 mm, got " in capsys.readouterr().out
+def test_a_longer_stick_starts_on_the_path_too(track):
+    """Where machine and controller have another length, the ride begins at its path and stays near it."""
+    longer = [f"--set={part}.stick_length=3.3" for part in ("manipulator", "controller")]
+    assert track("--path", "square", *ALONE, *longer, "--limit", "30")[0] == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--through", "3,0,1"], "expected two points or more, got one"),
-        (["--through", "3,0", "--through", "3,1,1"], "--through 3,0: expected x,y,z in metres"),
-        (["--through", "3,0,1", "--through", "-3,0,1"], "from the swing axis, expected at least 0.1 m"),
-        (["--through", "0,0,3", "--through", "3,0,1"], "path: 0 m from the swing axis, expected at"),
-        (["--swap", "swing=lumped", "--set", "manipulator.initial_boom_angle=1.4"],
-         "machine swing=lumped, path line"),
-        (["--through", "3,0"], "--through 3,0: expected x,y,z in metres"),
-        (["--through", "3,0,0", "--through", "9,0,0"], "--through 9,0,0: tip at radius 9 m, height"),
-        (["--through", "3,0,1", "--through", "4,0,1", "--set", "swing.valve_dead_ban=1"],
-         "harvester: unknown variable 'swing.valve_dead_ban'; did you mean swing.valve_dead_band"),
-        (["--set", "swing.valve_dead_band=0.5"], "the detailed machine has no such variable, only the"),
-        (["--set", "swing.valve_dead_band=0.5"], "alone: --swap swing=lumped, for example"),
-        (["--set", "swing.spool_damping=1"], "alone: --swap swing=detailed, for example"),
-        (["--through", "9,0,1", "--through", "3,1,1"], "is 9.18 m from the boom pivot, expected"),
-        (["--through", "3,0,1", "--through", "3,0,1"], "expected different ones"),
-        (["--path", "line", "--through", "3,0,1"], "--path and --through: expected one of them"),
-        (["--path", "no.csv"], "no.csv"),
-        (["--path", "circle"], "--path circle: expected line, square or a file"),
-        (["--through", "3,0,1", "--through", "4,0,1", "--speed", "0"], "--speed 0: expected more than 0 m/s"),
-    ],
-)  # fmt: skip
-def test_mistakes_are_told_in_one_line(fmu_dir, tmp_path, capsys, arguments, told):
-    """A mistake on the command line ends with status 2 and one line that names it."""
-    assert main(["track", str(fmu_dir / "harvester_control.ssp"), *arguments, "--out", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert told in error
-    assert error.count("\n") == 1
-
-
-def test_a_scenario_without_a_path_is_told(fmu_dir, tmp_path, capsys):
-    """A scenario with other columns is named, with what was expected."""
-    other = tmp_path / "other.csv"
-    other.write_text("time,boom_command\n0,0\n1,1\n")
-    assert main(["track", str(fmu_dir / "harvester_control.ssp"), "--path", str(other)]) == 2
-    assert "other.csv: expected path_radius, path_height, path_angle" in capsys.readouterr().err
-
-
-def test_a_machine_without_a_controller_is_told(fmu_dir, tmp_path, capsys):
-    """The usual machine has levers: the message names a system that can be tracked."""
-    assert main(["track", str(fmu_dir / "harvester.ssp"), "--out", str(tmp_path)]) == 2
-    assert (
-        "expected a machine with the controller, such as build/harvester_control.ssp, got"
-        in capsys.readouterr().err
-    )
-
-
-def test_a_plain_table_of_places_is_a_path(fmu_dir, tmp_path):
+def test_a_plain_table_of_places_is_a_path(track, tmp_path):
     """Time and places alone: the controller is engaged and follows; corners in it cost some centimetres."""
     path = tmp_path / "mine.csv"
     path.write_text("time,path_radius,path_height,path_angle\n0,4,1,0\n2,4,1,0\n4,4,1.5,0.1\n6,4,1.5,0.1\n")
-    given = ["--path", str(path), "--no-compare", "--swap", "swing=lumped", "--limit", "40"]
-    assert main(["track", str(fmu_dir / "harvester_control.ssp"), *given, "--out", str(tmp_path)]) == 0
+    assert track("--path", str(path), *ALONE, "--limit", "40")[0] == 0
+
+
+def test_a_missed_limit_is_reported(track, capsys):
+    """A limit that cannot be met gives status 1 and a line with path, limit and error."""
+    line = through("4,0,1", "4,0.5,1")
+    assert track(*line, *ALONE, "--speed", "0.3", "--limit", "0.01")[0] == 1
+    told = capsys.readouterr().out
+    assert "expected at most 0.01 mm, got " in told
+    assert "--speed" not in told  # it is reached
+
+
+def test_a_speed_that_is_not_reached_is_told(track, capsys):
+    """On 1 m from rest to rest at 0.5 m/s2 no 20 m/s are reached: the note tells what the numbers have."""
+    status, told = track(*through("4,0,1", "4,1,1"), *ALONE, "--speed", "20")
+    assert status == 0
+    asked = told[0]["highest speed asked for [m/s]"]
+    assert f"note: --speed 20: the path is too short for more than {asked:.2g} m/s" in capsys.readouterr().out
+
+
+def test_a_path_beyond_a_stroke_is_told(track, capsys):
+    """Within the links' reach but beyond the stroke: the sentence names it, the numbers tell its use."""
+    status, told = track(*through("3,0,0", "6.1,0,0"), *ALONE)
+    assert status == 0
+    assert "the path leads beyond the end of a stroke, from" in capsys.readouterr().out
+    assert told[0]["largest uses of limits"]["controller.stroke_use"] > 1
+
+
+def test_notes_stand_before_the_table(track, capsys):
+    """The command prints the note of a difference once, for both machines, above the head of the table."""
+    line = through("4,0,1", "4,0.1,1")
+    assert track(*line, "--no-compare", "--set", "manipulator.stick_length=3.0")[0] == 0
+    told = capsys.readouterr().out
+    assert told.count("note: controller.stick_length is 2.9 m") == 1
+    assert told.index("note: ") < told.index("largest [mm]")
+
+
+@mistakes.table(__file__, "mistakes", "arguments, message")
+def test_mistakes_are_told_in_one_line(fmu_dir, tmp_path, capsys, arguments, message):
+    """A mistake on the command line ends with status 2 and one line that names it."""
+    command = ["track", fmu_dir / "harvester_control.ssp", *arguments, "--out", tmp_path]
+    assert message in mistakes.refused(capsys, command)
+
+
+def test_a_scenario_without_a_path_and_a_machine_without_a_controller_are_told(fmu_dir, tmp_path, capsys):
+    """A scenario with other columns is named; a machine with levers alone, and one that can be tracked."""
+    other = tmp_path / "other.csv"
+    other.write_text("time,boom_command\n0,0\n1,1\n")
+    told = mistakes.refused(capsys, ["track", fmu_dir / "harvester_control.ssp", "--path", other])
+    assert "other.csv: expected path_radius, path_height, path_angle" in told
+    told = mistakes.refused(capsys, ["track", fmu_dir / "harvester.ssp", "--out", tmp_path])
+    assert "expected a machine with the controller, such as build/harvester_control.ssp, got" in told
+
+
+# ---- large errors, other machines
+
+
+@pytest.mark.parametrize(
+    ("uses", "cause"),
+    [
+        ({"stroke": 400, "speed": 1.2, "wait": 0.1}, "the path leads beyond the end of a stroke, from 2.0"),
+        ({"stroke": 0.9, "speed": 1.2, "wait": 0.4}, "the path requires more speed than an actuator has"),
+        ({"stroke": 0.2, "speed": 1.2, "wait": 0.9}, "the machine does not follow, from 2.0 s on"),
+        ({"stroke": 0.9, "speed": 0.9, "wait": 0.4}, "no limit of the controller acts"),
+    ],
+)  # fmt: skip
+def test_the_cause_is_the_limit_that_is_exceeded_most(uses, cause):
+    """Strokes and speed act above 1, the wait above a half; the sentence tells the largest and when."""
+    told = text([made(0.3, **uses)])
+    assert f"made, thing: the tip is up to 0.30 m away, 0.15 m at the end: {cause}" in told
+
+
+def test_a_tip_near_its_path_needs_no_cause():
+    """A tip 3 cm away has no line of its own; without numbers of the controller none has a cause."""
+    assert "the tip is" not in text([made(0.03, stroke=400)])
+    assert text([made(0.3)]).endswith("0.15 m at the end")
+
+
+def test_a_machine_that_differs_from_the_controllers_is_noted(fmu_dir):
+    """As built nothing differs; each other value has a note, a value of 0 with its meaning."""
+    system = load(fmu_dir / "harvester_control.ssp")
+    assert differences(system) == []
+    longer = system.with_start({"manipulator.stick_length": 3.2, "swing.valve_area": 3e-5})
+    assert differences(longer) == [
+        f"{other}: the controller assumes another machine"
+        for other in (
+            "controller.stick_length is 2.9 m, manipulator.stick_length is 3.2 m",
+            "controller.swing_valve_area is 4e-05 m2, swing.valve_area is 3e-05 m2",
+        )
+    ]
+    line = system.with_start({"controller.line_capacitance": 1e-12, "swing.line_capacitance": 0.0})
+    (note,) = differences(line)
+    assert "swing.line_capacitance is 0 m3/Pa (Capacitance C" in note
+    both = longer.with_start({"controller.stick_length": 3.2, "controller.swing_valve_area": 3e-5})
+    assert differences(both) == []
+
+
+def test_numbers_in_other_units_are_not_compared(fmu_dir):
+    """A stick length without a unit may be in inches: no note."""
+    system = load(fmu_dir / "harvester_control.ssp").with_start({"manipulator.stick_length": 3.2})
+    part = system.components["manipulator"]
+    bare = {**part.interface.variables}
+    bare["stick_length"] = replace(bare["stick_length"], unit=None)
+    other = replace(part, interface=replace(part.interface, variables=bare))
+    assert differences(replace(system, components={**system.components, "manipulator": other})) == []
+
+
+# ---- the figure
+
+SQUARE = np.array([[3, 0, 0], [4, 1, 0], [4, 1, 1], [3, 0, 1.0]])
+BENT = np.array([[3, 1, 2], [3, -1, 2], [5, 0, -1.0]])
+
+
+def test_views_keep_lengths():
+    """From above right and forward; an upright square has its sides, whatever its direction."""
+    assert top_view(BENT) == pytest.approx(np.array([[-1, 1, 0], [3, 3, 5]]))
+    view, name = side_view(SQUARE)
+    assert name == "along the ground [m]"
+    assert np.ptp(view(SQUARE), axis=1) == pytest.approx([np.sqrt(2), 1.0])  # rounding
+
+
+@pytest.mark.parametrize("path", [BENT, SQUARE[:2], SQUARE[1:3]], ids=["bent", "level", "upright"])
+def test_other_paths_are_seen_in_the_plane_of_the_arm(path):
+    """What bends on the ground, is level or straight up has radius and height as its side view."""
+    view, name = side_view(path)
+    assert name == "radius from the swing axis [m]"
+    assert view(path) == pytest.approx(np.stack([np.hypot(*path.T[:2]), path[:, 2]]))  # rounding
+
+
+def test_the_picture_has_equal_axes_and_plain_numbers():
+    """Both views have one scale, the error's ticks are numbers without exponents."""
+    figure = draw([made(0.3)])
+    figure.canvas.draw()
+    views, errors = figure.axes[:2], figure.axes[2]
+    assert [axes.get_aspect() for axes in views] == [1.0, 1.0]
+    ticks = [*errors.get_yticklabels(which="minor"), *errors.get_yticklabels()]
+    words = [label.get_text() for label in ticks if label.get_text()]
+    assert "50" in words
+    assert not [w for w in words if "e" in w]
