@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit import shards
 from kit.any_fmu.outcome import in_python
 
 from fmus.machine.build import data
@@ -34,9 +35,6 @@ def without_rates(system: System) -> System:
     return held
 
 
-# of the machine whose trace is kept: orders of convergence show differences of 1e-6 of range
-
-
 def outcome(
     system: System, master: str | Coupling, step: float | None, stop: float | None = None, **more: float
 ) -> Validation:
@@ -62,15 +60,12 @@ def test_default_run_meets_the_bars_over_the_whole_work_cycle(system):
     assert all(abs(bond.relative) < 1e-5 for bond in result.card.bonds)
 
 
-def test_plain_jacobi_with_rate_ports_is_within_0_3_percent_at_1_ms(system):
-    """What any tool with a plain Jacobi master gets by connecting the rate ports, over the whole cycle."""
-    assert worst(outcome(system, "jacobi", 1e-3), "speed") < 3e-3
-
-
-@pytest.mark.parametrize("master", MASTERS)
-def test_rate_ports_keep_5_ms_stable(system, master):
-    """At 5 ms the whole cycle runs and stays within 1 % of the reference in every joint speed."""
-    assert worst(outcome(system, master, 5e-3), "speed") < 1e-2
+@pytest.mark.parametrize(
+    ("master", "step", "bar"), [("jacobi", 1e-3, 3e-3), ("jacobi", 5e-3, 1e-2), ("gauss-seidel", 5e-3, 1e-2)]
+)
+def test_explicit_masters_with_rate_ports_stay_near_the_whole_work_cycle(system, master, step, bar):
+    """What any tool with a plain Jacobi master gets by connecting the rate ports; stable at 5 ms."""
+    assert worst(outcome(system, master, step), "speed") < bar
 
 
 def orders(errors: list[float]) -> np.ndarray:
@@ -80,7 +75,7 @@ def orders(errors: list[float]) -> np.ndarray:
 @pytest.mark.parametrize("master", MASTERS)
 def test_order_two_with_rate_ports(system, master):
     """Inputs with their slope: halving the step quarters the error of joint speeds and pressures."""
-    found = [outcome(system, master, step, 5.0) for step in (4e-3, 2e-3, 1e-3, 5e-4)]
+    found = [outcome(system, master, step, 5.0) for step in (4e-3, 2e-3, 1e-3)]
     for group in ("speed", "pressure"):
         # measured order; higher terms of the step bend it by a few hundredths
         assert orders([worst(v, group) for v in found]) == pytest.approx(2.0, abs=0.1)
@@ -90,7 +85,7 @@ def test_order_two_with_rate_ports(system, master):
 def test_order_one_without_rate_ports(system, master, coarsest):
     """Inputs held: halving the step halves the error, once the step is small enough for stability."""
     held = without_rates(system)
-    found = [outcome(held, master, coarsest / 2**k, 3.0) for k in range(3)]
+    found = [outcome(held, master, coarsest / 2**k, 2.0) for k in range(3)]
     # the growth of a held oscillation is exponential in the step, so the order comes down to 1 from above
     first, second = orders([worst(v, "speed") for v in found])
     assert 0.9 < second < 1.2
@@ -107,18 +102,17 @@ def test_rate_ports_gain_two_orders_of_magnitude_at_1_ms(system):
 
 
 @pytest.mark.parametrize(
-    ("step", "speed", "pressure"),
+    ("step", "scenario", "speed", "pressure"),
     [
-        (5e-3, 1e-4, 5e-4),  # measured 2.4e-6 and 3.3e-6
-        (10e-3, 1e-3, 1e-3),  # 3.1e-5 and 4.2e-5
-        (20e-3, 2e-3, 2e-3),  # 4.5e-4 and 6.0e-4: a fifth of the fastest oscillation
+        (5e-3, None, 1e-4, 5e-4),  # measured 2.4e-6 and 3.3e-6
+        (10e-3, None, 1e-3, 1e-3),  # 3.1e-5 and 4.2e-5
+        (20e-3, None, 2e-3, 2e-3),  # 4.5e-4 and 6.0e-4: a fifth of the fastest oscillation
+        (10e-3, "scenarios/work_cycle.csv", 1e-3, 1e-3),
     ],
 )
-@pytest.mark.parametrize("led_by", ["scenario", "operator_input"])
-def test_hermite_meets_its_bars_over_the_whole_work_cycle(system, step, speed, pressure, led_by):
-    """Led by the scenario, or by the FMU of the levers with the corners of its ramps."""
-    scenario = data("scenarios/work_cycle.csv") if led_by == "scenario" else None
-    result = run(system, scenario, master="hermite", step=step)
+def test_hermite_meets_its_bars_over_the_whole_work_cycle(system, step, scenario, speed, pressure):
+    """Led by the FMU of the levers with the corners of its ramps, or by the scenario."""
+    result = run(system, data(scenario) if scenario else None, master="hermite", step=step)
     found = validate(result.trace, REFERENCE, rate=False)
     assert worst(found, "speed") < speed
     assert worst(found, "angle") < speed / 10
@@ -155,7 +149,7 @@ def test_converged_hermite_has_order_four_on_the_machine(system):
         assert orders([worst(v, group) for v in found]) == pytest.approx(4.0, abs=0.2)
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 def test_adaptive_steps_keep_the_tolerance_over_the_whole_work_cycle(system, tolerance):
     """Speeds and pressures, at the samples of the reference, within it (measured a tenth)."""
     coupling = Coupling("hermite", adaptive=tolerance)
@@ -167,12 +161,14 @@ def test_adaptive_steps_keep_the_tolerance_over_the_whole_work_cycle(system, tol
 # ---- FMUs that C calls, and that Python calls
 
 
-COUPLINGS = [
-    *(Coupling(m, n) for m in ("jacobi", "gauss-seidel") for n in (0, 1, 2, 3)),
+ORDERS = [Coupling(m, n) for m in ("jacobi", "gauss-seidel") for n in (0, 1, 2, 3)]
+# every master, and every order with one of the two that know orders: a run starts in longer than it steps
+FEW = [
+    *(ORDERS[0], ORDERS[3], ORDERS[5], ORDERS[6], Coupling("jacobi", 1, correct=True)),
     *(Coupling("hermite"), Coupling("hermite", passes=1), Coupling("interface-jacobian")),
-    Coupling("jacobi", 1, correct=True),
     Coupling("hermite", factors={"boom_stick": 2, "swing": 3}),
 ]
+COUPLINGS = [*FEW, *(pytest.param(c, marks=shards.search) for c in ORDERS if c not in FEW)]
 
 
 def same(system: System, **options: object) -> None:
@@ -185,20 +181,23 @@ def same(system: System, **options: object) -> None:
     assert fast.card.bonds == slow.card.bonds
 
 
+# all joints move; commands have a corner, and 300 steps pass through the same code as a thousand
+MOVING = {"step": 1e-3, "start": 1.2, "stop": 1.5}
+
+
 @pytest.mark.parametrize("coupling", COUPLINGS, ids=lambda c: c.text)
-def test_both_ways_to_call_fmus_give_the_same_bits_over_a_thousand_steps(system, coupling):
-    """Led by the scenario, from where the machine moves."""
-    same(system, scenario=data("scenarios/work_cycle.csv"), master=coupling, step=1e-3, stop=1.0)
+def test_both_ways_to_call_fmus_give_the_same_bits(system, coupling):
+    """Led by the scenario."""
+    same(system, scenario=data("scenarios/work_cycle.csv"), master=coupling, **MOVING)
 
 
-@pytest.mark.parametrize("coupling", COUPLINGS[::3], ids=lambda c: c.text)
+@pytest.mark.parametrize("coupling", FEW[1:9:3], ids=lambda c: c.text)
 def test_both_ways_to_call_fmus_give_the_same_bits_with_fmi_3(fmi3_dir, coupling):
     """Led by the levers, whose ramps have corners; inputs move at rate inputs."""
-    same(load(fmi3_dir / "harvester.ssp"), master=coupling, step=1e-3, stop=1.0)
+    same(load(fmi3_dir / "harvester.ssp"), master=coupling, **MOVING)
 
 
-@pytest.mark.parametrize("folder", ["fmu_dir", "fmi3_dir"])
-@pytest.mark.parametrize("control", ["error", "energy"])
+@pytest.mark.parametrize(("folder", "control"), [("fmu_dir", "error"), ("fmi3_dir", "energy")])
 def test_both_ways_to_call_fmus_take_the_same_adaptive_steps(request, folder, control):
     """All of one length and one error, and the same ones are repeated."""
     machine = load(request.getfixturevalue(folder) / "harvester.ssp")
@@ -216,16 +215,6 @@ def test_outputs_exist_at_the_first_instant(system):
     assert first["boom_stick.boom_force"][0] == pytest.approx(
         first["manipulator.boom_holding_force"][0], rel=1e-9
     )
-
-
-@pytest.mark.parametrize("pose", [(-0.4, -0.7), (0.9, -2.1)])
-def test_any_pose_stands_still(system, pose):
-    """A pose set by its parameters is held: pressures follow it through the connections at initialisation."""
-    start = {"manipulator.initial_boom_angle": pose[0], "manipulator.initial_stick_angle": pose[1]}
-    trace = run(system, set=start, stop=1.0, step=1e-3).trace
-    for name, angle in start.items():
-        # closed valves leak: below 0.3 mm of piston in 5 s, tests/test_machine.py
-        assert np.max(np.abs(trace[name.replace("initial_", "")] - angle)) < 5e-4
 
 
 def test_supply_pressure_feeds_both_hydraulic_fmus(system):

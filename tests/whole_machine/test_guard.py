@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit import shards
 
 from orchestrator import Coupling, RunFailed, System, Trace, load, run
 from orchestrator.ssp.swap import with_swaps
@@ -24,7 +25,11 @@ def off(found: Trace, truth: Trace, name: str) -> float:
     return float(np.sqrt(np.mean((found[name] - truth[name]) ** 2)) / max(np.ptp(truth[name]), 1e-3))
 
 
-@pytest.mark.parametrize("chosen", ["reach", "folded", "close", "raised", "boom_up"])
+# the first is lost without a guard, the last one has the largest errors
+LATER = (pytest.param(name, marks=shards.machine) for name in ("folded", "close", "raised"))
+
+
+@pytest.mark.parametrize("chosen", ["reach", *LATER, "boom_up"])
 def test_every_pose_and_program_runs_at_large_steps(system, chosen):
     """Voids open and close in all of them, which no linear model of a step predicts."""
     options = {"parameters": [chosen], "record_step": 0.02}

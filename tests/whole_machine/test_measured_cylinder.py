@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +45,11 @@ def rates(_: float, x: np.ndarray, command: float, gains: tuple[float, float]) -
     into_head = edge(command, SUPPLY - head, ahead) - edge(-command, head - TANK, back)
     into_rod = edge(-command, SUPPLY - rod, back) - edge(command, rod - TANK, ahead)
     friction = (SLIDING + (STICTION - SLIDING) * np.exp(-((speed / DECAY) ** 2))) * np.tanh(speed / 1e-3)
-    stop = 3e6 * (max(0.0, -position) - max(0.0, position - STROKE)) - 3e3 * speed * (
-        not 0 <= position <= STROKE
-    )
+    beyond = not 0 <= position <= STROKE
+    stop = 3e6 * (max(0.0, -position) - max(0.0, position - STROKE)) - 3e3 * speed * beyond
     force = HEAD * head - ROD * rod - friction - VISCOUS * speed + stop
-    return [
-        (into_head - HEAD * speed) / CAPACITANCE,
-        (into_rod + ROD * speed) / CAPACITANCE,
-        speed,
-        force / MASS,
-    ]
+    filling = (into_head - HEAD * speed, into_rod + ROD * speed)
+    return [*(flow / CAPACITANCE for flow in filling), speed, force / MASS]
 
 
 def simulated(volts: int, gains: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -62,21 +58,10 @@ def simulated(volts: int, gains: tuple[float, float]) -> tuple[np.ndarray, np.nd
     time = np.arange(round(length * RATE) + 1) * STEP
     x, states = np.array([0.25e6, 3.9e6, 0.0, 0.0]), []
     corners = [(0.0, 0.1, 0.0), (0.1, hold, volts), (hold, hold + 0.1, 0.0), (hold + 0.1, length, -volts)]
+    accuracy = {"rtol": 1e-5, "atol": [1e2, 1e2, 1e-7, 1e-6], "max_step": 0.02}
     for begin, end, command in corners:
-        inside = (time >= begin - 1e-9) & (time < end - 1e-9)
-        samples = np.append(time[inside], end)
-        scale = [1e2, 1e2, 1e-7, 1e-6]
-        solved = solve_ivp(
-            rates,
-            (begin, end),
-            x,
-            "LSODA",
-            samples,
-            args=(command, gains),
-            rtol=1e-5,
-            atol=scale,
-            max_step=0.02,
-        )
+        samples = np.append(time[(time >= begin - 1e-9) & (time < end - 1e-9)], end)
+        solved = solve_ivp(rates, (begin, end), x, "LSODA", samples, args=(command, gains), **accuracy)
         states.append(solved.y.T[:-1])
         x = solved.y[:, -1]
     command = np.select([time < 0.1, time < hold, time < hold + 0.1], [0, volts, 0], -volts).astype(float)
@@ -107,15 +92,13 @@ def write_run(folder: Path, volts: int, chamber: str, repeat: int) -> None:
 @pytest.fixture(scope="module")
 def example():
     """The modules of the example; they are scripts with plain names."""
-    sys.path.insert(0, str(EXAMPLE))
-    for name in NAMES:
-        sys.modules.pop(name, None)
-    import run
-
-    yield run
-    sys.path.remove(str(EXAMPLE))
-    for name in NAMES:
-        sys.modules.pop(name, None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(EXAMPLE)
+        for name in NAMES:
+            patch.delitem(sys.modules, name, raising=False)
+        yield import_module("run")
+        for name in NAMES:
+            sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """Sets of numbers: which parts they reach, what follows from them, what is refused."""
 
 import pytest
+from kit import mistakes
 
 from fmus.contract import quantities
 from fmus.machine.build import parts_with_parameters
@@ -10,16 +11,11 @@ from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import parameter_sets
 from fmus.manipulator import MANIPULATOR
 from fmus.parameters import numbers, values
-from orchestrator.__main__ import main
-from orchestrator.base.errors import Problem
 
-VALVE = (
-    '[parameters.valve_area]\nvalue = 4.1e-5\nunit = "m2"\nsource = "identified"\nnote = "bench"\nsd = 1e-7\n'
-)
-PRELOAD = (
-    '[parameters."swing.initial_preload"]\nvalue = 1.2e6\nunit = "Pa"\nsource = "identified"\nnote = "read"\n'
-)
-MASS = '[parameters.head_mass]\nvalue = 400.0\nunit = "kg"\nsource = "identified"\nnote = "weighed"\n'
+ENTRY = '[parameters.{}]\nvalue = {}\nunit = "{}"\nsource = "identified"\nnote = "{}"\n'
+VALVE = ENTRY.format("valve_area", 4.1e-5, "m2", "bench") + "sd = 1e-7\n"
+PRELOAD = ENTRY.format('"swing.initial_preload"', 1.2e6, "Pa", "read")
+MASS = ENTRY.format("head_mass", 400.0, "kg", "weighed")
 
 
 @pytest.fixture
@@ -36,12 +32,8 @@ def test_a_name_reaches_every_part_that_declares_it(machine):
     The sections of the compensated drives are other valves: they are stated by their flows.
     """
     holders = {n for n, sub in machine.items() if "valve_area" in quantities(sub.parameters)}
-    assert holders == {
-        s.name
-        for part in ("swing", "boom_stick")
-        for variant, s in FAMILIES[part].items()
-        if variant != "compensated"
-    }
+    drives = FAMILIES["swing"].items() | FAMILIES["boom_stick"].items()
+    assert holders == {sub.name for variant, sub in drives if variant != "compensated"}
     for name in holders:
         number = numbers(machine[name])["parameters"]["valve_area"]
         assert (number.value, number.source, number.note, number.sd) == (4.1e-5, "identified", "bench", 1e-7)
@@ -79,40 +71,16 @@ def test_the_whole_and_the_poses_follow(machine):
     assert pose == pose_set(POSES[NOMINAL], machine["manipulator"])
     start = {n: number.value for n, number in numbers(machine["boom_stick"])["start"].items()}
     assert start["boom_holding_force"] == pose["boom_stick.boom_holding_force"]
-    assert (
-        pose["boom_stick.boom_holding_force"]
-        > pose_set(POSES[NOMINAL], MANIPULATOR)["boom_stick.boom_holding_force"]
-    )
+    lighter = pose_set(POSES[NOMINAL], MANIPULATOR)
+    assert pose["boom_stick.boom_holding_force"] > lighter["boom_stick.boom_holding_force"]
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        (
-            VALVE.replace("valve_area", "valve_aera"),
-            "[parameters.valve_aera] is not declared by any part, expected",
-        ),
-        (VALVE.replace('"m2"', '"mm2"'), "[parameters.valve_area] is in mm2, declared m2"),
-        (VALVE.replace("4.1e-5", "-4.1e-5"), "[parameters.valve_area] is -4.1e-05 m2, expected 0.0 to None"),
-        (
-            VALVE.replace("parameters.", "start."),
-            "[start.valve_area]: expected tables [parameters.NAME] only",
-        ),
-        (
-            PRELOAD.replace("swing.", "boom."),
-            "[parameters.boom.initial_preload] is not declared by any part, expected",
-        ),
-        ("", "no table [parameters.NAME], expected at least one"),
-    ],
-)
-def test_a_mistake_is_told_in_one_line(text, told, tmp_path, monkeypatch, capsys):
+@mistakes.table(__file__, "mistakes", "entry, old, new, message")
+def test_a_mistake_is_told_in_one_line(entry, old, new, message, tmp_path, monkeypatch, capsys):
     """File, thing, expected, found; before anything is compiled or written."""
     monkeypatch.chdir(tmp_path)
+    text = {"valve": VALVE, "preload": PRELOAD, "nothing": ""}[entry].replace(old, new)
     (tmp_path / "set.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(Problem):
-        parts_with_parameters(tmp_path / "set.toml")
-    assert main(["build", "--parameters", "set.toml"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"harvester: set.toml: {told}")
-    assert error.count("\n") == 1
+    line = mistakes.refused(capsys, ["build", "--parameters", "set.toml"])
+    assert line.startswith(f"harvester: set.toml: {message}")
     assert not list((tmp_path / "build").glob("*.fmu"))

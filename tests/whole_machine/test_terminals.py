@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import zipfile
+from dataclasses import replace
 from itertools import combinations
 
 import pytest
 from lxml import etree
 
+from fmus.components.ports import lever
 from fmus.contract import quantities
 from fmus.export.interface import interface_of
 from fmus.export.model_description import terminals
@@ -71,10 +73,6 @@ def test_file_names_variables_of_the_fmu(fmi3_dir):
 
 def test_member_that_is_no_port_is_refused():
     """A terminal with a parameter or an unknown name is told in one line."""
-    from dataclasses import replace
-
-    from fmus.components.ports import lever
-
     sub = replace(ALL["swing"], terminals=(lever("grapple"),))
     with pytest.raises(Problem, match="grapple_lever: grapple_command is not an input or output"):
         terminals(sub, interface_of(sub, values(sub)))
