@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
-import pandas as pd
 import pytest
 from kit import shards
-from sweep.synthetic import ISHIGAMI, effects, every, finding, ishigami, ishigami_indices, results, uniform
+from sweep.synthetic import (
+    ISHIGAMI,
+    Function,
+    effects,
+    every,
+    finding,
+    ishigami,
+    ishigami_indices,
+    results,
+    uniform,
+)
 
 from orchestrator.base.text import display_unit
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import sentences
 from orchestrator.studies.analysis.results import FIRST, REGRESSION
 from orchestrator.studies.study import Choice
-
-THREE = [uniform(f"x{i}", 0.0, 1.0) for i in range(3)]
 
 UNIT = tuple(uniform(name, 0.0, 1.0) for name in ("x1", "x2", "x3"))
 TWO = Choice("swing", ("lumped", "detailed"))
@@ -24,7 +33,6 @@ TWO = Choice("swing", ("lumped", "detailed"))
 def test_first_order_indices_from_a_plain_sample(method: str) -> None:
     """RBD-FAST finds those of the Ishigami function, where a linear model sees a fifth; both are told."""
     found = finding(results(ishigami, ISHIGAMI, method, 1024))
-    assert found.sensitivity is not None
     for name, (first, _) in ishigami_indices().items():
         # 3 sd of 1024 samples; the bias of 10 harmonics is corrected to 0.01
         assert abs(effects(found)[name].estimates[FIRST].value - first) < 0.07
@@ -35,7 +43,6 @@ def test_first_order_indices_from_a_plain_sample(method: str) -> None:
 def test_a_small_sample_of_a_linear_function_is_enough() -> None:
     """Squared coefficients are the shares of the variance, and R^2 says that they may be believed."""
     found = finding(results(lambda x: 3 * x["x1"] + x["x2"], UNIT, "latin", 60))
-    assert found.sensitivity is not None
     assert found.sensitivity.reliable
     # exact but for correlations within 60 samples, of which the sd is 0.13
     assert effects(found)["x1"].estimates[REGRESSION].value == pytest.approx(0.9, abs=0.1)
@@ -45,17 +52,24 @@ def test_a_small_sample_of_a_linear_function_is_enough() -> None:
 def test_a_small_sample_of_a_bent_function_is_refused() -> None:
     """If the linear model does not fit, factors are not ranked."""
     found = finding(results(ishigami, ISHIGAMI, "latin", 60))
-    assert found.sensitivity is not None
     assert not found.sensitivity.reliable
     assert sentences(found)[0].startswith("The largest effect on peak cannot be found from 60 samples")
 
 
-def test_the_sentence_names_the_factor_its_share_and_the_direction() -> None:
-    """A factor that clearly leads is named with share, interval and direction."""
-    said = sentences(finding(results(lambda x: 3 * x["x1"] - x["x2"], UNIT, "saltelli", 256)))
-    assert said[0].startswith("peak depends most on x1: 9")
-    assert said[0].endswith("of its variance; it rises with it.")
-    assert said[1].startswith("Next: x2 1")
+@pytest.mark.parametrize(
+    ("function", "runs", "expected"),
+    [
+        # a factor that clearly leads is named with share, interval and direction
+        (lambda x: 3 * x["x1"] - x["x2"], 256, r"x1: 9.*of its variance; it rises with it\.\nNext: x2 1"),
+        # two leaders with intervals that overlap: neither is called the first
+        (lambda x: x["x1"] + 1.02 * x["x2"], 64, r"x.*do not show which of them has the larger effect\.$"),
+    ],
+    ids=["one", "two"],
+)
+def test_the_sentence_names_what_leads(function: Function, runs: int, expected: str) -> None:
+    """Only as far as the numbers support it."""
+    said = "\n".join(sentences(finding(results(function, UNIT, "saltelli", runs))))
+    assert re.match(f"peak depends most on {expected}", said, re.MULTILINE)
 
 
 def test_no_factor_stands_out_when_all_do_the_same() -> None:
@@ -63,13 +77,6 @@ def test_no_factor_stands_out_when_all_do_the_same() -> None:
     said = sentences(finding(results(lambda x: x["x1"] + x["x2"] + x["x3"], UNIT, "saltelli", 64)))
     assert said[0].startswith("No factor stands out for peak")
     assert "2 more cannot be distinguished from it" in said[0]
-
-
-def test_two_that_cannot_be_told_apart_are_named_together() -> None:
-    """Two leaders with intervals that overlap: neither is called the first."""
-    said = sentences(finding(results(lambda x: x["x1"] + 1.02 * x["x2"], UNIT, "saltelli", 64)))
-    assert said[0].startswith("peak depends most on x")
-    assert said[0].endswith("these runs do not show which of them has the larger effect.")
 
 
 def test_what_acts_together_is_told() -> None:
@@ -83,10 +90,8 @@ def test_a_constant_output_is_moved_by_nothing(method: str) -> None:
     """No indices are made of rounding errors."""
     found = finding(results(lambda x: 2e7 + 1e-6 * x["x1"], UNIT, method, 64))
     assert found.sensitivity is None
-    assert sentences(found) == [
-        f"peak is 200 bar in all {found.spread.runs if found.spread else 0} runs:"
-        " no factor has an effect on it."
-    ]
+    runs = found.spread.runs
+    assert sentences(found) == [f"peak is 200 bar in all {runs} runs: no factor has an effect on it."]
 
 
 def test_summaries_are_those_of_the_runs_that_ended() -> None:
@@ -94,7 +99,6 @@ def test_summaries_are_those_of_the_runs_that_ended() -> None:
     study = results(lambda x: x["x1"] * 1e6, UNIT, "latin", 100, [TWO], failed=every(10))
     found = finding(study)
     kept = study.table.loc[study.table["run"] % 10 != 0]
-    assert found.spread is not None
     assert found.spread.runs == len(kept) == 180
     assert found.spread.median == pytest.approx(kept["output:peak"].median(), rel=1e-12)  # rounding
     own = kept.loc[kept["choice:swing"] == "detailed", "output:peak"]
@@ -103,11 +107,10 @@ def test_summaries_are_those_of_the_runs_that_ended() -> None:
 
 def test_failed_runs_stand_with_reason_and_place() -> None:
     """Reasons are counted by option, and a factor that makes runs fail is named."""
-
-    def large(table: pd.DataFrame) -> np.ndarray:
-        return (table["factor:x2"] > 0.9).to_numpy()
-
-    found = analyse(results(lambda x: x["x1"], UNIT, "latin", 100, [TWO], failed=large))
+    large = results(
+        lambda x: x["x1"], UNIT, "latin", 100, [TWO], failed=lambda t: (t["factor:x2"] > 0.9).to_numpy()
+    )
+    found = analyse(large)
     assert [f.reason for f in found.failures] == ["state became inf at 0.4 s"]
     assert found.failures[0].count == 20
     assert found.failures[0].by_choice == {"swing": {"lumped": 10, "detailed": 10}}
@@ -156,7 +159,7 @@ def test_intervals_of_a_linear_model_hold_the_share() -> None:
     truth = np.array([1.0, 4.0, 9.0]) / 14.0
     held = np.zeros(3)
     for seed in range(20):
-        found = results(lambda x: x["x0"] + 2 * x["x1"] + 3 * x["x2"], THREE, "latin", 100, seed=seed)
-        shares = [effects(finding(found))[f.name].estimates[REGRESSION] for f in THREE]
+        found = results(lambda x: x["x1"] + 2 * x["x2"] + 3 * x["x3"], UNIT, "latin", 100, seed=seed)
+        shares = [effects(finding(found))[f.name].estimates[REGRESSION] for f in UNIT]
         held += [s.floor <= t <= s.ceiling for s, t in zip(shares, truth, strict=True)]
     assert (held >= 17).all()

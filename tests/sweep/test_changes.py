@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from kit.mistakes import table
 from sweep.studies import FACTOR, GAIN, resolved, study
 
@@ -28,54 +30,57 @@ unit = "mm"
 )
 OLD = FACTOR.partition("\n")[2]
 TEXT = MORE.replace(OLD, 'distribution = "values"\nvalues = [1, 2]\n').replace('[fixed]\n"gain.u" = 2\n', "")
+Told = Callable[[str, str], str]
 LIST = ", ".join(map(str, range(40)))
 
 
-def _changes(folder: Path, fmu: Path, one: str, other: str) -> str:
+@pytest.fixture
+def told(gain: Path, tmp_path: Path) -> Told:
     """The reported changes between two texts of a study."""
     for name in ("up", "down"):
-        (folder / f"{name}.csv").write_text("time,u\n0,0\n0.2,1\n")
-    old, new = (to_json(resolved(study(folder, text, fmu))) for text in (one, other))
-    return changes({"study": old, "files": {}}, {"study": new, "files": {}})
+        (tmp_path / f"{name}.csv").write_text("time,u\n0,0\n0.2,1\n")
+
+    def between(one: str, other: str) -> str:
+        old, new = (to_json(resolved(study(tmp_path, text, gain))) for text in (one, other))
+        return changes({"study": old, "files": {}}, {"study": new, "files": {}})
+
+    return between
 
 
 @table(__file__, "changes", "old, new, expected")
-def test_the_first_difference_is_told(gain: Path, tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_the_first_difference_is_told(told: Told, old: str, new: str, expected: str) -> None:
     """By the name of the item and the key in it, and never cut before the difference."""
     assert old in TEXT
-    assert _changes(tmp_path, gain, TEXT, TEXT.replace(old, new)) == expected
+    assert told(TEXT, TEXT.replace(old, new)) == expected
 
 
-def test_an_end_of_a_range_is_told_by_its_name(gain: Path, tmp_path: Path) -> None:
+def test_an_end_of_a_range_is_told_by_its_name(told: Told) -> None:
     """With the unit of the FMU; of another distribution its numbers go without saying."""
     one = GAIN.replace("gain.factor", "gain.offset")
     two = one.replace("minimum = 1", "minimum = 1.5")
-    assert _changes(tmp_path, gain, one, two) == 'factors."gain.offset".minimum was 1 m, is 1.5 m'
+    assert told(one, two) == 'factors."gain.offset".minimum was 1 m, is 1.5 m'
     other = one.replace(OLD, 'distribution = "normal"\nmean = 1\nsd = 3\n')
     expected = 'factors."gain.offset".distribution was "uniform", is "normal"'
-    assert _changes(tmp_path, gain, one, other) == expected
+    assert told(one, other) == expected
 
 
-def test_of_a_long_list_the_item_is_told(gain: Path, tmp_path: Path) -> None:
+def test_of_a_long_list_the_item_is_told(told: Told) -> None:
     """Or how long it was and is."""
     one = TEXT.replace("values = [1, 2]", f"values = [{LIST}]")
     two = one.replace(" 38,", " 38.5,")
-    assert _changes(tmp_path, gain, one, two) == 'factors."gain.factor".values[38] was 38, is 38.5'
+    assert told(one, two) == 'factors."gain.factor".values[38] was 38, is 38.5'
     two = one.replace(" 38,", "")
-    assert _changes(tmp_path, gain, one, two) == 'factors."gain.factor".values had 40 items, has 39'
+    assert told(one, two) == 'factors."gain.factor".values had 40 items, has 39'
 
 
-def test_another_order_of_factors_is_told(gain: Path, tmp_path: Path) -> None:
+def test_another_order_of_factors_is_told(told: Told) -> None:
     """The samples follow it."""
     first, second = ('[factors."gain.factor"]', '[factors."gain.offset"]')
     one = GAIN + f"\n{second}\n{OLD}"
     two = one.replace(first, "[factors.x]").replace(second, first).replace("[factors.x]", second)
-    assert (
-        _changes(tmp_path, gain, one, two)
-        == "the order of factors was gain.factor, gain.offset, is gain.offset, gain.factor"
-    )
+    assert told(one, two) == "the order of factors was gain.factor, gain.offset, is gain.offset, gain.factor"
 
 
-def test_equal_studies_have_no_difference(gain: Path, tmp_path: Path) -> None:
+def test_equal_studies_have_no_difference(told: Told) -> None:
     """No change is reported."""
-    assert _changes(tmp_path, gain, TEXT, TEXT) == ""
+    assert told(TEXT, TEXT) == ""

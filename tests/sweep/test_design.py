@@ -124,10 +124,12 @@ def test_a_grid_has_every_combination_once():
     assert list(rows.itertuples(index=False, name=None)) == expected
 
 
-def test_values_are_equally_likely():
-    """Of 48 stratified samples each of three values has 16."""
-    counts = table(made("latin", 48, factors=(VALUES,)))["factor:a.v"].value_counts()
-    assert counts.to_dict() == {1.0: 16, 2.0: 16, 5.0: 16}
+def test_values_and_sampled_options_are_equally_likely():
+    """Of 48 stratified samples each of three values has 16; a sampled choice multiplies no runs."""
+    arm = Choice("arm", ("x", "y", "z"), sampled=True)
+    rows = table(made("latin", 48, factors=(VALUES,), choices=(arm,)))
+    assert rows["factor:a.v"].value_counts().to_dict() == {1.0: 16, 2.0: 16, 5.0: 16}
+    assert rows["choice:arm"].value_counts().to_dict() == {"x": 16, "y": 16, "z": 16}
 
 
 def test_choices_are_crossed_with_every_sample():
@@ -139,12 +141,6 @@ def test_choices_are_crossed_with_every_sample():
     assert [tuple(g.index) for g in groups] == [tuple(range(k, k + 4)) for k in range(0, 24, 4)]
     for group in groups:
         assert np.array_equal(group.filter(like="factor:"), groups[0].filter(like="factor:"))
-
-
-def test_a_sampled_choice_is_a_dimension_of_its_own():
-    """It multiplies no runs, and each option is as likely."""
-    rows = table(made(runs=12, choices=(Choice("arm", ("x", "y", "z"), sampled=True),)))
-    assert rows["choice:arm"].value_counts().to_dict() == {"x": 4, "y": 4, "z": 4}
 
 
 def test_without_factors_each_combination_is_run_once():

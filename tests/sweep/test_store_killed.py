@@ -123,10 +123,3 @@ def test_an_interrupt_while_the_processes_start(long, tmp_path):
         tmp_path.mkdir()
     assert process.returncode == 130, wrong
     assert wrong.splitlines()[-1].startswith(f"harvester: interrupted; 0 of {RUNS} runs are stored")
-
-
-def test_one_worker_and_two_have_the_same_content(long, one):
-    """Byte by byte."""
-    file, undisturbed = long
-    run(file, one, "alone")
-    assert content(file.parent / "alone") == undisturbed

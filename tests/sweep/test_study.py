@@ -1,15 +1,17 @@
-"""STUDY.toml: what it says is understood, mistakes are told in one line."""
+"""Studies in files and in Python: what they say is understood, mistakes are told in one line."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
-from kit.mistakes import table
-from sweep.studies import FACTOR, FAILS, GAIN, machine, refused, resolved, run, study
+from kit.mistakes import problem, table
+from sweep.studies import FACTOR, FAILS, GAIN, content, machine, refused, resolved, run, study
 
 from orchestrator.ssp import system
-from orchestrator.studies import store
+from orchestrator.studies import Choice, Factor, Output, Study, read_results, read_study, store, sweep
+from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.study import Choice, Factor, Output, Study, read
 
 UP = "time,u\n0,0\n0.2,1\n"
 BENT = '[choices]\ngain = ["gain.fmu", "bent.fmu"]\n'
@@ -116,7 +118,7 @@ def test_a_name_that_a_variant_lacks_costs_no_search(offset, monkeypatch):
     text, file = offset
     file.write_text(text + BENT, encoding="utf-8")
     monkeypatch.setattr(system, "suggest", lambda *_: pytest.fail("a search"))
-    inputs, _ = prepare(read(file)).inputs()
+    inputs, _ = prepare(read_study(file)).inputs()
     assert inputs["start:gain.offset"].null_count == 12
 
 
@@ -145,3 +147,73 @@ def test_what_the_refusal_advises_is_accepted(fmu_dir, tmp_path):
     (tmp_path / "rest.csv").write_text("time,boom_stick.boom_command\n0,0\n", encoding="utf-8")
     found = resolved(file, file.read_text("utf-8") + '[choices]\nscenario = "rest.csv"\n')
     assert found.fixed_choices[0].options == ("rest.csv",)
+
+
+# ---- in Python
+
+
+@pytest.fixture
+def in_python(gain) -> Study:
+    """The study of the gain in Python."""
+    return Study(
+        "A gain",
+        str(gain),
+        runs=12,
+        seed=3,
+        stop=0.2,
+        step=0.01,
+        factors=(Factor("gain.factor", "uniform", {"minimum": 1, "maximum": 3}),),
+        outputs=(Output("end", "gain.y", "final", band=True),),
+        fixed={"gain.u": (200, "cm")},
+    )
+
+
+def test_python_and_file_give_the_same_results(in_python, gain, one, tmp_path):
+    """Byte by byte: units and names of outputs come from the FMU in both."""
+    text = GAIN.replace('"gain.fmu"', f'"{gain.as_posix()}"')
+    run(study(tmp_path, text, gain), one, "file")
+    results = sweep(in_python, tmp_path / "python", client=one)
+    assert content(tmp_path / "python") == content(tmp_path / "file")
+    assert results.study == resolved(tmp_path / "study.toml")
+    assert read_results(tmp_path / "python").table.equals(results.table)
+    assert not (tmp_path / "python" / "study.toml").exists()
+
+
+def test_a_resolved_study_is_resolved(in_python):
+    """Its numbers are in the units of the FMUs already."""
+    first = resolve(in_python)[0]
+    assert resolve(first)[0] == first
+    assert first.fixed == {"gain.u": 2.0}
+
+
+# what a file is told of when it is read, and one mistake that file and Python share
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"method": "latim"}, "method: expected one of latin, sobol, grid, saltelli, morris, got 'latim'"),
+        ({"runs": 0}, "runs: expected a whole number of at least 1, got 0"),
+        ({"outputs": (Output("end", "gain.y", "last"),)}, "outputs.end: measure: expected one of maximum"),
+        ({"method": "grid", "runs": 0}, "distribution: expected values, as the method is grid"),
+        ({"fixed": {"gain.w": 1.0}}, "unknown variable 'gain.w'"),
+    ],
+    ids=str,
+)
+def test_mistakes_name_the_study(in_python, changed, expected):
+    """In one line, by the title of the study."""
+    line = problem(lambda: resolve(replace(in_python, **changed)))
+    assert line.startswith("study 'A gain': ")
+    assert expected in line
+
+
+@pytest.mark.parametrize(
+    ("distribution", "numbers", "expected"),
+    [
+        ("even", {"minimum": 1, "maximum": 3}, "distribution: expected one of uniform, normal"),
+        ("normal", {"mean": 1, "sd": 0}, "sd: expected a positive number, got 0"),
+        ("values", {"values": [1, 1]}, "values: expected different numbers, got [1, 1]"),
+    ],
+)
+def test_a_factor_refuses_impossible_numbers(distribution, numbers, expected):
+    """When it is made."""
+    line = problem(lambda: Factor("gain.factor", distribution, numbers))
+    assert line.startswith(f'factors."gain.factor": {expected}')

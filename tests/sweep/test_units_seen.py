@@ -18,13 +18,9 @@ from orchestrator.studies.report.study_page import distribution_text
 @pytest.mark.parametrize(
     ("unit", "largest", "shown", "scale"),
     [
-        ("m", 0.00492, "mm", 1e3),
-        ("m", -0.05, "mm", 1e3),
-        ("m", 0.5, "m", 1.0),
-        ("m/s", 0.02, "mm/s", 1e3),
-        ("Pa", 1.2631e7, "bar", 1e-5),
-        ("Pa", 0.01, "bar", 1e-5),
-        ("", 0.01, "", 1.0),
+        *(("m", 0.00492, "mm", 1e3), ("m", -0.05, "mm", 1e3), ("m", 0.5, "m", 1.0)),
+        *(("m/s", 0.02, "mm/s", 1e3), ("", 0.01, "", 1.0)),
+        *(("Pa", 1.2631e7, "bar", 1e-5), ("Pa", 0.01, "bar", 1e-5)),
     ],
 )
 def test_the_unit_follows_from_the_largest_number(

@@ -20,12 +20,7 @@ from orchestrator.data.trace import Trace
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.motion import MachineMotion
 from orchestrator.results.validation import Validation, validate
-from orchestrator.results.validation_report import (
-    Report,
-    ReportedComponent,
-    ReportedParameter,
-    write_report,
-)
+from orchestrator.results.validation_report import Report, ReportedComponent, ReportedParameter, write_report
 
 VOID = {"meta", "link", "br", "input", "img"}
 
@@ -59,15 +54,12 @@ def report(outcome: Validation, trace: Trace) -> Report:
     """A report with everything in it."""
     tip = np.column_stack((np.cos(trace["shaft.angle"]), np.sin(trace["shaft.angle"]), trace.time * 0 + 1))
     motion = MachineMotion(trace.time, {"foot": np.zeros_like(tip), "tip": tip})
+    rows = PanelSpec("Command", ("pump.command",)), PanelSpec("Angle", ("shaft.angle",))
+    pressure = (PanelSpec("Pressure", ("pump.pressure",)),)
     return Report(
         "Shaft & pump",
         outcome,
-        figures=(
-            FigureSpec(
-                "Shaft", (PanelSpec("Command", ("pump.command",)), PanelSpec("Angle", ("shaft.angle",)))
-            ),
-            FigureSpec("Pump", (PanelSpec("Pressure", ("pump.pressure",)),), caption="Taken at the <port>."),
-        ),
+        figures=(FigureSpec("Shaft", rows), FigureSpec("Pump", pressure, caption="Taken at the <port>.")),
         trace=trace,
         facts={"system": "shaft.ssp", "communication step [s]": 1e-3, "stopped early": False},
         components=(ReportedComponent("pump", "pump.fmu", version="1.2", guid="{1-2-3}", fmi="2.0"),),
