@@ -304,14 +304,13 @@ def steps_of(errors: Mapping[float, float]) -> CoSimulate:
     ],
 )
 def test_the_step_is_halved_until_the_estimate_holds(errors, step, note):
-    """Order 4; too large first steps; errors that stop to fall; a run at half the step that fails."""
+    """Order 4; too large first steps; errors that stop to fall; a run at half the step that fails.
+
+    A co-simulation that never works ends with its own message.
+    """
+    with pytest.raises(RunFailed, match="diverged"):
+        tightened(steps_of({}), 1.0, 1e-5, "because")
     result = tightened(steps_of(errors), 1.0, 1e-5, "because")
     assert result.card.step == step
     assert note in result.card.notes[-1]
     assert result.card.notes[-1].endswith("reason: because")
-
-
-def test_a_co_simulation_that_never_works_is_told():
-    """With its own message."""
-    with pytest.raises(RunFailed, match="diverged"):
-        tightened(steps_of({}), 1.0, 1e-5, "because")

@@ -102,19 +102,13 @@ def pushed(moving):
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
-def test_output_times_are_hit_to_the_last_bit(pushed, master):
-    """Only the points start + n * step of the record step are recorded, exact in floating point."""
+def test_output_times_and_corners_are_hit_to_the_last_bit(pushed, master):
+    """Only the points start + n * step of the record step are recorded; without it all points."""
     system, scenario = pushed
     coupling = Coupling(master, 2, adaptive=1e-4)
     trace = run(system, scenario, master=coupling, start=0.05, stop=0.95, record_step=0.09).trace
     np.testing.assert_array_equal(trace.time, 0.05 + np.arange(11) * 0.09)
-
-
-@pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
-def test_corners_are_communication_points_to_the_last_bit(pushed, master):
-    """A communication point is at each corner; without a record step all points are recorded."""
-    system, scenario = pushed
-    time = run(system, scenario, master=Coupling(master, 2, adaptive=1e-4)).trace.time
+    time = run(system, scenario, master=coupling).trace.time
     assert set(CORNERS) <= set(time.tolist())
     assert (np.diff(time) > 0).all()
 

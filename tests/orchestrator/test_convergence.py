@@ -139,7 +139,7 @@ def test_instants_between_the_samples_of_a_reference_do_not_count(folder, moving
 
 
 def test_the_worst_signal_counts(moving, truth):
-    """The error of a group is that of its worst signal, over the range of the truth."""
+    """The error of a group is that of its worst signal, over the range of the truth, in any unit."""
     (row,) = run_settings(moving, truth, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
     trace = run(moving, master="jacobi", step=1e-2, stop=1.0).trace
     shares = []
@@ -147,17 +147,10 @@ def test_the_worst_signal_counts(moving, truth):
         apart = trace[signal.name] - signal.values[::10]
         shares.append(np.sqrt(np.mean(apart**2)) / np.ptp(signal.values))
     assert row.error("position") == pytest.approx(max(shares), rel=1e-12)  # rounding
-
-
-def test_units_of_a_reference_are_converted(moving, truth):
-    """A truth in millimetres gives the same shares."""
     signals = {s.name: 1e3 * s.values for s in truth.groups["position"]}
     small = from_run("exact", Trace(truth.time, signals, dict.fromkeys(signals, "mm")))
-    metres, millimetres = (
-        next(run_settings(moving, t, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)).error("position")
-        for t in (truth, small)
-    )
-    assert millimetres == pytest.approx(metres, rel=1e-9)  # rounding
+    (same,) = run_settings(moving, small, choose(["jacobi order 0"]), (1e-2,), 1, stop=1.0)
+    assert same.error("position") == pytest.approx(row.error("position"), rel=1e-9)  # rounding
 
 
 def test_signals_at_rest_are_left_out():
@@ -209,7 +202,10 @@ def test_the_command_prints_and_writes(capsys):
 
 @pytest.mark.usefixtures("folder")
 def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
-    """A note names that run; errors against it are about those against the exact solution."""
+    """A note names that run; errors against it are about those against the exact solution.
+
+    Stop time and start values count, and nothing is held against the solution for other values.
+    """
     options = ["two.ssp", "--steps", "0.01", "--masters", "jacobi order 0", "--signals", "*.x"]
     assert main(["convergence", *options]) == 0
     assert "no reference for this run: hermite at 5 ms, half the smallest step" in capsys.readouterr().out
@@ -218,16 +214,9 @@ def test_without_a_reference_the_finest_hermite_run_takes_its_place(capsys):
     known = numbers()["runs"][0]["errors"]["*.x"]["signals"]["a.x"]["nrmse"]
     # hermite at 5 ms is off by less than 1e-4 of the range, jacobi by 0.1; the instants differ
     assert own == pytest.approx(known, rel=0.1)
-
-
-@pytest.mark.usefixtures("folder")
-def test_options_of_a_run_reach_the_runs():
-    """Stop time and start values count, and nothing is held against the solution for other values."""
-    options = ["--steps", "0.01", "--masters", "jacobi order 0", "--stop", "0.3", "--set", "a.mass=2"]
-    assert main(["convergence", "two.ssp", *options]) == 0
-    found = numbers()
-    assert found["reference"] == "hermite at 5 ms"
-    assert found["runs"][0]["simulated [s]"] == pytest.approx(0.3)  # rounding
+    assert main(["convergence", *options, "--stop", "0.3", "--set", "a.mass=2"]) == 0
+    assert numbers()["reference"] == "hermite at 5 ms"
+    assert numbers()["runs"][0]["simulated [s]"] == pytest.approx(0.3)  # rounding
 
 
 @pytest.mark.usefixtures("folder")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from kit.any_fmu.models import LATE, RAMP, oscillator_of
-from kit.any_fmu.outcome import OPENERS, in_python
+from kit.any_fmu.outcome import in_python
 
 from orchestrator import assemble, run
 from orchestrator.base.coupling import Coupling
@@ -53,13 +53,12 @@ def test_passes_have_a_limit(moving):
     assert (card.steps, card.passes) == (10, 50)
 
 
-@pytest.mark.parametrize("in_c", [False, True])
-def test_a_chain_takes_one_pass(fmus, in_c):
+def test_a_chain_takes_one_pass(fmus, both):
     """Without feedback sources step first, and the first pass is final."""
     files = {"sum": fmus.make("fails", "last", interpolates=True), "sine": fmus["source"]}
-    system = assemble(files, ["sine.y -> sum.u"])
-    master = Coupling("hermite", guard=0, tolerance=1e-14)
-    card = run(system, master=master, step=0.1, stop=1.0, record=["sum.y"], open=OPENERS[in_c]).card
+    card = both(
+        assemble(files, ["sine.y -> sum.u"]), Coupling("hermite", guard=0, tolerance=1e-14)
+    ).result.card
     assert card.passes == card.steps == 10
 
 

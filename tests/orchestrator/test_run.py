@@ -88,15 +88,11 @@ def test_time_does_not_drift():
     assert mock.span == (0.1, result.trace.time[-1])
 
 
-def test_time_starts_where_it_is_told(fmus):
-    """A sine that begins at 3 s; the FMU checks times without tolerance."""
+def test_time_starts_and_ends_where_it_is_told(fmus):
+    """A sine that begins at 3 s, in an FMU that checks times without tolerance; the end is a whole step."""
     trace = run(str(fmus["source"]), step=0.1, start=3.0, stop=63.0).trace
     # same argument, another library's sine: a few ulp
     np.testing.assert_allclose(trace["source.y"], np.sin(trace.time), atol=1e-15)
-
-
-def test_a_time_that_is_no_multiple_of_the_step_is_told():
-    """The run ends at the last whole step."""
     result, _ = mocked(step=0.1, stop=0.25)
     np.testing.assert_array_equal(result.trace["m.y"], [0, 1, 2])
     assert result.card.notes == ("0.25 s is not a multiple of the step: the run ends at 0.2 s",)
@@ -125,11 +121,14 @@ def test_outputs_exist_at_the_first_instant(fmus):
     assert run(chain, step=0.5, stop=1.0).trace["q.y"][0] == 6.0
 
 
-def test_chosen_signals_are_recorded_in_order(oscillator):
-    """Also parameters and inputs."""
+def test_chosen_signals_are_recorded_in_order(oscillator, fmus):
+    """Also parameters and inputs; by default outputs, and inputs that nothing feeds."""
     trace = run(oscillator, step=0.01, stop=0.02, record=["b.force", "a.mass", "a.x"]).trace
     assert list(trace.signals) == ["b.force", "a.mass", "a.x"]
     np.testing.assert_array_equal(trace["a.mass"], 1.0)
+    trace = run(str(fmus["gain"]), step=0.5, stop=1.0, set={"u": 3.0}).trace
+    assert list(trace.signals) == ["gain.y", "gain.u"]
+    np.testing.assert_array_equal(trace["gain.u"], 3.0)
 
 
 def test_outside_its_scenario_a_run_holds_the_first_and_last_values(fmus):
@@ -239,14 +238,6 @@ def test_an_estimate_of_nothing_is_told():
     """A system at rest has no error estimate."""
     result, _ = mocked(kind=Resting, step=0.5, stop=2.0, error_estimate=True)
     assert result.card.notes == ("no error estimate: no output changes",)
-
-
-def test_inputs_of_the_system_are_recorded_though_nothing_feeds_them(fmus):
-    """At their start value; chosen signals stay the chosen ones."""
-    trace = run(str(fmus["gain"]), step=0.5, stop=1.0, set={"u": 3.0}).trace
-    assert list(trace.signals) == ["gain.y", "gain.u"]
-    np.testing.assert_array_equal(trace["gain.u"], 3.0)
-    assert list(run(str(fmus["gain"]), step=0.5, stop=1.0, record=["gain.y"]).trace.signals) == ["gain.y"]
 
 
 def test_a_failure_at_half_the_step_keeps_the_run():
