@@ -5,7 +5,7 @@ import pytest
 
 from orchestrator.results.iso18571 import rate
 
-N = 101  # a tenth and a fifth of it are no whole numbers of samples
+N = 104  # a tenth and a fifth of it are no whole numbers of samples
 TIME = np.linspace(0.0, 4.0, N)
 
 
@@ -41,6 +41,8 @@ CASES = {
     "another shape": (pulse(tail=0.6), pulse(tail=-0.3)),
     "offset": (pulse(tail=0.2) + 0.3, pulse(tail=0.2)),
     "upside down": (-pulse(tail=0.3), pulse(tail=0.3)),
+    # the second pulse is further away than time may be warped
+    "second late": (pulse() - pulse(0.4, 2.0), pulse() - pulse(0.4, 1.5)),
     "noisy": (pulse(tail=0.2) + np.random.default_rng(3).normal(0.0, 0.05, N), pulse(tail=0.2)),
 }
 
