@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit.equations import Part
 from kit.fmu import driving
 from kit.mistakes import table
 
@@ -56,21 +57,6 @@ def test_numbers_that_stand_in_two_files_are_the_same():
     for name in ("boom_stroke", "stick_stroke"):
         assert manipulator.p[name] == boom_stick.p[name]
     assert swing.u["supply_pressure"] == boom_stick.u["supply_pressure"]
-
-
-def test_derived_numbers_follow_from_their_formulas():
-    """Hose inertance, capacitance and resistance are what length, bore and oil give."""
-    p, diameter = values(BOOM_STICK).p, 0.75 * 0.0254
-    for name, length in (("boom", 3.0), ("stick", 4.0)):
-        area = math.pi / 4 * diameter**2
-        # exact identity: rounding only; abs=0, as a capacitance is smaller than the default of 1e-12
-        assert p[f"{name}_hose_inertance"] == pytest.approx(970.0 * length / area, rel=1e-12)
-        assert p[f"{name}_hose_capacitance"] == pytest.approx(area * length / 1.6e9, rel=1e-12, abs=0)
-        assert p[f"{name}_hose_resistance"] == pytest.approx(3.2e10 * length / 4, rel=1e-12)
-    s = values(SWING).p
-    assert s["line_resistance"] == pytest.approx(128 * 0.02 / (math.pi * diameter**4), rel=1e-12)
-    # the motor's volume is stated with four digits
-    assert s["line_capacitance"] == pytest.approx(1.5e-3 / 1.6e9, rel=5e-5, abs=0)
 
 
 @pytest.mark.parametrize(
@@ -155,15 +141,13 @@ def test_formulas_named_in_notes_give_the_numbers():
 
 def test_start_values_of_the_parts_belong_to_one_pose():
     """What boom_stick and manipulator start from when alone is x(q) and G(q)/J of the nominal pose."""
-    s, v = symbolic(MANIPULATOR), values(MANIPULATOR)
-    x, *known = (list(group.values()) for group in (v.x, v.u, v.p))
-    outputs = s.function()(s.initial()(x, *known), *known)[1].full()[:, 0]
-    y, start = dict(zip(quantities(MANIPULATOR.outputs), outputs, strict=True)), values(BOOM_STICK).u
+    arm, start = Part(MANIPULATOR), values(BOOM_STICK).u
+    _, y = arm(arm.start())
     for joint in ("boom", "stick"):
         # stated with nine digits
         assert start[f"{joint}_position"] == pytest.approx(y[f"{joint}_position"], rel=1e-8)
         assert start[f"{joint}_holding_force"] == pytest.approx(y[f"{joint}_holding_force"], rel=1e-8)
-        assert v.u[f"{joint}_force"] == start[f"{joint}_holding_force"]
+        assert arm.u[f"{joint}_force"] == start[f"{joint}_holding_force"]
 
 
 def test_printed_hose_resistance_is_read_as_a_reciprocal_near_blasius():

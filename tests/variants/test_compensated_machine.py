@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from kit import shards
-from kit.equations import in_pose, machine, played
+from kit.equations import Part, in_pose, machine, played
 
-from fmus.contract import quantities, symbolic
+from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
 
@@ -44,22 +44,19 @@ SIMPLE = {
 
 @cache
 def lowering():
-    """(pressures, openings and speed; load, position, parameters) -> (rates and force balance, Jacobian)."""
-    s = symbolic(SUB)
-    x = dict(zip(quantities(SUB.states), ca.vertsplit(s.x), strict=True))
-    u = dict(zip(quantities(SUB.inputs), ca.vertsplit(s.u), strict=True))
-    rates = dict(zip(quantities(SUB.states), ca.vertsplit(s.dx), strict=True))
-    force = dict(zip(quantities(SUB.outputs), ca.vertsplit(s.y), strict=True))["boom_force"]
+    """(pressures, openings, speed; the others; parameters, load, mass) -> (rates, force balance), Jacobian.
+
+    With the names of the others, states and inputs.
+    """
+    part = Part(SUB)
+    x, u, y = (part.expressions[k] for k in "xuy")
     load, mass = ca.SX.sym("load"), ca.SX.sym("mass")
     unknown = ca.vertcat(*(x[n] for n in STATES), u["boom_velocity"])
-    equations = ca.vertcat(*(rates[n] for n in STATES), (force - load) / mass)
-    others = [x[n] for n in x if n not in STATES] + [u[n] for n in u if n != "boom_velocity"]
-    return (
-        ca.Function(
-            "f", [unknown, ca.vertcat(*others), s.p, load, mass], [equations, ca.jacobian(equations, unknown)]
-        ),
-        [n for n in x if n not in STATES] + [n for n in u if n != "boom_velocity"],
-    )
+    rates = ca.vertcat(*(part.model.dx[part.at(n)] for n in STATES))
+    equations = ca.vertcat(rates, (y["boom_force"] - load) / mass)
+    others = {n: v for n, v in (x | u).items() if n not in (*STATES, "boom_velocity")}
+    known = [unknown, ca.vertcat(*others.values()), part.model.p, load, mass]
+    return ca.Function("f", known, [equations, ca.jacobian(equations, unknown)]), list(others)
 
 
 def steady(p, command, position, load, mass):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import Part
 from kit.properties import examples
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -19,7 +20,7 @@ from fmus.boom_stick.detailed import default_lumps, detailed, line
 from fmus.components import hose
 from fmus.components.chamber import Fluid
 from fmus.components.hose import Line, lumps_needed
-from fmus.contract import quantities, symbolic
+from fmus.contract import quantities
 from fmus.parameters import values
 
 # the hose of verification cases V02, V11, V19: 4 m of 3/4 in, rigid wall, no air
@@ -151,12 +152,9 @@ def test_default_hoses_have_the_default_lumps():
 
 def linearised(lumps: int) -> tuple[np.ndarray, dict[str, float]]:
     """df/dx of boom_stick with closed valves, locked pistons, no air and hardly any friction."""
-    sub = detailed(lumps)
-    s, v = symbolic(sub), values(sub)
-    p = dict(v.p) | {"air_share": 0.0, "viscosity": 1e-7, "hose_wall_modulus": 1e9}
-    rest = {n: WORK if "pressure" in n else 0.0 for n in quantities(sub.states)}
-    at = (list(rest.values()), list(v.u.values()), list(p.values()))
-    return ca.Function("J", [s.x, s.u, s.p], [ca.jacobian(s.dx, s.x)])(*at).full(), p
+    part = Part(detailed(lumps), air_share=0.0, viscosity=1e-7, hose_wall_modulus=1e9)
+    rest = [WORK if "pressure" in n else 0.0 for n in part.states]
+    return part.of(ca.jacobian(part.model.dx, part.model.x))(rest)[0], part.p
 
 
 def hose_modes(p: dict[str, float]) -> np.ndarray:
