@@ -45,14 +45,8 @@ def excitation():
 def effects(excitation):
     """Change of angles, pressures and flows by each effect."""
     signals = ("angle", "pressure", "pressure_a", "pressure_b", "flow_a", "head_flow")
-    return {
-        effect: {
-            name: y
-            for name, y in change.items()
-            if name.rsplit("_", 1)[-1] in signals or name.endswith(signals)
-        }
-        for effect, change in effect_changes(excitation, {}).items()
-    }
+    changes = effect_changes(excitation, {})
+    return {e: {n: y for n, y in change.items() if n.endswith(signals)} for e, change in changes.items()}
 
 
 def noisy(change, share, seed=0):
@@ -64,7 +58,7 @@ def noisy(change, share, seed=0):
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_the_effect_in_the_residual_is_identified(effects, effect):
-    """One effect plus as much noise: its name, its strength and its share are right."""
+    """One effect plus as much noise: its name, its share and its strength are right."""
     explanation = explain(noisy(effects[effect], 1.0), effects, step=STEP)
     assert explanation.effect == effect
     assert effect in explanation.verdict
@@ -73,11 +67,6 @@ def test_the_effect_in_the_residual_is_identified(effects, effect):
     assert share.alone == pytest.approx(0.5, abs=0.08)
     # standard deviation of the strength: noise over signal over root of samples, 1 / sqrt(400 * 10)
     assert share.coefficient == pytest.approx(1.0, abs=0.06)
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_twice_the_effect_is_twice_as_strong(effects, effect):
-    """The strength is relative to the effect of the variant."""
     doubled = {n: 2 * y for n, y in effects[effect].items() if np.std(y) > 0}
     # exact identity: rounding only
     assert explain(doubled, effects, step=STEP).shares[0].coefficient == pytest.approx(2.0, rel=1e-9)
@@ -95,39 +84,37 @@ def test_white_noise_shows_no_effect(effects):
     assert explanation.together < 0.02
 
 
-def test_a_residual_within_the_noise_of_the_sensors_is_left_out(effects):
-    """A signal with a residual as large as its sensor's noise is left out, also if no signal remains."""
-    change = effects["swinging head"]
-    residual = noisy(change, 0.0)
+@pytest.mark.parametrize("why", ["noise", "small"])
+def test_a_small_residual_is_left_out(effects, why):
+    """A residual as large as the sensor's noise, or small for the signal's range, needs no explanation."""
+    residual = noisy(effects["swinging head"], 0.0)
     size = {n: float(np.sqrt(np.mean(y**2))) for n, y in residual.items()}
-    explanation = explain(residual, effects, step=STEP, noise=size)
+    limits = {"noise": size} if why == "noise" else {"small": dict.fromkeys(residual, np.inf)}
+    explanation = explain(residual, effects, step=STEP, **limits)
     assert explanation.quiet == tuple(residual)
     assert (explanation.effect, explanation.shares) == ("", ())
     assert explanation.verdict.startswith("Nothing is left to explain")
-    assert "range" not in explanation.verdict
+    assert (
+        ("0.1 % of its range" in explanation.verdict) == ("range" in explanation.verdict) == (why == "small")
+    )
 
 
-def test_a_small_residual_needs_no_effect(effects):
-    """A residual above the noise, but small for the range of the signal, needs no explanation."""
-    residual = noisy(effects["swinging head"], 0.0)
-    explanation = explain(residual, effects, step=STEP, small=dict.fromkeys(residual, np.inf))
-    assert (explanation.effect, explanation.shares) == ("", ())
-    assert "0.1 % of its range" in explanation.verdict
+@pytest.fixture(scope="module")
+def slope(excitation):
+    """Change of the signals by the damping of the swing."""
+    return sensitivities(excitation, {DAMPING: 300.0}, [DAMPING])
 
 
-def test_the_part_of_the_parameters_is_not_an_effect(excitation, effects):
+def test_the_part_of_the_parameters_is_not_an_effect(slope, effects):
     """The residual of a wrong damping is attributed to the parameters."""
-    parameters = {DAMPING: 300.0}
-    slope = sensitivities(excitation, parameters, [DAMPING])
     explanation = explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
     assert explanation.effect == ""
     # noise is a hundredth of the power, and the damping explains the rest
     assert explanation.parameters == pytest.approx(0.99, abs=0.01)
 
 
-def test_an_effect_is_identified_next_to_the_parameters(excitation, effects):
+def test_an_effect_is_identified_next_to_the_parameters(slope, effects):
     """Dry friction resembles damping in part; the rest is still attributed to it."""
-    slope = sensitivities(excitation, {DAMPING: 300.0}, [DAMPING])
     residual = noisy(effects["dry friction"], 0.2)
     explanation = explain(residual, effects, step=STEP, absorbed=slope)
     assert explanation.effect == "dry friction"

@@ -33,48 +33,30 @@ def test_the_page_needs_no_network(text):
     assert "<script" not in render(page())
 
 
+SHOWN = (
+    "Simulated data (virtual test rig), not FERIC data",
+    *("40.10", "39.90 to 40.30", "+0.25 %"),  # valve area in mm2, its interval, change
+    *("1 of 30 steps is masked.", "head_mass: the data leave it open by 80 %.", "1 sample clipped."),
+    *("2 of 3 random starts lead to the same result", "123", "0.61 %", "swinging head", "quiet_one"),
+    "harvester build --parameters parameters.toml",
+)
+
+
 def test_the_page_has_all_sections(text):
-    """Sections, parameters, remarks, refinement, residual, quality, commands."""
+    """Sections with what they show; each entry of the contents has its section, and each id is unique."""
     tree = html.fromstring(text)
     sections = {s.get("id") for s in tree.iter("section")}
-    expected = {"parameters", "hose_resistance", "refinement", "residual", "trace-1", "data", "next"}
-    assert sections == expected
-    shown = tree.text_content()
-    for expected_text in (
-        "Simulated data (virtual test rig), not FERIC data",
-        "40.10",  # valve area in mm2, interval 39.90 to 40.30
-        "39.90 to 40.30",
-        "+0.25 %",
-        "1 of 30 steps is masked.",
-        "head_mass: the data leave it open by 80 %.",
-        "2 of 3 random starts lead to the same result",
-        "123",
-        "0.61 %",
-        "swinging head",
-        "quiet_one",
-        "1 sample clipped.",
-        "harvester build --parameters parameters.toml",
-    ):
-        assert expected_text in shown, expected_text
-
-
-def test_links_of_the_page_have_targets(text):
-    """Every entry of the contents has its section, and every id is unique."""
-    tree = html.fromstring(text)
+    assert sections == {"parameters", "hose_resistance", "refinement", "residual", "trace-1", "data", "next"}
+    assert [expected for expected in SHOWN if expected not in tree.text_content()] == []
     ids = [e.get("id") for e in tree.iter() if e.get("id")]
     assert len(ids) == len(set(ids))
-    for a in tree.iter("a"):
-        assert a.get("href")[1:] in ids
+    assert {a.get("href")[1:] for a in tree.iter("a")} <= set(ids)
 
 
-def test_texts_are_escaped(text):
-    """A remark is text, not markup."""
+def test_texts_are_escaped_and_figures_follow_the_theme(text):
+    """A remark is text, not markup; colours are variables of the page: a dark page has light lines."""
     assert "A &lt;b&gt;remark&lt;/b&gt; &amp; more." in text
     assert "Area of &lt;all&gt; edges" in text
-
-
-def test_figures_follow_the_theme(text):
-    """Colours of the figures are variables of the page, so that a dark page has light lines."""
     assert "var(--fig-ink, #1c2024)" in text
     assert re.search(r"color: #1c2024|stroke: #1c2024", text) is None
 
@@ -106,25 +88,19 @@ def test_one_parameter_has_no_correlation():
 
 
 def test_values_are_written_in_si(tmp_path):
-    """The JSON file has the values of the page in SI units, and is valid JSON."""
-    shown = page(explanation=None, results=(result(estimates=(), others=(AREA,)),))
+    """The JSON file has the values of the page in SI units, and null for an open end of an interval."""
+    endless = Estimate("a", 1.0, "1", np.inf, -np.inf, np.inf, "")
+    shown = page(explanation=None, results=(result(estimates=(endless,), others=(AREA,)),))
     written, data = write_page(tmp_path / "new", shown)
     assert (written.name, data.name) == ("identification.html", "identification.json")
-    found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
+    found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)  # of Infinity and NaN
     estimate = found["parameters"][0]["estimate"]
     assert (estimate["value"], estimate["unit"], estimate["low"]) == (4.01e-5, "m2", 3.99e-5)
     assert found["refinement"]["correlation"][0][1] == 0.9
     assert found["findings"][0]["others"][0]["name"] == "valve_area"
+    assert found["findings"][0]["estimates"][0]["high"] is None
     assert "panels" not in found["findings"][0]
     assert found["explanation"] is None
-
-
-def test_what_is_not_finite_is_null(tmp_path):
-    """An open interval is null, because Infinity is not valid JSON."""
-    endless = Estimate("a", 1.0, "1", np.inf, -np.inf, np.inf, "")
-    _, data = write_page(tmp_path, page(results=(result(estimates=(endless,)),)))
-    found = json.loads(data.read_text(encoding="utf-8"), parse_constant=pytest.fail)
-    assert found["findings"][0]["estimates"][0]["high"] is None
 
 
 @pytest.mark.parametrize(

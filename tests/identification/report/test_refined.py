@@ -9,6 +9,7 @@ import pytest
 from identification.report import samples
 from identification.report.samples import channel
 
+from fmus.identification.refinement.gauss_newton import Iteration, TrustRegion
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.multistart import MultistartResult, RandomStart
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter
@@ -17,6 +18,7 @@ from fmus.identification.refinement.residuals import SimulatedRun, Whiteness
 from fmus.identification.refinement.statistics import Statistics
 from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.identification.report.recording_comparison import compare
+from fmus.identification.report.report_texts import CHECK, warnings
 from fmus.machine.one_block import HARVESTER
 from orchestrator.data.recording import Recording, Sensor
 
@@ -73,13 +75,9 @@ def test_a_refinement_has_the_names_of_the_report():
         "boom_stick.hose and valve_area: the data show only boom_stick.hose * valve_area, not each.",
     ]
     assert found["remarks"] == ["boom_stick.hose ended at its bound."]
-
-
-def test_a_search_that_did_not_converge_is_reported():
-    """The first remark of the section."""
-    found = refinement(refined(converged=False, reason="40 iterations"))
-    assert found["remarks"][0].startswith("The search did not converge: 40 iterations were not enough.")
-    assert "--free" in found["remarks"][0]  # what to do
+    remark = refinement(refined(converged=False, reason="40 iterations"))["remarks"][0]
+    assert remark.startswith("The search did not converge: 40 iterations were not enough.")
+    assert "--free" in remark  # what to do
 
 
 def test_random_starts_are_compared():
@@ -101,17 +99,8 @@ def machine() -> Recording:
     signals = {"manipulator.boom_angle": 0.1 * np.sin(np.pi * TIME), "boom_stick.boom_head_flow": flow}
     units = {"manipulator.boom_angle": "rad", "boom_stick.boom_head_flow": "m3/s"}
     sensors = {"boom_stick.boom_head_flow": Sensor("turbine", 5e-6, dead_zone=1e-4)}
-    return Recording(
-        Path("a/b.csv"),
-        TIME,
-        signals,
-        units,
-        title="A cycle",
-        procedure="machine",
-        use="test",
-        sensors=sensors,
-        kind="simulation",
-    )
+    about = {"procedure": "machine", "use": "test", "kind": "simulation"}
+    return Recording(Path("a/b.csv"), TIME, signals, units, sensors=sensors, **about)
 
 
 def test_speeds_are_compared_through_one_filter():
@@ -162,3 +151,40 @@ def test_the_lines_for_a_terminal():
     assert reported == ["a.csv: The clock: late.", "b.csv: pressure: 1 sample clipped."]
     assert "2 recordings, at most 40 % of the samples (a.csv: flow)" in zones
     assert list(faults([])) == []
+
+
+# ------------------------------------------------- warnings at the top of the page and in the terminal
+
+
+def test_a_good_fit_has_no_warnings():
+    """Converged, inside the bounds, 3 % and 4 % of the range: an empty list."""
+    assert warnings(refined(at_bound=())) == []
+
+
+def test_residuals_far_above_the_noise_are_a_warning():
+    """168 times the noise: the number, and the signals that show it most, by the names of the report."""
+    history = (Iteration(0, 168.0, 0.1, 0.0, TrustRegion(1.0), {}),)
+    tests = {"angle": Whiteness(0.0, 1.0, {}, 505.0), "flow": Whiteness(0.2, 0.01, {}, 1.1)}
+    far = refined(history=history, whiteness=tests, at_bound=())
+    told, check = warnings(far, NAMES, {"angle": "manipulator.angle"})
+    assert "residuals 168 times as large as the noise" in told
+    assert "(manipulator.angle 505 times)" in told
+    assert check == CHECK
+
+
+def test_warnings_have_the_names_of_the_report():
+    """The search, the bound and the poor signal, in this order, then the advice."""
+    poor = refined(converged=False, reason="40 iterations", training=(traces("a", 0.03), traces("b", 0.4)))
+    search, bound, fit, check = warnings(poor, NAMES, {"angle": "manipulator.angle"})
+    assert "did not converge: 40 iterations" in search
+    assert "boom_stick.hose" in bound
+    # root mean square of 3 % and 40 % over the same range
+    assert "manipulator.angle 28 %" in fit
+    assert "flow" not in fit  # it was never measured
+    assert check == CHECK
+
+
+def test_a_failed_simulation_is_a_warning():
+    """No value, but the name of the signal."""
+    *_, fit, _ = warnings(refined(at_bound=(), training=(traces("a", np.nan),)))
+    assert "angle (could not be simulated)" in fit
