@@ -82,18 +82,23 @@ def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
     assert ("note", text) in [(f.severity, f.text) for f in found]  # slow is not wrong
 
 
-def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path):
-    """The only finding is a note with the platforms that exist."""
+@pytest.mark.parametrize(
+    ("folder", "platform"),
+    [
+        ("amiga68k", "amiga68k"),
+        ("win32/VisualStudio10", "win32"),
+    ],  # static libraries are in folders below theirs
+)
+def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path, folder, platform):
+    """The only finding is a note with the platforms that exist, of which no tool has a verdict."""
     subject = opened(oscillators.make(), tmp_path)
     (binary,) = (tmp_path / "binaries").iterdir()
-    binary.rename(binary.with_name("amiga68k"))
+    (binary.parent / folder).parent.mkdir(exist_ok=True)
+    binary.rename(binary.parent / folder)
     (found,) = [f for name in RULES for f in RULES[name](subject)]
-    assert (
-        found.rule == "run.possible"
-    )  # no tool has a verdict on it: that there is none says nothing of the FMU
-    text = found.text
-    assert text.startswith(f"no binary for this platform, expected {binary.name}")
-    assert text.endswith("got amiga68k: the FMU was not run")
+    assert found.rule == "run.possible"
+    assert found.text.startswith(f"no binary for this platform, expected {binary.name}")
+    assert found.text.endswith(f"got {platform}: the FMU was not run")
 
 
 @shards.faults
@@ -157,17 +162,6 @@ def test_rounding_around_zero_is_no_difference(oscillators, tmp_path):
     for major in (2, 3):
         path = oscillators.make(major, "zero")
         assert apply(path, tmp_path / f"{major}", "state", "serialize", "reset", "instances") == []
-
-
-def test_folders_of_compilers_are_not_platforms(oscillators, tmp_path):
-    """Static libraries are in folders below their platform: binaries/win32/VisualStudio10/x.lib."""
-    subject = opened(oscillators.make(), tmp_path)
-    (binary,) = (tmp_path / "binaries").iterdir()
-    below = binary.with_name("win32") / "VisualStudio10"
-    below.mkdir(parents=True)
-    next(binary.iterdir()).rename(below / "oscillator.lib")
-    (found,) = RULES["possible"](subject)
-    assert found.text.endswith(", got win32: the FMU was not run")
 
 
 def test_a_table_that_doubles_is_no_leak():

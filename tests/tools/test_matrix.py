@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit import shards
+from kit.mistakes import table as table_of
 from kit.wait import LONG, runs, until
 from lxml import etree
 
@@ -69,16 +70,7 @@ def test_numbers_have_two_digits(write, values, texts):
     assert [write(x) for x in values] == texts.split()
 
 
-@pytest.mark.parametrize(
-    ("problem", "text"),
-    [
-        ("RuntimeError: no\nmore | less", "no more / less"),
-        ("fmpy.util.SomeException: no", "no"),
-        ("cannot open /tmp/x1/job/swing.fmu", "cannot open swing.fmu"),
-        ("see http://a.org/b/c and x/y/z", "see http://a.org/b/c and x/y/z"),
-        ("x" * 200, "x" * 107 + "..."),
-    ],
-)
+@table_of(__file__, "remarks", "problem, text")
 def test_a_message_fits_into_a_cell(problem, text):
     """One line, no bar, no folder of this machine, not too long."""
     assert remark(problem) == text
@@ -356,15 +348,7 @@ def test_a_job_leaves_no_process_behind(program, tmp_path, end):
 # ---- which tools are here
 
 
-@pytest.mark.parametrize(
-    ("text", "version"),
-    [
-        ('print("fake 1.2.3 (linux)")', "1.2.3"),
-        ('print("fake v3.0.post1-g29")', "3.0.post1-g29"),
-        ('sys.exit(sys.argv[1] != "-v" or print("2.5"))', "2.5"),
-        ('print("no number")', "version unknown"),
-    ],
-)
+@table_of(__file__, "versions", "text, version")
 def test_a_program_tells_its_version(program, text, version):
     """By one of three options."""
     assert Tool("fake", "Fake", command=program(text)).presence().version == version
