@@ -26,7 +26,7 @@ def failing(fails, one, tmp_path_factory):
     return run(study(tmp_path_factory.mktemp("fails"), FAILS, fails), one)
 
 
-def test_a_row_is_what_a_single_numbergives(gained, gain):
+def test_a_row_is_what_a_single_run_gives(gained, gain):
     """Outputs and bands are those of `run` with the same start values, to the last bit."""
     for number, factor in gained.table["factor:gain.factor"].items():
         trace = single(gain, step=0.01, stop=0.2, set={"gain.factor": factor, "gain.u": 2.0}).trace
