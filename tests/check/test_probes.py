@@ -82,12 +82,9 @@ def test_a_probe_that_takes_too_long_is_stopped(oscillators, tmp_path):
     assert ("note", text) in [(f.severity, f.text) for f in found]  # slow is not wrong
 
 
+# compilers have folders below that of a platform, for static libraries
 @pytest.mark.parametrize(
-    ("folder", "platform"),
-    [
-        ("amiga68k", "amiga68k"),
-        ("win32/VisualStudio10", "win32"),
-    ],  # static libraries are in folders below theirs
+    ("folder", "platform"), [("amiga68k", "amiga68k"), ("win32/VisualStudio10", "win32")]
 )
 def test_an_fmu_without_binary_for_this_machine_is_not_run(oscillators, tmp_path, folder, platform):
     """The only finding is a note with the platforms that exist, of which no tool has a verdict."""
