@@ -111,30 +111,38 @@ def test_bad_samples_are_masked(told):
     assert 8 < int(found.group(1)) <= 8 + ends.sum()
 
 
-def test_matlab_file_gives_the_same(folder, told):
-    """Signals in the rows of a MATLAB matrix, as public data sets have them, lead to the same output."""
-    rows = np.loadtxt(CRANE).T
-    scipy.io.savemat(folder / "wide.mat", {"X": np.vstack([rows[0], 0 * rows[0]]), "y": rows[1][None, :]})
-    assert printed(folder, str(folder / "wide.mat"), "X(1,:)", "y") == told
-    assert (folder / "wide.png").is_file()
+def wide(path: Path, command: np.ndarray, pressure: np.ndarray) -> None:
+    """Signals in the rows of a MATLAB matrix, as public data sets have them."""
+    scipy.io.savemat(path, {"X": np.vstack([command, 0 * command]), "y": pressure[None, :]})
 
 
-def test_columns_by_place(folder, told):
-    """A file with more columns, selected by index, leads to the same output."""
-    command, pressure = np.loadtxt(CRANE).T
-    np.savetxt(folder / "three.csv", np.column_stack([pressure, 0 * command, command]), "%.6f", ",")
-    assert printed(folder, str(folder / "three.csv"), "2", "0") == told
+def three(path: Path, command: np.ndarray, pressure: np.ndarray) -> None:
+    """A file with more columns."""
+    np.savetxt(path, np.column_stack([pressure, 0 * command, command]), "%.6f", ",")
 
 
-def test_names_and_decimal_commas(folder, told):
-    """A table with names and decimal commas leads to the same output; the picture has the given name."""
-    rows = [";".join(f"{v:.6f}" for v in row) for row in np.loadtxt(CRANE)]
-    text = "\n".join(["Stellsignal;Druck", *rows]).replace(".", ",")
-    (folder / "office.csv").write_text(text, encoding="utf-8")
-    picture = folder / "elsewhere.png"
-    assert printed(folder, str(folder / "office.csv"), "Stellsignal", "Druck", str(picture)) == told
-    assert picture.is_file()
-    assert not (folder / "office.png").exists()
+def office(path: Path, command: np.ndarray, pressure: np.ndarray) -> None:
+    """A table with names and decimal commas."""
+    rows = [f"{u:.6f};{y:.6f}" for u, y in zip(command, pressure, strict=True)]
+    path.write_text("\n".join(["Stellsignal;Druck", *rows]).replace(".", ","), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("write", "file", "columns", "picture"),
+    [
+        (wide, "wide.mat", ("X(1,:)", "y"), None),
+        (three, "three.csv", ("2", "0"), None),
+        (office, "office.csv", ("Stellsignal", "Druck"), "elsewhere.png"),
+    ],
+)
+def test_other_files_give_the_same(folder, told, write, file, columns, picture):
+    """The same samples in another format lead to the same output; the picture may have a name."""
+    path = folder / file
+    write(path, *np.loadtxt(CRANE).T)
+    drawn = [str(folder / picture)] if picture else []
+    assert printed(folder, str(path), *columns, *drawn) == told
+    assert (folder / (picture or path.with_suffix(".png").name)).is_file()
+    assert path.with_suffix(".png").exists() == (not picture)
 
 
 def test_a_model_that_does_not_fit_says_so(folder, told):

@@ -17,7 +17,6 @@ from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.refinement.multistart import MultistartResult
-from fmus.identification.refinement.refine import RefinementResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
 
@@ -73,15 +72,9 @@ def test_an_interrupt_without_estimates_is_raised(quick):
 
 def test_an_interrupted_search_is_not_restarted(quick):
     """The best point so far is kept, and the random starts are skipped."""
-
-    class Best:
-        problem = WITHOUT_ZEROS
-        reason = "interrupted"
-
-        def estimates(self, **_: object) -> tuple[Estimate, ...]:
-            return (replace(AREA, value=3e-5),)
-
-    quick.setattr(pipeline, "refine_together", lambda *_: Best())
+    better = (replace(AREA, value=3e-5),)
+    best = SimpleNamespace(reason="interrupted", problem=WITHOUT_ZEROS, estimates=lambda **_: better)
+    quick.setattr(pipeline, "refine_together", lambda *_: best)
     quick.setattr(pipeline, "refine_from_other_starts", lambda *_: pytest.fail("restarted"))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
@@ -90,10 +83,7 @@ def test_an_interrupted_search_is_not_restarted(quick):
 
 def test_interrupted_starts_keep_the_result(quick):
     """The result of the refinement is kept."""
-    refined = RefinementResult.__new__(RefinementResult)
-    object.__setattr__(refined, "reason", "converged")
-    object.__setattr__(refined, "problem", WITHOUT_ZEROS)
-    quick.setattr(RefinementResult, "estimates", lambda *_, **__: (AREA,))
+    refined = SimpleNamespace(reason="converged", problem=WITHOUT_ZEROS, estimates=lambda *_, **__: (AREA,))
     quick.setattr(pipeline, "refine_together", lambda *_: refined)
     quick.setattr(pipeline, "multistart", lambda *_, **__: MultistartResult((), 0.0, {}, interrupted=True))
     found = identify([VALVE, MACHINE], starts=4)

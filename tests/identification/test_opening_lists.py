@@ -38,17 +38,16 @@ def identified(tmp_path_factory):
 def _write(path: Path, recording) -> None:
     """A recording with the description of its instruments."""
     rows = np.column_stack([recording.time, *(recording[name] for name in UNITS)])
-    header = ",".join(["time", *UNITS])
-    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.12g")
-    edge = recording.conditions["edge"]
-    lines = ["[experiment]", 'procedure = "valve"', f'edge = "{edge}"']
+    np.savetxt(path, rows, delimiter=",", header=",".join(["time", *UNITS]), comments="", fmt="%.12g")
+    lines = ["[experiment]", 'procedure = "valve"', f'edge = "{recording.conditions["edge"]}"']
     for name, unit in UNITS.items():
         lines += [f"[signals.{name}]", f'unit = "{unit}"']
-        if name in recording.sensors:
-            sensor = recording.sensors[name]
+        if sensor := recording.sensors.get(name):
             lines += [f"{key} = {getattr(sensor, key)!r}" for key in ("noise", "resolution", "dead_zone")]
-            lines += [f"span = [{sensor.low!r}, {sensor.high!r}]"]
-            lines += [f"zero_error = {sensor.zero_error!r}"] if sensor.zero_error else []
+            lines += [
+                f"span = [{sensor.low!r}, {sensor.high!r}]",
+                f"zero_error = {sensor.zero_error or 0.0!r}",
+            ]
     path.with_suffix(".toml").write_text("\n".join(lines), encoding="utf-8")
 
 
@@ -106,13 +105,8 @@ def test_the_machine_opens_as_the_valve_does(identified, edge, name):
     """The component of the drives, with the numbers of the file, against the true opening."""
     parts, _ = parts_with_parameters(identified[1])
     p = values(parts["boom_stick"]).p
-    table = SimpleNamespace(
-        **{
-            f"{kind}_{k}": p[f"valve_{name}_{kind}_{k}"]
-            for kind in ("command", "opening")
-            for k in range(1, 11)
-        }
-    )
+    points = [f"{kind}_{k}" for kind in ("command", "opening") for k in range(1, 11)]
+    table = SimpleNamespace(**{point: p[f"valve_{name}_{point}"] for point in points})
     pieces = opening_curve.pieces(table)
     volts = np.arange(3.0, 10.01, 0.25)
     opened = p["valve_area"] * np.array([float(pieces.opening(v)) for v in volts])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from kit.mistakes import refused
 
 from fmus.rig import recordings
 from orchestrator.__main__ import main
@@ -52,33 +53,21 @@ def test_writes_over_its_own_files_only(tmp_path, capsys):
     other.mkdir()
     (other / "my.csv").write_text("mine")
     capsys.readouterr()
-    assert main(["rig", "--out", str(other)]) == 2
-    told = capsys.readouterr().err
+    told = refused(capsys, ["rig", "--out", other])
     assert "expected an empty folder or one of the rig, got a folder with my.csv" in told
     assert [path.name for path in other.iterdir()] == ["my.csv"]
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("out", "options", "told"),
     [
-        (["--machine", "fast"], "--machine fast: expected lumped or detailed"),
-        (["--seed=-1"], "--seed -1: expected 0 or more"),
+        ("rig", ["--machine", "fast"], "--machine fast: expected lumped or detailed"),
+        ("rig", ["--seed=-1"], "--seed -1: expected 0 or more"),
+        ("file/rig", [], "expected a folder"),
     ],
 )
-def test_mistakes_are_told_in_one_line(options, told, tmp_path, capsys):
-    """A wrong option gives one line, and nothing is written."""
-    out = tmp_path / "rig"
-    assert main(["rig", "--out", str(out), *options]) == 2
-    message = capsys.readouterr().err
-    assert told in message
-    assert message.count("\n") == 1
-    assert not out.exists()
-
-
-def test_a_file_is_no_folder(tmp_path, capsys):
-    """A path that cannot be a folder."""
+def test_mistakes_are_told_in_one_line(out, options, told, tmp_path, capsys):
+    """A wrong option, a path that cannot be a folder: one line, and nothing is written."""
     (tmp_path / "file").write_text("")
-    assert main(["rig", "--out", str(tmp_path / "file" / "rig")]) == 2
-    message = capsys.readouterr().err
-    assert "expected a folder" in message
-    assert message.count("\n") == 1
+    assert told in refused(capsys, ["rig", "--out", tmp_path / out, *options])
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

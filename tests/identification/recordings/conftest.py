@@ -7,8 +7,15 @@ import pytest
 
 from orchestrator.data.recording import Recording, Sensor
 
-RATE = 200.0
+RATE, SIZE = 200.0, 4000
+T = np.arange(SIZE) / RATE
+GAUGE = Sensor("gauge", noise=0.1, resolution=400 / 4096, low=0.0, high=400.0)
 META = Path(__file__).with_name("valve.toml").read_text(encoding="utf-8")
+
+
+def rounded(values, resolution):
+    """Values of a converter."""
+    return np.round(values / resolution) * resolution
 
 
 @pytest.fixture

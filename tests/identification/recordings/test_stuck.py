@@ -1,29 +1,19 @@
 """A stuck interval is detected and not used; a signal that may be constant is used."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from identification.recordings.conftest import GAUGE, SIZE, T, recording, rounded
 
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.quality import examine
 from fmus.identification.refinement.measured_runs import usable_samples
-from orchestrator.data.recording import Recording, Sensor
-
-SIZE = 4000
-T = np.arange(SIZE) / 200
-GAUGE = Sensor("gauge", noise=0.1, resolution=400 / 4096, low=0.0, high=400.0)
-
-
-def rounded(values, step):
-    return np.round(values / step) * step
+from orchestrator.data.recording import Sensor
 
 
 def made(sensor, values, name="pressure"):
-    return Recording(
-        Path("run.csv"), T, {name: values}, {name: "1"}, procedure="machine", sensors={name: sensor}
-    )
+    return replace(recording(sensors={name: sensor}, **{name: values}), procedure="machine")
 
 
 def gauge(noise=0.1):
@@ -31,8 +21,8 @@ def gauge(noise=0.1):
     return rounded(150 + 80 * np.sin(1.3 * T) + rng.normal(0, noise, SIZE), GAUGE.resolution)
 
 
-def remarks(recording):
-    return " ".join(text for text in examine(recording).remarks() if not text.startswith("The clock"))
+def remarks(read):
+    return " ".join(text for text in examine(read).remarks() if not text.startswith("The clock"))
 
 
 @pytest.mark.parametrize("stop", [1100, 3800])
@@ -40,17 +30,17 @@ def test_stuck_samples_are_not_used(stop):
     """Samples of a gauge that is stuck for half a second, or for most of the recording, are not used."""
     values = gauge()
     values[1000:stop] = values[1000]
-    recording = made(GAUGE, values)
-    used = good(recording, "pressure")
+    read = made(GAUGE, values)
+    used = good(read, "pressure")
     assert not used[1000:stop].any()
     # a neighbour may be equal by chance
     assert used[:990].all()
     assert used[stop + 10 :].all()
     # the refinement leaves ten samples about it out, too
-    usable = usable_samples(recording, "pressure")
+    usable = usable_samples(read, "pressure")
     assert not usable[990 : stop + 10].any()
     assert usable[:980].all()
-    assert "stuck at one value" in remarks(recording)
+    assert "stuck at one value" in remarks(read)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 20.0])
@@ -59,9 +49,9 @@ def test_an_encoder_at_rest_is_used(noise):
     step = 0.044
     moving = np.clip(T - 5, 0, 4) * 20
     quiet = np.random.default_rng(2).normal(0, 0.005, SIZE)
-    recording = made(Sensor(noise=noise, resolution=step), rounded(moving + quiet, step), "angle")
-    assert good(recording, "angle").all()
-    assert "stuck" not in remarks(recording)
+    read = made(Sensor(noise=noise, resolution=step), rounded(moving + quiet, step), "angle")
+    assert good(read, "angle").all()
+    assert "stuck" not in remarks(read)
 
 
 def test_commands_and_dead_zones_may_stand_still():
@@ -78,15 +68,15 @@ def test_commands_and_dead_zones_may_stand_still():
 
 def test_smooth_signals_without_noise_may_stand_still():
     """A simulated angle that moves and then rests has no noise and is not judged."""
-    recording = made(Sensor(), np.where(T < 10, np.sin(T), np.sin(10.0)), "angle")
-    assert good(recording, "angle").all()
+    read = made(Sensor(), np.where(T < 10, np.sin(T), np.sin(10.0)), "angle")
+    assert good(read, "angle").all()
 
 
 def test_overstated_noise_has_a_remark():
     """A stated noise of 100 instead of 0.1: good samples stay good, and a remark reports the value."""
-    recording = made(replace(GAUGE, noise=100.0), gauge())
-    assert good(recording, "pressure").all()
-    text = remarks(recording)
+    read = made(replace(GAUGE, noise=100.0), gauge())
+    assert good(read, "pressure").all()
+    text = remarks(read)
     assert "stuck" not in text
     assert "stated noise of 100, much larger than that of the samples" in text
     small = made(replace(GAUGE, noise=0.001), gauge(1.0))

@@ -14,10 +14,16 @@ from scipy.signal import lfilter
 from fmus.identification.refinement.measured_runs import smoothed
 from fmus.identification.refinement.multistart import EVERY, multistart, subsampled
 from fmus.identification.refinement.problem import FreeParameter
-from fmus.identification.refinement.refine import compiled, refine
+from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.identification.refinement.residuals import SimulatedRun, whiteness
 from fmus.identification.refinement.statistics import _jackknife, unidentified
 from fmus.identification.refinement.weights import Loss, correlation_time, loss_factors
+
+
+@pytest.fixture(scope="module")
+def refined() -> RefinementResult:
+    """The right model, fitted to a recording with white noise."""
+    return refine(problem(run(recording())))
 
 
 def test_intervals_cover_the_truth() -> None:
@@ -36,10 +42,9 @@ def test_intervals_cover_the_truth() -> None:
     assert 109 <= inside[True] <= 120
 
 
-def test_optimum_and_covariance_are_those_of_scipy() -> None:
+def test_optimum_and_covariance_are_those_of_scipy(refined: RefinementResult) -> None:
     """An independent search over parameters and initial state has the same optimum and covariance."""
-    task = problem(run(recording()))
-    found, model, one = refine(task), compiled(task, 1e-9), task.training[0]
+    found, model, one = refined, compiled(refined.problem, 1e-9), refined.problem.training[0]
     inputs = np.column_stack([one.inputs[n] for n in model.inputs])
 
     def residuals(unknown: np.ndarray) -> np.ndarray:
@@ -60,21 +65,23 @@ def test_optimum_and_covariance_are_those_of_scipy() -> None:
     np.testing.assert_allclose(sd, np.sqrt(np.diag(covariance))[2:], rtol=0.01)
 
 
-def test_unidentifiable_pair_is_named() -> None:
-    """Gain and loss act only as a ratio: the sentence says so, and the other parameters are estimated."""
-    found = refine(problem(run(recording()), free=("stiffness", "damping", "gain", "loss")))
+PAIR = ("stiffness", "damping", "gain", "loss")  # gain and loss act only as a ratio
+
+
+def test_unidentifiable_pair_is_named(refined: RefinementResult) -> None:
+    """The sentence says that only the ratio is determined, and the other parameters are estimated."""
+    found = refine(problem(run(recording()), free=PAIR))
     assert found.unidentified == ("gain and loss: the data determine only gain / loss, not each parameter",)
     ratio = found.values["gain"] / found.values["loss"]
     # five standard deviations of about 0.5 %
     assert ratio == pytest.approx(TRUTH["gain"] / TRUTH["loss"], rel=0.025)
     assert found.statistics.condition > 1e6
-    assert refine(problem(run(recording()))).unidentified == ()
+    assert refined.unidentified == ()
 
 
 def test_prior_decides_where_the_data_are_silent() -> None:
     """With a prior on one of the pair both are estimated, that one with the prior's standard deviation."""
-    free = ("stiffness", "damping", "gain", "loss")
-    found = refine(problem(run(recording()), free=free, priors={"loss": (1.0, 0.1)}))
+    found = refine(problem(run(recording()), free=PAIR, priors={"loss": (1.0, 0.1)}))
     loss = found.estimates(False)[3]
     # the data add nothing: prior to rounding of the information
     assert (loss.value, loss.sd) == (pytest.approx(1.0, abs=1e-3), pytest.approx(0.1, rel=1e-2))
@@ -94,18 +101,15 @@ def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     )
 
 
-def test_outliers_pull_less_with_a_robust_loss() -> None:
+def test_outliers_pull_less_with_a_robust_loss(refined: RefinementResult) -> None:
     """With one sample in twenty off by half a metre, robust losses change the estimates less than squares."""
     read = recording()
     position = read.signals["position"].copy()
     position[::20] += 25 * NOISE
     spoiled = problem(run(replace(read, signals={**read.signals, "position": position})))
-    clean = refine(problem(run(read)))
-    sd = clean.statistics.sd(False)
-    away = {}
-    for loss in ("linear", "huber", "soft_l1"):
-        kind: Loss = loss
-        away[loss] = float(np.max(np.abs(refine(spoiled, loss=kind).z - clean.z) / sd))
+    losses: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
+    sd = refined.statistics.sd(False)
+    away = {loss: float(np.max(np.abs(refine(spoiled, loss=loss).z - refined.z) / sd)) for loss in losses}
     # all outliers lie on one side, so that some of their pull remains with any convex loss
     assert away["huber"] < away["linear"] / 2
     assert away["soft_l1"] < away["linear"] / 2
@@ -120,9 +124,9 @@ def test_weights_are_those_of_the_losses() -> None:
     np.testing.assert_allclose(loss_factors(r, tuning, "soft_l1") ** 2, soft, rtol=1e-14)
 
 
-def test_residuals_are_white_only_if_the_model_is_right() -> None:
+def test_residuals_are_white_only_if_the_model_is_right(refined: RefinementResult) -> None:
     """With a wrong gain, residuals are correlated in time and with the input."""
-    right = refine(problem(run(recording()))).whiteness["position"]
+    right = refined.whiteness["position"]
     assert right.white
     assert right.ljung_box > 1e-3  # one in a thousand would be less
     fixed = problem(run(recording()), free=("stiffness", "damping"))
@@ -160,20 +164,16 @@ def test_fit_contains_held_out_recordings() -> None:
     assert fit["test"]["oscillator_7"]["position"] == pytest.approx(NOISE / span, rel=0.3)
 
 
-def test_random_starts_lead_to_the_same_optimum() -> None:
-    """From any start within 30 % the search reaches the same optimum, with a quarter of the samples."""
-    starts = multistart(refine(problem(run(recording()))), count=4, spread=0.3)
+def test_random_starts_lead_to_the_same_optimum(refined: RefinementResult) -> None:
+    """From any start within 30 %, with a quarter of the samples, and also if it is not ended at the path
+    of the reference."""
+    starts = multistart(refined, count=4, spread=0.3)
     assert starts.fraction == 1
     assert max(starts.spread.values()) < 1e-3
     assert len({start.initial["gain"] for start in starts.starts}) == 4
-
-
-def test_a_search_that_joins_the_path_of_the_reference_leads_to_the_reference() -> None:
-    """A search that was ended at the path of the reference goes on to the reference if it is not ended."""
-    refined = refine(problem(run(recording())))
     coarse = subsampled(refined.problem, EVERY)
     sd = refined.statistics.sd(refined.robust)
-    joined = [start for start in multistart(refined, count=4, spread=0.3).starts if start.joined]
+    joined = [start for start in starts.starts if start.joined]
     assert joined
     for start in joined:
         z = np.array([f.z_of(start.initial[f.name]) for f in coarse.free])
@@ -211,10 +211,7 @@ def test_leaving_out_one_segment_after_another_gives_the_variance_of_a_mean() ->
     samples = np.random.default_rng(4).normal(size=7)
     rows = [np.array([[1.0, sample - samples.mean()]]) for sample in samples]
     segments = [
-        SimpleNamespace(
-            linear=SimpleNamespace(condensed=lambda *_, own=own: own),
-            projected=lambda _: None,
-        )
+        SimpleNamespace(linear=SimpleNamespace(condensed=lambda *_, own=own: own), projected=lambda _: None)
         for own in rows
     ]
     run = SimpleNamespace(top=np.zeros((0, 2)), bottom=np.vstack(rows), recursion=[None] * len(rows))
