@@ -246,7 +246,7 @@ def test_poses_and_programs_are_chosen_by_name():
     assert main(["run", *options, "--stop", "1.5"]) == 0
     trace = read_trace("build/trace.csv")
     for name, angle in (("swing", 0.5), ("boom", POSES["raised"].boom), ("stick", POSES["raised"].stick)):
-        # closed valves leak: below 0.3 mm of piston in 5 s, tests/test_machine.py
+        # closed valves leak: below 0.3 mm of piston in 5 s, tests/whole_machine/test_machine.py
         np.testing.assert_allclose(trace[f"manipulator.{name}_angle"], angle, rtol=0, atol=5e-4)
     assert not trace["operator_input.boom_command"].any()
 
