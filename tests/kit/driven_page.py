@@ -41,7 +41,11 @@ class Opened:
 
 
 def drive(page: Opened) -> None:
-    """Swing, boom and stick by keys, payload and pressure by sliders, for 6 s of simulated time or more."""
+    """Swing, boom and stick by keys, payload and pressure by sliders, for 6 s of simulated time or more.
+
+    Five times as fast as real time: a frame is the same.
+    """
+    page.page.locator(".hm-speed").select_option("5")
     page.page.get_by_role("button", name="Drive", exact=True).click()
     page.page.get_by_role("button", name="Start again").click()
     page.page.get_by_label("Payload").fill("200")

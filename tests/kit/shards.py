@@ -1,6 +1,7 @@
-"""Marks of long tests: `make test` leaves them out, `make test-long SHARD=browser` runs one shard."""
+"""Marks of long tests: `make test` leaves them out, `make test-browser` runs one shard."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
+from itertools import product
 from typing import Any
 
 import pytest
@@ -28,3 +29,16 @@ def few(quick: Collection[Any], cases: Iterable[Any], shard: Any) -> list[Any]:
     return [
         pytest.param(*row, marks=[] if case in quick else shard) for case, row in zip(all_, rows, strict=True)
     ]
+
+
+def thinned(one_of: int, *columns: Sequence[Any]) -> list[Any]:
+    """All combinations of the columns; all but one of `one_of` in the shard `search`.
+
+    What remains is spread evenly: if no column is shorter than `one_of`, each pair of a column's entry with
+    another column's occurs about as often as any other, and each entry occurs.
+    """
+    cases = []
+    for places in product(*(range(len(column)) for column in columns)):
+        case = [column[place] for column, place in zip(columns, places, strict=True)]
+        cases.append(pytest.param(*case, marks=[search] if sum(places) % one_of else []))
+    return cases

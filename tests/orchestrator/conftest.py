@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -14,12 +13,6 @@ from kit.any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 
 from orchestrator import Result, System, assemble
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_pyfunc_call() -> None:
-    """Runs in processes of their own share one process, as long as the environment stays the same."""
-    os.environ.pop("PYTEST_CURRENT_TEST", None)
 
 
 @pytest.fixture(scope="session")

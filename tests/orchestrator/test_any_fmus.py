@@ -9,7 +9,7 @@ from kit import shards
 from kit.any_fmu.models import Workshop
 from kit.any_fmu.outcome import HERMITE, MASTERS, NO_ROLLBACK, OPENERS, circle
 from kit.mistakes import problem
-from kit.products import thinned
+from kit.shards import thinned
 
 from orchestrator import assemble, run
 from orchestrator.base.coupling import Coupling

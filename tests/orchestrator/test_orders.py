@@ -7,7 +7,7 @@ long that the error stays above that of the FMUs themselves, which is 4e-10 of t
 
 import numpy as np
 import pytest
-from kit.products import thinned
+from kit.shards import thinned
 
 from orchestrator import assemble, reference, run
 from orchestrator.base.coupling import Coupling

@@ -13,7 +13,7 @@ from kit.any_fmu.models import RAMP
 from kit.any_fmu.outcome import in_python
 from kit.compile import compiled
 from kit.plain_jacobi import plain_jacobi
-from kit.products import thinned
+from kit.shards import thinned
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base import compiler

@@ -98,7 +98,7 @@ def test_a_package_is_replaced_and_nothing_else_is_overwritten(fmu_dir, tmp_path
 
 
 def test_an_fmu_that_cannot_be_a_block_is_reported(fmi3_dir, tmp_path):
-    """FMI 3.0; tests/test_modelica_foreign.py has the others."""
+    """FMI 3.0; tests/tools/test_modelica_foreign.py has the others."""
     with pytest.raises(
         Problem, match=r"swing\.fmu: expected an FMU for Model Exchange in FMI 2\.0, got FMI 3\.0$"
     ):
