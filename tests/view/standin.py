@@ -7,29 +7,31 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import uvicorn
 from fastapi import FastAPI
-from view.modes import MODES
+from kit.wait import LONG, until
 
+from fmus.machine.ssp import VIEW
+from orchestrator.base.toml import read, read_dataclass
+from orchestrator.scene.view_description import ViewDescription
 from orchestrator.view.access import Guard, Rules, rules
 from orchestrator.view.driving import endpoint
 from orchestrator.view.driving.authority import ControlAuthority
 from orchestrator.view.server_load import TimedConnection
 
-LONG = 60.0  # s; only bounds a failure, on a computer that does much else
+# how the harvester is driven, as its own description says
+DESCRIPTION = read_dataclass(ViewDescription, read(Path(VIEW), VIEW.read_bytes()))
+MODES = DESCRIPTION.modes
 TIMEOUT, SILENCE_LIMIT = 4 * LONG, 8 * LONG  # s, of a authority that must not lose them by itself
 LEVERS = ("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command")
-CONTROLLER = tuple(
-    f"controller.{name}"
-    for name in (
-        *(f"{axis}_lever" for axis in ("swing", "boom", "stick")),
-        *("engaged", "radial_velocity", "vertical_velocity", "swing_velocity"),
-    )
-)
+DRIVEN = ("swing_lever", "boom_lever", "stick_lever", "engaged")
+DRIVEN += ("radial_velocity", "vertical_velocity", "swing_velocity")
+CONTROLLER = tuple(f"controller.{name}" for name in DRIVEN)
 
 
 @dataclass
@@ -93,12 +95,9 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     what rests does so for a reason. Silence comes by moving the authority's clock.
     """
     machine, passed = StandIn(), [0.0]
+    limits = {"timeout": TIMEOUT, "silence_limit": SILENCE_LIMIT}
     authority = ControlAuthority(
-        machine,
-        lambda: MODES,
-        timeout=TIMEOUT,
-        silence_limit=SILENCE_LIMIT,
-        clock=lambda: time.monotonic() + sum(passed),
+        machine, lambda: MODES, clock=lambda: time.monotonic() + sum(passed), **limits
     )
     asked = rules(host)
 
@@ -111,37 +110,14 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     endpoint.serve(app, authority)
     app.add_middleware(Guard, rules=asked)
     app.get("/")(lambda: "the page")
-    settings = uvicorn.Config(
-        app,
-        host="127.0.0.1",
-        port=0,
-        log_level="error",
-        ws_max_size=2**16,
-        ws="websockets-sansio",
-        http=TimedConnection,
-    )
-    server = uvicorn.Server(settings)
+    options = {"log_level": "error", "ws_max_size": 2**16, "ws": "websockets-sansio", "http": TimedConnection}
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, **options))
     thread = threading.Thread(target=server.run)
     thread.start()
-    wait(lambda: server.started)
+    assert until(lambda: server.started)
     try:
         port = server.servers[0].sockets[0].getsockname()[1]
         yield Server(machine, authority, port, asked, passed.append)
     finally:
         server.should_exit = True
         thread.join(LONG)
-
-
-def wait(condition: Any, seconds: float = LONG) -> None:
-    """Until something holds; fails if it does not. The time only bounds a failure."""
-    assert comes(condition, seconds), "it did not come to hold"
-
-
-def comes(condition: Any, seconds: float) -> bool:
-    """Whether something comes to hold in this time."""
-    end = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.005)
-    return True

@@ -11,12 +11,10 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from nicegui import app, ui
-from view.modes import MODES
-from view.standin import StandIn
+from view.standin import MODES, StandIn
 
 from orchestrator.view.access import Guard, rules
 from orchestrator.view.driving import endpoint
-from orchestrator.view.driving import endpoint as driving_endpoint
 from orchestrator.view.driving.authority import ControlAuthority, OperatorStation
 from orchestrator.view.task.score import NEEDED
 from orchestrator.view.task.training import Training
@@ -53,16 +51,12 @@ def main(port: int) -> None:
     @app.get("/last")
     def last() -> dict[str, Any]:
         heard = sum(station.counts["accepted"] for station in stations)
-        return {
-            "command": machine.commands[-1:],
-            "rested": machine.rested,
-            "heard": heard,
-            **vars(authority.status()),
-        }
+        known = {"command": machine.commands[-1:], "rested": machine.rested, "heard": heard}
+        return known | vars(authority.status())
 
     @ui.page("/")
     def page() -> None:
-        stations.append(driving_endpoint.mount(machine, authority))
+        stations.append(endpoint.mount(machine, authority))
         ui.input("field")
         mount_task(training)
         ui.html("<div style='height: 3000px'></div>", sanitize=False)

@@ -6,34 +6,24 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from kit import shards
-from view.driving import (
-    BOOM,
-    STICK,
-    SWING,
-    Hands,
-    answers,
-    command,
-    full,
-    heard,
-    hold,
-    keys,
-    open_page,
-    state,
-    swings,
-    take,
-)
-from view.standin import LONG, comes, wait
+from kit.wait import LONG, until
 
 from orchestrator.view.driving.authority import AGAIN, HOLD
 
 pytestmark = shards.browser
 
+STATE = ".harvester-sticks .state"
+TOLD = f"document.querySelector('{STATE}').innerText"
+SWING, BOOM, STICK = "swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"
 PAD = """() => {
   window.pad = { id: "stub", connected: true, mapping: "standard", axes: [0, 0, 0, 0],
                  buttons: Array.from({ length: 17 }, () => ({ pressed: false })) };
@@ -52,7 +42,7 @@ def address() -> Iterator[str]:
     free = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "NICEGUI"))}
     child = subprocess.Popen([sys.executable, script, str(port)], cwd=Path(__file__).parents[2], env=free)
     try:
-        wait(lambda: child.poll() is not None or answers(f"http://127.0.0.1:{port}"))
+        assert until(lambda: child.poll() is not None or answers(f"http://127.0.0.1:{port}"))
         assert child.poll() is None, "the server did not start; its reason stands above"
         yield f"http://127.0.0.1:{port}"
     finally:
@@ -60,14 +50,103 @@ def address() -> Iterator[str]:
         child.wait(LONG)
 
 
-@pytest.fixture
-def page(chromium: Any, address: str) -> Iterator[Any]:
-    """A page that drives, by the keyboard alone."""
+@pytest.fixture(scope="module")
+def only(chromium: Any, address: str) -> Iterator[Any]:
+    """The page of all tests, in which nothing is held between them."""
     opened = open_page(chromium, address)
-    wait(lambda: state(address)["role"] == "free")
-    take(opened, address)
     yield opened
     opened.close()
+
+
+@pytest.fixture
+def page(only: Any, address: str) -> Iterator[Any]:
+    """The page drives, by the keyboard alone."""
+    only.evaluate("() => { if (window.pad) pad.connected = false; scrollTo(0, 0); }")
+    only.locator(".harvester-sticks").focus()
+    take(only, address)
+    yield only
+    for name in ("Space", "ShiftLeft", "ShiftRight", "ArrowDown", *KEYS):
+        only.keyboard.up(name)
+
+
+def answers(url: str) -> bool:
+    try:
+        return httpx.get(f"{url}/last", timeout=LONG).status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+def open_page(browser: Any, address: str) -> Any:
+    """A page that has heard from the server: only then it knows whether somebody drives."""
+    opened = browser.new_page(viewport={"width": 900, "height": 600})
+    opened.set_default_timeout(1e3 * LONG)
+    opened.goto(address)
+    opened.locator(STATE).wait_for()
+    opened.wait_for_function(f"!['connecting', 'no connection'].includes({TOLD})")
+    return opened
+
+
+def take(page: Any, address: str) -> None:
+    """The controls, by the keyboard; nothing is held, so the next hold counts."""
+    end = time.monotonic() + LONG
+    while True:
+        if state(address)["role"] == "free":  # once more, if they were lost by a halt meanwhile
+            page.get_by_role("button", name="Take controls").focus()
+            page.keyboard.press("Enter")
+            page.wait_for_function("document.activeElement.className === 'harvester-sticks'")
+        if until(lambda: page.evaluate(TOLD) == HOLD, 3.0):
+            return
+        assert time.monotonic() < end, f"the page does not drive: {page.evaluate(TOLD)}, {state(address)}"
+
+
+@dataclass(frozen=True)
+class Hands:
+    """What holds a dead-man and moves a stick, and lets go of both."""
+
+    press: Callable[[], object]
+    release: Callable[[], object]
+
+
+def keys(page: Any, *names: str) -> Hands:
+    """These keys of the keyboard."""
+    board = page.keyboard
+    return Hands(lambda: [board.down(name) for name in names], lambda: [board.up(name) for name in names])
+
+
+def hold(page: Any, address: str, hands: Hands, done: Callable[[], bool]) -> None:
+    """Hold until it is done. A page that was slow for a moment has lost its dead-man, as it
+    should: then the hands let go and hold again, as a driver's would."""
+    end = time.monotonic() + LONG
+    hands.press()
+    while not until(done, 3.0):
+        assert time.monotonic() < end, f"it was not done: {state(address)}"
+        hands.release()
+        take(page, address)
+        page.evaluate("scrollTo(0, 0)")  # a page that did not drive has taken Space for its own
+        hands.press()
+
+
+def state(address: str) -> dict[str, Any]:
+    found: dict[str, Any] = httpx.get(f"{address}/last", timeout=LONG).json()
+    return found | {"role": "driving" if found["driver"] else "free"}
+
+
+def command(address: str) -> dict[str, float]:
+    """What the machine was told last; empty is rest."""
+    last = state(address)["command"]
+    return last[0] if last else {}
+
+
+def full(address: str, name: str, sign: int) -> bool:
+    """This function, and only this one, at its stop: 4 V of swing, 6 V of the others."""
+    found, volts = command(address), 4 if name == SWING else 6
+    alone = sum(map(abs, found.values())) < volts + 0.001  # deflections are sent with three digits
+    return bool(found) and found[name] == pytest.approx(volts * sign) and alone
+
+
+def swings(address: str) -> bool:
+    """The machine was told to swing to the left."""
+    return command(address).get(SWING, 0) > 0
 
 
 KEYS = {
@@ -82,7 +161,7 @@ def test_keys(page: Any, address: str, dead_man: str) -> None:
     for key, (name, sign) in KEYS.items() if dead_man == "Space" else [("KeyA", (SWING, 1))]:
         hold(page, address, keys(page, dead_man, key), lambda name=name, sign=sign: full(address, name, sign))
         page.keyboard.up(dead_man)
-        wait(lambda: command(address) == {})
+        assert until(lambda: command(address) == {})
         page.keyboard.up(key)
     assert page.evaluate("scrollY") == 0
 
@@ -100,16 +179,14 @@ def test_let_go(page: Any, address: str, way: str) -> None:
     """Whatever may swallow the release of a key counts as its release; it takes a new press to move again."""
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     page.evaluate(LET_GO[way])
-    wait(lambda: command(address) == {})
+    assert until(lambda: command(address) == {})
     stays_at_rest(address)
-    page.keyboard.up("Space")
-    page.keyboard.up("KeyA")
 
 
 def stays_at_rest(address: str) -> None:
     """While ten further messages come, unless the page was away for so long that it drives no more."""
-    before = heard(address)
-    wait(lambda: heard(address) >= before + 10 or state(address)["role"] == "free")
+    before = state(address)["heard"]
+    assert until(lambda: state(address)["heard"] >= before + 10 or state(address)["role"] == "free")
     assert command(address) == {}
 
 
@@ -117,7 +194,7 @@ def test_lost_release(page: Any, address: str) -> None:
     """A key that is pressed twice without a release between lets go of everything."""
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', { code: 'KeyA' }))")
-    wait(lambda: command(address) == {})
+    assert until(lambda: command(address) == {})
 
 
 def hang(page: Any, milliseconds: int) -> None:
@@ -129,15 +206,13 @@ def hang(page: Any, milliseconds: int) -> None:
 def test_frozen_page(page: Any, address: str) -> None:
     """A page that hangs lets go of the dead-man; then it is silent, and others can drive."""
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
-    hang(page, 16000)  # it is silent after 1 s, and gone after 6 s more
-    wait(lambda: command(address) == {})
+    hang(page, 10000)  # it is silent after 1 s, and gone after 6 s more
+    assert until(lambda: command(address) == {})
     assert state(address)["rested"], "a page that is slow for a moment keeps the controls"
-    wait(lambda: state(address)["role"] == "free")
+    assert until(lambda: state(address)["role"] == "free")
     # where the browser stands still, too, its connections may end before the silence is noticed
     gone = ("the driver was silent", "the driver's page was closed", "the connection to the driver was lost")
     assert state(address)["why"] in gone
-    page.keyboard.up("Space")
-    page.keyboard.up("KeyA")
 
 
 def test_slow_page(page: Any, address: str) -> None:
@@ -145,40 +220,35 @@ def test_slow_page(page: Any, address: str) -> None:
     page.evaluate("() => window.addEventListener('harvester-slow', () => (window.slow = true))")
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     hang(page, 600)
-    wait(lambda: command(address) == {})
+    assert until(lambda: command(address) == {})
     page.get_by_text(AGAIN).wait_for()
     assert page.evaluate("window.slow") is True
     stays_at_rest(address)  # the dead-man is held
     page.keyboard.up("Space")
     page.get_by_text(HOLD).wait_for()
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
-    page.keyboard.up("Space")
-    page.keyboard.up("KeyA")
 
 
 def test_busy_page(page: Any, address: str) -> None:
     """Messages do not wait for the page: many come while it does nothing but compute."""
     hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
     hang(page, 5000)
-    wait(lambda: command(address) == {})  # it hangs: its own timers have stopped
-    before = heard(address)
-    wait(lambda: heard(address) > before + 3)
-    page.keyboard.up("Space")
-    page.keyboard.up("KeyA")
+    assert until(lambda: command(address) == {})  # it hangs: its own timers have stopped
+    before = state(address)["heard"]
+    assert until(lambda: state(address)["heard"] > before + 3)
 
 
-def test_keys_without_controls(chromium: Any, address: str) -> None:
+def test_keys_without_controls(page: Any) -> None:
     """A key of the sticks on a page that does not drive says which button is missing."""
-    opened = open_page(chromium, address)
-    wait(lambda: state(address)["role"] == "free")
-    told = opened.get_by_text('press "Take controls" first')
+    page.get_by_role("button", name="Release controls").click()
+    page.locator(".harvester-sticks").focus()
+    told = page.get_by_text('press "Take controls" first')
 
     def says() -> bool:
-        opened.keyboard.press("KeyD")
-        return comes(told.is_visible, 1.0)
+        page.keyboard.press("KeyD")
+        return until(told.is_visible, 1.0)
 
-    wait(says)  # the word goes after 2.5 s, which a halt may take
-    opened.close()
+    assert until(says)  # the word goes after 2.5 s, which a halt may take
 
 
 def test_typing(page: Any, address: str) -> None:
@@ -212,7 +282,7 @@ def test_gamepad(page: Any, address: str, axis: int, value: int, name: str, sign
     ):
         hold(page, address, bumper, lambda: full(address, name, sign))
         page.evaluate(off)
-        wait(lambda: command(address) == {})
+        assert until(lambda: command(address) == {})
         bumper.release()
         page.evaluate(on)
 
@@ -222,8 +292,6 @@ def test_gamepad_that_drifts(page: Any, address: str) -> None:
     page.evaluate(PAD)
     page.evaluate("pad.axes[0] = 1")
     hold(page, address, keys(page, "Space", "ArrowDown"), lambda: full(address, BOOM, 1))
-    page.keyboard.up("Space")
-    page.keyboard.up("ArrowDown")
 
 
 def test_mouse(page: Any, address: str) -> None:
@@ -238,18 +306,19 @@ def test_mouse(page: Any, address: str) -> None:
 
     hold(page, address, Hands(press, page.mouse.up), lambda: full(address, SWING, 1))
     page.mouse.up()
-    wait(lambda: command(address) == {})
+    assert until(lambda: command(address) == {})
 
 
 def test_second_page(page: Any, chromium: Any, address: str) -> None:
     """A second page sees who drives and asks; closing the first is rest, and the second can take over."""
-    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
-    second = open_page(chromium, address)  # in a window of its own: the first one keeps its focus
-    second.get_by_role("button", name="Request controls").click()
-    wait(lambda: state(address)["asked"] != "")
-    page.close()
-    wait(lambda: command(address) == {})
-    second.get_by_role("button", name="Take controls").click()
-    wait(lambda: state(address)["role"] == "driving")
-    second.close()
-    wait(lambda: state(address)["role"] == "free")
+    page.get_by_role("button", name="Release controls").click()
+    assert until(lambda: state(address)["role"] == "free")
+    first = open_page(chromium, address)  # in a window of its own: it keeps its focus
+    take(first, address)
+    hold(first, address, keys(first, "Space", "KeyA"), lambda: swings(address))
+    page.get_by_role("button", name="Request controls").click()
+    assert until(lambda: state(address)["asked"] != "")
+    first.close()
+    assert until(lambda: command(address) == {})
+    page.get_by_role("button", name="Take controls").click()
+    assert until(lambda: state(address)["role"] == "driving")

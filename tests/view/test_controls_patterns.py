@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from view.modes import MODES
-from view.standin import CONTROLLER, LEVERS, StandIn
+from view.standin import CONTROLLER, LEVERS, MODES, StandIn
 
 from orchestrator.base.errors import Problem
 from orchestrator.view.driving.authority import ControlAuthority

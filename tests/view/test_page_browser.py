@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -13,9 +12,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from kit import shards
+from kit.wait import LONG, until
 from matplotlib import image
 from numpy.typing import NDArray
-from view.standin import LONG, wait
 
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import write_trace
@@ -51,8 +50,7 @@ def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     session.close()
 
 
-@pytest.fixture
-def page(chromium: Any, server: Server) -> Iterator[Any]:
+def page_of(chromium: Any, server: Server) -> Any:
     """An open page that has drawn the machine; what it complains of and asks for is kept."""
     context = chromium.new_context(viewport={"width": 1200, "height": 800}, accept_downloads=True)
     opened = context.new_page()
@@ -63,9 +61,45 @@ def page(chromium: Any, server: Server) -> Iterator[Any]:
     opened.set_default_timeout(1e3 * LONG)
     opened.goto(server.url)
     opened.wait_for_function(DRAWN, arg=1)
+    return opened
+
+
+@pytest.fixture(scope="module")
+def only(chromium: Any, server: Server) -> Iterator[Any]:
+    """The page of the tests that do not disturb each other."""
+    opened = page_of(chromium, server)
     yield opened
-    context.close()
-    wait(lambda: server.authority.status().driver == "")
+    opened.context.close()
+
+
+@pytest.fixture
+def page(only: Any, server: Server) -> Iterator[Any]:
+    """It shows the running machine, without a window, and does not drive."""
+    yield only
+    close_windows(only)
+    only.mouse.move(0, 0)
+    if server.authority.status().driver:
+        only.get_by_role("button", name="Release controls").click()
+    assert until(lambda: server.authority.status().driver == "")
+
+
+def close_windows(page: Any) -> None:
+    """By Escape, which closes an open list first."""
+
+    def closed() -> bool:
+        page.keyboard.press("Escape")
+        return until(lambda: page.locator(".q-dialog, .q-menu").count() == 0, 1.0)
+
+    assert until(closed)
+
+
+@pytest.fixture
+def own(chromium: Any, server: Server) -> Iterator[Any]:
+    """A page of the test's own, which it may close."""
+    opened = page_of(chromium, server)
+    yield opened
+    opened.context.close()
+    assert until(lambda: server.authority.status().driver == "")
 
 
 def picture(page: Any) -> NDArray[np.float64]:
@@ -77,6 +111,11 @@ def picture(page: Any) -> NDArray[np.float64]:
 def angle(server: Server, joint: str) -> float:
     """Of a joint [rad], from the machine itself."""
     return server.session.index.value(server.session.machine.latest(), f"{joint}_angle")
+
+
+def comes_to(server: Server, state: str) -> bool:
+    """Does the machine come to this state?"""
+    return until(lambda: server.session.machine.latest().state == state)
 
 
 def driven(server: Server) -> bool:
@@ -93,109 +132,119 @@ def begin(server: Server) -> float:
 def take(page: Any, server: Server) -> None:
     """The controls, by the button."""
     page.get_by_role("button", name="Take controls").click()
-    wait(lambda: server.authority.status().driver != "")
+    assert until(lambda: server.authority.status().driver != "")
 
 
 def drive(page: Any, server: Server, key: str, done: Callable[[], bool]) -> None:
     """Hold dead-man and key until it is done. A browser that was slow for a moment has lost its dead-man, as
     it should: then it is let go and held again, as a driver would."""
-    end = time.monotonic() + LONG
-    while not done():
-        assert time.monotonic() < end, f"the machine did not move: {server.authority.status()}"
+
+    def held() -> bool:
         if not server.authority.status().driver:
             take(page, server)
         page.keyboard.down("Shift")
         page.keyboard.down(key)
-        began = time.monotonic()
-        while not done() and (driven(server) or time.monotonic() - began < 2):
-            time.sleep(0.02)
-        if done():
-            return
+        if until(done, 2.0) or (until(lambda: done() or not driven(server)) and done()):
+            return True
         page.keyboard.up(key)
         page.keyboard.up("Shift")
         page.wait_for_timeout(200)
+        return False
+
+    assert until(held), f"the machine did not move: {server.authority.status()}"
 
 
 def test_loads(page: Any, server: Server) -> None:
-    """No error in the console, nothing asked of another host, numbers and state on the page."""
+    """No error in the console, nothing asked of another host, numbers and state on the page; edges are rough."""
     page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('running')")
     page.wait_for_function("() => document.querySelectorAll('.gauge').length > 8")
     page.wait_for_function("() => parseFloat(document.querySelector('.gauge output').textContent) > 15")
     assert page.complaints == []
     assert page.hosts == {f"127.0.0.1:{server.port}"}
+    # this browser has no graphics card, so the canvas is opened without smoothing
+    smooth = "document.querySelector('.machine canvas').getContext('webgl2').getContextAttributes().antialias"
+    assert page.evaluate(smooth) is False
 
 
-def test_machine_is_seen_and_moves(page: Any, server: Server) -> None:
+def test_machine_is_seen_and_moves(own: Any, server: Server) -> None:
     """The picture is not blank; a key moves the joint and the picture; closing the page stops the motion."""
-    before = picture(page)
+    before = picture(own)
     assert before.std() > 0.05, "a blank picture has no contrast"
     first = angle(server, "swing")
-    drive(page, server, "a", lambda: angle(server, "swing") > first + MOVED)
+    drive(own, server, "a", lambda: angle(server, "swing") > first + MOVED)
     # the arm covers some per cent of the picture, and has turned by its own width; pictures come with delay
-    wait(lambda: bool((np.abs(picture(page) - before).max(axis=2) > 0.1).mean() > 0.005))
-    page.close()
-    wait(lambda: not driven(server))
-    speed = "swing_speed"
-    wait(lambda: abs(server.session.index.value(server.session.machine.latest(), speed)) < 0.01)
+    assert until(lambda: bool((np.abs(picture(own) - before).max(axis=2) > 0.1).mean() > 0.005))
+    own.close()
+    assert until(lambda: not driven(server))
+    session = server.session
+    assert until(lambda: abs(session.index.value(session.machine.latest(), "swing_speed")) < 0.01)
 
 
 def test_pause_and_restart(page: Any, server: Server) -> None:
     """Pause stops the time, play goes on, restart begins at zero."""
     before = begin(server)
     page.get_by_role("button", name="Play or pause").click()
-    wait(lambda: server.session.machine.latest().state == "paused")
+    assert comes_to(server, "paused")
     page.wait_for_function("() => document.querySelector('.foot').innerText.includes('paused')")
     page.get_by_role("button", name="Play or pause").click()
-    wait(lambda: server.session.machine.latest().t > 1.0)
+    assert until(lambda: server.session.machine.latest().t > 1.0)
     page.get_by_role("button", name="Start again").click()
-    wait(lambda: begin(server) > before + APART / 2)
-    wait(lambda: server.session.machine.latest().state == "running")
+    assert until(lambda: begin(server) > before + APART / 2)
+    assert comes_to(server, "running")
     assert server.session.machine.trace().time[0] == 0.0
 
 
-def test_driver_goes_on_after_a_pause(page: Any, server: Server) -> None:
-    """Who drives keeps the controls over pause and play; a restart takes them away."""
+def test_keys_of_the_page(page: Any, server: Server) -> None:
+    """P pauses and goes on, the page says what to press, and the driver keeps the controls; in a window over
+    the page keys do nothing; a restart takes the controls away."""
     take(page, server)
-    for state in ("paused", "running"):
-        page.keyboard.press("p")
-        wait(lambda state=state: server.session.machine.latest().state == state)
-        assert server.authority.status().driver
+    page.keyboard.press("p")
+    assert comes_to(server, "paused")
+    page.get_by_text("paused: press P to continue").wait_for()
+    assert server.authority.status().driver
+    page.keyboard.press("p")
+    assert comes_to(server, "running")
+    assert server.authority.status().driver
+    page.get_by_role("button", name="Replay a result file").click()
+    page.get_by_role("combobox", name="File").press_sequentially("pause")
+    assert server.session.machine.latest().state == "running"
+    close_windows(page)
     page.keyboard.press("Home")
-    wait(lambda: not server.authority.status().driver)
+    assert until(lambda: not server.authority.status().driver)
 
 
-def test_less_to_draw(page: Any) -> None:
+def test_less_to_draw(own: Any) -> None:
     """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
-    page.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
-    page.locator(".machine[data-detail=low]").wait_for()
-    drawn = int(page.evaluate("document.querySelector('.machine').dataset.drawn"))
-    page.wait_for_function(DRAWN, arg=drawn + 1)
-    assert picture(page).std() > 0.05, "a blank picture has no contrast"
+    own.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
+    own.locator(".machine[data-detail=low]").wait_for()
+    drawn = int(own.evaluate("document.querySelector('.machine').dataset.drawn"))
+    own.wait_for_function(DRAWN, arg=drawn + 1)
+    assert picture(own).std() > 0.05, "a blank picture has no contrast"
 
 
 CAMERA = """() => { const { camera, controls } = getElement(document.querySelector('.machine').id.slice(1));
   return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
 
 
-def test_view_with_the_tip(page: Any, server: Server) -> None:
+def test_view_with_the_tip(own: Any, server: Server) -> None:
     """The view looks at the tip, from the same distance, before and after the tip has moved."""
-    page.get_by_role("button", name="View", exact=True).click()
-    page.get_by_text("With the tip").click()
+    own.get_by_role("button", name="View", exact=True).click()
+    own.get_by_text("With the tip").click()
 
     def looked_at() -> bool:
-        *target, away = page.evaluate(CAMERA)
+        *target, away = own.evaluate(CAMERA)
         index, frame = server.session.index, server.session.machine.latest()
         tip = [index.value(frame, f"tip_{name}") for name in ("x", "y", "height")]
         # 5 cm: the tip creeps while the picture is under way; 7 m is the distance of the view
         return bool(np.allclose(target, tip, atol=0.05) and abs(away - 7) < 0.01)
 
-    wait(looked_at)
-    take(page, server)
+    assert until(looked_at)
+    take(own, server)
     first = angle(server, "swing")
-    drive(page, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
-    page.keyboard.up("a")
-    page.keyboard.up("Shift")
-    wait(looked_at)
+    drive(own, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
+    own.keyboard.up("a")
+    own.keyboard.up("Shift")
+    assert until(looked_at)
 
 
 def test_a_tooltip_does_not_cover_the_menu(page: Any) -> None:
@@ -207,11 +256,11 @@ def test_a_tooltip_does_not_cover_the_menu(page: Any) -> None:
     assert page.locator(".q-tooltip:visible").count() == 0
 
 
-def test_asking_hides_nothing(page: Any, server: Server) -> None:
+def test_asking_hides_nothing(own: Any, server: Server) -> None:
     """On a second page the button is as wide as before, and the answer stands above sticks and keys."""
-    wide = page.get_by_role("button", name="Take controls").bounding_box()["width"]
-    take(page, server)
-    second = page.context.new_page()
+    wide = own.get_by_role("button", name="Take controls").bounding_box()["width"]
+    take(own, server)
+    second = own.context.new_page()
     second.set_default_timeout(1e3 * LONG)
     second.goto(server.url)
     ask = second.get_by_role("button", name="Request controls")
@@ -237,25 +286,7 @@ def test_speed_is_that_of_the_machine(page: Any, server: Server) -> None:
     page.wait_for_function("() => document.querySelector('.speed').innerText.includes('0.5')")
     page.get_by_role("combobox", name="Speed").click()
     page.get_by_role("option", name="\N{MULTIPLICATION SIGN} 1", exact=True).click()
-    wait(lambda: server.session.machine.factor == 1.0)
-
-
-def test_keys_of_the_page(page: Any, server: Server) -> None:
-    """P pauses and goes on, and the page says what to press; in a window over the page it does nothing."""
-    page.keyboard.press("p")
-    wait(lambda: server.session.machine.latest().state == "paused")
-    page.get_by_text("paused: press P to continue").wait_for()
-    page.keyboard.press("p")
-    wait(lambda: server.session.machine.latest().state == "running")
-    page.get_by_role("button", name="Replay a result file").click()
-    page.get_by_role("combobox", name="File").press_sequentially("pause")
-    assert server.session.machine.latest().state == "running"
-
-
-def test_edges_are_left_rough_where_the_processor_draws(page: Any) -> None:
-    """This browser has no graphics card, so the canvas is opened without smoothing."""
-    smooth = "document.querySelector('.machine canvas').getContext('webgl2').getContextAttributes().antialias"
-    assert page.evaluate(smooth) is False
+    assert until(lambda: server.session.machine.factor == 1.0)
 
 
 def test_pose_and_fidelity(page: Any, server: Server) -> None:
@@ -265,8 +296,8 @@ def test_pose_and_fidelity(page: Any, server: Server) -> None:
         page.get_by_role("combobox", name=label).click()
         page.get_by_role("option", name=option, exact=True).click()
     page.get_by_role("button", name="Start", exact=True).click()
-    wait(lambda: server.session.plan.choice.pose == "reach")
-    wait(lambda: server.session.machine.latest().state == "running")
+    assert until(lambda: server.session.plan.choice.pose == "reach")
+    assert comes_to(server, "running")
     first = server.session.machine.trace()["manipulator.stick_angle"][0]
     assert first == pytest.approx(-0.65, abs=1e-6)  # it creeps afterwards; rounding of the file
     page.wait_for_function("() => document.querySelector('.gauges').innerText.includes('Head, sideways')")
@@ -276,19 +307,19 @@ def test_replay(page: Any, server: Server) -> None:
     """A result file is played and cannot be driven; from there it goes back to the live machine."""
     page.get_by_role("button", name="Replay a result file").click()
     page.get_by_role("button", name="Replay", exact=True).click()
-    wait(lambda: server.session.replaying)
+    assert until(lambda: server.session.replaying)
     page.wait_for_function("() => document.querySelector('.bar .title').innerText.includes('rising.csv')")
-    wait(lambda: angle(server, "boom") > 0.3)
+    assert until(lambda: angle(server, "boom") > 0.3)
     server.session.machine.pause()  # a click may take longer than the file
     slider = page.get_by_role("slider", name="Time of the replay")
     slider.click(position={"x": 0.1 * slider.bounding_box()["width"], "y": 8})
-    wait(lambda: angle(server, "boom") < 0.3)
+    assert until(lambda: angle(server, "boom") < 0.3)
     server.session.machine.play()
-    wait(lambda: server.session.machine.latest().state == "ended")
+    assert comes_to(server, "ended")
     page.get_by_text("end of the replay: press P to repeat it").wait_for()
     assert not server.session.machine.drives
     page.get_by_role("button", name="Back to the live machine").click()
-    wait(lambda: server.session.machine.drives)
+    assert until(lambda: server.session.machine.drives)
 
 
 def test_save(page: Any, tmp_path: Path) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import re
 import signal
 import subprocess
@@ -14,14 +17,29 @@ from pathlib import Path
 
 import httpx
 import pytest
-from view.standin import LONG
-
-from orchestrator.__main__ import main
+from kit.mistakes import refused
+from kit.wait import LONG
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.head_mass=900")
 URL = 1  # line of the output
 RECORDING = "recording.csv"  # of a test rig, with names of its own
 get = partial(httpx.get, timeout=LONG)
+SOCKET = "_nicegui_ws/socket.io/?EIO=4"
+NONSENSE = (
+    *("", "garbage", "9", "42", "42[", "42{}", "42[]", '42["event"]', '42["event",null]', '42["event",{}]'),
+    *(
+        '42["handshake",{}]',
+        '42["handshake",{"client_id":"x","tab_id":"y"}]',
+        '42["ack",{"client_id":1e999}]',
+    ),
+    *('42["javascript_response",{"client_id":"x","request_id":"y"}]', '42["log",null]', "42" + "[" * 30_000),
+    *('451-["event",{"_placeholder":true,"num":0}]', '459999999-["event"]', '0{"sid":1}', "2probe"),
+    *("x" * 100_000, b"\x00" * 100_000, os.urandom(100)),
+)
+
+opened = partial(connect, compression=None, open_timeout=LONG, ping_timeout=None)
 
 
 @contextmanager
@@ -39,18 +57,35 @@ def started(fmu_dir: Path, folder: Path, *options: str) -> Iterator[tuple[subpro
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
 def test_begins_and_ends(fmu_dir: Path, tmp_path: Path) -> None:
-    """It tells its address, serves there, and ends by an interrupt without a traceback."""
+    """It tells its address, serves there, drops nonsense, and ends by an interrupt without a traceback."""
     with started(fmu_dir, tmp_path, *POSED) as (child, said):
         assert said[0] == "harvester.ssp, reach, swing detailed, manipulator.head_mass=900"
         assert said[URL].startswith("http://127.0.0.1:")
-        assert get(said[URL]).status_code == 200
         assert get(said[URL], headers={"host": "evil.example"}).status_code == 400
+        talk_nonsense(said[URL])
+        assert get(said[URL]).status_code == 200
         child.send_signal(signal.SIGINT)
         _, told = child.communicate(timeout=LONG)
     assert (child.returncode, told.strip()) == (130, "harvester: interrupted")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
+def talk_nonsense(url: str) -> None:
+    """On the socket of the page itself, which is the library's."""
+    address = f"{url.replace('http', 'ws')}{SOCKET}&transport=websocket"
+    for piece in NONSENSE:
+        with contextlib.suppress(ConnectionClosed), opened(address) as socket:
+            socket.recv(timeout=LONG)
+            socket.send("40" + json.dumps({}))
+            socket.send(piece)
+            # until it was read, or the connection was closed over it
+            assert socket.ping(ack_on_close=True).wait(LONG)
+    for piece in (b"garbage", b"\x1e" * 10, b"x" * 2_000_000):
+        assert httpx.post(f"{url}{SOCKET}&transport=polling", content=piece, timeout=LONG).status_code == 405
+    assert get(f"{url}{SOCKET}&transport=polling").status_code == 400
+    with pytest.raises(InvalidStatus, match="403"), opened(address, origin="http://evil.example"):
+        pass
+
+
 def test_other_hosts_need_the_token(fmu_dir: Path, tmp_path: Path) -> None:
     """Where others could reach it, the page opens with the token of the address and not without."""
     with started(fmu_dir, tmp_path, "--host", "0.0.0.0") as (_, said):
@@ -78,11 +113,8 @@ def test_mistakes(
     """A mistake is one line and exit status 2, before anything is served."""
     (tmp_path / RECORDING).write_text("time,u\n0,1\n1,2\n")
     options = [str(tmp_path / RECORDING) if option == RECORDING else option for option in options]
-    common = ["view", str(fmu_dir / "harvester.ssp"), "--no-open", "--port", "0", "--results", str(tmp_path)]
-    assert main([*common, *options]) == 2
-    told = capsys.readouterr().err.strip()
-    assert expected in told
-    assert "\n" not in told
+    common = ["view", fmu_dir / "harvester.ssp", "--no-open", "--port", "0", "--results", tmp_path]
+    assert expected in refused(capsys, [*common, *options])
 
 
 def test_a_swap_that_the_controller_cannot_use_is_offered_without_it(
@@ -95,8 +127,7 @@ def test_a_swap_that_the_controller_cannot_use_is_offered_without_it(
         for name in old.namelist():
             new.writestr(name, re.sub(rb'name="(\w+_(head|rod)_pressure)"', rb'name="my_\1"', old.read(name)))
     monkeypatch.chdir(tmp_path)
-    assert main(["view", "--no-open", "--swap", "boom_stick=own.fmu"]) == 2
-    told = capsys.readouterr().err
+    told = refused(capsys, ["view", "--no-open", "--swap", "boom_stick=own.fmu"])
     assert "expected output boom_head_pressure [Pa], got none" in told
     offer = "build/harvester.ssp has no controller and accepts it: harvester view build/harvester.ssp --swap"
     assert told.endswith(f"{offer} boom_stick=own.fmu\n")

@@ -8,7 +8,8 @@ from functools import partial
 
 import httpx
 import pytest
-from view.standin import LONG, Server, serving, wait
+from kit.wait import LONG, until
+from view.standin import Server, serving
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -87,7 +88,7 @@ def test_own_page(local: Server) -> None:
     """The page's own origin opens its socket."""
     station = local.authority.join()
     with connect(local.socket(station.key), open_timeout=LONG, origin=local.http):
-        wait(lambda: station.connected)
+        assert until(lambda: station.connected)
 
 
 OTHERS = (
@@ -215,7 +216,7 @@ def test_token_becomes_a_cookie(remote: Server) -> None:
     assert get(remote.http, headers={"cookie": cookie}).text == '"the page"'
     station = remote.authority.join()
     with connect(remote.socket(station.key), open_timeout=LONG, additional_headers={"Cookie": cookie}):
-        wait(lambda: station.connected)
+        assert until(lambda: station.connected)
 
 
 def test_door_shows_no_script(remote: Server) -> None:

@@ -11,7 +11,8 @@ from typing import Any
 
 import httpx
 import pytest
-from view.standin import LONG, SILENCE_LIMIT, TIMEOUT, Server, serving, wait
+from kit.wait import LONG, until
+from view.standin import SILENCE_LIMIT, TIMEOUT, Server, serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -28,8 +29,8 @@ def running() -> Iterator[Server]:
 def server(running: Server) -> Iterator[Server]:
     """After each test: the machine rests, the server answers, and a new page can drive."""
     yield running
-    wait(lambda: not running.machine.moving)
-    wait(lambda: running.authority.status().role == "free")
+    assert until(lambda: not running.machine.moving)
+    assert until(lambda: running.authority.status().role == "free")
     assert httpx.get(running.http, timeout=LONG).status_code == 200
     with page(running) as (socket, station):
         drive(running, socket, station)
@@ -57,10 +58,10 @@ def say(socket: ClientConnection, n: int, dead_man: bool = True, sticks: object 
 
 def drive(server: Server, socket: ClientConnection, station: OperatorStation) -> None:
     """Take the controls and move; the next message is number 2."""
-    wait(lambda: server.authority.take(station))
+    assert until(lambda: server.authority.take(station))
     say(socket, 0, dead_man=False)
     say(socket, 1)
-    wait(lambda: server.machine.moving)
+    assert until(lambda: server.machine.moving)
 
 
 WRONG = {
@@ -82,7 +83,7 @@ def test_wrong_message_of_the_driver(server: Server, raw: str | bytes) -> None:
     with page(server) as (socket, station):
         drive(server, socket, station)
         socket.send(raw)
-        wait(lambda: not server.machine.moving)
+        assert until(lambda: not server.machine.moving)
 
 
 @pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
@@ -94,7 +95,7 @@ def test_wrong_message_of_a_watcher(server: Server, raw: str | bytes) -> None:
         other.send(raw)
         for n in range(2, 8):
             say(socket, n)
-        wait(lambda: len(server.machine.commands) >= count + 6)
+        assert until(lambda: len(server.machine.commands) >= count + 6)
         assert all(any(command.values()) for command in server.machine.commands[count:])
 
 
@@ -104,13 +105,13 @@ def test_dropped_messages(server: Server) -> None:
         drive(server, socket, station)
         for n in (5, 17, 100):
             say(socket, n, sticks=(-1, -1, 0, 0))
-        wait(lambda: station.counts["accepted"] == 5)
+        assert until(lambda: station.counts["accepted"] == 5)
         assert server.machine.commands[-1]["boom_stick.stick_command"] > 0
         server.silence(1.1 * TIMEOUT)
-        wait(lambda: not server.machine.moving)
+        assert until(lambda: not server.machine.moving)
         assert server.authority.status(station).role == "driving"
         server.silence(SILENCE_LIMIT)
-        wait(lambda: server.authority.status(station).role == "free")
+        assert until(lambda: server.authority.status(station).role == "free")
         assert station.counts["accepted"] == 5
 
 
@@ -121,8 +122,8 @@ def test_old_messages(server: Server) -> None:
         for n in range(1, 5):
             server.silence(0.3 * TIMEOUT)
             say(socket, 1)
-            wait(lambda n=n: station.counts["old"] == n)
-        wait(lambda: not server.machine.moving)
+            assert until(lambda n=n: station.counts["old"] == n)
+        assert until(lambda: not server.machine.moving)
         assert server.authority.status(station).role == "driving"
 
 
@@ -134,14 +135,14 @@ def test_second_browser(server: Server) -> None:
             assert not server.authority.take(other)
             say(second, 0, dead_man=False)
             say(second, 1, sticks=(1, 1, 1, 1))
-            wait(lambda: other.counts["accepted"] == 2)
+            assert until(lambda: other.counts["accepted"] == 2)
             told = json.loads(second.recv(timeout=LONG))
             assert server.machine.commands[-1]["swing.swing_command"] > 0
         while told["role"] == "watching":
             told = json.loads(second.recv(timeout=LONG))
         assert told["role"] == "free"
         assert not server.machine.moving
-        wait(lambda: server.authority.take(other))
+        assert until(lambda: server.authority.take(other))
 
 
 def test_closed_page(server: Server) -> None:
@@ -149,7 +150,7 @@ def test_closed_page(server: Server) -> None:
     with page(server) as (socket, station):
         drive(server, socket, station)
         socket.close()
-        wait(lambda: not server.machine.moving)
+        assert until(lambda: not server.machine.moving)
 
 
 def test_cut_cable(server: Server) -> None:
@@ -158,7 +159,7 @@ def test_cut_cable(server: Server) -> None:
         drive(server, socket_, station)
         socket_.socket.sendall(b"\x81\xfe\x00")  # a frame of text that never ends
         socket_.socket.shutdown(socket.SHUT_RDWR)
-        wait(lambda: not server.machine.moving)
+        assert until(lambda: not server.machine.moving)
 
 
 def test_garbage_below_the_websocket(server: Server) -> None:
@@ -166,7 +167,7 @@ def test_garbage_below_the_websocket(server: Server) -> None:
     with page(server) as (socket_, station):
         drive(server, socket_, station)
         socket_.socket.sendall(os.urandom(1000))
-        wait(lambda: not server.machine.moving)
+        assert until(lambda: not server.machine.moving)
 
 
 def test_flood(server: Server) -> None:
@@ -175,7 +176,7 @@ def test_flood(server: Server) -> None:
         with contextlib.suppress(ConnectionClosed):
             for n in range(100_000):
                 say(socket, n)
-        wait(lambda: not station.connected)
+        assert until(lambda: not station.connected)
         assert station.counts["flood"] > 0
 
 

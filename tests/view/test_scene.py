@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit import shards
 
 from fmus.contract import quantities, symbolic
 from fmus.manipulator import MANIPULATOR, VARIANTS
@@ -84,6 +85,7 @@ def drawn(pose: Any, node: str, point: tuple[float, float, float]) -> np.ndarray
     return np.asarray(swing @ (np.array([x, 0.0, z]) + pitch @ roll @ np.array(point)))
 
 
+@shards.browser
 def test_tip_and_cylinders(found: Any) -> None:
     """Tip and elbow are those of the mechanics, each cylinder is as long as closed length and position."""
     for q, pose in found:
@@ -99,6 +101,7 @@ def test_tip_and_cylinders(found: Any) -> None:
             assert end == pytest.approx(rod[:2], abs=ROUNDING), "the barrel points to the rod"
 
 
+@shards.browser
 def test_head(found: Any) -> None:
     """The middle of the head hangs where the mechanics of the swinging head say."""
     for q, pose in found:
@@ -107,6 +110,7 @@ def test_head(found: Any) -> None:
         assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
 
 
+@shards.browser
 def test_rod_pins_on_their_links(found: Any) -> None:
     """The rods end at the pins of boom and stick, however the machine stands."""
     pins = (("boom", SIZES.boom_pin_x, SIZES.boom_pin_z), ("stick", SIZES.stick_pin_x, SIZES.stick_pin_z))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from view.cycle import ARC, EXERCISE, HEIGHT, RADIUS, STEP, T_REST, T_RISE, T_SWING, cycle, slow_after, when
+from numpy.typing import NDArray
 from view.standin import StandIn
 
 from orchestrator.base.errors import Problem
@@ -24,9 +27,60 @@ from orchestrator.view.task.score import (
     of_trace,
     phase,
     score,
+    spectral_arc_length,
     way,
 )
 from orchestrator.view.task.training import Training, directions
+
+Array = NDArray[np.float64]
+STEP = 0.01
+RADIUS, ARC, HEIGHT = 4.0, 1.0, 1.5
+T_SWING, T_REST, T_RISE = 4.0, 2.0, 3.0
+EXERCISE = Exercise(
+    "arc and lift",
+    (
+        Target("pick", (RADIUS * math.cos(ARC), RADIUS * math.sin(ARC), 0.0)),
+        Target("place", (RADIUS * math.cos(ARC), RADIUS * math.sin(ARC), HEIGHT)),
+    ),
+)
+
+
+def blend(t: Array, start: float, duration: float) -> tuple[Array, Array]:
+    """From 0 to 1 as half a cosine, and its rate."""
+    phase = np.clip((t - start) / duration, 0, 1) * math.pi
+    return (1 - np.cos(phase)) / 2, np.sin(phase) * math.pi / (2 * duration)
+
+
+def cycle() -> Trace:
+    """Swing over an arc, rest, rise by a height (boom and stick together), rest."""
+    time = np.arange(0, 12, STEP)
+    swung, swing_rate = blend(time, 1.0, T_SWING)
+    risen, rise_rate = blend(time, 1.0 + T_SWING + T_REST, T_RISE)
+    values = {
+        "tip_x": RADIUS * np.cos(ARC * swung),
+        "tip_y": RADIUS * np.sin(ARC * swung),
+        "tip_height": HEIGHT * risen,
+        "tip_radial_velocity": 0 * time,
+        "tip_vertical_velocity": HEIGHT * rise_rate,
+        "swing_speed": ARC * swing_rate,
+        "boom_speed": 0.4 * rise_rate,
+        "stick_speed": -0.4 * rise_rate,
+        "swing_pressure_a": 1e6 + 5e6 * swing_rate,
+        "boom_head_pressure": 8e6 + 0 * time,
+        "supply_pressure": 2e7 + 0 * time,
+        "supply_flow": 1e-3 * (swing_rate + rise_rate),
+    }
+    return Trace(time, {f"machine.{name}": value for name, value in values.items()})
+
+
+def when(share: float, duration: float) -> float:
+    """When half a cosine has done this share of its way."""
+    return duration * math.acos(1 - 2 * share) / math.pi
+
+
+def slow_after(rate: float, duration: float) -> float:
+    """When the rate of half a cosine has fallen to this."""
+    return duration * (1 - math.asin(rate * 2 * duration / math.pi) / math.pi)
 
 
 def test_cycle() -> None:
@@ -63,14 +117,21 @@ def test_shares_of_functions() -> None:
     assert found.functions == pytest.approx(mean, abs=0.005)
 
 
+@functools.cache
+def in_one_piece() -> tuple[Any, Progress]:
+    """The samples of the cycle, and the progress at their end."""
+    samples = of_trace(cycle())
+    return samples, follow(EXERCISE, Progress(), samples)
+
+
 @given(st.lists(st.integers(1, 1198), unique=True, max_size=8))
 def test_in_pieces(cuts: list[int]) -> None:
     """Progress does not depend on how the samples are cut into pieces."""
-    samples = of_trace(cycle())
+    samples, whole = in_one_piece()
     progress = Progress()
     for part in np.split(np.arange(len(samples.time)), sorted(cuts)):
         progress = follow(EXERCISE, progress, samples[slice(part[0], part[-1] + 1)])
-    assert progress == follow(EXERCISE, Progress(), samples)
+    assert progress == whole
 
 
 def machine(trace: Trace) -> StandIn:
@@ -214,3 +275,41 @@ def test_what_lacks() -> None:
     training = Training(live, EXERCISE)
     training.update()
     assert "found none of" in training.status()["problem"]
+
+
+TIME = np.arange(0, 10, 0.01)
+
+
+def bells(*centres: float, width: float = 0.5) -> Array:
+    """Speeds of bell-shaped movements."""
+    return np.sum([np.exp(-(((TIME - c) / width) ** 2)) for c in centres], axis=0)
+
+
+@given(st.floats(1e-3, 1e3))
+def test_size_does_not_matter(size: float) -> None:
+    """A larger movement of the same form is as smooth."""
+    # rounding only
+    assert spectral_arc_length(TIME, size * bells(5)) == pytest.approx(
+        spectral_arc_length(TIME, bells(5)), rel=1e-9
+    )
+
+
+def test_bell_by_hand() -> None:
+    """The spectrum of exp(-(t/w)^2) is exp(-(pi f w)^2): its arc down to 0.05, by quadrature."""
+    end = np.sqrt(np.log(20)) / (np.pi * 0.5)
+    f = np.linspace(0, end, 100_001)
+    arc = np.sum(np.hypot(np.diff(f) / end, np.diff(np.exp(-((np.pi * f * 0.5) ** 2)))))
+    # the end of the arc lies on a line of the padded spectrum: up to 1/109 of its width beside it
+    assert spectral_arc_length(TIME, bells(5)) == pytest.approx(-arc, rel=0.01)
+
+
+def test_more_stops_are_less_smooth() -> None:
+    """Each further start and stop makes it more negative."""
+    values = [spectral_arc_length(TIME, bells(*np.arange(1, n + 1) * 1.5)) for n in range(1, 6)]
+    assert all(a > b for a, b in itertools.pairwise(values))
+
+
+def test_nothing() -> None:
+    """No movement and no time have no smoothness."""
+    assert spectral_arc_length(TIME, 0 * TIME) is None
+    assert spectral_arc_length(TIME[:3], TIME[:3]) is None
