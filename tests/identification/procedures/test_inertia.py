@@ -26,10 +26,8 @@ def by_pinocchio(pin, q, w, a):
     model, up = pin.Model(), np.array([0.0, -1.0, 0.0])
     model.gravity.linear = np.array([0.0, 0.0, -V["gravity"]])
     parent = 0
-    joints = [(pin.JointModelRZ(), (0.0, 0.0))]
-    joints += [
-        (pin.JointModelRevoluteUnaligned(up), (V[f"{n}_pivot_x"], V[f"{n}_pivot_z"])) for n in JOINTS[1:]
-    ]
+    pivots = [(V[f"{n}_pivot_x"], V[f"{n}_pivot_z"]) for n in JOINTS[1:]]
+    joints = [(pin.JointModelRZ(), (0.0, 0.0)), *((pin.JointModelRevoluteUnaligned(up), p) for p in pivots)]
     for k, (joint, (x, z)) in enumerate(joints):
         parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), np.array([x, 0.0, z])), f"joint {k}")
         model.appendBodyToJoint(parent, pin.Inertia.Random(), pin.SE3.Identity())

@@ -106,6 +106,12 @@ def test_estimates_stay_right(name, change):
     assert TRUTH.keys() & estimates.keys()
 
 
+@pytest.mark.parametrize("name", BENCHES)
+def test_good_data_cause_no_warning(name):
+    """Data of the model's own equations: no warning, so the exit status of the command is 0."""
+    assert result_of(name).warnings == ()
+
+
 @pytest.mark.parametrize("name", ["valve", "hose_resistance"])
 def test_an_offset_of_a_pressure_is_subtracted(name):
     """Half a bar between two transducers is a tenth of a hose's drop: it is estimated and reported."""
@@ -135,12 +141,6 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
     assert abs(zero.value) <= 2 * (declared * bench.BAR + 1e-6 * bench.SUPPLY)
     if name == "hose_resistance":  # at the valve a curve a little off the line explains the data as well
         assert result.warnings
-
-
-@pytest.mark.parametrize("name", BENCHES)
-def test_good_data_cause_no_warning(name):
-    """Data of the model's own equations: no warning, so the exit status of the command is 0."""
-    assert result_of(name).warnings == ()
 
 
 def test_residuals_far_above_the_noise_are_a_warning():

@@ -78,12 +78,15 @@ def test_intervals_of_all_edges_together_have_their_coverage():
     assert_equal_edges_do_not_differ(results)
 
 
-def test_dead_zone_of_the_meter_is_masked(results):
-    """Steps with less than 10 L/min are masked, and a remark contains the highest voltage."""
-    gain = results[0].panels[1]
+def test_what_the_data_do_not_determine_is_told(results):
+    """Steps in the dead zone are masked, and with them the rounding; the paper's polynomial is negative."""
+    gain, resistance = results[0].panels[1:3]
     masked = next(curve for curve in gain.curves if curve.kind == "masked")
     assert set(masked.x) == {0.25, 0.5, 0.75, 1.0}  # 1.25 V lets 15 L/min through, 1 V 7 L/min
-    assert any("masked" in r and "up to 1 V" in r for r in results[0].remarks)
+    assert "valve_command_rounding" not in bench.named(results[0])
+    assert next(c for c in resistance.curves if "degree" in c.label).y.min() < 0
+    for words in (("masked", "up to 1 V"), ("half the known rounding",), ("polynomial", "negative")):
+        assert any(all(word in r for word in words) for r in results[0].remarks), words
 
 
 def test_asymmetrical_edges_are_detected():
@@ -111,12 +114,6 @@ def test_rounding_is_fitted_if_the_data_determine_it():
         assert found[name].sd < 0.02 * truth
 
 
-def test_rounding_that_the_data_do_not_determine_keeps_its_value(results):
-    """Rounding is not estimated if its steps are in the dead zone; a remark says so."""
-    assert "valve_command_rounding" not in bench.named(results[0])
-    assert any("half the known rounding" in remark for remark in results[0].remarks)
-
-
 def test_uncertain_rounding_widens_the_dead_band():
     """A rounding known within 0.1 V leaves half of that, 0.05 V, to the dead band."""
     known = bench.KNOWN | {ROUNDING: Number(0.4, "V", "assumed", "", sd=0.1)}
@@ -134,13 +131,6 @@ def test_any_fitted_curve_is_positive_and_falls(area, dead_band, rounding):
     )
     assert (curve > 0).all()
     assert (np.diff(curve) < 0).all()
-
-
-def test_polynomial_is_compared(results):
-    """The paper's polynomial is negative on this data, and a remark says where."""
-    assert any("polynomial" in r and "negative" in r for r in results[0].remarks)
-    curve = next(c for c in results[0].panels[2].curves if "degree" in c.label)
-    assert curve.y.min() < 0
 
 
 UNKNOWN = {n: v for n, v in bench.KNOWN.items() if n != "boom_stick.density"}
