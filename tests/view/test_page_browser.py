@@ -155,7 +155,7 @@ def drive(page: Any, server: Server, key: str, done: Callable[[], bool]) -> None
 
 
 def test_loads(page: Any, server: Server) -> None:
-    """No error in the console, nothing asked of another host, numbers and state on the page; edges are rough."""
+    """No error in the console, nothing asked of other hosts; numbers, state, and rough edges on the page."""
     page.wait_for_function("() => document.querySelector('.foot')?.innerText.includes('running')")
     page.wait_for_function("() => document.querySelectorAll('.gauge').length > 8")
     page.wait_for_function("() => parseFloat(document.querySelector('.gauge output').textContent) > 15")
