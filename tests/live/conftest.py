@@ -1,38 +1,20 @@
-"""Fixtures: small FMUs, a station around the one that integrates its input, and waiting without a clock."""
+"""Fixtures: small FMUs, a station around the one that integrates its input."""
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from kit.any_fmu.models import Workshop
+from kit.wait import LONG
 
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
 
-LONG = 60.0  # [s]: only a test that fails waits for it
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-
-
-def until(condition: Callable[[], object]) -> None:
-    """Wait until something holds."""
-    end = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.002)
-
-
-def gone(pid: int) -> bool:
-    """No such process, or one that only waits to be noticed."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        return state in "ZX"
-    except FileNotFoundError:
-        return True
 
 
 def u(station: RealTimeMachine) -> float:
@@ -48,7 +30,7 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 
 @pytest.fixture(scope="session")
 def drift(fmus: Workshop) -> Setup:
-    """y' = u, commands live for a minute."""
+    """y' = u, commands live for longer than any test."""
     return Setup(str(fmus["drift"]), (Axis("u", limit=2.0, rate=10.0),), ("drift.y", "drift.u"), timeout=LONG)
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.mistakes import problem
 
 from orchestrator import Coupling, Problem, Trace, load, run
 from orchestrator.realtime import stepping
@@ -15,13 +16,8 @@ from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.stepping import FrameStepper
 
 COMMANDS = tuple(Axis(f"{name}_command", 10.0, 100.0) for name in ("swing", "boom", "stick"))
-SHOWN = (
-    "manipulator.swing_angle",
-    "manipulator.stick_angle",
-    "swing.swing_pressure_a",
-    "boom_stick.boom_head_pressure",
-    "boom_stick.boom_command",
-)
+SHOWN = ("manipulator.swing_angle", "manipulator.stick_angle", "swing.swing_pressure_a")
+SHOWN += ("boom_stick.boom_head_pressure", "boom_stick.boom_command")
 DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
 DETAILED |= {"supply": "engine_pump"}
 
@@ -44,15 +40,8 @@ def played(setup: Setup, frames: int, wanted) -> Trace:
 def same_as_run(setup: Setup, live: Trace, system=None) -> None:
     """`run` with what drove the live machine as its scenario gives the same numbers."""
     scenario = live.select([axis.name for axis in setup.axes])
-    result = run(
-        system or setup.system,
-        scenario,
-        swap=setup.swap,
-        set=setup.set,
-        step=setup.step,
-        record=setup.signals,
-        record_step=setup.frame,
-    )
+    as_set = {"swap": setup.swap, "set": setup.set, "step": setup.step}
+    result = run(system or setup.system, scenario, **as_set, record=setup.signals, record_step=setup.frame)
     assert result.complete
     np.testing.assert_array_equal(result.trace.time, live.time)
     for name in setup.signals:
@@ -69,11 +58,11 @@ def random_walk(seed: int, size: int, limit: float = 6.0):
 
 @pytest.mark.parametrize("swap", [{}, DETAILED], ids=["lumped", "detailed"])
 def test_the_machine_is_the_one_of_run(fmu_dir, swap):
-    """Two seconds of random commands, to the last bit, with a pose that is set."""
+    """Half a second of random commands, to the last bit, with a pose that is set."""
     setup = Setup(
         str(fmu_dir / "harvester.ssp"), COMMANDS, SHOWN, swap, set={"manipulator.initial_boom_angle": 0.3}
     )
-    live = played(setup, 200, random_walk(1, 3))
+    live = played(setup, 50, random_walk(1, 3))
     assert np.ptp(live["manipulator.swing_angle"]) > 1e-3
     same_as_run(setup, live)
 
@@ -89,19 +78,18 @@ MASTERS = {
 
 @pytest.mark.parametrize("label", MASTERS)
 def test_masters_that_a_system_suggests(fmu_dir, monkeypatch, label):
-    """Half a second under each of them, steps of their own choice included."""
+    """A quarter of a second under each of them, steps of their own choice included."""
     suggested = load(fmu_dir / "harvester.ssp").coupled(MASTERS[label])
     monkeypatch.setattr(stepping, "load", lambda _: suggested)
     setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
-    live = played(setup, 50, random_walk(2, 3))
+    live = played(setup, 25, random_walk(2, 3))
     same_as_run(setup, live, suggested)
 
 
 def test_inputs_that_are_no_reals(fmus):
     """Whole numbers and truth values are held, as in a scenario."""
-    axes = tuple(
-        Axis(f"types.{kind}_in", limit, 1000.0) for kind, limit in (("real", 5), ("int", 7), ("bool", 1))
-    )
+    limits = {"real": 5, "int": 7, "bool": 1}
+    axes = tuple(Axis(f"types.{kind}_in", limit, 1000.0) for kind, limit in limits.items())
     outs = ("types.real_out", "types.int_out", "types.bool_out", "types.real_in")
     setup = Setup(str(fmus["types"]), axes, outs)
     rng = np.random.default_rng(3)
@@ -128,26 +116,21 @@ def test_units_of_axes_and_signals(drift):
     assert live.units == {"u": "m", "drift.u_rate": "m/s"}
 
 
-@pytest.mark.parametrize(
-    ("wrong", "told"),
-    [
-        ({"axes": (Axis("w", 1, 1),)}, "axes: column 'w' is not an input of the system; inputs: u, u_rate"),
-        (
-            {"signals": ("drift.z",)},
-            "unknown variable 'drift.z'; did you mean drift.y, drift.u, drift.u_rate?",
-        ),
-        ({"step": 3e-3}, "frame: expected a multiple of the step 0.003 s, got 0.01 s"),
-        ({"step": -1.0}, "step: expected a positive time, got -1 s"),
-        ({"step": 1e-300}, "step: expected at least 9.09e-15 s, got 1e-300 s"),
-        ({"step": 1e-320}, "step: expected at least 9.09e-15 s, got 9.99989e-321 s"),
-        ({"system": "none.fmu"}, "none.fmu: no such file"),
-    ],
-)
-def test_mistakes_are_told_in_one_line(drift, wrong, told):
+MISTAKES = {
+    "axes: column 'w' is not an input of the system; inputs: u, u_rate": {"axes": (Axis("w", 1, 1),)},
+    "unknown variable 'drift.z'; did you mean drift.y, drift.u, drift.u_rate?": {"signals": ("drift.z",)},
+    "frame: expected a multiple of the step 0.003 s, got 0.01 s": {"step": 3e-3},
+    "step: expected a positive time, got -1 s": {"step": -1.0},
+    "step: expected at least 9.09e-15 s, got 1e-300 s": {"step": 1e-300},
+    "step: expected at least 9.09e-15 s, got 9.99989e-321 s": {"step": 1e-320},
+    "none.fmu: no such file": {"system": "none.fmu"},
+}
+
+
+@pytest.mark.parametrize("message", MISTAKES)
+def test_mistakes_are_told_in_one_line(drift, message):
     """Names and times that do not fit."""
-    with pytest.raises(Problem) as caught:
-        FrameStepper(replace(drift, **wrong))
-    assert str(caught.value) == told
+    assert problem(lambda: FrameStepper(replace(drift, **MISTAKES[message]))) == message
 
 
 def test_a_failing_fmu_tells_why_and_keeps_the_last_frame(failing):

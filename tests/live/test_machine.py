@@ -12,12 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.wait import until
 
 from orchestrator import Problem, run
 from orchestrator.realtime.setup import Axis
 from orchestrator.realtime.shared_memory import Command
 
-from .conftest import u, until
+from .conftest import u
 
 
 def test_it_does_what_it_is_told_and_run_does_the_same(opened, drift):
@@ -27,10 +28,10 @@ def test_it_does_what_it_is_told_and_run_does_the_same(opened, drift):
     assert station.units == {"u": "m", "drift.u": "m"}
     for value in (1.0, -0.5, 2.0):
         station.command({"u": value})
-        until(lambda value=value: u(station) == value)
+        assert until(lambda value=value: u(station) == value)
     station.speed(10.0)
     station.command({})
-    until(lambda: u(station) == 0.0)
+    assert until(lambda: u(station) == 0.0)
     station.close()
     trace = station.trace()
     assert trace["drift.y"][-1] > 0
@@ -43,24 +44,25 @@ def test_a_huge_command_is_cut_and_comes_at_the_rate(opened, drift):
     """The limit is 2, the rate 10 per second, so 0.1 per frame."""
     station = opened(drift)
     station.command({"u": 1e300})
-    until(lambda: u(station) == 2.0)
+    assert until(lambda: u(station) == 2.0)
     station.command({"u": -(10**30)})
-    until(lambda: u(station) == -2.0)
+    assert until(lambda: u(station) == -2.0)
     moves = np.diff(station.trace()["u"])
     assert np.abs(moves).max() <= 0.1 + 1e-15  # rounding of numbers up to 2
     assert np.abs(station.trace()["u"]).max() == 2.0
 
 
-@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, "fast", None, 10**400, [1.0]], ids=repr)
-def test_what_is_no_number_is_refused(opened, drift, wrong):
+def test_what_is_no_number_is_refused(opened, drift):
     """One line, and the machine keeps what it was told before."""
     station = opened(drift)
     station.command({"u": 1.0})
-    with pytest.raises(Problem, match=r"^axis u: expected a finite number, got [^\n]{1,40}$"):
-        station.command({"u": wrong})
-    with pytest.raises(Problem, match=r"^unknown axis 'v'$|^unknown axis 'v'; did you mean u\?$"):
-        station.command({"v": 1.0})
-    until(lambda: u(station) == 1.0)
+    for wrong in (math.nan, math.inf, -math.inf, "fast", None, 10**400, [1.0]):
+        with pytest.raises(Problem, match=r"^axis u: expected a finite number, got [^\n]{1,40}$"):
+            station.command({"u": wrong})
+        with pytest.raises(Problem, match=r"^unknown axis 'v'$|^unknown axis 'v'; did you mean u\?$"):
+            station.command({"v": 1.0})
+    number = station.latest().number
+    assert until(lambda: u(station) == 1.0 and station.latest().number > number + 20)  # none is on its way
 
 
 def test_no_number_in_the_memory_itself_does_not_move_it(opened, drift):
@@ -68,7 +70,7 @@ def test_no_number_in_the_memory_itself_does_not_move_it(opened, drift):
     station = opened(drift)
     for serial, (written, meant) in enumerate([(1.0, 1.0), (math.nan, 0.0), (math.inf, 2.0)], start=100):
         station._process.shared.write_command(Command(True, 1.0, serial, np.array([written])))
-        until(lambda meant=meant: u(station) == meant)
+        assert until(lambda meant=meant: u(station) == meant)
     assert np.isfinite(station.trace()["drift.y"]).all()
 
 
@@ -76,10 +78,12 @@ def test_it_rests_when_nobody_commands(opened, drift):
     """One command, then silence: the axis comes, and goes back at its rate by itself."""
     station = opened(replace(drift, timeout=0.3))
     station.command({"u": 0.2})
-    until(lambda: u(station) == 0.0 and station.trace()["u"].max() > 0)
+    assert until(lambda: u(station) == 0.0 and station.trace()["u"].max() > 0)
     moves = np.diff(station.trace()["u"])
     assert moves.min() >= -0.1 - 1e-15  # rounding
-    until(lambda: station.latest().state == "running")  # one that halts for long has failed until it goes on
+    assert until(
+        lambda: station.latest().state == "running"
+    )  # one that halts for long has failed until it goes on
 
 
 def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
@@ -93,7 +97,7 @@ def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
         seen = station.trace()
         return seen["u"].any() and seen["u"][-1] == 0.0
 
-    until(rested)
+    assert until(rested)
     trace = station.trace()
     alone = (trace["u"] == 1.0) & (trace["u_rate"] == 0.0)
     assert np.count_nonzero(alone) == 30
@@ -103,16 +107,16 @@ def test_a_pause_keeps_the_state(opened, drift):
     """No frame is added while it stands, and the next one follows the last one."""
     station = opened(drift)
     station.command({"u": 1.0})
-    until(lambda: u(station) == 1.0)
+    assert until(lambda: u(station) == 1.0)
     station.pause()
-    until(lambda: station.latest().state == "paused")
+    assert until(lambda: station.latest().state == "paused")
     frame, shared = station.latest(), station._process.shared
     beat = shared.status().heartbeat
-    until(lambda: shared.status().heartbeat > beat + 5)
+    assert until(lambda: shared.status().heartbeat > beat + 5)
     still = station.latest()
     assert (still.number, still.t, still.state) == (frame.number, frame.t, "paused")
     station.play()
-    until(lambda: station.latest().number > frame.number)
+    assert until(lambda: station.latest().number > frame.number)
     numbers, times, axes, _ = station.since(frame.number - 1)
     assert numbers[0] == frame.number
     assert (np.diff(numbers) == 1).all()
@@ -128,7 +132,7 @@ def test_it_may_begin_paused(opened, drift):
     station.restart()
     assert station.ready().state == "paused"
     station.play()
-    until(lambda: station.latest().t > 0)
+    assert until(lambda: station.latest().t > 0)
 
 
 def test_two_at_once(opened, drift):
@@ -136,32 +140,36 @@ def test_two_at_once(opened, drift):
     one, two = opened(drift), opened(drift)
     one.command({"u": 1.0})
     two.command({"u": -1.0})
-    until(lambda: u(one) == 1.0 and u(two) == -1.0)
+    assert until(lambda: u(one) == 1.0 and u(two) == -1.0)
     one.close()
     number = two.latest().number
-    until(lambda: two.latest().number > number + 5)
+    assert until(lambda: two.latest().number > number + 5)
 
 
 def test_commands_from_many_threads(opened, drift):
     """Each is whole: the axis is on its way to one of them, and the machine goes on."""
     station = opened(drift)
-    threads = [
-        threading.Thread(target=lambda k=k: [station.command({"u": k / 10}) for _ in range(300)])
-        for k in range(4)
-    ]
+
+    def send(value: float) -> None:
+        for _ in range(300):
+            station.command({"u": value})
+
+    threads = [threading.Thread(target=send, args=(k / 10,)) for k in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     station.command({"u": 0.5})
-    until(lambda: u(station) == 0.5)
-    until(lambda: station.latest().state == "running")  # one that halts for long has failed until it goes on
+    assert until(lambda: u(station) == 0.5)
+    assert until(
+        lambda: station.latest().state == "running"
+    )  # one that halts for long has failed until it goes on
 
 
 def test_the_timing_counts_every_frame(opened, drift):
     """Frames, latencies in order, a load; how good they are is a matter of the benchmark."""
     station = opened(drift, speed=10.0)
-    until(lambda: station.latest().timing.frames > 100)
+    assert until(lambda: station.latest().timing.frames > 100)
     station.close()
     frame = station.latest()
     timing = frame.timing

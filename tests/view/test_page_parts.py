@@ -138,12 +138,8 @@ def test_choice(fmu_dir: Path) -> None:
     """Poses and variants are those of the files; the valves are driven instead of the levers' program."""
     system = fmu_dir / "harvester.ssp"
     assert set(poses(system)) == {"close", "folded", "nominal", "raised", "reach"}
-    assert variants(system)["swing"] == {
-        "usual": "lumped (usual)",
-        "detailed": "detailed",
-        "quasistatic": "quasistatic",
-        "compensated": "compensated",
-    }
+    others = {name: name for name in ("detailed", "quasistatic", "compensated")}
+    assert variants(system)["swing"] == {"usual": "lumped (usual)", **others}
     assert "operator_input" not in variants(system)
     found = plan(MachineChoice(system)).setup
     levers = ["swing_command", "boom_command", "stick_command"]
@@ -160,10 +156,8 @@ def test_choice_with_a_controller(fmu_dir: Path) -> None:
     assert {"boom_lever", "radial_velocity", "vertical_velocity", "swing_velocity", "engaged"} <= names
     assert "boom_command" not in names
     seen = description.watched(system)
-    assert {
-        "controller.tip_error",
-        *(f"controller.{n}" for n in ("reference_share", "stroke_use", "speed_use")),
-    } <= set(seen)
+    uses = ("tip_error", "reference_share", "stroke_use", "speed_use")
+    assert {f"controller.{name}" for name in uses} <= set(seen)
 
 
 def test_a_machine_without_a_description(fmu_dir: Path, tmp_path: Path) -> None:
@@ -222,12 +216,8 @@ def test_files_that_can_be_replayed(fmu_dir: Path, tmp_path: Path) -> None:
     (tmp_path / "torn.parquet").write_bytes(b"PAR1")
     (tmp_path / "text.csv").write_bytes(b"\xff")
     (tmp_path / "cut.csv").write_text("time,boom_angle\nno number")
-    session = Session(
-        MachineChoice(fmu_dir / "harvester.ssp"),
-        lambda _: Replay(Trace(np.arange(2.0), still)),
-        Replay,
-        [tmp_path],
-    )
+    replay = Replay(Trace(np.arange(2.0), still))
+    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), lambda _: replay, Replay, [tmp_path])
     assert session.files() == ["a.csv", "b.parquet", "cut.csv"]
 
 

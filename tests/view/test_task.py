@@ -18,31 +18,16 @@ from view.standin import StandIn
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
-from orchestrator.view.task.score import (
-    Exercise,
-    Progress,
-    Target,
-    advance,
-    follow,
-    of_trace,
-    phase,
-    score,
-    spectral_arc_length,
-    way,
-)
+from orchestrator.view.task import score as scores
+from orchestrator.view.task.score import Exercise, Progress, Target, follow, of_trace, phase, score
 from orchestrator.view.task.training import Training, directions
 
 Array = NDArray[np.float64]
 STEP = 0.01
 RADIUS, ARC, HEIGHT = 4.0, 1.0, 1.5
 T_SWING, T_REST, T_RISE = 4.0, 2.0, 3.0
-EXERCISE = Exercise(
-    "arc and lift",
-    (
-        Target("pick", (RADIUS * math.cos(ARC), RADIUS * math.sin(ARC), 0.0)),
-        Target("place", (RADIUS * math.cos(ARC), RADIUS * math.sin(ARC), HEIGHT)),
-    ),
-)
+END = RADIUS * math.cos(ARC), RADIUS * math.sin(ARC)
+EXERCISE = Exercise("arc and lift", (Target("pick", (*END, 0.0)), Target("place", (*END, HEIGHT))))
 
 
 def blend(t: Array, start: float, duration: float) -> tuple[Array, Array]:
@@ -199,9 +184,9 @@ def test_stem_is_held_between_its_two_places() -> None:
 
 def test_way() -> None:
     """Where to go is told as the hands do it: the way round is the shorter one."""
-    assert way((3.0, 0.0, 1.0), (0.0, 4.0, 0.5)) == pytest.approx((1.0, -0.5, math.pi / 2))
+    assert scores.way((3.0, 0.0, 1.0), (0.0, 4.0, 0.5)) == pytest.approx((1.0, -0.5, math.pi / 2))
     behind, beyond = (-4.0, 0.1, 0.0), (-4.0, -0.1, 0.0)
-    assert way(behind, beyond)[2] == pytest.approx(2 * math.atan(0.1 / 4))
+    assert scores.way(behind, beyond)[2] == pytest.approx(2 * math.atan(0.1 / 4))
     assert directions((1.0, -0.5, math.pi / 2)) == "out 1.00 m, down 0.50 m, left 90°"
 
 
@@ -221,7 +206,7 @@ def test_restart_ends_an_attempt() -> None:
 def at(progress: Progress, time: float, x: float, speed: float = 0.0) -> Progress:
     """One more sample on a line, with the target at 1 m."""
     line = Exercise("line", (Target("end", (1.0, 0.0, 0.0)),))
-    return advance(line, progress, time, (x, 0.0, 0.0), speed)
+    return scores.advance(line, progress, time, (x, 0.0, 0.0), speed)
 
 
 def test_hold_without_a_break() -> None:
@@ -289,8 +274,8 @@ def bells(*centres: float, width: float = 0.5) -> Array:
 def test_size_does_not_matter(size: float) -> None:
     """A larger movement of the same form is as smooth."""
     # rounding only
-    assert spectral_arc_length(TIME, size * bells(5)) == pytest.approx(
-        spectral_arc_length(TIME, bells(5)), rel=1e-9
+    assert scores.spectral_arc_length(TIME, size * bells(5)) == pytest.approx(
+        scores.spectral_arc_length(TIME, bells(5)), rel=1e-9
     )
 
 
@@ -300,16 +285,16 @@ def test_bell_by_hand() -> None:
     f = np.linspace(0, end, 100_001)
     arc = np.sum(np.hypot(np.diff(f) / end, np.diff(np.exp(-((np.pi * f * 0.5) ** 2)))))
     # the end of the arc lies on a line of the padded spectrum: up to 1/109 of its width beside it
-    assert spectral_arc_length(TIME, bells(5)) == pytest.approx(-arc, rel=0.01)
+    assert scores.spectral_arc_length(TIME, bells(5)) == pytest.approx(-arc, rel=0.01)
 
 
 def test_more_stops_are_less_smooth() -> None:
     """Each further start and stop makes it more negative."""
-    values = [spectral_arc_length(TIME, bells(*np.arange(1, n + 1) * 1.5)) for n in range(1, 6)]
+    values = [scores.spectral_arc_length(TIME, bells(*np.arange(1, n + 1) * 1.5)) for n in range(1, 6)]
     assert all(a > b for a, b in itertools.pairwise(values))
 
 
 def test_nothing() -> None:
     """No movement and no time have no smoothness."""
-    assert spectral_arc_length(TIME, 0 * TIME) is None
-    assert spectral_arc_length(TIME[:3], TIME[:3]) is None
+    assert scores.spectral_arc_length(TIME, 0 * TIME) is None
+    assert scores.spectral_arc_length(TIME[:3], TIME[:3]) is None
