@@ -11,6 +11,7 @@ import pytest
 from kit.any_fmu.models import Workshop
 from kit.wait import LONG
 
+from orchestrator.realtime import deadlines, replay
 from orchestrator.realtime.machine import RealTimeMachine
 from orchestrator.realtime.setup import Axis, Setup
 
@@ -56,3 +57,25 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable
     for station in stations:
         station.close()
     assert not list(tmp_path.glob("live-*"))
+
+
+class Clock:
+    """Time that passes when a test says so, and in sleep."""
+
+    now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, length: float) -> None:
+        assert length >= 0
+        self.now += length
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """In place of the real one, for deadlines and replays."""
+    clock = Clock()
+    monkeypatch.setattr(deadlines, "time", clock)
+    monkeypatch.setattr(replay, "time", clock)
+    return clock

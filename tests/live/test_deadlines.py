@@ -8,28 +8,6 @@ import pytest
 from orchestrator.realtime import deadlines
 
 
-class Clock:
-    """Time that passes only in sleep and in work."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-    def sleep(self, length: float) -> None:
-        assert length >= 0
-        self.now += length
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    """In place of the real one."""
-    clock = Clock()
-    monkeypatch.setattr(deadlines, "time", clock)
-    return clock
-
-
 def _frames(clock, works, length=0.01):
     """Latencies of frames that take so long, and the deadlines."""
     kept, latencies = deadlines.DeadlineClock(), []

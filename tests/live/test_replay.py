@@ -6,25 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator import Problem, Trace, write_trace
-from orchestrator.realtime import replay
 from orchestrator.realtime.replay import Replay
-
-
-class Clock:
-    """Time that passes when a test says so."""
-
-    now = 50.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    """In place of the real one."""
-    clock = Clock()
-    monkeypatch.setattr(replay, "time", clock)
-    return clock
 
 
 @pytest.fixture

@@ -195,15 +195,16 @@ def test_pause_and_restart(page: Any, server: Server) -> None:
 
 
 def test_keys_of_the_page(page: Any, server: Server) -> None:
-    """P pauses and goes on, the page says what to press, and the driver keeps the controls; in a window over
+    """P pauses and goes on, the page says what to press, and a driver keeps the controls; in a window over
     the page keys do nothing; a restart takes the controls away."""
-    take(page, server)
-    page.keyboard.press("p")
-    assert comes_to(server, "paused")
-    page.get_by_text("paused: press P to continue").wait_for()
-    assert server.authority.status().driver
-    page.keyboard.press("p")
-    assert comes_to(server, "running")
+    for drives in (False, True):
+        page.keyboard.press("p")
+        assert comes_to(server, "paused")
+        page.get_by_text("paused: press P to continue").wait_for()
+        page.keyboard.press("p")
+        assert comes_to(server, "running")
+        if not drives:
+            take(page, server)
     assert server.authority.status().driver
     page.get_by_role("button", name="Replay a result file").click()
     page.get_by_role("combobox", name="File").press_sequentially("pause")
@@ -213,37 +214,28 @@ def test_keys_of_the_page(page: Any, server: Server) -> None:
     assert until(lambda: not server.authority.status().driver)
 
 
-def test_less_to_draw(own: Any) -> None:
-    """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
-    own.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
-    own.locator(".machine[data-detail=low]").wait_for()
-    drawn = int(own.evaluate("document.querySelector('.machine').dataset.drawn"))
-    own.wait_for_function(DRAWN, arg=drawn + 1)
-    assert picture(own).std() > 0.05, "a blank picture has no contrast"
-
-
 CAMERA = """() => { const { camera, controls } = getElement(document.querySelector('.machine').id.slice(1));
   return [...controls.target, camera.position.distanceTo(controls.target)]; }"""
 
 
-def test_view_with_the_tip(own: Any, server: Server) -> None:
+def test_view_with_the_tip(page: Any, server: Server) -> None:
     """The view looks at the tip, from the same distance, before and after the tip has moved."""
-    own.get_by_role("button", name="View", exact=True).click()
-    own.get_by_text("With the tip").click()
+    page.get_by_role("button", name="View", exact=True).click()
+    page.get_by_text("With the tip").click()
 
     def looked_at() -> bool:
-        *target, away = own.evaluate(CAMERA)
+        *target, away = page.evaluate(CAMERA)
         index, frame = server.session.index, server.session.machine.latest()
         tip = [index.value(frame, f"tip_{name}") for name in ("x", "y", "height")]
         # 5 cm: the tip creeps while the picture is under way; 7 m is the distance of the view
         return bool(np.allclose(target, tip, atol=0.05) and abs(away - 7) < 0.01)
 
     assert until(looked_at)
-    take(own, server)
+    take(page, server)
     first = angle(server, "swing")
-    drive(own, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
-    own.keyboard.up("a")
-    own.keyboard.up("Shift")
+    drive(page, server, "a", lambda: abs(angle(server, "swing") - first) > MOVED)
+    page.keyboard.up("a")
+    page.keyboard.up("Shift")
     assert until(looked_at)
 
 
@@ -336,3 +328,12 @@ def test_help(page: Any) -> None:
     """The map of the keys opens over the page."""
     page.get_by_role("button", name="Keys, sticks and mouse").click()
     page.locator(".window").get_by_text("the machine rests without it").wait_for()
+
+
+def test_less_to_draw(page: Any) -> None:
+    """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
+    page.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
+    page.locator(".machine[data-detail=low]").wait_for()
+    drawn = int(page.evaluate("document.querySelector('.machine').dataset.drawn"))
+    page.wait_for_function(DRAWN, arg=drawn + 1)
+    assert picture(page).std() > 0.05, "a blank picture has no contrast"

@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
@@ -115,18 +115,6 @@ def test_dropped_messages(server: Server) -> None:
         assert station.counts["accepted"] == 5
 
 
-def test_old_messages(server: Server) -> None:
-    """The same message again and again is silence."""
-    with page(server) as (socket, station):
-        drive(server, socket, station)
-        for n in range(1, 5):
-            server.silence(0.3 * TIMEOUT)
-            say(socket, 1)
-            assert until(lambda n=n: station.counts["old"] == n)
-        assert until(lambda: not server.machine.moving)
-        assert server.authority.status(station).role == "driving"
-
-
 def test_second_browser(server: Server) -> None:
     """The second one moves nothing, is told who drives, and can take over when the first is gone."""
     with page(server) as (second, other):
@@ -145,28 +133,25 @@ def test_second_browser(server: Server) -> None:
         assert until(lambda: server.authority.take(other))
 
 
-def test_closed_page(server: Server) -> None:
-    """The end of the socket is rest."""
-    with page(server) as (socket, station):
-        drive(server, socket, station)
-        socket.close()
-        assert until(lambda: not server.machine.moving)
+def cut_cable(opened: ClientConnection) -> None:
+    """In the middle of a frame of text, without a word."""
+    opened.socket.sendall(b"\x81\xfe\x00")
+    opened.socket.shutdown(socket.SHUT_RDWR)
 
 
-def test_cut_cable(server: Server) -> None:
-    """A connection that breaks off without a word, in the middle of a frame, is rest."""
-    with page(server) as (socket_, station):
-        drive(server, socket_, station)
-        socket_.socket.sendall(b"\x81\xfe\x00")  # a frame of text that never ends
-        socket_.socket.shutdown(socket.SHUT_RDWR)
-        assert until(lambda: not server.machine.moving)
+ENDS: dict[str, Callable[[ClientConnection], object]] = {
+    "the page is closed": lambda opened: opened.close(),
+    "bytes that are no frame": lambda opened: opened.socket.sendall(os.urandom(1000)),
+    "the cable is cut": cut_cable,
+}
 
 
-def test_garbage_below_the_websocket(server: Server) -> None:
-    """Bytes that are no frame end the connection and nothing else."""
-    with page(server) as (socket_, station):
-        drive(server, socket_, station)
-        socket_.socket.sendall(os.urandom(1000))
+@pytest.mark.parametrize("how", ENDS)
+def test_connection_that_ends(server: Server, how: str) -> None:
+    """However a connection ends, it is rest."""
+    with page(server) as (opened, station):
+        drive(server, opened, station)
+        ENDS[how](opened)
         assert until(lambda: not server.machine.moving)
 
 

@@ -68,10 +68,16 @@ def slow_after(rate: float, duration: float) -> float:
     return duration * (1 - math.asin(rate * 2 * duration / math.pi) / math.pi)
 
 
+def scored(trace: Trace) -> scores.Score:
+    """The score of an attempt that took place."""
+    found = score(trace, EXERCISE)
+    assert found is not None
+    return found
+
+
 def test_cycle() -> None:
     """Times, path, energy and pressure of a cycle follow from its formulas."""
-    found = score(cycle(), EXERCISE)
-    assert found is not None
+    found = scored(cycle())
     assert found.finished
     # the clock starts when the chord to the first position is 0.05 m
     started = 1 + when(2 * math.asin(EXERCISE.start / 2 / RADIUS) / ARC, T_SWING)
@@ -90,8 +96,7 @@ def test_cycle() -> None:
 
 def test_shares_of_functions() -> None:
     """Boom and stick together count as two; a share is the time that both are fast over the whole time."""
-    found = score(cycle(), EXERCISE)
-    assert found is not None
+    found = scored(cycle())
     lift = T_RISE - 2 * (T_RISE - slow_after(0.02 / 0.4, T_RISE))
     # both ends of a movement fall between two samples
     assert found.simultaneous == pytest.approx(lift / found.cycle_time, abs=2 * STEP / found.cycle_time)
@@ -236,21 +241,16 @@ def test_supply_is_not_counted_twice() -> None:
     apart = {name: value for name, value in trace.signals.items() if not name.endswith("supply_flow")}
     two = Trace(trace.time, {**apart, "a.supply_flow": 0.25 * flow, "b.supply_flow": 0.75 * flow})
     three = Trace(trace.time, {**two.signals, "supply.supply_flow": flow})
-    whole = score(trace, EXERCISE)
-    assert whole is not None
     for other in (two, three):
-        found = score(other, EXERCISE)
-        assert found is not None
         # the same sum in another order
-        assert found.energy == pytest.approx(whole.energy, rel=1e-12)
+        assert scored(other).energy == pytest.approx(scored(trace).energy, rel=1e-12)
 
 
 def test_what_lacks() -> None:
     """Without a supply or pressures those figures are left out; a tip or unit that lacks is one line."""
     trace = cycle()
     bare = [n for n in trace.signals if not n.endswith(("pressure", "flow", "pressure_a"))]
-    found = score(trace.select(bare), EXERCISE)
-    assert found is not None
+    found = scored(trace.select(bare))
     assert (found.energy, found.peak_pressure) == (None, None)
     with pytest.raises(Problem, match="found none of tip_x"):
         score(trace.select([n for n in trace.signals if not n.endswith("tip_x")]), EXERCISE)
@@ -273,10 +273,9 @@ def bells(*centres: float, width: float = 0.5) -> Array:
 @given(st.floats(1e-3, 1e3))
 def test_size_does_not_matter(size: float) -> None:
     """A larger movement of the same form is as smooth."""
+    usual = scores.spectral_arc_length(TIME, bells(5))
     # rounding only
-    assert scores.spectral_arc_length(TIME, size * bells(5)) == pytest.approx(
-        scores.spectral_arc_length(TIME, bells(5)), rel=1e-9
-    )
+    assert scores.spectral_arc_length(TIME, size * bells(5)) == pytest.approx(usual, rel=1e-9)
 
 
 def test_bell_by_hand() -> None:
