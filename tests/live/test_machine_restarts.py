@@ -23,9 +23,8 @@ def test_restart_with_another_setup(opened, drift, fmus):
     station.command({"u": 1.0})
     assert until(lambda: u(station) == 1.0)
     old = station.latest().number
-    gain = Setup(
-        str(fmus["gain"]), (Axis("gain.u", 5.0, 100.0, rest=-1.0),), ("gain.y",), set={"gain.factor": 3}
-    )
+    axes = (Axis("gain.u", 5.0, 100.0, rest=-1.0),)
+    gain = Setup(str(fmus["gain"]), axes, ("gain.y",), set={"gain.factor": 3})
     station.restart(gain)
     waiting = station.latest()
     if waiting.state == "starting":

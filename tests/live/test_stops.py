@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from pathlib import Path
 
@@ -17,15 +18,17 @@ from orchestrator.view.driving.sticks import CraneFunctions, commands
 HELD, WATCHED = 400, 400  # frames of 10 ms
 DETAILED = {"swing": "detailed", "boom_stick": "detailed", "manipulator": "pendulum_friction"}
 DETAILED |= {"supply": "engine_pump"}
+SWAPS = {"lumped": {}, "detailed": DETAILED}
 POSES = ("nominal", "reach")
 
 
-def released(system: Path, mode: str, pose: str, swap: dict[str, str], load: float = 0.0) -> dict[str, Array]:
+@functools.cache
+def released(system: Path, mode: str, pose: str, swap: str, load: float = 0.0) -> dict[str, Array]:
     """Full swing, then nothing, as the process of a machine does it; the signals by bare names.
 
     load   payload [kg] of the training task at the same time
     """
-    chosen = plan(MachineChoice(system, pose, swap))
+    chosen = plan(MachineChoice(system, pose, SWAPS[swap]))
     setup, modes = chosen.setup, chosen.description.modes
     names = [axis.name for axis in setup.axes]
     full = commands(CraneFunctions(swing=1), modes[mode], names, {"payload_mass": load})
@@ -43,18 +46,16 @@ def released(system: Path, mode: str, pose: str, swap: dict[str, str], load: flo
     return dict(zip(shown, np.array(rows).T, strict=True))
 
 
-SWAPS = {"lumped": {}, "detailed": DETAILED}
-CASES = list(
-    itertools.product(("harvester-levers", "harvester_control-levers", "harvester_control-tip"), SWAPS, POSES)
-)
-# each pair of mode, fidelity and pose that differs most: the braking of the controller in both fidelities and
-# poses, the levers with the arm stretched
+DRIVEN = ("harvester-levers", "harvester_control-levers", "harvester_control-tip")
+# the controller brakes once in each fidelity and pose; the levers stop where the arm is stretched, in each
+# fidelity once
 QUICK = [
     ("harvester-levers", "lumped", "reach"),
     ("harvester_control-levers", "detailed", "reach"),
     ("harvester_control-tip", "lumped", "nominal"),
     ("harvester_control-tip", "detailed", "reach"),
 ]
+CASES = list(itertools.product(DRIVEN, SWAPS, POSES))
 
 
 @pytest.mark.parametrize(("driven", "swap", "pose"), shards.few(QUICK, CASES, shards.machine))
@@ -64,7 +65,7 @@ def test_a_released_stick_is_a_soft_stop(fmu_dir, driven, swap, pose):
     In the lumped machine a hard cut-off of the controller has 37 to 47 MPa, one of the levers at 40 V/s 120.
     """
     system, mode = driven.split("-")
-    found = released(fmu_dir / f"{system}.ssp", mode, pose, SWAPS[swap])
+    found = released(fmu_dir / f"{system}.ssp", mode, pose, swap)
     speed, angle = found["swing_speed"], found["swing_angle"]
     full = speed[HELD - 100 : HELD].mean()  # over a second: the head under the stretched arm swings meanwhile
     assert full > 0.35  # rad/s; 0.4 of the tip, 0.84 of the lever are asked for
@@ -76,7 +77,7 @@ def test_a_released_stick_is_a_soft_stop(fmu_dir, driven, swap, pose):
 
 def test_the_controller_brakes_and_then_lets_go(fmu_dir):
     """It stays engaged until the machine rests, then the levers have it, which are at rest."""
-    found = released(fmu_dir / "harvester_control.ssp", "tip", "nominal", {})
+    found = released(fmu_dir / "harvester_control.ssp", "tip", "nominal", "lumped")
     after = np.flatnonzero(found["engaged"][HELD:] == 0)
     assert len(after)
     assert abs(found["swing_speed"][HELD + after[0]]) < 0.01  # rad/s, of 0.4 before
@@ -87,7 +88,7 @@ def test_the_controller_brakes_and_then_lets_go(fmu_dir):
 @pytest.mark.parametrize("swap", shards.few(["lumped"], SWAPS, shards.machine))
 def test_the_grip_holds_its_load_when_nobody_drives(fmu_dir, swap):
     """Without commands the levers rest and the swing stops, but the stem stays in the head."""
-    found = released(fmu_dir / "harvester.ssp", "levers", "nominal", SWAPS[swap], load=200.0)
+    found = released(fmu_dir / "harvester.ssp", "levers", "nominal", swap, load=200.0)
     assert (found["payload_mass"] == 200.0).all()
     assert found["swing_command"][-1] == 0.0
     # the lag of the grip after 2 s: 2 exp(-15)

@@ -6,9 +6,9 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -88,15 +88,15 @@ def open_page(browser: Any, address: str) -> Any:
 
 def take(page: Any, address: str) -> None:
     """The controls, by the keyboard; nothing is held, so the next hold counts."""
-    end = time.monotonic() + LONG
-    while True:
+
+    def drives() -> bool:
         if state(address)["role"] == "free":  # once more, if they were lost by a halt meanwhile
             page.get_by_role("button", name="Take controls").focus()
             page.keyboard.press("Enter")
             page.wait_for_function("document.activeElement.className === 'harvester-sticks'")
-        if until(lambda: page.evaluate(TOLD) == HOLD, 3.0):
-            return
-        assert time.monotonic() < end, f"the page does not drive: {page.evaluate(TOLD)}, {state(address)}"
+        return until(lambda: page.evaluate(TOLD) == HOLD, 3.0)
+
+    assert until(drives), f"the page does not drive: {page.evaluate(TOLD)}, {state(address)}"
 
 
 @dataclass(frozen=True)
@@ -114,16 +114,19 @@ def keys(page: Any, *names: str) -> Hands:
 
 
 def hold(page: Any, address: str, hands: Hands, done: Callable[[], bool]) -> None:
-    """Hold until it is done. A page that was slow for a moment has lost its dead-man, as it
-    should: then the hands let go and hold again, as a driver's would."""
-    end = time.monotonic() + LONG
-    hands.press()
-    while not until(done, 3.0):
-        assert time.monotonic() < end, f"it was not done: {state(address)}"
+    """Hold until it is done. A page that was slow for a moment has lost its dead-man, as it should: then the
+    hands let go and hold again, as a driver's would."""
+
+    def held() -> bool:
+        hands.press()
+        if until(done, 3.0):
+            return True
         hands.release()
         take(page, address)
         page.evaluate("scrollTo(0, 0)")  # a page that did not drive has taken Space for its own
-        hands.press()
+        return False
+
+    assert until(held), f"it was not done: {state(address)}"
 
 
 def state(address: str) -> dict[str, Any]:
@@ -273,18 +276,14 @@ def test_gamepad(page: Any, address: str, axis: int, value: int, name: str, sign
     page.evaluate(f"pad.axes[{axis}] = {value}")
     stays_at_rest(address)  # no bumper is held
     bumper = Hands(
-        lambda: page.evaluate("pad.buttons[5].pressed = true"),
-        lambda: page.evaluate("pad.buttons[5].pressed = false"),
+        *(partial(page.evaluate, f"pad.buttons[5].pressed = {held}") for held in ("true", "false"))
     )
-    for off, on in (
-        ("pad.connected = false", "pad.connected = true"),
-        ("pad.mapping = ''", "pad.mapping = 'standard'"),
-    ):
+    for what, off, on in (("connected", "false", "true"), ("mapping", "''", "'standard'")):
         hold(page, address, bumper, lambda: full(address, name, sign))
-        page.evaluate(off)
+        page.evaluate(f"pad.{what} = {off}")
         assert until(lambda: command(address) == {})
         bumper.release()
-        page.evaluate(on)
+        page.evaluate(f"pad.{what} = {on}")
 
 
 def test_gamepad_that_drifts(page: Any, address: str) -> None:

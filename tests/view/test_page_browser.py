@@ -239,6 +239,15 @@ def test_view_with_the_tip(page: Any, server: Server) -> None:
     assert until(looked_at)
 
 
+def test_less_to_draw(own: Any) -> None:
+    """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
+    own.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
+    own.locator(".machine[data-detail=low]").wait_for()
+    drawn = int(own.evaluate("document.querySelector('.machine').dataset.drawn"))
+    own.wait_for_function(DRAWN, arg=drawn + 1)
+    assert picture(own).std() > 0.05, "a blank picture has no contrast"
+
+
 def test_a_tooltip_does_not_cover_the_menu(page: Any) -> None:
     """The tooltip of a button is seen until its menu opens below it."""
     page.get_by_role("button", name="View", exact=True).hover()
@@ -328,12 +337,3 @@ def test_help(page: Any) -> None:
     """The map of the keys opens over the page."""
     page.get_by_role("button", name="Keys, sticks and mouse").click()
     page.locator(".window").get_by_text("the machine rests without it").wait_for()
-
-
-def test_less_to_draw(page: Any) -> None:
-    """When the sticks came late once, trees and shadow are left out, and the machine is drawn as before."""
-    page.evaluate("() => window.dispatchEvent(new CustomEvent('harvester-slow'))")
-    page.locator(".machine[data-detail=low]").wait_for()
-    drawn = int(page.evaluate("document.querySelector('.machine').dataset.drawn"))
-    page.wait_for_function(DRAWN, arg=drawn + 1)
-    assert picture(page).std() > 0.05, "a blank picture has no contrast"

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from kit.mistakes import refused
+from kit.mistakes import refused, table
 from kit.wait import LONG
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
@@ -101,16 +101,7 @@ def test_other_hosts_need_the_token(fmu_dir: Path, tmp_path: Path) -> None:
     assert (child.returncode, told) == (130, "harvester: interrupted\n")
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (["--pose", "raech"], "did you mean reach"),
-        (["--set", "manipulator.head_mas=900"], "did you mean"),
-        (["--token", "short"], "--token: expected at least 16 characters, got 5"),
-        (["--replay", "nothing.csv"], "nothing.csv: no such file"),
-        (["--replay", RECORDING], "recording.csv: expected signals such as manipulator.swing_angle, found u"),
-    ],
-)
+@table(__file__, "mistakes", "options, expected")
 def test_mistakes(
     fmu_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], expected: str
 ) -> None:

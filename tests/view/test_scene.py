@@ -149,10 +149,8 @@ def test_bodies_hang_on_nodes() -> None:
         assert min(body.size) > 0
         assert body.kind in ("box", "round") or len(body.path) >= 3
     coloured = {body.channel for body in everything} - {""}
-    assert coloured == {f"{j}_{s}" for j in ("boom", "stick") for s in ("head", "rod")} | {
-        "swing_a",
-        "swing_b",
-    }
+    cylinders = {f"{joint}_{side}" for joint in ("boom", "stick") for side in ("head", "rod")}
+    assert coloured == cylinders | {"swing_a", "swing_b"}
 
 
 @given(low=st.floats(0, 25e6), high=st.floats(0, 25e6))
