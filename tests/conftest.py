@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
+
+# before NumPy is loaded: threads for small matrices only take the processor from the other test process
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import contextlib
 import shutil
 import time
 from collections import Counter
