@@ -12,7 +12,12 @@ from kit.any_fmu.models import HIGHEST, RATES, Workshop, oscillator_of, telling
 from kit.any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 
-from orchestrator import Result, System, assemble
+from orchestrator import Coupling, Result, System, assemble
+
+
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Couplings in the names of cases."""
+    return f"{val.text} {val.adaptive or ''}".strip() if isinstance(val, Coupling) else None
 
 
 @pytest.fixture(scope="session")
@@ -77,6 +82,18 @@ def moving(oscillators: Oscillators) -> System:
 
 
 @pytest.fixture(scope="session")
+def bounce(fmus: Workshop) -> Callable[[bool], System]:
+    """bounce(interpolates): a mass and a spring, 1 kg, 100 N/m, 100 m/s; force one way, velocity back."""
+
+    def make(interpolates: bool) -> System:
+        models = {"mass": "mass_b", "spring": "spring"}
+        files = {n: fmus.make(m, f"{n}_{interpolates}", interpolates=interpolates) for n, m in models.items()}
+        return assemble(files, ["spring.force -> mass.force", "mass.v -> spring.v"], {"mass.spring": 0.0})
+
+    return cache(make)
+
+
+@pytest.fixture(scope="session")
 def exact() -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """Exact positions of the oscillator's two masses at times from 0, shape (n, 2)."""
 
@@ -130,6 +147,9 @@ def both() -> Callable[..., Outcome]:
         fast = once(system, True, **options)
         slow = once(system, False, **options)
         compare(fast, slow)
+        assert list(fast.result.trace.signals) == list(slow.result.trace.signals)
+        a, b = fast.result.card, slow.result.card
+        assert (a.passes, a.repeated, a.lengths, a.bonds) == (b.passes, b.repeated, b.lengths, b.bonds)
         return fast
 
     return run_both

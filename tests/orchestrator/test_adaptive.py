@@ -163,20 +163,12 @@ def test_bad_steps_stand_where_one_cannot_go_back(fmus):
 # ---- energy
 
 
-@pytest.fixture(scope="module")
-def bounce(fmus):
-    """A mass on a spring with a power bond of force and velocity; 10 rad/s, undamped."""
-    models = {"mass": "mass_b", "spring": "spring"}
-    files = {name: fmus.make(model, f"bouncing_{name}", interpolates=True) for name, model in models.items()}
-    return assemble(files, ["spring.force -> mass.force", "mass.v -> spring.v"], {"mass.spring": 0.0})
-
-
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
 def test_control_of_the_energy_rejects_steps(bounce, master):
     """Steps with too large an error of power are repeated; the total error scales with the tolerance."""
     made = []
     for tolerance in (1e-3, 1e-5):
-        result = run(bounce, master=Coupling(master, 1, adaptive=tolerance, control="energy"), stop=2.0)
+        result = run(bounce(True), master=Coupling(master, 1, adaptive=tolerance, control="energy"), stop=2.0)
         assert result.card.repeated > 0
         (bond,) = result.card.bonds
         # of the magnitudes of effort and flow the power is a half in the mean, so a share of it is larger

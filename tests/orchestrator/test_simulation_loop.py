@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.any_fmu.models import RAMP
-from kit.any_fmu.outcome import in_python
 from kit.compile import compiled
 from kit.plain_jacobi import plain_jacobi
-from kit.shards import thinned
+from kit.shards import few, thinned
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base import compiler
@@ -24,21 +23,15 @@ STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
 
 
 @pytest.fixture
-def alike():
-    """Runs a system with FMUs called by C and by Python; all values are bit-identical."""
+def alike(both):
+    """A run without an error, with FMUs called by C and by Python: all values are bit-identical."""
 
-    def both(system, **options):
-        fast, slow = run(system, **options), run(system, open=in_python, **options)
-        assert list(fast.trace.signals) == list(slow.trace.signals)
-        np.testing.assert_array_equal(fast.trace.time, slow.trace.time)
-        for name, values in slow.trace.signals.items():
-            np.testing.assert_array_equal(fast.trace[name], values, err_msg=name)
-        a, b = fast.card, slow.card
-        assert (a.steps, a.passes, a.repeated, a.lengths) == (b.steps, b.passes, b.repeated, b.lengths)
-        assert (a.bonds, a.notes, a.warnings) == (b.bonds, b.notes, b.warnings)
-        return fast
+    def run_both(system, **options):
+        outcome = both(system, **{"step": None, **options})
+        assert outcome.error == ""
+        return outcome.result
 
-    return both
+    return run_both
 
 
 def test_it_is_what_a_plain_jacobi_does(oscillator):
@@ -69,57 +62,49 @@ def test_structures_are_laid_out_as_in_c(tmp_path):
 KINDS = [("curves", 2, True), ("lines", 2, True), ("rates", 3, True), ("held", 3, True), ("curves", 2, False)]
 
 
-EXPLICIT = {f"{master} {n}": Coupling(master, n) for master in ("jacobi", "gauss-seidel") for n in range(4)}
-OTHERS = {
-    "correct": Coupling("jacobi", 1, correct=True),
-    "correct in turn": Coupling("gauss-seidel", correct=True),
-    "one pass": Coupling("hermite", guard=0, passes=1),
-    "two passes": Coupling("hermite", guard=0, passes=2, tolerance=1e-14),
-    "by tolerance": Coupling("hermite", guard=0),
-    "many rates": Coupling("hermite", guard=0, factors={"a": 3, "b": 2}),
-    "many rates, held": Coupling("jacobi", factors={"b": 7}),
-    "many rates, in turn": Coupling("gauss-seidel", 2, factors={"a": 2}, correct=True),
-}
+COUPLINGS = [
+    *(Coupling(master, n) for master in ("jacobi", "gauss-seidel") for n in range(4)),
+    *(Coupling("jacobi", 1, correct=True), Coupling("gauss-seidel", correct=True)),
+    Coupling("hermite", guard=0, passes=1),
+    Coupling("hermite", guard=0, passes=2, tolerance=1e-14),
+    Coupling("hermite", guard=0),
+    Coupling("hermite", guard=0, factors={"a": 3, "b": 2}),
+    *(Coupling("jacobi", factors={"b": 7}), Coupling("gauss-seidel", 2, factors={"a": 2}, correct=True)),
+]
 
 
 # each coupling with one kind of input or two: what follows an input is one function for all of them
-@pytest.mark.parametrize(("label", "kind"), thinned(4, [*EXPLICIT, *OTHERS], KINDS), ids=str)
-def test_equal_steps(alike, oscillators, label, kind):
+@pytest.mark.parametrize(("master", "kind"), thinned(4, COUPLINGS, KINDS))
+def test_equal_steps(alike, oscillators, master, kind):
     """A thousand, with each kind of input interpolation, and without slopes of outputs."""
-    result = alike(oscillators(*kind), master=(EXPLICIT | OTHERS)[label], **STEPS)
+    result = alike(oscillators(*kind), master=master, **STEPS)
     assert result.card.steps == 1000
     assert np.ptp(result.trace["a.x"]) > 1
 
 
-ADAPTIVE = {
-    "jacobi": Coupling("jacobi", 2, adaptive=1e-5),
-    "in turn": Coupling("gauss-seidel", 1, adaptive=1e-4),
-    "hermite": Coupling("hermite", adaptive=1e-6),
-    "correct": Coupling("jacobi", correct=True, adaptive=1e-3),
-    "many rates": Coupling("hermite", adaptive=1e-6, factors={"b": 3}),
-}
+ADAPTIVE = [
+    *(Coupling("jacobi", 2, adaptive=1e-5), Coupling("gauss-seidel", 1, adaptive=1e-4)),
+    *(Coupling("hermite", adaptive=1e-6), Coupling("jacobi", correct=True, adaptive=1e-3)),
+    Coupling("hermite", adaptive=1e-6, factors={"b": 3}),
+]
 
 
 @pytest.mark.parametrize(
-    ("label", "record_step", "able"),
-    thinned(2, [*ADAPTIVE], [None, 0.03], [{}, {"canGetAndSetFMUstate": "false"}]),
+    ("master", "record_step", "able"),
+    thinned(2, ADAPTIVE, [None, 0.03], [{}, {"canGetAndSetFMUstate": "false"}]),
 )
-def test_adaptive_steps(alike, oscillators, label, record_step, able):
+def test_adaptive_steps(alike, oscillators, master, record_step, able):
     """Every step has the same length and error, and the same ones are repeated."""
-    result = alike(oscillators(**able), master=ADAPTIVE[label], stop=0.9, record_step=record_step)
+    result = alike(oscillators(**able), master=master, stop=0.9, record_step=record_step)
     assert result.card.steps > 100
     assert (result.card.repeated > 0) == (not able)
 
 
 @pytest.mark.parametrize("control", ["error", "energy"])
-def test_energy_of_bonds(alike, fmus, control):
+def test_energy_of_bonds(alike, bounce, control):
     """The energy error of the coupling is summed in the same order, and controls steps in the same way."""
-    models = {"mass": "mass_b", "spring": "spring"}
-    files = {name: fmus.make(model, f"moving_{name}", interpolates=True) for name, model in models.items()}
-    wires = ["spring.force -> mass.force", "mass.v -> spring.v"]
-    system = assemble(files, wires, {"mass.spring": 0.0})
-    fixed = alike(system, master=Coupling("gauss-seidel", 1), **STEPS)
-    free = alike(system, master=Coupling("hermite", 1, adaptive=1e-4, control=control), stop=1.0)
+    fixed = alike(bounce(True), master=Coupling("gauss-seidel", 1), **STEPS)
+    free = alike(bounce(True), master=Coupling("hermite", 1, adaptive=1e-4, control=control), stop=1.0)
     for result in (fixed, free):
         (bond,) = result.card.bonds
         assert bond.turnover > 0
@@ -131,16 +116,7 @@ MASTERS = [
 ]
 
 
-def named(choice):
-    """The name of a case."""
-    return f"{choice.text} {choice.adaptive}" if isinstance(choice, Coupling) else str(choice)
-
-
-@pytest.mark.parametrize(
-    ("master", "kind"),
-    thinned(3, MASTERS, [("curves", 2), ("rates", 3), ("held", 3)]),
-    ids=named,
-)
+@pytest.mark.parametrize(("master", "kind"), thinned(3, MASTERS, [("curves", 2), ("rates", 3), ("held", 3)]))
 def test_a_scenario_leads(alike, oscillators, master, kind):
     """A driven input, with corners inside steps; before and after its table it is held."""
     led = Trace(np.array([0.1, 0.3504, 0.7, 0.9]), {"a.x2": np.array([0.0, 3.0, -1.0, 2.0])})
@@ -149,7 +125,7 @@ def test_a_scenario_leads(alike, oscillators, master, kind):
     assert result.trace["a.x2"][-1] == 2.0
 
 
-@pytest.mark.parametrize("master", MASTERS, ids=named)
+@pytest.mark.parametrize("master", MASTERS)
 def test_wires_with_factors_and_sources_with_corners(alike, each, master):
     """Linear maps, chains of feed-through, and a ramp with corners."""
     files = {
@@ -217,29 +193,30 @@ def fresh(monkeypatch, tmp_path):
     c_library.library.cache_clear()
 
 
-def broken_compiler(monkeypatch):
-    monkeypatch.setattr(c_library, "FLAGS", (*c_library.FLAGS, "-fno-such-flag"))
-    return "fno-such-flag"
+def missing(name):
+    """No package has a version."""
+    raise PackageNotFoundError(name)
 
 
-def no_compiler(monkeypatch):
-    def missing(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr(compiler, "version", missing)
-    return 'the package ziglang is not installed; install with: pip install "harvester-cosim[build]"'
+INSTALL = 'the package ziglang is not installed; install with: pip install "harvester-cosim[build]"'
 
 
 @pytest.mark.usefixtures("fresh")
-@pytest.mark.parametrize("trouble", [broken_compiler, no_compiler])
-def test_a_missing_compiler_is_one_line(monkeypatch, oscillator, trouble):
+@pytest.mark.parametrize(
+    ("module", "name", "value", "reason"),
+    [
+        (c_library, "FLAGS", (*c_library.FLAGS, "-fno-such-flag"), "fno-such-flag"),
+        (compiler, "version", missing, INSTALL),
+    ],
+)
+def test_a_missing_compiler_is_one_line(monkeypatch, oscillator, module, name, value, reason):
     """The message has the reason; without a compiler also what to install."""
-    reason = trouble(monkeypatch)
-    with pytest.raises(Problem, match=r"^the engine is not compiled: ") as told:
+    monkeypatch.setattr(module, name, value)
+    with pytest.raises(Problem, match=r"^the engine is not compiled: .*$") as told:
         run(oscillator, step=1e-2, stop=0.5, isolate=False)
     assert type(told.value) is Problem  # no run was begun
     assert reason in str(told.value)
-    assert len(str(told.value).splitlines()) == 1
+    assert "\n" not in str(told.value)
 
 
 @pytest.mark.usefixtures("fresh")
@@ -311,7 +288,8 @@ def child(code, *arguments):
     """What a script prints, by words; only a failure takes five minutes."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
     paths = os.pathsep.join(filter(None, sys.path))
-    environment = {**os.environ, "PYTHONPATH": paths}
+    # NumPy asks for pages of 2 MB for large arrays: the first rows would take most of the memory at once
+    environment = {**os.environ, "PYTHONPATH": paths, "NUMPY_MADVISE_HUGEPAGE": "0"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -319,14 +297,10 @@ def child(code, *arguments):
 
 
 # in each process a second passes before the interrupt; the others differ in what C does between two checks
-@pytest.mark.parametrize(
-    ("master", "in_c", "worth"),
-    [
-        ("jacobi", 1, 1.0),
-        *(pytest.param(*case, marks=shards.faults) for case in (("jacobi", 1, -1.0), ("hermite", 1, 1.0))),
-        pytest.param("jacobi", 0, 1.0, marks=shards.faults),
-    ],
-)
+INTERRUPTS = [("jacobi", 1, 1.0), ("jacobi", 1, -1.0), ("hermite", 1, 1.0), ("jacobi", 0, 1.0)]
+
+
+@pytest.mark.parametrize(("master", "in_c", "worth"), few(INTERRUPTS[:1], INTERRUPTS, shards.faults))
 def test_ctrl_c_ends_a_run_at_once_and_keeps_the_record(moving, master, in_c, worth):
     """With and without threads, and FMUs that Python calls; the run would go on for hours.
 
@@ -395,5 +369,6 @@ def test_memory_does_not_grow_with_the_steps(moving, coupling, steps, most):
 
 @on_linux
 def test_what_is_recorded_takes_memory(moving):
-    """That growth would be seen: 200 000 rows of the time and seven signals are 13 MB, a third of it late."""
-    assert grown(moving, {"master": "jacobi"}, 200_000, 200_000) > 2e6
+    """That growth would be seen: 200 000 rows of the time and seven signals are 12.8 MB."""
+    # all but the first tenth, measured 11.55 MB
+    assert grown(moving, {"master": "jacobi"}, 200_000, 200_000) > 11e6
