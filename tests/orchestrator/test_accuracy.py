@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kit import shards
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from orchestrator import Coupling, Problem, Result, Trace, load, reference, run
 from orchestrator.base.coupling import Suggestion
@@ -52,37 +52,18 @@ def searched(system, accuracy, *errors):
     return search.settings
 
 
-# of equal steps (of order 3) and of hermite's (of order 2): what is accepted, and the next step over the last
-# one, which aims at 0.45 and 0.35 of the accuracy; the steps are 4 and 5 times the suggested one of 1 ms
-@pytest.mark.parametrize(
-    ("asked", "error", "step"),
-    [
-        (1e-3, 0.79, None),
-        (1e-3, 0.81, 0.8 * 4e-3),  # at most that
-        (1e-3, 1.25, 0.711379 * 4e-3),  # 0.36^(1/3)
-        (1e-3, 3.6, 0.5 * 4e-3),
-        (1e-4, 0.49, None),
-        (1e-4, 0.51, 0.8 * 5e-3),
-        (1e-4, 1.4, 0.5 * 5e-3),
-    ],
-)
-def test_the_next_step(open_oscillator, asked, error, step):
+@table(__file__, "next_step", "asked, error, ratio")
+def test_the_next_step(open_oscillator, asked, error, ratio):
     """By the order of convergence, as if nothing but the step mattered."""
     settings = searched(open_oscillator, asked, error)
-    assert (
-        settings is None if step is None else settings.step == pytest.approx(step, rel=1e-6)
-    )  # the digits above
+    first = {1e-3: 4e-3, 1e-4: 5e-3}[asked]  # 4 and 5 times the suggested step of 1 ms
+    assert (settings.step / first if settings else 0) == pytest.approx(ratio, rel=1e-6)  # digits of the table
 
 
 def test_adaptive_steps_follow_where_equal_ones_would_be_too_short(open_oscillator):
     """At a tenth of the accuracy beyond 50 times that error; then by the aim of 0.35, at most by half."""
-    for errors, adaptive in (
-        ((51.0,), 1e-4),
-        ((51.0, 0.6), 0.5e-4),
-        ((51.0, 1.4), 0.25e-4),
-        ((51.0, 35.0), 1e-5),
-    ):
-        settings = searched(open_oscillator, 1e-3, *errors)
+    for further, adaptive in (((), 1e-4), ((0.6,), 0.5e-4), ((1.4,), 0.25e-4), ((35.0,), 1e-5)):
+        settings = searched(open_oscillator, 1e-3, 51.0, *further)
         assert settings.coupling.adaptive == pytest.approx(adaptive, rel=1e-9)  # rounding
     # equal steps below the suggested one: 4 ms times 0.09^(1/3) and 0.01^(1/3)
     assert searched(open_oscillator, 1e-3, 5.0).step == pytest.approx(1.79256e-3, rel=1e-5)
@@ -95,15 +76,12 @@ def test_the_solvers_of_the_fmus_are_more_accurate_than_the_run(asked, tolerance
     assert accuracy_search.fmu_tolerance(asked) == pytest.approx(tolerance, rel=1e-12)  # one product
 
 
+DETAILED = {"boom_stick": "detailed", "supply": "engine_pump"}
+
+
 @pytest.mark.parametrize(
     ("asked", "variants"),
-    [
-        (1e-2, {}),
-        *(
-            pytest.param(*case, marks=shards.machine)
-            for case in ((1e-4, {}), (1e-3, {"boom_stick": "detailed", "supply": "engine_pump"}))
-        ),
-    ],
+    [(1e-2, {}), *(pytest.param(*case, marks=shards.machine) for case in ((1e-4, {}), (1e-3, DETAILED)))],
 )
 def test_the_machine_is_as_accurate_as_asked(fmu_dir, asked, variants):
     """The RMS error of the joint speeds is below the accuracy, against the monolithic solution."""
@@ -136,19 +114,10 @@ def test_too_many_runs(open_oscillator, monkeypatch):
         run(open_oscillator, stop=2.0, accuracy=1e-6)
 
 
-def test_what_follows_from_the_accuracy_is_not_chosen(open_oscillator):
+@table(__file__, "refused", "choices, message")
+def test_what_follows_from_the_accuracy_is_not_chosen(open_oscillator, choices, message):
     """Master and step together with an accuracy, wrong values and unknown outputs are refused."""
-    for choice, message in (
-        (
-            {"accuracy": 1e-3, "master": "jacobi"},
-            "accuracy 0.001: expected no master, which follows from it, got jacobi",
-        ),
-        ({"accuracy": 1e-3, "step": 0.1}, "accuracy 0.001: expected no step, which follows from it, got 0.1"),
-        ({"accuracy": 1.0}, "accuracy: expected 1e-06 to 0.1, got 1"),
-        ({"accuracy": 1e-3, "accuracy_of": ["c.*"]}, "accuracy of c.*: expected continuous outputs"),
-        ({"accuracy_of": ["a.x"]}, "accuracy_of a.x: expected an accuracy, got none"),
-    ):
-        assert problem(lambda: run(open_oscillator, stop=1.0, **choice)).startswith(message)  # noqa: B023
+    assert problem(lambda: run(open_oscillator, stop=1.0, **choices)).startswith(message)
 
 
 def test_decisive_outputs_are_recorded(open_oscillator):
@@ -157,21 +126,10 @@ def test_decisive_outputs_are_recorded(open_oscillator):
     assert list(result.trace.signals) == ["a.x", "b.x"]
 
 
-SUGGESTED = Suggestion(Coupling("gauss-seidel"), 1e-3)
-
-
-@pytest.mark.parametrize(
-    ("suggestion", "choices", "note"),
-    [
-        (Suggestion(), {}, True),
-        (SUGGESTED, {}, False),
-        (Suggestion(), {"step": 1e-3}, False),
-        (Suggestion(), {"coupling": {"master": "jacobi"}}, False),
-        (SUGGESTED, {"accuracy": 1e-2}, True),
-    ],
-)
-def test_the_default_accuracy(fmu_dir, tmp_path, monkeypatch, suggestion, choices, note):
+@table(__file__, "default", "suggested, choices, note")
+def test_the_default_accuracy(fmu_dir, tmp_path, monkeypatch, suggested, choices, note):
     """A default applies only if neither the user nor the system chooses; an accuracy overrides the system."""
+    suggestion = Suggestion(Coupling("gauss-seidel"), 1e-3) if suggested else Suggestion()
     system = replace(load(fmu_dir / "harvester.ssp"), suggestion=suggestion)
     monkeypatch.setattr("orchestrator.engine.run.load", lambda _: system)
     out = tmp_path / "trace.csv"

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from orchestrator import RunFailed, assemble, run
 from orchestrator.engine.time_grid import record_interval
@@ -30,16 +30,7 @@ def test_every_so_many_points_are_kept(oscillator, every):
     agree(thin, whole, np.union1d(np.arange(0, 1501, every), 1500))
 
 
-# 0.3 is three times 0.1 in spite of rounding
-@pytest.mark.parametrize(
-    ("step", "interval", "stop", "kept"),
-    [
-        (0.01, 0.1, 0.24, [0, 10, 20, 24]),
-        (0.01, 0.1, 0.09, [0, 9]),
-        (0.01, 0.1, 0.1, [0, 10]),
-        (0.1, 0.3, 0.9, [0, 3, 6, 9]),
-    ],
-)
+@table(__file__, "points", "step, interval, stop, kept")
 def test_first_and_last_point_are_always_kept(oscillator, step, interval, stop, kept):
     """Whether or not the stop time is a multiple of the record step."""
     whole, thin = whole_and_thin(oscillator, interval, step=step, start=0.0, stop=stop)
@@ -99,14 +90,8 @@ def test_not_a_number_between_recorded_points_is_found(fmus):
     np.testing.assert_allclose(caught.value.result.trace.time, [0, 0.3])
 
 
-@pytest.mark.parametrize(
-    ("step", "interval"),
-    [
-        *((1e-3, 5e-3), (5e-4, 5e-3), (2e-3, 4e-3), (7e-4, 4.9e-3), (3e-3, 3e-3)),
-        *((step, None) for step in (5e-3, 2e-2, 0.0, -1e-3, math.nan)),
-    ],
-)
+@table(__file__, "default", "step, interval")
 def test_default_interval_of_the_command_line(step, interval):
     """It is the largest multiple of the step up to 5 ms; invalid steps are refused elsewhere."""
     # products of the step: rounding only
-    assert record_interval(step) == (None if interval is None else pytest.approx(interval, rel=1e-12))
+    assert record_interval(step) == (pytest.approx(interval, rel=1e-12) if interval else None)
