@@ -8,7 +8,7 @@ import fmpy
 import numpy as np
 import pytest
 from kit.any_fmu.models import WIDTHS
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location
@@ -21,12 +21,6 @@ from orchestrator.ssp.listing import lines
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
 <Dimension start="3"/></Float64>
 <Binary name="blob" valueReference="401" causality="output"/>"""
-
-ARRAYS = """<fmiModelDescription fmiVersion="3.0" modelName="arrays" instantiationToken="x">
-<CoSimulation modelIdentifier="arrays"/><ModelVariables>
-<Float64 name="input" valueReference="1" causality="input" start="0 0"><Dimension start="2"/></Float64>
-<Float64 name="output" valueReference="2" causality="output"><Dimension start="2"/></Float64></ModelVariables>
-<ModelStructure><Output valueReference="2"/></ModelStructure></fmiModelDescription>"""
 
 
 def opened(path):
@@ -139,17 +133,7 @@ def test_an_alias_is_the_variable_itself(fmus3):
     np.testing.assert_array_equal(trace["h.out"], 6 * trace["s.y"])
 
 
-# ---- slaves
-
-
-def test_directional_derivatives(fmus3):
-    """y = factor u + offset along a direction of all three."""
-    slave = started(fmus3["gain"])
-    slave.writer(["u", "factor"], np.array([3.0, 5.0]))()
-    seed, into = np.array([1.0, 10.0, 100.0]), np.zeros(1)
-    slave.directional_derivative(["y"], ["u", "factor", "offset"], seed, into)()
-    assert into[0] == 5.0 + 3.0 * 10.0 + 100.0
-    slave.close()
+# ---- instances
 
 
 def test_inputs_without_a_rate_input_accept_no_derivative(fmus3):
@@ -207,31 +191,10 @@ def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch):
 # ---- what is refused
 
 
-REFUSED = {  # part of the message -> what is different about the FMU
-    "expected an FMU for co-simulation, got one for model exchange only": {"kind": "ModelExchange"},
-    "expected an FMU for co-simulation, got one for scheduled execution only": {"kind": "ScheduledExecution"},
-    # betas of 3.0 are another standard
-    **{
-        f"expected FMI version 2.0 or 3.0, got {v}": {"version": v}
-        for v in ("3.0-beta.2", "30", "4.0", "2.1")
-    },
-    # communication points are in seconds
-    "odd.fmu: hours: expected time in seconds, got [degC]": {
-        "units": {"u": "degC"},
-        "more": '<Float64 name="hours" valueReference="400" causality="independent" unit="degC"/>',
-    },
-}
-
-
-@pytest.mark.parametrize("message", REFUSED)
-def test_other_fmus_are_refused_by_name(fmus3, message):
-    """Other interfaces, versions and units of time."""
-    fmu = fmus3.make("gain", "odd", **REFUSED[message])
-    assert message in problem(lambda: load(fmu))
-
-
-def test_versions_with_a_patch_number_are_read(fmus3):
-    """3.0.2 is 3.0."""
+@table(__file__, "refused", "changes, message")
+def test_other_fmus_are_refused_by_name(fmus3, changes, message):
+    """Other interfaces, versions and units of time; betas of 3.0 are another standard, but 3.0.2 is 3.0."""
+    assert message in problem(lambda: load(fmus3.make("gain", "odd", **changes)))
     assert read_interface(Location(fmus3.make("gain", "patched", version="3.0.2"))).fmi == 3
 
 
@@ -260,24 +223,17 @@ def test_whoever_names_an_array_is_told(fmus3, name):
         assert message.endswith("not supported")
 
 
-@pytest.mark.parametrize(
-    ("causality", "more"),
-    [("input", ""), ("local", '<Int32 name="n" valueReference="401" causality="output" clocks="400"/>')],
-)
-def test_clocks_are_told(fmus3, causality, more):
+@table(__file__, "clocks", "more")
+def test_clocks_are_told(fmus3, more):
     """Such FMUs must be run with event mode."""
-    clock = (
-        f'<Clock name="tick" valueReference="400" causality="{causality}" intervalVariability="triggered"/>'
-    )
-    fmu = fmus3.make("gain", "clocked", more=clock + more)
-    message = "tick is a clock: expected an FMU without clocks, they are not supported"
-    assert f"clocked.fmu: {message}" in problem(lambda: load(fmu))
+    message = problem(lambda: load(fmus3.make("gain", "clocked", more=more)))
+    assert "clocked.fmu: tick is a clock: expected an FMU without clocks, they are not supported" in message
 
 
 def test_an_fmu_of_arrays_only_is_told(tmp_path):
     """It has nothing that could be exchanged."""
     with zipfile.ZipFile(tmp_path / "arrays.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", ARRAYS)
+        archive.write(Path(__file__).with_suffix(".xml"), "modelDescription.xml")
     message = problem(lambda: load(tmp_path / "arrays.fmu"))
     assert "arrays.fmu: input is an array of shape (2): " in message
     assert message.endswith(", arrays are not supported")
