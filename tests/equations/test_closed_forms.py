@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from kit.equations import SUPPLY, edge_resistance, piston_areas, steady_velocity
 from kit.fmu import driving
 from scipy.optimize import brentq, fsolve
 
@@ -13,20 +14,7 @@ from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
 
 BAR = 5e-3  # the stated bar: rounding of |Q| at Q_t and the leakage of closed edges lie below
-SUPPLY = 20.684e6
 BOOM_STICK, SWING = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing"))
-
-
-def areas(name: str) -> tuple[float, float]:
-    head = math.pi / 4 * BOOM_STICK[f"{name}_bore"] ** 2
-    return head, head - math.pi / 4 * BOOM_STICK[f"{name}_rod"] ** 2
-
-
-def resistance(p: dict[str, float], command: float) -> float:
-    """C_R of one edge by eq. (2) at a command beyond the rounded foot."""
-    shift = p["valve_dead_band"] + p["valve_command_rounding"] / 2
-    share = (command - shift) / (p["valve_full_command"] - shift)
-    return p["density"] / (2 * p["valve_discharge_coefficient"] ** 2 * (p["valve_area"] * share) ** 2)
 
 
 def settled_force(path, name: str, command: float, velocity: float) -> float:
@@ -41,11 +29,8 @@ def settled_force(path, name: str, command: float, velocity: float) -> float:
     [("boom", 10.0, 0.0), ("boom", -4.0, 50e3), ("stick", 4.0, 50e3), ("stick", -10.0, 0.0)],
 )
 def test_cylinder_speeds(fmu_dir, name, command, load):
-    """v = sqrt((A_in P_s -+ F) / (C_R (A_h^3 + A_r^3))): extension and retraction, free and under load."""
-    head, rod = areas(name)
-    c_r = resistance(BOOM_STICK, abs(command)) + BOOM_STICK[f"{name}_hose_resistance"]
-    drive = head * SUPPLY - load if command > 0 else rod * SUPPLY + load
-    expected = math.copysign(math.sqrt(drive / (c_r * (head**3 + rod**3))), command)
+    """Steady speed by the closed form: extension and retraction, free and under load."""
+    expected = steady_velocity(BOOM_STICK, name, command, load)
     path = fmu_dir / "boom_stick.fmu"
     found = brentq(lambda v: settled_force(path, name, command, v) - load, 0.9 * expected, 1.1 * expected)
     assert found == pytest.approx(expected, rel=BAR)
@@ -55,7 +40,7 @@ def test_cylinder_speeds(fmu_dir, name, command, load):
 def test_swing_speed_with_leakage(fmu_dir, load):
     """Swing speed from orifice, line and leakage equations written out here, eqs. (1), (8), (11), (12)."""
     command, friction = 5.0, 300.0
-    c_r, d = resistance(SWING, command), SWING["motor_displacement"] * SWING["gear_ratio"]
+    c_r, d = edge_resistance(SWING, command), SWING["motor_displacement"] * SWING["gear_ratio"]
     r, r_in, r_ex = (
         SWING[n] for n in ("line_resistance", "internal_leakage_resistance", "external_leakage_resistance")
     )
@@ -77,7 +62,7 @@ def test_swing_speed_with_leakage(fmu_dir, load):
 
 def frequency(name: str, mass: float, position: float) -> float:
     """omega [rad/s] of a mass on the locked cylinder: omega^2 = beta (A_h^2/V_h + A_r^2/V_r) / m."""
-    head, rod = areas(name)
+    head, rod = piston_areas(BOOM_STICK, name)
     p, beta = BOOM_STICK, BOOM_STICK["bulk_modulus"]
     both = p[f"{name}_hose_capacitance"] * beta + p[f"{name}_dead_volume"]
     v_head, v_rod = both + head * position, both + rod * (p[f"{name}_stroke"] - position)

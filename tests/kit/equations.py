@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property
 
 import casadi as ca
@@ -16,6 +16,7 @@ from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
 from fmus.monolith import Monolith, join, simulate
 from fmus.parameters import values
 
+SUPPLY = 20.684e6  # Pa
 # the valve of the paper, written out here
 VALVE = Valve(
     area=4e-5,
@@ -43,6 +44,27 @@ def random_curve(rng: np.random.Generator, prefix: str) -> dict[str, float]:
 def cavity(pressure: float) -> float:
     """C_cav [m3/Pa] as docs/equations.md, section 3, prints it."""
     return 1e-12 * np.exp(np.clip((-20e3 - pressure) / 5e3, -60, 40))
+
+
+def piston_areas(p: Mapping[str, float], name: str) -> tuple[float, float]:
+    """A_h, A_r [m2] of a cylinder."""
+    head = np.pi / 4 * p[f"{name}_bore"] ** 2
+    return head, head - np.pi / 4 * p[f"{name}_rod"] ** 2
+
+
+def edge_resistance(p: Mapping[str, float], command: float) -> float:
+    """C_R [Pa.s2/m6] of one edge by eq. (2) at a command [V] beyond the rounded foot."""
+    shift = p["valve_dead_band"] + p["valve_command_rounding"] / 2
+    share = (command - shift) / (p["valve_full_command"] - shift)
+    return p["density"] / (2 * p["valve_discharge_coefficient"] ** 2 * (p["valve_area"] * share) ** 2)
+
+
+def steady_velocity(p: Mapping[str, float], name: str, command: float, load: float) -> float:
+    """v = sqrt((A_in P_s -+ F) / (C_R (A_h^3 + A_r^3))) [m/s] of a cylinder under a load [N]."""
+    head, rod = piston_areas(p, name)
+    c_r = edge_resistance(p, abs(command)) + p[f"{name}_hose_resistance"]
+    drive = head * SUPPLY - load if command > 0 else rod * SUPPLY + load
+    return float(np.copysign(np.sqrt(drive / (c_r * (head**3 + rod**3))), command))
 
 
 class Part:
@@ -163,6 +185,14 @@ def played(
         u[:, model.inputs.index(name)] = samples
     _, y = simulate(model, time, u, p, tolerance)
     return {"time": time} | dict(zip(model.output_names, y.T, strict=True))
+
+
+def corners(
+    stop: float, commands: Mapping[str, tuple[Sequence[float], Sequence[float]]], rate: int = 200
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Time (n,) at `rate` [Hz] and commands (n,) by input, straight between their corners (times, values)."""
+    time = np.linspace(0, stop, round(rate * stop) + 1)
+    return time, {name: np.interp(time, *points) for name, points in commands.items()}
 
 
 def work_cycle(stop: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:

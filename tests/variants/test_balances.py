@@ -7,7 +7,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from kit.equations import Part, cavity
+from kit.equations import Part, cavity, piston_areas
 
 from fmus.boom_stick.detailed import detailed as detailed_boom_stick
 from fmus.contract import quantities
@@ -108,8 +108,7 @@ def test_oil_is_neither_made_nor_lost(name):
             capacitance = {f"swing_pressure_{line}": p["line_capacitance"] for line in ("a", "b")}
         else:
             for a in ("boom", "stick"):
-                head = np.pi / 4 * p[f"{a}_bore"] ** 2
-                rod = head - np.pi / 4 * p[f"{a}_rod"] ** 2
+                head, rod = piston_areas(p, a)
                 at, dead = u[f"{a}_position"], p[f"{a}_dead_volume"]
                 volumes = {"head": dead + head * at, "rod": dead + rod * (p[f"{a}_stroke"] - at)}
                 for side, volume in volumes.items():

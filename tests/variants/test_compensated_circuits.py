@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 import pytest
+from kit.equations import SUPPLY, piston_areas
 from kit.fmu import driving
 
 from fmus.export.build import build
@@ -18,10 +19,8 @@ from fmus.parameters import values
 
 BOOM_STICK, SWING = (FAMILIES[part]["compensated"] for part in ("boom_stick", "swing"))
 P, S = values(BOOM_STICK).p, values(SWING).p
-SUPPLY = 20.684e6  # Pa
 STEP = 1e-3  # s
-HEAD = math.pi / 4 * P["boom_bore"] ** 2
-ROD = HEAD - math.pi / 4 * P["boom_rod"] ** 2
+HEAD, ROD = piston_areas(P, "boom")
 
 
 @pytest.fixture(scope="module")

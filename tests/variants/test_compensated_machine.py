@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from kit import shards
-from kit.equations import Part, in_pose, machine, played
+from kit.equations import Part, corners, in_pose, machine, piston_areas, played
 
 from fmus.contract import quantities
 from fmus.machine.parts import FAMILIES
@@ -17,8 +17,7 @@ from fmus.parameters import values
 
 SUB = FAMILIES["boom_stick"]["compensated"]
 P = values(SUB).p
-AREAS = {a: math.pi / 4 * P[f"{a}_bore"] ** 2 for a in ("boom", "stick")}
-RODS = {a: AREAS[a] - math.pi / 4 * P[f"{a}_rod"] ** 2 for a in AREAS}
+HEAD, ROD = piston_areas(P, "boom")
 
 
 # ---- stability: Routh's criterion of docs/equations.md, section 4.8
@@ -66,12 +65,12 @@ def steady(p, command, position, load, mass):
     given |= {"boom_position": position, "stick_position": 0.35}
     others = [given[n] for n in names]
     flow = p["boom_section_flow"] * command / 10
-    speed = flow / RODS["boom"]
+    speed = flow / ROD
     gain = p["valve_discharge_coefficient"] * p["counterbalance_area"] * math.sqrt(2 / p["density"])
     rod = 3e6
     for _ in range(50):  # opening that passes the outflow, and the pilot pressure that gives it
-        head = (load + RODS["boom"] * rod) / AREAS["boom"]
-        y = AREAS["boom"] * speed / (gain * math.sqrt(head))
+        head = (load + ROD * rod) / HEAD
+        y = HEAD * speed / (gain * math.sqrt(head))
         excess = p["counterbalance_pressure"] + (y + 0.05) * p["counterbalance_band"] - head
         rod += 0.5 * (excess / p["counterbalance_pilot_ratio"] - rod)
     guess = {"boom_head_pressure": head, "boom_rod_pressure": rod, "boom_rod_valve_pressure": rod + 50.0}
@@ -86,13 +85,12 @@ def steady(p, command, position, load, mass):
 
 def margin(p, x, position):
     """(1 + S/k)(A_o C_i)/(A_i C_o) - R, with the head side as outflow side."""
-    head, rod = AREAS["boom"], RODS["boom"]
-    c_o = (p["boom_dead_volume"] + head * position) / p["bulk_modulus"]
-    c_i = (p["boom_dead_volume"] + rod * (p["boom_stroke"] - position)) / p["bulk_modulus"]
+    c_o = (p["boom_dead_volume"] + HEAD * position) / p["bulk_modulus"]
+    c_i = (p["boom_dead_volume"] + ROD * (p["boom_stroke"] - position)) / p["bulk_modulus"]
     c_i += p["boom_hose_capacitance"]
     y, drop = x["boom_head_counterbalance_opening"], x["boom_head_pressure"] - x["boom_head_valve_pressure"]
     ratio = y * p["counterbalance_band"] / (2 * drop)  # S/k
-    return (1 + ratio) * head * c_i / (rod * c_o) - p["counterbalance_pilot_ratio"]
+    return (1 + ratio) * HEAD * c_i / (ROD * c_o) - p["counterbalance_pilot_ratio"]
 
 
 @pytest.mark.parametrize(
@@ -125,11 +123,8 @@ def test_a_metering_counterbalance_valve_is_as_unstable_as_routh_says(area, band
 
 def moved(stop, commands, pose="nominal", changed=None, rate=500, **given):
     """Outputs of the machine with these commands (times, values) by lever."""
-    model, time = (
-        machine(boom_stick="compensated", swing="compensated"),
-        np.linspace(0, stop, round(rate * stop) + 1),
-    )
-    levers = {name: np.interp(time, *points) for name, points in commands.items()}
+    model = machine(boom_stick="compensated", swing="compensated")
+    time, levers = corners(stop, commands, rate)
     return played(model, time, given | levers, in_pose(model, pose, changed))
 
 
@@ -142,12 +137,12 @@ def test_a_failed_supply_lets_the_boom_sink_by_the_leakage_stated(leakage, comma
     y = moved(10.0, levers, changed=changed, rate=100, supply_pressure=0.0)
     t, x, pressure = y["time"], y["manipulator.boom_position"], y["boom_stick.boom_head_pressure"]
     lost = leakage * np.trapezoid(pressure - y["boom_stick.boom_head_valve_pressure"], t)
-    volume = P["boom_dead_volume"] + AREAS["boom"] * x.mean()
+    volume = P["boom_dead_volume"] + HEAD * x.mean()
     compressed = volume / P["bulk_modulus"] * (pressure[0] - pressure[-1])
-    sunk = (lost - compressed) / AREAS["boom"]
+    sunk = (lost - compressed) / HEAD
     # the bar; the integrator leaves some nanometres over 10 s
     assert x[0] - x[-1] == pytest.approx(sunk, rel=5e-3, abs=5e-9)
-    assert 0 < sunk < 10.0 * leakage * 9.2e6 / AREAS["boom"]  # s, Pa: the load pressure at most
+    assert 0 < sunk < 10.0 * leakage * 9.2e6 / HEAD  # s, Pa: the load pressure at most
     if leakage == P["counterbalance_leakage"]:
         assert sunk < 3e-6  # m: a millimetre per hour
 

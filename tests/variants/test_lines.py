@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import Part
+from kit.equations import Part, piston_areas
 from kit.properties import examples
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -165,8 +165,7 @@ def hose_modes(p: dict[str, float]) -> np.ndarray:
     u, found = values(detailed(1)).u, []
     for axis in ("boom", "stick"):
         one = hose_of(p, axis)
-        head = math.pi / 4 * p[f"{axis}_bore"] ** 2
-        rod = head - math.pi / 4 * p[f"{axis}_rod"] ** 2
+        head, rod = piston_areas(p, axis)
         x, stroke, dead = u[f"{axis}_position"], p[f"{axis}_stroke"], p[f"{axis}_dead_volume"]
         modulus = 1 / (1 / p["bulk_modulus"] + 1 / p["hose_wall_modulus"])
         for chamber in (dead + head * x, dead + rod * (stroke - x)):

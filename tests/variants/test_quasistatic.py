@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import JOINTS, VALVE, Part, machine, played, work_cycle
+from kit.equations import (
+    JOINTS,
+    SUPPLY,
+    VALVE,
+    Part,
+    corners,
+    machine,
+    piston_areas,
+    played,
+    steady_velocity,
+    work_cycle,
+)
 
 from fmus.components import spool_valve
 from fmus.contract import symbolic
@@ -19,7 +30,7 @@ from fmus.machine.parts import FAMILIES, parts, wiring
 from fmus.monolith import join
 from fmus.parameters import Values, values
 
-SUPPLY, RHO = 20.684e6, 970.0  # Pa, kg/m3
+RHO = 970.0  # kg/m3
 HOSE = 3.2e10  # Pa.s2/m6
 QUASISTATIC = {part: FAMILIES[part]["quasistatic"] for part in ("swing", "boom_stick")}
 
@@ -117,18 +128,12 @@ def settled(part, variant, **inputs):
 @pytest.mark.parametrize("name", ["boom", "stick"])
 @pytest.mark.parametrize(("command", "load"), [(10.0, 0.0), (4.0, 50e3), (-10.0, 50e3), (-4.0, 0.0)])
 def test_steady_cylinder_speed_has_the_closed_form_of_the_lumped_drive(name, command, load):
-    """At v = sqrt((A_in P_s -+ F) / (C_R (A_h^3 + A_r^3))) the force is F (verification case V07)."""
+    """At the velocity of a load F by the closed form the force is F (verification case V07)."""
     p = values(QUASISTATIC["boom_stick"]).p
-    head = math.pi / 4 * p[f"{name}_bore"] ** 2
-    rod = head - math.pi / 4 * p[f"{name}_rod"] ** 2
-    share = (abs(command) - 0.8) / 9.2  # dead band and half the rounding
-    c_r = RHO / (2 * (0.62 * 4e-5 * share) ** 2) + p[f"{name}_hose_resistance"]
-    drive = head * SUPPLY - load if command > 0 else rod * SUPPLY + load
-    v = math.copysign(math.sqrt(drive / (c_r * (head**3 + rod**3))), command)
-    moved = {f"{name}_command": command, f"{name}_velocity": v}
+    moved = {f"{name}_command": command, f"{name}_velocity": steady_velocity(p, name, command, load)}
     force = settled("boom_stick", "quasistatic", **moved)[f"{name}_force"]
     # Q_t/Q to the square and the leakage of the closed edges over the flow: below 1e-3 of P_s A
-    assert force == pytest.approx(load, abs=1e-3 * SUPPLY * head)
+    assert force == pytest.approx(load, abs=1e-3 * SUPPLY * piston_areas(p, name)[0])
 
 
 @pytest.mark.parametrize(("command", "speed"), [(5.0, 0.5), (-5.0, -0.3), (2.0, 0.1)])
@@ -178,9 +183,8 @@ def moved(length: float, variant: str) -> np.ndarray:
     """Signals (signal, time) of 1.2 s in which three valves, a little open, are opened and closed again."""
     chosen = parts(swing=variant, boom_stick=variant)
     model = join(chosen, *wiring(chosen), scaled(length, variant))
-    time = np.linspace(0, 1.2, 121)
-    corners = {n: np.interp(time, [0, 0.4, 0.8, 1.2], [1.5, v, v, 1.5]) for n, v in MOTION.items()}
-    y = played(model, time, corners, tolerance=1e-10)
+    levers = {n: ([0, 0.4, 0.8, 1.2], [1.5, v, v, 1.5]) for n, v in MOTION.items()}
+    y = played(model, *corners(1.2, levers, 100), tolerance=1e-10)
     return np.array([y[name] for name in SIGNALS])
 
 

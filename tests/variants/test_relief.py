@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.equations import machine, played
+from kit.equations import corners, machine, played
 
 from fmus.components import chamber, orifice
 from fmus.components.orifice import PressureValve
@@ -36,9 +36,7 @@ def test_a_valve_passes_nothing_below_its_pressure_and_a_straight_line_above(dro
 
 def moved(stop, commands, **variants):
     """Outputs of the machine with these commands [V] (times, values) by lever, at 200 Hz."""
-    time = np.linspace(0, stop, round(200 * stop) + 1)
-    levers = {name: np.interp(time, *points) for name, points in commands.items()}
-    return played(machine(**variants), time, levers, tolerance=1e-8)
+    return played(machine(**variants), *corners(stop, commands), tolerance=1e-8)
 
 
 def test_cross_port_relief_limits_the_braking_of_the_swing():

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.equations import cavity
 from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
 
 from fmus.components import engine_and_pump
-from fmus.components.engine_and_pump import Pump
 
 ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
 IDEAL = Bench("ideal")
@@ -22,25 +22,9 @@ SETTING = P["pump_1_pressure_setting"]
 FULL = P["pump_displacement"] * P["engine_rated_speed"]  # m3/s of one pump
 
 
-def constants(**changes: float) -> list[float]:
-    return ENGINE_PUMP.constants(**changes)
-
-
-def settled(opened: float, **changes: float):
-    return ENGINE_PUMP.settled(Load(opened), **changes)
-
-
-def through_orifices(gains, p, hold, samples=40):
-    return ENGINE_PUMP.through([Load(g) for g in gains], p, hold, samples)
-
-
-def start_of(name: str) -> float:
-    return ENGINE_PUMP.state(ENGINE_PUMP.rest(constants()), name)
-
-
-def gain(flow: float, pressure: float) -> float:
-    """Of the orifice that takes a flow at a pressure."""
-    return flow / np.sqrt(pressure)
+def orifice(flow: float, pressure: float = 2e7) -> Load:
+    """That takes a flow [m3/s] at a pressure."""
+    return Load(flow / np.sqrt(pressure))
 
 
 def net(speed: float) -> float:
@@ -86,7 +70,7 @@ def test_ideal_source_holds_its_pressure_for_any_flow(flows):
 @pytest.mark.parametrize("flow", [10, 50, 150, 250])
 def test_pressure_falls_along_the_compensator_line(flow):
     """P = setting - band s - drop over the check valve, with the stroke s that covers flow and leakage."""
-    y = settled(gain(flow * L_MIN, 2e7))
+    y = ENGINE_PUMP.settled(orifice(flow * L_MIN))
     each = y["supply_flow"] / 2
     s = (each + P["pump_leakage"] * y["pump_1_pressure"]) / (P["pump_displacement"] * y["engine_speed"])
     outlet = SETTING - P["compensator_band"] * (s - P["compensator_rounding"] ** 2 / (4 * s))
@@ -100,7 +84,7 @@ def test_pressure_falls_along_the_compensator_line(flow):
 
 def test_governor_droops_in_proportion_to_the_load():
     """Net torque = torque curve times (no-load speed - speed) over the governor's range."""
-    y = settled(gain(150 * L_MIN, 2e7))
+    y = ENGINE_PUMP.settled(orifice(150 * L_MIN))
     span = P["engine_no_load_speed"] - P["engine_rated_speed"]
     governed = net(y["engine_speed"]) * (P["engine_no_load_speed"] - y["engine_speed"]) / span
     # the foot of the rack's stop is rounded by 0.02^2 / (4 * 0.6) of the torque of 520 N.m: 0.09 N.m
@@ -113,7 +97,7 @@ def test_governor_droops_in_proportion_to_the_load():
 def test_full_stroke_limits_the_flow():
     """Far below the setting both pumps are on full stroke: flow = 2 (D w - leakage), whatever the load."""
     for pressure in (5e6, 1e7):
-        y = settled(gain(2 * FULL, pressure))
+        y = ENGINE_PUMP.settled(orifice(2 * FULL, pressure))
         assert y["pump_1_stroke"] > 1 - 1e-9
         given_ = 2 * (P["pump_displacement"] * y["engine_speed"] - P["pump_leakage"] * y["pump_1_pressure"])
         assert y["supply_flow"] == pytest.approx(given_, rel=1e-6)  # integrator
@@ -123,8 +107,8 @@ def test_full_stroke_limits_the_flow():
 
 def test_engine_lugs_down_to_where_its_curve_meets_the_pumps():
     """Full stroke near the setting needs more than rated torque: speed and pressure by two curves."""
-    opened = gain(2 * FULL, 19e6)
-    y = settled(opened)
+    opened = orifice(2 * FULL, 19e6)
+    y = ENGINE_PUMP.settled(opened)
 
     def lines(speed):
         """Outlet pressure at which full pumps feed the orifice at this speed."""
@@ -132,7 +116,7 @@ def test_engine_lugs_down_to_where_its_curve_meets_the_pumps():
         def short(p):
             each = P["pump_displacement"] * speed - P["pump_leakage"] * p
             rail = p - each * P["check_resistance"] - P["check_opening"] / 2
-            return 2 * each - opened * np.sqrt(rail)
+            return 2 * each - opened.gain * np.sqrt(rail)
 
         return brentq(short, 5e6, 25e6)
 
@@ -147,7 +131,7 @@ def test_engine_lugs_down_to_where_its_curve_meets_the_pumps():
 def test_staggered_settings_let_one_pump_do_the_small_flows():
     """The pump that is set lower delivers nothing before the pressure has sagged to its setting."""
     lower = {"pump_2_pressure_setting": SETTING - 8e5}
-    small, large = (settled(gain(q * L_MIN, 2e7), **lower) for q in (30, 200))
+    small, large = (ENGINE_PUMP.settled(orifice(q * L_MIN), **lower) for q in (30, 200))
     assert small["pump_2_flow"] == 0
     assert small["pump_1_flow"] > 29 * L_MIN
     assert 0.2 * large["pump_1_flow"] < large["pump_2_flow"] < large["pump_1_flow"]
@@ -156,22 +140,12 @@ def test_staggered_settings_let_one_pump_do_the_small_flows():
 # ---- dynamics
 
 
-def one_pump() -> Pump:
-    return Pump(
-        P["pump_displacement"],
-        P["pump_leakage"],
-        *(P["pump_pressure_friction"], P["pump_viscous_friction"]),
-        *(SETTING, P["compensator_band"], P["compensator_rounding"], P["compensator_lag"]),
-        *(P["pump_stroke_time"], P["pump_destroke_time"]),
-    )
-
-
 def stroke_after(start: float, pressure: float, time: float) -> float:
-    s = ca.SX.sym("s")
-    ode = {"x": s, "ode": engine_and_pump.stroke_rate(one_pump(), s, pressure)}
-    return float(
-        ca.integrator("s", "cvodes", ode, 0.0, time, {"reltol": 1e-10, "abstol": 1e-12})(x0=start)["xf"]
-    )
+    """Stroke of the first pump at a constant outlet pressure."""
+    s, (pump, _) = ca.SX.sym("s"), ENGINE_PUMP.sub.parameters(**P).pumps
+    ode = {"x": s, "ode": engine_and_pump.stroke_rate(pump, s, pressure)}
+    options = {"reltol": 1e-10, "abstol": 1e-12}
+    return float(ca.integrator("s", "cvodes", ode, 0.0, time, options)(x0=start)["xf"])
 
 
 def test_a_large_step_takes_the_stroke_times_of_the_data_sheet():
@@ -193,16 +167,16 @@ def test_a_small_step_follows_with_the_lag():
 
 def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
     """One function, two, all three beyond the pumps, none again: ever lower, then at the setting again."""
-    steps = [gain(q * L_MIN, 2e7) for q in (80, 200, 500, 0)]
-    time, y = through_orifices(steps, constants(), 3.0)
+    steps, p = [orifice(q * L_MIN) for q in (80, 200, 500, 0)], ENGINE_PUMP.constants()
+    time, y = ENGINE_PUMP.through(steps, p, 3.0)
     one, two, three, none = (y["supply_pressure"][time <= 3.0 * (k + 1) + 1e-9][-1] for k in range(4))
-    start = start_of("supply_pressure")
+    start, speed = (ENGINE_PUMP.state(ENGINE_PUMP.rest(p), n) for n in ("supply_pressure", "engine_speed"))
     assert start > one > two > three
     assert start - two < P["compensator_band"]
     assert three < start - 2 * P["compensator_band"]
     # behind the check valves the rail keeps what the pumps gave before they were off stroke
     assert start <= none < P["relief_pressure"] + P["relief_rounding"]
-    assert y["engine_speed"][-1] == pytest.approx(start_of("engine_speed"), rel=1e-3)
+    assert y["engine_speed"][-1] == pytest.approx(speed, rel=1e-3)
     assert y["relief_flow"].max() < 2 * FULL
 
 
@@ -210,7 +184,7 @@ def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
 @given(st.lists(st.integers(0, 900), min_size=3, max_size=6), st.floats(0.1, 0.6))
 def test_limits_hold_for_any_row_of_loads(flows, hold):
     """Strokes stay within 0 ... 1, check valves pass nothing back, no stall, no run-away."""
-    _, y = through_orifices([gain(q * L_MIN, 2e7) for q in flows], constants(), hold, 20)
+    _, y = ENGINE_PUMP.through([orifice(q * L_MIN) for q in flows], ENGINE_PUMP.constants(), hold, 20)
     for i in (1, 2):
         assert y[f"pump_{i}_stroke"].min() >= 0
         assert y[f"pump_{i}_stroke"].max() <= 1 + 1e-9  # tolerance of the integrator
@@ -290,8 +264,7 @@ def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
     gained = rate["reservoir_volume"]
     for name in ("supply", *PUMPS[bench.sub.variant]):
         c = p["rail_capacitance"] if name == "supply" else own
-        void = 1e-12 * np.exp(np.clip((-20e3 - bench.state(x, f"{name}_pressure")) / 5e3, -60, 40))
-        gained += (c + void) * rate[f"{name}_pressure"]
+        gained += (c + cavity(bench.state(x, f"{name}_pressure"))) * rate[f"{name}_pressure"]
     taken_1, back_1, taken_2, back_2 = flows
     # rounding of 0.1 m3/s
     assert gained == pytest.approx(back_1 + back_2 - taken_1 - taken_2, abs=1e-14)
@@ -306,7 +279,7 @@ def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
 )
 def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
     """Whatever the settings, the state at the start does not move while nothing is taken."""
-    p = constants(
+    p = ENGINE_PUMP.constants(
         pump_1_pressure_setting=setting,
         pump_2_pressure_setting=setting + apart,
         compensator_band=band,
@@ -336,7 +309,7 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
 )
 def test_an_engine_too_weak_for_its_pumps_is_told_in_words(name, value, fails):
     """The start is finite for any engine; one that does not turn the pumps says so."""
-    p = constants(**{name: value})
+    p = ENGINE_PUMP.constants(**{name: value})
     assert np.isfinite(ENGINE_PUMP.rest(p)).all()
     assert ENGINE_PUMP.violated(p) == fails
 
@@ -345,7 +318,7 @@ def test_a_narrow_band_and_a_stiff_line_tend_to_the_ideal_source():
     """Band, resistance and opening of the check valves halved, the rest faster: half the sag, order one."""
 
     def sag(e):
-        p = constants(
+        p = ENGINE_PUMP.constants(
             compensator_band=P["compensator_band"] * e,
             compensator_lag=P["compensator_lag"] * e**2,
             pump_stroke_time=P["pump_stroke_time"] * e**2,
@@ -356,7 +329,7 @@ def test_a_narrow_band_and_a_stiff_line_tend_to_the_ideal_source():
             engine_rated_torque=1e5 / e,
             engine_inertia=1e3 / e,
         )
-        _, y = through_orifices([gain(q * L_MIN, 2e7) for q in (80, 200, 120)], p, 0.2)
+        _, y = ENGINE_PUMP.through([orifice(q * L_MIN) for q in (80, 200, 120)], p, 0.2)
         halves = y["supply_pressure"][19::20]  # half-way and at the end of each: the peak of a step is short
         return np.abs(halves - SETTING).max()
 
