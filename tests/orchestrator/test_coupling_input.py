@@ -21,16 +21,12 @@ def vector(c):
     return (ctypes.c_double * 4)(*c)
 
 
-def mean(c, h):
-    return call("polynomial_mean", vector(c), h)
+def of_polynomial(name):
+    """A function of the engine, of a polynomial and a number."""
+    return lambda c, x: call(f"polynomial_{name}", vector(c), x)
 
 
-def at(c, s):
-    return call("polynomial_value", vector(c), s)
-
-
-def slope_at(c, s):
-    return call("polynomial_slope", vector(c), s)
+mean, at, slope_at = map(of_polynomial, ("mean", "value", "slope"))
 
 
 def projected(c, degree, h):
@@ -43,27 +39,13 @@ def shifted(c, by):
     return tuple(found)
 
 
-def interpolated(degree, value, slope, value_end, slope_end, h):
-    ends = {"value": value, "slope": slope, "value_end": value_end, "slope_end": slope_end}
-    struct = CouplingInput(history_order=3, **ends)
-    call("input_interpolate", ctypes.byref(struct), degree, h, 1.0)
-    return tuple(struct.c)
-
-
-def extrapolated(order, value, slope, before, chord, length):
-    past = {"value": value, "slope": slope, "slope_before": before, "chord_before": chord}
-    struct = CouplingInput(history_order=3, order=order, **past)
-    call("input_extrapolate", ctypes.byref(struct), 1.0, length)
-    return tuple(struct.c)
-
-
 class Input:
     """A coupling input of the engine."""
 
     def __init__(self, **fields):
         self.struct = CouplingInput(
             **{"factor": 1.0, "source_component": 1, "fmu_degree": 3, "requested_degree": 3}
-            | {"source_slope": ctypes.addressof(SLOPE)}
+            | {"source_slope": ctypes.addressof(SLOPE), "history_order": 3}
             | fields
         )
 
@@ -120,7 +102,9 @@ def test_projections_keep_mean_and_moment(c, h):
 def test_interpolation_passes_through_its_data(c, h, degree):
     """The only polynomial of its degree with both values, the slope at the beginning, and that at the end."""
     value, slope, value1, slope1 = c
-    found, magnitude = interpolated(degree, *c, h), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
+    s = Input(value=value, slope=slope, value_end=value1, slope_end=slope1)
+    s.interpolate(degree, h, 1.0)
+    found, magnitude = tuple(s.c), abs(value) + abs(value1) + h * (abs(slope) + abs(slope1))
     assert not any(found[degree + 1 :])
     close(at(found, 0.0), value, magnitude)
     close(at(found, h), value1, 10 * magnitude)  # coefficients of the cubic are up to 4 times as large
@@ -135,7 +119,9 @@ def test_extrapolation_is_exact_for_polynomials_of_its_degree(c, step, h, degree
     """Value, slope and the previous step determine the polynomial, at any lengths of the steps."""
     c = cut(c, degree)
     before, chord = slope_at(c, -step), (c[0] - at(c, -step)) / step
-    found = extrapolated(degree, c[0], c[1], before, chord, step)
+    s = Input(value=c[0], slope=c[1], slope_before=before, chord_before=chord, order=degree)
+    s.extrapolate(1.0, step)
+    found = tuple(s.c)
     # differences over the step before are rounded in units of the magnitude there
     magnitude = size(c, max(h, step)) * max(1.0, h / step) ** degree
     close(at(found, h), at(c, h), 10 * magnitude)

@@ -8,10 +8,11 @@ long that the error stays above that of the FMUs themselves, which is 4e-10 of t
 import numpy as np
 import pytest
 from kit.shards import thinned
+from scipy.linalg import expm
 
 from orchestrator import assemble, reference, run
 from orchestrator.base.coupling import Coupling
-from orchestrator.monolithic.tight import estimated_error
+from orchestrator.monolithic.tight import BOUND, estimated_error
 
 FINE, MIDDLE, COARSE = 2e-3, 4e-3, 1.6e-2  # [s]; 0.066 to 0.5 rad of the fast oscillation; then half of it
 CONVERGED = Coupling("hermite", guard=0, passes=40, tolerance=1e-12)  # nothing changes any more
@@ -49,17 +50,15 @@ def test_the_correction_raises_the_order_by_one(oscillators, measured, master, n
     assert found == pytest.approx(n + 2, abs=NEAR)
 
 
-def test_one_pass_of_hermite_has_order_four(moving, measured):
-    """Cubic extrapolation, and cubic interpolation for sources that have stepped."""
-    assert measured(moving, Coupling("hermite", guard=0, passes=1), MIDDLE) == pytest.approx(4, abs=NEAR)
-
-
-@pytest.mark.parametrize("passes", [2, 40])
+@pytest.mark.parametrize("passes", [1, 2, 40])
 @pytest.mark.parametrize("follow", ["curves", "lines", "rates"])
-def test_iterated_hermite_has_order_four(oscillators, measured, passes, follow):
-    """Every input is the cubic through both ends, up to h^4; lines keep its mean and first moment."""
-    coupling = Coupling("hermite", guard=0, passes=passes, tolerance=1e-12)
-    assert measured(oscillators(follow), coupling, COARSE) == pytest.approx(4, abs=NEAR)
+def test_hermite_has_order_four(oscillators, measured, passes, follow):
+    """One pass extrapolates what has not stepped by a cubic; further ones make every input the cubic through
+    both ends, up to h^4; lines keep its mean and first moment.
+    """
+    coupling = Coupling("hermite", guard=0, passes=passes, tolerance=1e-12 if passes > 1 else None)
+    found = measured(oscillators(follow), coupling, MIDDLE if passes == 1 else COARSE)
+    assert found == pytest.approx(4, abs=NEAR)
 
 
 def test_rates_of_fmi_3_do_as_well(oscillators):
@@ -132,14 +131,16 @@ def test_without_slopes_iterated_hermite_keeps_order_four(oscillators, measured)
     ("follow", "able"),
     thinned(3, ("curves", "rates", "held"), ({}, {"slopes": False}, {"canGetAndSetFMUstate": "false"})),
 )
-def test_the_reference_without_model_exchange_is_as_exact_as_it_says(oscillators, exact, follow, able):
+def test_the_reference_without_model_exchange_is_as_exact_as_it_says(oscillators, follow, able):
     """Whatever the FMUs can do, the true error is near the estimate on the card."""
     result = reference(oscillators(follow, **able), stop=1.0, record_step=0.01)
-    truth = exact(result.trace.time)
+    matrix = np.array([[0, 1, 0, 0], [-110, 0, 100, 0], [0, 0, 0, 1], [100, 0, -1100, 0]])
+    states = np.array([expm(t * matrix) @ [0, 100, 0, -100] for t in result.trace.time])
     estimates = {e.name: estimated_error(e) for e in result.card.errors}
-    for signal, values in (("a.x", truth[:, 0]), ("b.x", truth[:, 1])):
-        error = np.sqrt(np.mean((result.trace[signal] - values) ** 2)) / np.ptp(values)
-        # 4e-10: the error of the FMUs themselves, here over the range
-        assert error < 1.5 * estimates[signal] + 4e-10, (signal, error, estimates[signal])
+    assert max(estimates.values()) <= BOUND
+    for signal, truth in zip(("a.x", "a.v", "b.x", "b.v"), states.T, strict=True):
+        error = np.sqrt(np.mean((result.trace[signal] - truth) ** 2)) / np.ptp(truth)
+        # an estimate, not a bound: measured 0.76 to 1.06 times; 4e-10: the error of the FMUs themselves
+        assert error < 1.2 * estimates[signal] + 4e-10, (signal, error, estimates[signal])
     note = result.card.notes[-1]
     assert "co-simulation with a small step: estimated RMS error at most" in note
