@@ -8,10 +8,11 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from kit.equations import Part
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from fmus.contract import quantities, symbolic, symbols
+from fmus.contract import symbols
 from fmus.manipulator import VARIANTS
 from fmus.manipulator.arm import mechanics
 from fmus.parameters import values
@@ -32,9 +33,9 @@ def mechanics_of(variant):
 
 
 @cache
-def model(variant):
-    """(x, u, p) -> (dx, y) of a variant."""
-    return symbolic(VARIANTS[variant]).function()
+def part(variant):
+    """The equations of a variant."""
+    return Part(VARIANTS[variant])
 
 
 COORDINATES = ("swing", "boom", "stick", "head", "head_side")
@@ -42,7 +43,7 @@ COORDINATES = ("swing", "boom", "stick", "head", "head_side")
 
 def indices(variant):
     """Where the angles, the speeds and the other states stand among the states of a variant."""
-    names = list(quantities(VARIANTS[variant].states))
+    names = part(variant).states
     angles, speeds = (
         [names.index(n) for n in (f"{c}_{kind}" for c in COORDINATES) if n in names]
         for kind in ("angle", "speed")
@@ -55,19 +56,16 @@ def state(variant, q, w, z=0.0, held=0.0):
     angles, speeds, others = indices(variant)
     x = np.zeros(len(angles) + len(speeds) + len(others))
     x[angles], x[speeds], x[others] = q, w, z
-    names = list(quantities(VARIANTS[variant].states))
-    x[names.index("held_mass")], x[names.index("payload_flow")] = held, 0.0
+    x[[part(variant).at(n) for n in ("held_mass", "payload_flow")]] = held, 0.0
     return x
 
 
 def evaluate(x, forces=(0.0, 0.0, 0.0), numbers=P, variant="rigid"):
     """Rates and outputs by name at states x, forces: swing torque, boom force, stick force."""
-    sub = VARIANTS[variant]
-    u = dict.fromkeys(quantities(sub.inputs), 0.0)
+    own = part(variant)
+    own.p, u = numbers, dict.fromkeys(own.inputs, 0.0)
     u |= dict(zip(("swing_torque", "boom_force", "stick_force"), forces, strict=True))
-    u["payload_mass"] = x[list(quantities(sub.states)).index("held_mass")]  # nothing is picked up or dropped
-    dx, y = model(variant)(x, list(u.values()), list(numbers.values()))
-    return np.array(dx).ravel(), dict(zip(quantities(sub.outputs), np.array(y).ravel(), strict=True))
+    return own(x, **u | {"payload_mass": x[own.at("held_mass")]})  # nothing is picked up or dropped
 
 
 def random_numbers(rng, variant):

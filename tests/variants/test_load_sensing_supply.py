@@ -139,17 +139,6 @@ def test_flow_of_a_valve_does_not_depend_on_its_load():
     assert np.ptp(flows) < 0.02 * np.mean(flows)
 
 
-def test_the_highest_load_counts():
-    """Two drives: the line has the higher pressure of both, whichever it is."""
-    for low, high in ((3e6, 9e6), (9e6, 3e6)):
-        row = BENCH.row(swing_load_pressure=low, boom_stick_load_pressure=high)
-        x = BENCH.rest(BENCH.constants())
-        dx = BENCH.rates(x, row, BENCH.constants())
-        to_go = max(low, high) - BENCH.state(x, "load_sensing_pressure")
-        # exact: the shuttle valve is rounded within 0.05 MPa of equal pressures only
-        assert dx["load_sensing_pressure"] == pytest.approx(to_go / P["load_sensing_lag"], rel=1e-9)
-
-
 # ---- cut-off, power, full stroke
 
 
@@ -215,15 +204,6 @@ def test_inverse_of_the_ramp(y, width):
 
 
 # ---- times
-
-
-def test_line_follows_the_load_with_its_lag():
-    """63 % of a step of the load after one lag."""
-    time, y = BENCH.through([Load(0.0, 1e7)], BENCH.constants(), P["load_sensing_lag"], 4)
-    # exact solution of the first-order lag
-    assert y["load_sensing_pressure"] == pytest.approx(
-        1e7 - (1e7 - SHUTTLE) * np.exp(-time / P["load_sensing_lag"]), rel=1e-6
-    )
 
 
 def rise_time(y, time, name) -> float:
