@@ -133,7 +133,11 @@ def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
 BASE = {
     "run": ["run", "{system}", "--stop", "0.05"],
     "validate": ["validate", "{system}", "--stop", "0.2"],
-    "check": ["check", "{fmu}"],
+    "check": [
+        "check",
+        "{fmu}",
+        "--static",
+    ],  # the probes are imported all the same, and run in processes of their own
     "signals": ["signals", "{system}"],
     "parameters": ["parameters"],
     "variants": ["variants", "none.ssp"],
