@@ -1,4 +1,4 @@
-"""Small foreign FMUs."""
+"""The usual machine, and small foreign FMUs."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ from pathlib import Path
 import pytest
 from kit.any_fmu.models import Workshop
 
+from orchestrator import System, load
+
 
 @pytest.fixture(scope="session")
-def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+def system(fmu_dir: Path) -> System:
+    """The usual machine."""
+    return load(fmu_dir / "harvester.ssp")
+
+
+@pytest.fixture(scope="session")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
     """The plain FMU of each model by name."""
     return Workshop(tmp_path_factory.mktemp("lanes"))
-
-
-@pytest.fixture(scope="session")
-def gain(workshop: Workshop) -> Path:
-    """y = factor u + offset."""
-    return workshop["gain"]
-
-
-@pytest.fixture(scope="session")
-def fails(workshop: Workshop) -> Path:
-    """y' = u; fails in the way `how` from the time `when` on."""
-    return workshop["fails"]

@@ -28,12 +28,17 @@ MASSES = {MASS: np.linspace(300.0, 1200.0, 3)}
 SAME = 1e-8
 
 
+def single_run(system, scenario, machine, **options):
+    """The run of one machine."""
+    start = {name: float(values[machine]) for name, values in MASSES.items()}
+    return run(system, scenario, set=start, isolate=False, **options).trace
+
+
 def differences(system, result, scenario=None, machines=(0, -1), **options):
     """Largest root mean square difference to single runs over range or nominal value, by signal."""
     found = {}
     for machine in machines:
-        start = {name: float(values[machine]) for name, values in MASSES.items()}
-        single = run(system, scenario, set=start, record=[*result.signals], isolate=False, **options).trace
+        single = single_run(system, scenario, machine, record=[*result.signals], **options)
         np.testing.assert_array_equal(single.time, result.time)
         for name, values in result.signals.items():
             size = max(np.ptp(single[name]), abs(system.variable(system.port(name)).nominal or 1.0))
@@ -42,23 +47,10 @@ def differences(system, result, scenario=None, machines=(0, -1), **options):
     return found
 
 
-@pytest.fixture(scope="module")
-def system(fmu_dir):
-    """The usual machine."""
-    return load(fmu_dir / "harvester.ssp")
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"master": "jacobi", "step": 5e-4, "record_step": 5e-3},
-        {"master": Coupling("gauss-seidel", order=3), "step": 2e-3},
-        {"master": Coupling("hermite", guard=0.0), "step": 5e-3},
-    ],
-)
-def test_machines_in_lanes_have_the_results_of_single_runs(system, options):
+@table(__file__, "masters", "coupling, options")
+def test_machines_in_lanes_have_the_results_of_single_runs(system, coupling, options):
     """Every output at every point, by each master, through stops, cavities and closed valves."""
+    options = options | ({"master": Coupling(**coupling)} if coupling else {})
     result = batch(system, MASSES, STROKES, stop=2.5, lanes=True, **options)
     assert set(result.status) == {"ok"}
     assert max(differences(system, result, STROKES, stop=2.5, **options).values()) < SAME
@@ -76,8 +68,7 @@ def test_steps_that_the_worst_machine_divides_are_as_accurate_as_those_of_one(sy
     fine = batch(system, MASSES, STROKES, lanes=True, master="hermite", step=5e-4, **common)
     error = alone = 0.0
     for machine in (0, -1):
-        start = {name: float(values[machine]) for name, values in MASSES.items()}
-        single = run(system, STROKES, set=start, isolate=False, master=coupling, step=step, **common).trace
+        single = single_run(system, STROKES, machine, master=coupling, step=step, **common)
         for name, values in fine.signals.items():
             error += np.sum((result[name][machine] - values[machine]) ** 2) / np.ptp(values[machine]) ** 2
             alone += np.sum((single[name] - values[machine]) ** 2) / np.ptp(values[machine]) ** 2
@@ -145,17 +136,15 @@ def test_a_machine_that_fails_does_not_stop_the_others(system, lanes):
     angle = result["manipulator.boom_angle"]
     finite = np.isfinite(angle)
     assert finite[[0, 2]].all()
-    assert finite[1].sum() == 1331  # up to 1.330 s
-    assert finite[1][:1331].all()
+    np.testing.assert_array_equal(finite[1], result.time < 1.3305)  # up to 1.330 s
     assert result.trace(1).time[-1] == pytest.approx(1.33)
     np.testing.assert_array_equal(angle[0], angle[2])
 
 
 def test_a_start_that_violates_a_requirement_fails_at_once(system):
     """No point is recorded."""
-    result = batch(
-        system, {"manipulator.initial_boom_angle": [0.4, 3.0]}, stop=0.1, record=["manipulator.boom_angle"]
-    )
+    angles = {"manipulator.initial_boom_angle": [0.4, 3.0]}
+    result = batch(system, angles, stop=0.1, record=["manipulator.boom_angle"])
     assert list(result.status) == ["ok", "failed"]
     assert "at t = 0 s" in result.reasons[1]
     assert np.isnan(result["manipulator.boom_angle"][1]).all()
@@ -186,23 +175,24 @@ def test_without_a_compiler_the_machines_run_one_by_one(system, monkeypatch):
 # ---- other FMUs, one by one
 
 
-def test_other_fmus_run_one_by_one(gain):
+def test_other_fmus_run_one_by_one(foreign):
     """Any FMU, with a note why."""
-    result = batch(gain, {"gain.factor": [1.0, 2.0, 3.0], "gain.u": [1.0, 2.0, 4.0]}, stop=0.1, step=0.01)
+    values = {"gain.factor": [1.0, 2.0, 3.0], "gain.u": [1.0, 2.0, 4.0]}
+    result = batch(foreign["gain"], values, stop=0.1, step=0.01)
     np.testing.assert_array_equal(result["gain.y"], [[1.0] * 11, [4.0] * 11, [12.0] * 11])
     assert any("one by one: gain" in note and "no C sources" in note for note in result.notes)
     with pytest.raises(NotInLanes, match="no C sources"):
-        batch(gain, {"gain.factor": [1.0]}, stop=0.1, step=0.01, lanes=True)
+        batch(foreign["gain"], {"gain.factor": [1.0]}, stop=0.1, step=0.01, lanes=True)
 
 
 @pytest.mark.parametrize(
     ("how", "status", "told"),
     [(3, "failed", "the pump broke"), (6, "early", "fails"), (10, "failed", "abort")],
 )
-def test_a_crash_ends_only_its_machine(fails, how, status, told):
+def test_a_crash_ends_only_its_machine(foreign, how, status, told):
     """An error status, an FMU that asks for the end, a crash of its process: the others run on."""
     values = {"fails.how": [0, how, 0], "fails.when": [0.05] * 3}
-    result = batch(fails, values, stop=0.1, step=0.01, record=["fails.y"])
+    result = batch(foreign["fails"], values, stop=0.1, step=0.01, record=["fails.y"])
     assert list(result.status) == ["ok", status, "ok"]
     assert told in result.reasons[1]
     assert np.isfinite(result["fails.y"][[0, 2]]).all()
@@ -231,9 +221,8 @@ def test_what_lanes_lack_is_told(system):
     """One line; by default the machines then run one by one."""
     with pytest.raises(NotInLanes, match="the master interface-jacobian"):
         batch(system, MASSES, stop=0.1, master="interface-jacobian", lanes=True)
-    result = batch(
-        system, MASSES, stop=0.02, step=0.01, master="interface-jacobian", record=["manipulator.boom_angle"]
-    )
+    options = {"master": "interface-jacobian", "record": ["manipulator.boom_angle"]}
+    result = batch(system, MASSES, stop=0.02, step=0.01, **options)
     assert any("one by one: the master interface-jacobian" in note for note in result.notes)
 
 

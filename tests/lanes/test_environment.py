@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from kit.mistakes import problem
 
-from orchestrator import load
-
 gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
@@ -21,12 +19,6 @@ ANGLES = ["manipulator.swing_angle", "manipulator.boom_angle", "manipulator.stic
 ANGLE = {"manipulator.initial_boom_angle": (0.2, 0.5)}
 VARY = {"manipulator.head_mass": (300.0, 400.0), **ANGLE}
 INTERVAL = 0.05  # [s]
-
-
-@pytest.fixture(scope="module")
-def system(fmu_dir):
-    """The usual machine."""
-    return load(fmu_dir / "harvester.ssp")
 
 
 def height(observations, _):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,31 +11,12 @@ import pytest
 from orchestrator.base.compiler import shared_library
 from orchestrator.lanes.compiled import lane_count, processor, recipe
 
-CODE = """
-#include <string.h>
-#include "lanes.h"
-#define EACH(name, expression)                                                                      \\
-    extern "C" __attribute__((visibility("default")))                                               \\
-    void name##_of(const double *x, const double *y, double *out, int count) {                      \\
-        for (int i = 0; i < count; i++) {                                                           \\
-            Lanes a, b, r;                                                                          \\
-            memcpy((void *)&a, x + i * LANES, sizeof a), memcpy((void *)&b, y + i * LANES, sizeof b); \\
-            r = expression;                                                                         \\
-            memcpy(out + i * LANES, &r, sizeof r);                                                  \\
-        }                                                                                           \\
-    }
-EACH(exp, exp(a)) EACH(log, log(a)) EACH(sin, sin(a)) EACH(cos, cos(a)) EACH(tanh, tanh(a))
-EACH(pow, pow(a, b)) EACH(fmax, fmax(a, b)) EACH(fmin, fmin(a, b))
-EACH(where, where(a < b, a)) EACH(both, Lanes(a < b && b != 2.0))
-"""
-
 
 @pytest.fixture(scope="module")
 def functions():
     """name -> function of arrays of equal length."""
-    library = ctypes.CDLL(
-        str(shared_library(*recipe("functions", "f.cpp", {"f.cpp": CODE.encode()}, processor())))
-    )
+    source = {"f.cpp": Path(__file__).with_suffix(".cpp").read_bytes()}
+    library = ctypes.CDLL(str(shared_library(*recipe("functions", "f.cpp", source, processor()))))
 
     def call(name, x, y=None):
         x = np.broadcast_arrays(np.asarray(x, float), np.zeros(1 if y is None else np.shape(y)))[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator import Problem, load, run
+from orchestrator import Problem, run
 from orchestrator.lanes.compiled import NotInLanes
 from orchestrator.lanes.machines import Machines
 
@@ -13,12 +13,6 @@ COMMANDS = ["boom_command", "stick_command"]
 SIGNALS = ["manipulator.boom_angle", "manipulator.tip_height", "boom_stick.boom_head_pressure"]
 HEAD = "manipulator.head_mass"
 STEPS, PERIOD = 50, 0.05  # communication steps and time [s] over which commands are held
-
-
-@pytest.fixture(scope="module")
-def system(fmu_dir):
-    """The usual machine."""
-    return load(fmu_dir / "harvester.ssp")
 
 
 @pytest.fixture
@@ -102,9 +96,9 @@ def test_a_mistake_is_told_in_one_line(machines, call, told):
         call(machines)
 
 
-def test_other_fmus_are_refused(gain, system):
+def test_other_fmus_are_refused(foreign, system):
     """Their machines cannot be stepped in lanes; and a machine needs a command."""
     with pytest.raises(NotInLanes, match="no C sources"):
-        Machines(gain, 2, ["gain.u"], ["gain.y"])
+        Machines(foreign["gain"], 2, ["gain.u"], ["gain.y"])
     with pytest.raises(Problem, match="at least one machine, command and signal, got 2 machines, 0 commands"):
         Machines(system, 2, [], SIGNALS)
