@@ -143,9 +143,6 @@ def test_a_loop_without_solution_is_told(fmu):
         reference(system, stop=1.0)
 
 
-# ---- mistakes
-
-
 # tolerances are refused below rounding, or so large that the result is no reference
 @pytest.mark.parametrize(
     ("message", "choices"),

@@ -189,10 +189,11 @@ SAFETY, SHRINK, GROW, REPEATED, NEARLY = 0.8, 0.2, 2.0, 0.9, 1 - 1e-9  # of nati
 
 
 class StepSize:
-    """`StepSize` of the engine and its functions."""
+    """`StepSize` of the engine before its first step, and its functions."""
 
-    def __init__(self, **fields):
-        self.struct = engine_h().StepSize(**fields)
+    def __init__(self, power=1, repeats=True, first=1e-3, largest=0.1):
+        limits = {"smallest": 1e-7, "largest": largest}
+        self.struct = engine_h().StepSize(h=first, power=power, repeats=repeats, **limits)
 
     @property
     def h(self):
@@ -209,16 +210,11 @@ errors = st.floats(0.0, 1e6)
 powers = st.integers(1, 5)
 
 
-def fresh(power=1, repeats=True, first=1e-3, smallest=1e-7, largest=0.1):
-    """A step size control before its first step."""
-    return StepSize(h=first, power=power, smallest=smallest, largest=largest, repeats=repeats)
-
-
 @given(errors, errors, powers, st.booleans())
 def test_a_larger_error_never_makes_the_next_step_longer(one, other, power, repeats):
     """After equal previous steps, for accepted and for rejected steps."""
     small, large = sorted((one, other))
-    sizes = fresh(power, repeats), fresh(power, repeats)
+    sizes = StepSize(power, repeats), StepSize(power, repeats)
     for size, e in zip(sizes, (small, large), strict=True):
         size.good(0.5, 1e-3)
         size.good(e, 1e-3)
@@ -228,7 +224,7 @@ def test_a_larger_error_never_makes_the_next_step_longer(one, other, power, repe
 @given(st.lists(st.tuples(errors, st.floats(1e-6, 1.0)), max_size=30), powers, st.booleans())
 def test_steps_stay_within_their_limits(history, power, repeats):
     """For any errors; the ratio of two successive steps has limits."""
-    size = fresh(power, repeats)
+    size = StepSize(power, repeats)
     for e, room in history:
         h = size.length(room)
         assert 0 < h <= room
@@ -247,7 +243,7 @@ def test_the_end_is_hit_without_a_short_last_step(room, step):
     It may be longer than the largest by a share of 1e-9: times of a grid are rounded, and a step that
     misses its end by less than that would be halved for it, with twice the cost.
     """
-    size = fresh(first=step, largest=1.0)
+    size = StepSize(first=step, largest=1.0)
     h = size.length(room)
     assert h == room or room - h >= h * (1 - 1e-15)
     assert h <= max(step / NEARLY, room / 2)
@@ -256,7 +252,7 @@ def test_the_end_is_hit_without_a_short_last_step(room, step):
 def test_a_step_that_was_cut_does_not_shorten_the_next():
     """A step that is cut at an output time does not reset the control; a rejected step does."""
     for e, expected in ((0.5, 1e-2), (2.0, 1e-4)):
-        size = fresh(first=1e-2, repeats=False)
+        size = StepSize(first=1e-2, repeats=False)
         assert size.length(1e-4) == 1e-4
         assert size.good(e, 1e-4)
         assert (size.h >= expected) if e < 1 else (size.h < expected)
@@ -265,7 +261,7 @@ def test_a_step_that_was_cut_does_not_shorten_the_next():
 @pytest.mark.parametrize("power", [1, 2, 3, 4])
 def test_an_error_that_is_a_power_of_the_step_settles(power):
     """The step converges, without oscillation, to the one whose error is a safe fraction of the tolerance."""
-    size, found = fresh(power), []
+    size, found = StepSize(power), []
     for _ in range(60):
         h = size.length(1e9)
         size.good((h / 5e-3) ** power, h)
@@ -278,7 +274,7 @@ def test_an_error_that_is_a_power_of_the_step_settles(power):
 
 def test_the_law_in_numbers():
     """Errors 0.5, 0.25, 2 and 0 at power 1: 0.8/0.5, then 3.2^0.3 2^0.4, 0.8/2, and the longest step."""
-    size, h = fresh(first=1e-2), 1e-2
+    size, h = StepSize(first=1e-2), 1e-2
     for e, ratio in ((0.5, 1.6), (0.25, 1.870497), (2.0, 0.4), (0.0, 2.0)):
         assert size.good(e, h) == (e <= 1)
         assert size.h == pytest.approx(ratio * h, rel=1e-6)  # the digits above
@@ -288,8 +284,8 @@ def test_the_law_in_numbers():
 @pytest.mark.parametrize("e", [float("nan"), float("inf")])
 def test_what_is_no_number_is_an_error(e):
     """It is repeated as long as that is possible, with the shortest step that the law allows."""
-    size = fresh()
+    size = StepSize()
     assert not size.good(e, 1e-3)
     assert size.h == pytest.approx(SHRINK * 1e-3, rel=1e-15)
-    assert fresh(repeats=False).good(e, 1e-3)
-    assert fresh().good(e, 1e-7)  # at the smallest step errors are let pass
+    assert StepSize(repeats=False).good(e, 1e-3)
+    assert StepSize().good(e, 1e-7)  # at the smallest step errors are let pass

@@ -101,9 +101,6 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
     np.testing.assert_array_equal(thrice, once)
 
 
-# ---- through Python
-
-
 @pytest.mark.parametrize(
     "choices",
     [{}, {"lag": 5}, {"factors": {"b": 3}}, {"adaptive": 1e-5}, {"adaptive": 1e-4, "lag": 4}],

@@ -186,9 +186,6 @@ def test_single_precision_is_as_good_as_it_can_be(fmus3):
     assert "residual at most" in result.card.notes[-1]
 
 
-# ---- what is told
-
-
 def test_wrong_derivatives_are_not_used(fmus3):
     """Differences are used for an FMU whose directional derivatives are NaN."""
     files = {"t": fmus3["types"], "g": fmus3["gain"]}
@@ -197,9 +194,6 @@ def test_wrong_derivatives_are_not_used(fmus3):
     # y = 3 - 0.25 y
     np.testing.assert_allclose(result.trace["g.y"], 3.0 / 1.25, rtol=CLOSE)
     assert "with differences and directional derivatives" in result.card.notes[-1]
-
-
-# ---- initialisation
 
 
 def test_loops_are_solved_in_initialisation_mode(kind):
@@ -273,9 +267,6 @@ def test_whole_numbers_that_only_seem_to_be_in_a_loop(each, both):
     np.testing.assert_allclose(result.trace["c.y"], 1 / 7, rtol=CLOSE)
     np.testing.assert_array_equal(result.trace["b.int_out"], 6)
     assert any("not Real are read 4 times per step" in note for note in result.card.notes)
-
-
-# ---- the same through Python
 
 
 @pytest.mark.parametrize("undeclared", [False, True])

@@ -145,6 +145,7 @@ def test_chosen_signals_and_coarse_records(alike, oscillator):
     chosen = ["b.force", "a.mass", "a.x"]
     trace = alike(oscillator, step=1e-3, stop=2.5, record=chosen, record_step=7e-3).trace
     assert list(trace.signals) == chosen
+    np.testing.assert_array_equal(trace["a.mass"], 1.0)
     assert len(trace.time) == 2500 // 7 + 2
 
 
@@ -162,9 +163,6 @@ def test_threads_give_the_same_bits(monkeypatch, oscillators, fmus, order):
         results.append(run(system, master=Coupling("jacobi", order), **STEPS))
     for name, values in results[0].trace.signals.items():
         np.testing.assert_array_equal(results[1].trace[name], values, err_msg=name)
-
-
-# ---- other machines
 
 
 @shards.platforms
