@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from fmus.components.spool_valve import Valve
-from fmus.contract import Subsystem, quantities, symbolic
+from fmus.contract import Subsystem, Symbolic, quantities, symbolic
 from fmus.machine.parts import parts, wiring
 from fmus.machine.poses import POSES, parameter
 from fmus.machine.work_cycle import COMMANDS, PROGRAMS, sample
@@ -75,15 +75,22 @@ class Part:
 
     def __init__(self, sub: Subsystem, **changed: float) -> None:
         own = values(sub)
-        self.sub, self.model = sub, symbolic(sub)
+        self.sub = sub
         self.p = {**own.p, **{n: v for n, v in changed.items() if n in own.p}}
         self.u, self._x = dict(own.u), list(own.x.values())
         self.states, self.inputs, self.outputs = (
             list(quantities(g)) for g in (sub.states, sub.inputs, sub.outputs)
         )
+        self.nominal = np.array([q.nominal for q in quantities(sub.states).values()])
 
     @cached_property
-    def _function(self) -> ca.Function:
+    def model(self) -> Symbolic:
+        """The equations, when a test first asks for them."""
+        return symbolic(self.sub)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """(x, u, p) -> dx, y."""
         return self.model.function()
 
     @cached_property
@@ -107,7 +114,7 @@ class Part:
 
     def __call__(self, x: np.ndarray, **inputs: float) -> tuple[np.ndarray, dict[str, float]]:
         """Rates (n,) and outputs by name."""
-        dx, y = self._function(x, list((self.u | inputs).values()), list(self.p.values()))
+        dx, y = self.function(x, list((self.u | inputs).values()), list(self.p.values()))
         return dx.full()[:, 0], dict(zip(self.outputs, y.full()[:, 0], strict=True))
 
     def of(self, *expressions: ca.SX) -> Callable[..., list[np.ndarray]]:
@@ -140,16 +147,16 @@ class Part:
     ) -> dict[str, np.ndarray]:
         """Outputs (n,) by name from the start on, with inputs that are functions of the time."""
         t, z = ca.SX.sym("t"), ca.SX.sym("z", len(self.states))
-        nominal = np.array([q.nominal for q in quantities(self.sub.states).values()])
+        nominal = self.nominal
         u, p = ca.vertcat(*(self.u | dict(inputs(t))).values()), list(self.p.values())
         driven = ca.Function("driven", [t], [u])
-        rate = self._function(z * nominal, u, p)[0] / nominal
+        rate = self.function(z * nominal, u, p)[0] / nominal
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000}
         ode = {"t": t, "x": z, "ode": rate}
         solver = ca.integrator("follow", "cvodes", ode, time[0], time[1:], options)
         start = self.model.initial()(self._x, driven(time[0]), p) / nominal
         x = ca.horzcat(start, solver(x0=start)["xf"]) * nominal
-        y = self._function.map(time.size)(x, driven.map(time.size)(time[None, :]), ca.DM(p))[1]
+        y = self.function.map(time.size)(x, driven.map(time.size)(time[None, :]), ca.DM(p))[1]
         return dict(zip(self.outputs, y.full(), strict=True))
 
 

@@ -9,9 +9,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from fmus.contract import Symbolic, quantities, symbolic
-from fmus.parameters import values
 from fmus.supply import VARIANTS
+from kit.equations import Part
 
 L_MIN = 1e-3 / 60  # m3/s
 
@@ -23,31 +22,16 @@ class Load(NamedTuple):
     pressure: float = 0.0
 
 
-class Bench:
-    """One variant of the supply with its equations, numbers and names."""
+class Bench(Part):
+    """One variant of the supply, its parameters and inputs given as lists."""
 
     def __init__(self, variant: str) -> None:
-        self.sub = VARIANTS[variant]
-        self.numbers = values(self.sub).p
-        self.states, self.outputs, self.inputs = (
-            list(quantities(g)) for g in (self.sub.states, self.sub.outputs, self.sub.inputs)
-        )
-        self.nominal = np.array([q.nominal for q in quantities(self.sub.states).values()])
-
-    @cached_property
-    def model(self) -> Symbolic:
-        """The equations, when a test first asks for them."""
-        return symbolic(self.sub)
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """(x, u, p) -> dx, y."""
-        return self.model.function()
+        super().__init__(VARIANTS[variant])
 
     def constants(self, **changes: float) -> list[float]:
         """The parameters in order, some of them changed."""
-        assert set(changes) <= set(self.numbers)
-        return list((self.numbers | changes).values())
+        assert set(changes) <= set(self.p)
+        return list((self.p | changes).values())
 
     def row(self, **inputs: float) -> list[float]:
         """The inputs in order; those that are not given are zero."""
@@ -83,7 +67,7 @@ class Bench:
     def balance(self) -> ca.Function:
         """(x, u, p) -> power in, power used or stored, heat [W]."""
         m = self.model
-        y = dict(zip(self.outputs, ca.vertsplit(m.y), strict=True))
+        y = self.expressions["y"]
         rate = ca.jtimes(y["stored_energy"], m.x, m.dx)
         given = y["engine_power"] + y["tank_pressure"] * y["return_flow"]
         used = y["supply_pressure"] * y["supply_flow"] + rate + y["dissipated_power"]

@@ -20,7 +20,7 @@ from fmus.parameters import values
 BOOM_STICK, SWING = (FAMILIES[part]["compensated"] for part in ("boom_stick", "swing"))
 P, S = values(BOOM_STICK).p, values(SWING).p
 STEP = 1e-3  # s
-HEAD, ROD = piston_areas(P, "boom")
+HEAD = piston_areas(P, "boom")[0]
 
 
 @pytest.fixture(scope="module")
@@ -48,18 +48,14 @@ def section_flow(full, command, port, other):
     return flow + P["valve_leakage"] * (2 * SUPPLY - port - other - 1e4)
 
 
-class Bench:
-    """Boom cylinder whose head chamber the load keeps at a pressure, by a velocity in proportion."""
+GAIN = 2e-11  # m3/(s.Pa) of the test bench
 
-    def __init__(self, fmu, load, area=HEAD):
-        self.fmu, self.load, self.area = fmu, load, area
 
-    def step(self, side="head", sign=1.0, gain=2e-11):
-        """One step; gain in m3/(s.Pa)."""
-        pressure, flow = self.fmu.get(f"boom_{side}_pressure", f"boom_{side}_flow")
-        velocity = (flow + gain * (pressure - self.load)) / self.area
-        self.fmu.set(boom_velocity=sign * velocity)
-        self.fmu.step(STEP)
+def step_under_load(fmu, load):
+    """One step of the boom, whose head chamber the load keeps at a pressure, by a velocity in proportion."""
+    pressure, flow = fmu.get("boom_head_pressure", "boom_head_flow")
+    fmu.set(boom_velocity=(flow + GAIN * (pressure - load)) / HEAD)
+    fmu.step(STEP)
 
 
 LOADS = np.array([20e5, 60e5, 100e5, 140e5, 180e5])
@@ -69,9 +65,8 @@ START = {"boom_holding_force": 5e4, "supply_pressure": SUPPLY}
 def flow_at(fmus, load, command):
     """Meter-in flow and port pressure in steady motion against a load."""
     with driving(fmus["boom_stick"], boom_command=command, **START) as fmu:
-        bench = Bench(fmu, load)
         for _ in range(1500):
-            bench.step()
+            step_under_load(fmu, load)
         return fmu.get(
             "boom_meter_in_flow", "boom_head_valve_pressure", "boom_head_pressure", "boom_rod_valve_pressure"
         )
@@ -98,15 +93,15 @@ def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_
         driving(fmus["boom_stick"], boom_command=commands["boom"], **START) as boom,
         driving(fmus["swing"], swing_command=commands["swing"], supply_pressure=SUPPLY) as swing,
     ):
-        bench, supply, speed = Bench(boom, 150e5), SUPPLY, 0.0
+        supply, speed = SUPPLY, 0.0
         for _ in range(4000):
             loads = (boom["boom_stick_load_pressure"], swing["swing_load_pressure"])
             boom.set(supply_pressure=supply, load_sensing_pressure=max(loads))
             swing.set(supply_pressure=supply, load_sensing_pressure=max(loads), swing_speed=speed)
-            bench.step()
+            step_under_load(boom, 150e5)
             swing.step(STEP)
             flow, pressure = swing.get("swing_flow_a", "swing_pressure_a")
-            speed = (flow + 2e-11 * (pressure - 30e5)) / displacement
+            speed = (flow + GAIN * (pressure - 30e5)) / displacement
             taken = boom["supply_flow"] + swing["supply_flow"]
             supply += STEP * (pump - taken) / 1e-10  # a line of 160 L
         flows = np.array([boom["boom_meter_in_flow"], swing["swing_meter_in_flow"]])

@@ -15,7 +15,7 @@ from fmus.components import engine_and_pump, smooth
 from fmus.components.engine_and_pump import StrokeLimits
 
 BENCH = Bench("load_sensing")
-P = BENCH.numbers
+P = BENCH.p
 FULL = P["main_pump_displacement"] * P["engine_rated_speed"]  # m3/s at rated speed
 LIMIT = P["pressure_cut_off"] - P["load_sensing_relief_difference"]
 SHUTTLE = 0.09375 * 5e4  # Pa: two equal pressures at a shuttle valve, 3/32 of its rounding

@@ -17,7 +17,7 @@ from fmus.components import engine_and_pump
 ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
 IDEAL = Bench("ideal")
 pumps = pytest.mark.parametrize("bench", BENCHES, ids=lambda b: b.sub.variant)
-P = ENGINE_PUMP.numbers
+P = ENGINE_PUMP.p
 SETTING = P["pump_1_pressure_setting"]
 FULL = P["pump_displacement"] * P["engine_rated_speed"]  # m3/s of one pump
 
@@ -258,7 +258,7 @@ def test_energy_balance_closes_at_any_state(bench, pressures, strokes, shaft, fl
 @given(*STATE, FLOWS)
 def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
     """What comes back less what is taken fills tank and lines."""
-    x, p = any_state(bench, pressures, strokes, shaft), bench.numbers
+    x, p = any_state(bench, pressures, strokes, shaft), bench.p
     rate = bench.rates(x, inputs_of(bench, flows), bench.constants())
     own = p.get("pump_line_capacitance", p.get("main_pump_line_capacitance"))
     gained = rate["reservoir_volume"]
