@@ -1,4 +1,4 @@
-"""Compensator, counterbalance valve and brake: bounds, monotony, smoothness, and passivity."""
+"""Compensator and counterbalance valve: bounds, monotony, smoothness; brake: test_balances.py."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.components import brake, counterbalance_valve
+from fmus.components import counterbalance_valve
 from fmus.components import pressure_compensator as compensator
-from fmus.components.brake import Brake
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.pressure_compensator import Compensator
 from fmus.components.smooth import lower
@@ -24,7 +23,6 @@ NUMBERS = values(FAMILIES["boom_stick"]["compensated"]).p
 SWING = swing.CompensatedSwingParameters(**values(FAMILIES["swing"]["compensated"]).p)
 SECTION = swing.section(SWING)
 COMPENSATOR = SECTION.compensator
-BRAKE = Brake.of(SWING, "brake")
 VALVE = Counterbalance(**{n: NUMBERS[f"counterbalance_{n}"] for n in Counterbalance.__dataclass_fields__})
 AROUND = Restriction(0.62, 970.0, 2.4e10, 1e-5)
 PRESSURE = st.floats(0, 4e7)
@@ -139,39 +137,6 @@ def test_a_counterbalance_valve_opens_by_load_and_pilot_less_back_pressure(share
     found = float(counterbalance_valve.balance(valve, 12e6, pilot * 1e5, 12e5, 5e5))
     # exact identity, rounding only
     assert found == pytest.approx(opening, rel=1e-12, abs=1e-12)
-
-
-@given(PRESSURE, PRESSURE, PRESSURE, st.floats(0, 1e6))
-def test_a_counterbalance_valve_opens_within_its_stroke_and_ever_more(chamber, pilot, line, tank):
-    """From 0 to 1; more load or pilot pressure never closes it, whatever line and tank have."""
-    pressures = np.array([chamber, pilot, line, tank])
-    opening = float(counterbalance_valve.balance(VALVE, *pressures))
-    assert 0 <= opening <= 1 + 1e-12
-    for more in ([1e4, 0, 0, 0], [0, 1e4, 0, 0]):
-        assert float(counterbalance_valve.balance(VALVE, *(pressures + more))) >= opening - 1e-12
-
-
-@given(st.floats(-2e5, 2e5), st.floats(0, 1), st.floats(-2, 2))
-def test_a_brake_only_loses_power(torque, applied, speed):
-    """T w = d(T^2/2k)/dt + heat, heat not negative; elastic without any slip up to the torque it holds."""
-    found = brake.hold(BRAKE, torque, applied, speed)
-    rate, heat = float(found.rate) / BRAKE.stiffness, float(found.heat)
-    assert heat >= 0
-    # exact identity, rounding of the terms
-    assert torque * speed == pytest.approx(torque * rate + heat, rel=1e-9, abs=1e-6)
-    if abs(torque) <= BRAKE.torque * applied:
-        assert rate == pytest.approx(speed, rel=1e-14)  # times and divided by k
-        assert heat == 0
-
-
-@given(st.floats(0.05, 2.0), st.floats(0, 1))
-def test_a_sliding_brake_has_its_torque_and_drag(speed, applied):
-    """Steady slip: T_b q + c w + b/2, the law solved for the torque."""
-    torque = BRAKE.torque * applied + BRAKE.drag * speed + brake.ROUNDING * BRAKE.torque / 2
-    beyond = torque - BRAKE.torque * applied > brake.ROUNDING * BRAKE.torque  # past the rounding
-    rate = float(brake.hold(BRAKE, torque, applied, speed).rate) / BRAKE.stiffness
-    # exact identity; the opposite side's ramp is zero as soon as the brake is applied at all
-    assert rate == pytest.approx(0, abs=1e-9) if beyond else abs(rate) < speed
 
 
 def test_the_parameters_that_the_law_excludes_are_refused():

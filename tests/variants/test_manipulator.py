@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -173,30 +172,6 @@ def test_damping_of_the_head_is_the_ratio_that_its_note_says(name):
     np.testing.assert_allclose(-roots.real / np.abs(roots), 0.1, rtol=0.03)
 
 
-@pytest.mark.parametrize("speed", [0.3, 0.8])
-def test_head_hangs_outwards_while_the_arm_turns(speed):
-    """Steady swing at w: the head rests where (m L (r + L sin a) + J sin a) w^2 cos a = m g L sin a."""
-    v = changed("pendulum", swing_damping=0.0)
-    radius = v(v.start())[1]["tip_radius"]
-    m, length, inertia = P["head_mass"], P["head_length"], P["head_inertia"]
-
-    def moment(a):
-        outwards = m * length * (radius + length * math.sin(a)) + inertia * math.sin(a)
-        return outwards * speed**2 * math.cos(a) - m * P["gravity"] * length * math.sin(a)
-
-    angle = brentq(moment, 0.0, 1.5, xtol=1e-14)
-    assert angle > 0.03  # rad: there is something to hold
-    x, none = v.start(head_angle=angle, swing_speed=speed), dict.fromkeys(FORCES, 0.0)
-    still = v(x, **none)[0]  # rates are straight lines of the forces
-    per_newton = np.array([v(x, **(none | {f: 1e5}))[0] - still for f in FORCES]).T / 1e5
-    arm = [v.at(f"{joint}_speed") for joint in JOINTS]
-    holding = np.linalg.solve(per_newton[arm], -still[arm])
-    dx, _ = v(x, **dict(zip(FORCES, holding, strict=True)))
-    # exact identity; rounding of accelerations of some 10 rad/s2 that cancel
-    assert np.abs(dx[arm]).max() < 1e-11
-    assert np.abs(dx[[v.at("head_speed"), v.at("head_side_speed")]]).max() < 1e-11
-
-
 @pytest.mark.parametrize("speed", [1.0, -15.0])
 def test_thrown_head_comes_back_from_its_stop_as_the_law_of_contact_says(speed):
     """v dv = -k r(d)/I (1 + c v) dd, so v/c - ln(1 + c v)/c^2 is equal at the first and the last touch."""
@@ -241,32 +216,6 @@ def test_swing_at_full_command_stopped_at_once_throws_the_head_into_its_stop_onl
     y = played(model, time, {"swing_command": lever}, tolerance=1e-8)
     side = np.abs(y["manipulator.head_side_angle"]).max()
     assert P["head_stop_angle"] < side < SIDE_LIMIT - 0.1
-
-
-def driven(v, until):
-    """Final angles and speeds of the arm after a smooth push on all joints."""
-
-    def rates(t, x):
-        push = math.sin(2 * math.pi * t / until)
-        boom, stick = v.u["boom_force"] + 1.5e4 * push, v.u["stick_force"] - 4e3 * push
-        return v(x, swing_torque=8e3 * push, boom_force=boom, stick_force=stick)[0]
-
-    run = solve_ivp(rates, (0, until), v.start(), "Radau", rtol=1e-7, atol=1e-8)
-    return run.y[:6, -1]
-
-
-def test_short_pendulum_tends_to_the_point_mass():
-    """Half as long a head, damped alike and with its inertia: half the distance to `rigid`, first order."""
-    rigid, distances = driven(variant("rigid"), 1.5), []
-    for length in (0.1, 0.05, 0.025):
-        inertia = P["head_mass"] * length**2 / 12
-        about = inertia + P["head_mass"] * length**2
-        damping = 2 * 0.5 * math.sqrt(about * P["head_mass"] * P["gravity"] * length)
-        v = changed("pendulum", head_length=length, head_inertia=inertia, head_joint_damping=damping)
-        distances.append(np.abs(driven(v, 1.5) - rigid).max())
-    assert distances[0] < 0.03  # of motions of 0.2 rad and more
-    # first order, the next one being L^1.5 of the frequency
-    np.testing.assert_allclose([a / b for a, b in pairwise(distances)], 2.0, rtol=0.1)
 
 
 @heads
