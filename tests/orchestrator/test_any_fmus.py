@@ -150,10 +150,9 @@ def test_steps_of_its_own_begin_where_the_last_one_ended(each, both, master, fac
 
 def test_an_fmu_for_slopes_of_states_only(each, both):
     """It refuses slopes of some outputs: these follow from differences, and a note names them."""
-    more = {"fmi2": "Real", "fmi3": "Float64"}[f"fmi{each.fmi}"]
-    alias = 'name="idle" valueReference="0" causality="output" variability="continuous"'
-    extra = f"<{more} {alias}/>" if each.fmi == 3 else f"<ScalarVariable {alias}><Real/></ScalarVariable>"
-    fmu = each.make("quirk", "partly", interpolates=each.fmi == 2, more=extra.replace('"0"', '"3"'))
+    idle = 'name="idle" valueReference="3" causality="output" variability="continuous"'
+    more = {2: f"<ScalarVariable {idle}><Real/></ScalarVariable>", 3: f"<Float64 {idle}/>"}[each.fmi]
+    fmu = each.make("quirk", "partly", interpolates=each.fmi == 2, more=more)
     files = {"p": fmu, "q": each.make("quirk", "listener", interpolates=each.fmi == 2)}
     system = assemble(files, CIRCLE, TURNS)
     wired = assemble({**files, "r": files["q"]}, [*CIRCLE, "p.idle -> r.u"])
@@ -242,6 +241,7 @@ def test_a_wish_for_event_handling_passes(fmus3, both):
     plain = both(circle(fmus3, "plain"), master=HERMITE).result
     message = "the FMU requests event handling by the master, which is switched off (event mode is not used)"
     assert wishing.card.warnings == (f"q: {message} (15 times, first at t = 0.5 s)",)  # in 3 passes
+    assert f"warning: {wishing.card.warnings[0]}" in wishing.card.text()
     np.testing.assert_array_equal(wishing.trace["q.y"], plain.trace["q.y"])
 
 

@@ -76,14 +76,18 @@ def test_units_are_converted_between_the_versions(fmus, fmus3):
 
 
 def test_numbers_of_all_widths_pass(fmus3):
-    """From a scenario through an FMU and a connection; Float32 keeps seven digits."""
+    """From a scenario through an FMU and a connection; Float32 keeps seven digits.
+
+    A structural parameter is set in configuration mode: the FMU refuses it in any other.
+    """
     lower = {kind: 0 if kind.startswith("U") else -7 for kind in WIDTHS}
     columns = {f"{kind.lower()}_in": np.array([lower[kind], 100.0]) for kind in WIDTHS}
     columns["float32_in"] = np.array([0.1, 1.1])
     files = {"p": fmus3["wide"], "q": fmus3["wide"]}
     wires = [f"p.{name}_out -> q.{name}_in" for name in ("float32", *(k.lower() for k in WIDTHS))]
     scenario = Trace(np.array([0.0, 1.0]), {f"p.{name}": values for name, values in columns.items()})
-    trace = run(assemble(files, wires), scenario, step=0.5).trace
+    trace = run(assemble(files, wires), scenario, step=0.5, set={"p.size": 9}).trace
+    np.testing.assert_array_equal(trace["p.size_out"], 9)
     for kind in WIDTHS:
         np.testing.assert_array_equal(trace[f"q.{kind.lower()}_out"], [lower[kind], lower[kind], 100])
     np.testing.assert_array_equal(trace["q.float32_out"], np.float32([0.1, 0.6, 1.1]).astype(float))
@@ -114,12 +118,6 @@ def test_values_must_fit(fmus3, name, value):
     assert f"{port}: expected a value in the range of {name}, got {value}" in message
     message = refusal(fmus3["wide"], scenario=Trace(np.array([0.0, 0.4]), {port: np.array([0.0, value])}))
     assert f"{port}: expected a value in the range of {name.lower()}, got {value}" in message
-
-
-def test_structural_parameters_are_set_in_configuration_mode(fmus3):
-    """The FMU refuses them in any other mode."""
-    trace = run(str(fmus3["wide"]), step=0.1, stop=0.2, set={"wide.size": 9}).trace
-    np.testing.assert_array_equal(trace["wide.size_out"], 9)
 
 
 def test_an_alias_is_the_variable_itself(fmus3):

@@ -28,7 +28,7 @@ def test_the_undamped_oscillator_over_ten_seconds(moving, worst, coupling, step,
 
 
 def test_passes_end_when_the_tolerance_is_met(moving):
-    """A stricter tolerance takes more passes, each of which reduces the error."""
+    """A stricter tolerance takes more passes, each of which reduces the error; their number is limited."""
     tolerances = (1e-2, 1e-4, 1e-6, 1e-8)
     results = [
         run(moving, master=Coupling("hermite", guard=0, tolerance=x), step=2e-2, stop=1.0) for x in tolerances
@@ -44,11 +44,7 @@ def test_passes_end_when_the_tolerance_is_met(moving):
         # a pass takes away a factor of 50 and more; what is left adds up over 50 steps
         assert away < 50 * tolerance
     assert f"{passes[-1] / 50:.3g} passes each" in results[-1].card.text()
-
-
-def test_passes_have_a_limit(moving):
-    """A tolerance below rounding is never met; the number of passes is limited."""
-    never = Coupling("hermite", guard=0, passes=5, tolerance=1e-300)
+    never = Coupling("hermite", guard=0, passes=5, tolerance=1e-300)  # below rounding
     card = run(moving, master=never, step=2e-2, stop=0.2).card
     assert (card.steps, card.passes) == (10, 50)
 
@@ -56,9 +52,8 @@ def test_passes_have_a_limit(moving):
 def test_a_chain_takes_one_pass(fmus, both):
     """Without feedback sources step first, and the first pass is final."""
     files = {"sum": fmus.make("fails", "last", interpolates=True), "sine": fmus["source"]}
-    card = both(
-        assemble(files, ["sine.y -> sum.u"]), Coupling("hermite", guard=0, tolerance=1e-14)
-    ).result.card
+    master = Coupling("hermite", guard=0, tolerance=1e-14)
+    card = both(assemble(files, ["sine.y -> sum.u"]), master).result.card
     assert card.passes == card.steps == 10
 
 
@@ -108,9 +103,8 @@ def test_without_rollback_it_is_one_pass(oscillators):
     stuck = oscillators("curves", canGetAndSetFMUstate="false")
     assert run(stuck, master="hermite", step=0.05, stop=1.0).card.steps == 20
     results = [run(s, master=m, step=1e-2, stop=1.0) for s, m in ((stuck, "hermite"), (oscillators(), ONE))]
-    assert (
-        "hermite makes one pass per step, because a, b cannot restore a saved state" in results[0].card.notes
-    )
+    note = "hermite makes one pass per step, because a, b cannot restore a saved state"
+    assert note in results[0].card.notes
     assert results[0].card.passes == 100
     np.testing.assert_array_equal(*(r.trace["a.x"] for r in results))
 
