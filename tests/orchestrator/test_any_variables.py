@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from kit.any_fmu.models import WIDTHS, Workshop
+from kit.any_fmu.models import WIDTHS
 from kit.any_fmu.outcome import HERMITE, MASTERS, circle
 from kit.mistakes import problem
 
@@ -11,7 +11,7 @@ from orchestrator import Trace, assemble, run
 CIRCLE, TURNS = ["p.y -> q.u", "q.y -> p.u"], {"q.push": 1.0, "q.gain": -1.0}  # p' = q and q' = 1 - p
 
 
-@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
+@pytest.mark.parametrize("master", MASTERS)
 def test_all_kinds_pass_on_wires_and_from_scenarios(each, both, master):
     """Real, Integer, Boolean, Enumeration; a String keeps its start value."""
     kinds = ("real", "int", "bool", "enum")
@@ -26,18 +26,14 @@ def test_all_kinds_pass_on_wires_and_from_scenarios(each, both, master):
     np.testing.assert_array_equal(trace["q.enum_out"], np.where(late, 2, 1))
 
 
-def text_input(workshop: Workshop) -> str:
-    """One more variable."""
-    if workshop.fmi == 2:
-        common = 'name="ear" valueReference="3" causality="input" variability="discrete"'
-        return f'<ScalarVariable {common}><String start="hush"/></ScalarVariable>'
-    common = 'name="ear" valueReference="203" causality="input" variability="discrete"'
-    return f'<String {common}><Start value="hush"/></String>'
-
-
 def test_a_text_as_input_is_left_alone(each, both):
     """It is neither recorded nor connected nor driven, but can have a start value."""
-    fmu = each.make("types", "eared", more=text_input(each))
+    common = 'name="ear" causality="input" variability="discrete" valueReference='
+    string = {
+        2: f'<ScalarVariable {common}"3"><String start="hush"/></ScalarVariable>',
+        3: f'<String {common}"203"><Start value="hush"/></String>',
+    }
+    fmu = each.make("types", "eared", more=string[each.fmi])
     result = both(assemble({"p": fmu}), set={"p.ear": "listen"}).result
     assert "p.ear" not in result.trace.signals
     message = problem(lambda: assemble({"p": each["types"], "q": fmu}, ["p.echo -> q.ear"]))
@@ -91,7 +87,7 @@ def test_wires_of_whole_numbers_keep_whole_numbers(each, both):
     assert "p.int_out -> q.int_in: expected integer factor and offset, got 0.5 and 0" in message
 
 
-@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
+@pytest.mark.parametrize("master", MASTERS)
 def test_single_precision_passes(fmus3, both, master):
     """FMUs without any double; also beside doubles in one FMU, and with rates of another type."""
     single = fmus3.make("single", "single", guid="quirk")
@@ -124,7 +120,7 @@ def test_two_names_of_one_variable_go_side_by_side(each, both):
 HELD = {"u": {"steady": "discrete"}, "u_rate": {"derives": None}}  # an input that holds its value
 
 
-@pytest.mark.parametrize("master", MASTERS, ids=lambda m: m.text)
+@pytest.mark.parametrize("master", MASTERS)
 def test_inputs_that_do_not_move_take_the_newest_value(each, both, master):
     """Held over a step: at its first value with jacobi, at its last with masters that step in turn."""
     fmu = each.make("quirk", "steady", interpolates=each.fmi == 2, changes=HELD)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from kit.mistakes import table
 
 from orchestrator import Coupling, Problem, System, run
 from orchestrator.base.units import DeclaredUnit
@@ -89,23 +90,10 @@ def test_exchanged_energy_is_the_integral_of_power(bounce):
     assert result.card.bonds[0].exchanged == pytest.approx(4 * 5000.0, rel=2e-3)
 
 
-def test_names_decide_between_bonds_of_equal_units():
-    """Two cylinders between the same two components, with positions, rates and holding forces beside them."""
-    system = wired(
-        *("stick_force N x->y", "boom_force N x->y", "boom_velocity m/s y->x", "stick_velocity m/s y->x"),
-        *("boom_position m y->x", "boom_force_rate N/s x->y", "boom_holding_force N y->x"),
-    )
-    assert pairs(system) == {("boom_force", "boom_velocity"), ("stick_force", "stick_velocity")}
-
-
-def test_what_carries_no_power_makes_no_bond():
-    """Two forces and a velocity without a common prefix; a load-sensing line, which hides no bond either."""
-    assert pairs(wired("pull N x->y", "push N x->y", "speed m/s y->x")) == set()
-    system = wired(
-        *("supply_pressure bar x->y", "tank_pressure bar x->y", "load_sensing_pressure bar x->y"),
-        *("supply_flow L/min y->x", "return_flow L/min y->x", "load_pressure bar y->x"),
-    )
-    assert pairs(system) == {("supply_pressure", "supply_flow"), ("tank_pressure", "return_flow")}
+@table(__file__, "bonds", "signals, bonds")
+def test_bonds_are_found_by_units_and_names(signals, bonds):
+    """An effort one way and a flow the other; names decide between bonds of equal units."""
+    assert pairs(wired(*signals)) == {tuple(bond.split()) for bond in bonds}
 
 
 def test_bond_in_other_units_counts_in_watts():

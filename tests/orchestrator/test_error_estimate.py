@@ -71,19 +71,15 @@ OMEGA = np.sqrt(1000.0)  # rad/s of a free mass, which begins at -100 m/s
 IDLE = V("idle", "input", "m", 0.0, place=6)  # a source with an input is no free one: it may hear from others
 
 
-def ramped(t):
-    """The first and second integral of the force FORCE t."""
-    return FORCE * t**2 / 2, FORCE * t**3 / 6
-
-
-def squared(t):
-    """Of FORCE t^2."""
-    return FORCE * t**3 / 3, FORCE * t**4 / 12
-
-
-def swung(t):
-    """Of -(100/OMEGA) sin(OMEGA t)."""
-    return -100 / OMEGA**2 * (1 - np.cos(OMEGA * t)), -100 / OMEGA**2 * (t - np.sin(OMEGA * t) / OMEGA)
+# the first and the second integral of a force, at a time
+INTEGRALS = {
+    "FORCE t": lambda t: (FORCE * t**2 / 2, FORCE * t**3 / 6),
+    "FORCE t^2": lambda t: (FORCE * t**3 / 3, FORCE * t**4 / 12),
+    "-100 / OMEGA sin(OMEGA t)": lambda t: (
+        -100 / OMEGA**2 * (1 - np.cos(OMEGA * t)),
+        -100 / OMEGA**2 * (t - np.sin(OMEGA * t) / OMEGA),
+    ),
+}
 
 
 @pytest.fixture
@@ -98,9 +94,9 @@ def pushed(fmus):
     return made
 
 
-def assert_known(result, integrals, rel):
+def assert_known(result, force, rel):
     """The estimates are the errors at all their times: the speed is -100 m/s minus the first integral."""
-    first, second = integrals(time := result.errors.time)
+    first, second = INTEGRALS[force](time := result.errors.time)
     at = np.isin(result.trace.time, time)
     assert at.sum() == len(time) > 15
     for name, truth in (("m.v", -100 - first), ("m.x", -100 * time - second)):
@@ -121,7 +117,7 @@ def test_a_ramp_that_is_held(fmus, pushed, parts, master):
     system = pushed(ramp, "y", parts == 0, amplitude=0.0, ramp=FORCE)
     factors = {"m": parts} if parts else {}
     result = run(system, master=Coupling(master, 0, factors=factors) if parts else master, **KNOWN)
-    assert_known(result, ramped, 1e-8)  # polynomials are exact: rounding of 1e-13 of 100 m
+    assert_known(result, "FORCE t", 1e-8)  # polynomials are exact: rounding of 1e-13 of 100 m
 
 
 def test_a_parabola_that_a_scenario_drives(fmus):
@@ -130,7 +126,7 @@ def test_a_parabola_that_a_scenario_drives(fmus):
     system = assemble({"m": telling(fmus, "mass_b")}, [], {"m.spring": 0.0})
     scenario = Trace(time, {"m.force": FORCE * time**2})
     result = run(system, scenario, master="jacobi", **KNOWN | {"step": 0.025})
-    assert_known(result, squared, 1e-8)
+    assert_known(result, "FORCE t^2", 1e-8)
 
 
 def test_a_corner_inside_a_step(fmus, pushed):
@@ -139,7 +135,7 @@ def test_a_corner_inside_a_step(fmus, pushed):
     source = fmus.make("source", "heard", also=[*RAMP, IDLE], units={"y": "N"})
     system = pushed(source, "y", amplitude=0.0, ramp=FORCE, bend=bend)
     result = run(system, master=Coupling("gauss-seidel", 2), **KNOWN)
-    first, second = ramped(end := result.errors.time[-1] - bend)
+    first, second = INTEGRALS["FORCE t"](end := result.errors.time[-1] - bend)
     there = result.trace.time == result.errors.time[-1]
     last = {name: result.trace[name][there][0] for name in ("m.v", "m.x")}
     assert result.errors["m.v"][-1] == pytest.approx(-100 - first - last["m.v"], rel=1e-7)
@@ -161,7 +157,7 @@ def test_a_sine_that_is_interpolated(fmus, pushed, master, step, rel):
     """What remains of a cubic is its fourth derivative."""
     free = fmus.make("mass_b", "free", interpolates=True, units={"x": "N", "v": "N/s"})
     result = run(pushed(free, "x"), master=master, **KNOWN | {"step": step})
-    assert_known(result, swung, rel)
+    assert_known(result, "-100 / OMEGA sin(OMEGA t)", rel)
 
 
 def test_without_an_estimate_there_is_no_band(open_oscillator):
