@@ -1,7 +1,6 @@
 """Foreign FMUs: missing abilities and odd behaviour, with every master, called by C and by Python."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,18 +70,14 @@ def test_masters_do_without(each, both, quirk, master):
     assert error < 0.1 ** min(order + (master.order or 0), 3 if master.master == "hermite" else 2) / 2
 
 
-def without_rollback(workshop: Workshop, model: str, name: str) -> Path:
-    """An FMU without rollback."""
-    able = {"canGetAndSetFMUstate" if workshop.fmi == 2 else "canGetAndSetFMUState": "false"}
-    return workshop.make(model, name, interpolates=workshop.fmi == 2, able=able)
-
-
 def test_only_what_is_repeated_must_go_back(each, both):
     """A source and its target step once; what feeds each other is repeated, and what hears from it, too."""
-    pair, follower = circle(each, "circle"), without_rollback(each, "quirk", "follower")
+    able = {"canGetAndSetFMUstate" if each.fmi == 2 else "canGetAndSetFMUState": "false"}
+    pair, follows = circle(each, "circle"), each.fmi == 2
     files = {name: component.source.path for name, component in pair.components.items()}
-    files["f"] = follower
-    led = assemble(files | {"s": without_rollback(each, "source", "wave")}, [*CIRCLE, "s.y -> f.u"], TURNS)
+    files["f"] = each.make("quirk", "follower", interpolates=follows, able=able)
+    wave = each.make("source", "wave", interpolates=follows, able=able)
+    led = assemble(files | {"s": wave}, [*CIRCLE, "s.y -> f.u"], TURNS)
     four, two = (both(system, master=HERMITE).result for system in (led, pair))
     assert not [n for n in four.card.notes if "one pass per step" in n]
     np.testing.assert_array_equal(four.trace["q.y"], two.trace["q.y"])

@@ -10,13 +10,9 @@ from orchestrator import RunFailed, assemble, run
 from orchestrator.engine.time_grid import record_interval
 
 
-def whole_and_thin(system, record_step, **options):
-    """The traces of a run with every point and with a record step."""
-    return run(system, **options).trace, run(system, record_step=record_step, **options).trace
-
-
-def agree(thin, whole, kept):
-    """The trace with a record step equals the complete one at its points, bit for bit."""
+def assert_kept(kept, system, record_step, **options):
+    """With a record step the trace equals the complete one at the points `kept`, bit for bit."""
+    whole, thin = (run(system, record_step=r, **options).trace for r in (None, record_step))
     np.testing.assert_array_equal(thin.time, whole.time[kept])
     assert list(thin.signals) == list(whole.signals)
     for name, values in thin.signals.items():
@@ -26,21 +22,20 @@ def agree(thin, whole, kept):
 @pytest.mark.parametrize("every", [1, 2, 7, 256, 300])
 def test_every_so_many_points_are_kept(oscillator, every):
     """Also if the size of a block is not a multiple of the interval."""
-    whole, thin = whole_and_thin(oscillator, every * 1e-3, step=1e-3, stop=1.5)
-    agree(thin, whole, np.union1d(np.arange(0, 1501, every), 1500))
+    kept = np.union1d(np.arange(0, 1501, every), 1500)
+    assert_kept(kept, oscillator, every * 1e-3, step=1e-3, stop=1.5)
 
 
 @table(__file__, "points", "step, interval, stop, kept")
 def test_first_and_last_point_are_always_kept(oscillator, step, interval, stop, kept):
     """Whether or not the stop time is a multiple of the record step."""
-    whole, thin = whole_and_thin(oscillator, interval, step=step, start=0.0, stop=stop)
-    agree(thin, whole, kept)
+    assert_kept(kept, oscillator, interval, step=step, start=0.0, stop=stop)
 
 
 def test_other_kinds_of_numbers_are_kept_too(fmus):
     """Integers and Booleans have the same rows as Real signals."""
-    whole, thin = whole_and_thin(str(fmus["types"]), 0.3, step=0.1, stop=1.0, set={"types.int_in": 3})
-    agree(thin, whole, [0, 3, 6, 9, 10])
+    start = {"types.int_in": 3}
+    assert_kept([0, 3, 6, 9, 10], str(fmus["types"]), 0.3, step=0.1, stop=1.0, set=start)
 
 
 @pytest.mark.parametrize("record_step", [0.025, 0.005, 0.0, -0.01, math.nan, math.inf])
