@@ -185,10 +185,7 @@ def test_other_fmus_run_one_by_one(foreign):
         batch(foreign["gain"], {"gain.factor": [1.0]}, stop=0.1, step=0.01, lanes=True)
 
 
-@pytest.mark.parametrize(
-    ("how", "status", "told"),
-    [(3, "failed", "the pump broke"), (6, "early", "fails"), (10, "failed", "abort")],
-)
+@table(__file__, "crashes", "how, status, told")
 def test_a_crash_ends_only_its_machine(foreign, how, status, told):
     """An error status, an FMU that asks for the end, a crash of its process: the others run on."""
     values = {"fails.how": [0, how, 0], "fails.when": [0.05] * 3}
