@@ -15,13 +15,9 @@ from orchestrator.engine.error_propagation import STAGES
 from orchestrator.engine.linear_prediction import LinearSystem
 
 MASTERS = [
-    (Coupling("jacobi"), 1e-3),
-    (Coupling("jacobi", order=1), 1e-3),
-    (Coupling("gauss-seidel"), 1e-3),
-    (Coupling("gauss-seidel", order=2), 5e-3),
-    (Coupling("hermite", guard=0), 2e-2),
-    (Coupling("hermite", passes=1, guard=0), 5e-3),
-    (Coupling("hermite", adaptive=1e-4), None),
+    *((Coupling("jacobi"), 1e-3), (Coupling("jacobi", order=1), 1e-3), (Coupling("gauss-seidel"), 1e-3)),
+    *((Coupling("gauss-seidel", order=2), 5e-3), (Coupling("hermite", guard=0), 2e-2)),
+    *((Coupling("hermite", passes=1, guard=0), 5e-3), (Coupling("hermite", adaptive=1e-4), None)),
     (Coupling("interface-jacobian", guard=0), 5e-2),
 ]
 

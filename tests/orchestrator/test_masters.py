@@ -15,19 +15,16 @@ from orchestrator.ssp.system import Component, Connection, Port, System
 RAMP = np.array([0.0, 1.0])  # in time and value
 
 
-FOLLOWS = {  # an input -> model, and what differs from its plain FMU
-    "by a curve": ("fails", {"interpolates": True}),
-    "at its mean": ("fails", {}),
-    "by its rate input": ("drift", {}),
-    "by its connected rate input": ("drift", {}),
+FOLLOWS = {  # an input -> the model
+    **{"by a curve": "fails", "at its mean": "fails"},
+    **{"by its rate input": "drift", "by its connected rate input": "drift"},
 }
 
 
 def integrator(workshop, how):
     """An FMU that integrates an input which it follows so."""
-    model, more = FOLLOWS[how]
-    more = more if workshop.fmi == 2 else {}
-    return workshop.make(model, f"sum_{[*FOLLOWS].index(how)}", **more)
+    curved = workshop.fmi == 2 and how == "by a curve"
+    return workshop.make(FOLLOWS[how], f"sum_{[*FOLLOWS].index(how)}", interpolates=curved)
 
 
 @pytest.mark.parametrize("how", FOLLOWS)
