@@ -196,22 +196,20 @@ def test_the_estimate_tells_the_worst_of_each_unit():
     assert card.text().splitlines()[-2].split() == ["b", "6.00e-03", "rad", "3.0e-03", "2.00"]
 
 
-def test_an_estimate_of_nothing_is_told():
-    """A system at rest has no error estimate."""
-    result, _ = mocked(growth=0.0, step=0.5, stop=2.0, error_estimate=True)
-    assert result.card.notes == ("no error estimate: no output changes",)
-
-
-def test_a_failure_at_half_the_step_keeps_the_run():
-    """The requested run is complete; a note reports the missing error estimate."""
+def test_without_an_estimate_the_run_is_complete():
+    """A note reports why there is none: a system at rest, or a failure at half the step."""
 
     def fail(t):
         if t == 0.25:
             raise Problem("m: too small a step")
 
-    result, _ = mocked(fail, step=0.5, stop=2.0, error_estimate=True)
-    assert (result.complete, len(result.trace.time), result.card.errors) == (True, 5, ())
-    assert result.card.notes == ("no error estimate, the run at half the step failed: m: too small a step",)
+    for action, growth, note in (
+        (None, 0.0, "no error estimate: no output changes"),
+        (fail, 1.0, "no error estimate, the run at half the step failed: m: too small a step"),
+    ):
+        result, _ = mocked(action, growth, step=0.5, stop=2.0, error_estimate=True)
+        assert (result.complete, len(result.trace.time), result.card.errors) == (True, 5, ())
+        assert result.card.notes == (note,)
 
 
 def test_progress_shows_on_long_runs_only(monkeypatch, capsys, oscillator):
