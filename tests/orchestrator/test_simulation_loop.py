@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -191,11 +192,6 @@ def fresh(monkeypatch, tmp_path):
     c_library.library.cache_clear()
 
 
-def missing(name):
-    """No package has a version."""
-    raise PackageNotFoundError(name)
-
-
 INSTALL = 'the package ziglang is not installed; install with: pip install "harvester-cosim[build]"'
 
 
@@ -204,7 +200,7 @@ INSTALL = 'the package ziglang is not installed; install with: pip install "harv
     ("module", "name", "value", "reason"),
     [
         (c_library, "FLAGS", (*c_library.FLAGS, "-fno-such-flag"), "fno-such-flag"),
-        (compiler, "version", missing, INSTALL),
+        (compiler, "version", Mock(side_effect=PackageNotFoundError), INSTALL),
     ],
 )
 def test_a_missing_compiler_is_one_line(monkeypatch, oscillator, module, name, value, reason):
