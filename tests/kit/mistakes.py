@@ -19,9 +19,9 @@ def table(file: str, name: str, columns: str) -> Any:
     return pytest.mark.parametrize(columns, rows, ids=[str(row[-1])[:60] for row in rows])
 
 
-def problem(call: Callable[[], object]) -> str:
-    """The line of the Problem that a call raises."""
-    with pytest.raises(Problem) as caught:
+def problem(call: Callable[[], object], pattern: str = "") -> str:
+    """The line of the Problem that a call raises, in which a regular expression is found."""
+    with pytest.raises(Problem, match=pattern or None) as caught:
         call()
     text = str(caught.value)
     assert "\n" not in text

@@ -8,6 +8,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from kit.mistakes import problem
 
 from orchestrator import Problem, load
 from orchestrator.base.files import Location
@@ -38,8 +39,7 @@ def test_unpacked_files_are_removed(each, tmp_path, monkeypatch):
     """Nothing is left in the temporary folder, not even after a failed start."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # other processes unpack files too
     started(each["gain"]).close()
-    with pytest.raises(Problem):
-        opened(each.make("gain", "stranger", guid="nobody knows me"))
+    problem(lambda: opened(each.make("gain", "stranger", guid="nobody knows me")))
     assert list(tmp_path.glob("fmu-*")) == []
 
 
@@ -48,8 +48,7 @@ def test_a_number_that_is_none_is_named(tmp_path):
     text = """<fmiModelDescription fmiVersion="2.0" modelName="a" guid="g"><CoSimulation modelIdentifier="a"/>
 <DefaultExperiment startTime="soon"/><ModelVariables/><ModelStructure/></fmiModelDescription>"""
     (tmp_path / "modelDescription.xml").write_text(text)
-    with pytest.raises(Problem, match=r"startTime: expected a number, got 'soon'$"):
-        read_interface(Location(tmp_path))
+    problem(lambda: read_interface(Location(tmp_path)), r"startTime: expected a number, got 'soon'$")
 
 
 def test_instances_are_freed(each):
@@ -66,10 +65,8 @@ def test_a_missing_binary_tells_what_there_is(each):
     told = (
         r"it \(.*foreign.fmu\): no binary for this platform: expected binaries/.*got binaries/amiga/foreign"
     )
-    with pytest.raises(Problem, match=told):
-        opened(each.make("gain", "foreign", platform="amiga"))
-    with pytest.raises(Problem, match="got no binaries at all"):
-        opened(each.make("gain", "bare", platform=""))
+    problem(lambda: opened(each.make("gain", "foreign", platform="amiga")), told)
+    problem(lambda: opened(each.make("gain", "bare", platform="")), "got no binaries at all")
 
 
 def test_a_failed_start_tells_what_the_fmu_says(each):
@@ -98,8 +95,7 @@ def test_a_failed_step_tells_when_and_why(fmus, fmus3, version, how, message):
     slave.set("u", 1.0)
     slave.step(0.0, 0.1)
     slave.step(0.1, 0.1)
-    with pytest.raises(Problem, match=r"^it: .*the step " + message):
-        slave.step(0.2, 0.1)
+    problem(lambda: slave.step(0.2, 0.1), r"^it: .*the step " + message)
     slave.close()
 
 
@@ -117,8 +113,7 @@ def test_messages_go_to_the_instance_that_sent_them(each):
     first, second = opened(each["fails"], "first"), opened(each["fails"], "second")
     for slave in (first, second):
         slave.setup(0.0, 1.0, None)
-    with pytest.raises(Problem, match=f"second: fmi{each.fmi}ExitInitializationMode failed"):
-        second.exit()
+    problem(lambda: second.exit(), f"second: fmi{each.fmi}ExitInitializationMode failed")
     assert (len(first.log.messages), len(second.log.messages)) == (0, 1)
     first.close()
     second.close()
@@ -192,8 +187,7 @@ def test_buffers_must_fit():
 def test_a_missing_function_is_named_when_it_is_needed(fmus):
     """Optional functions may be absent until somebody asks for them."""
     slave = started(fmus["gain"])
-    with pytest.raises(Problem, match="its binary lacks the function fmi2CancelStep"):
-        slave.fmu.call("CancelStep")
+    problem(lambda: slave.fmu.call("CancelStep"), "its binary lacks the function fmi2CancelStep")
     slave.close()
 
 
@@ -202,8 +196,7 @@ def test_a_broken_binary_is_told(tmp_path):
     folder = tmp_path / "binaries" / fmpy.platform
     folder.mkdir(parents=True)
     (folder / f"x{fmpy.sharedLibraryExtension}").write_text("no library")
-    with pytest.raises(Problem, match=r"label: x\..* cannot be loaded"):
-        load_library(tmp_path, "x", 2, "label")
+    problem(lambda: load_library(tmp_path, "x", 2, "label"), r"label: x\..* cannot be loaded")
 
 
 def test_instances_leave_nothing_behind(each):
@@ -220,16 +213,14 @@ def test_instances_leave_nothing_behind(each):
 def test_a_file_that_is_no_fmu_is_told(tmp_path, text):
     """The file is named."""
     (tmp_path / "x.fmu").write_text(text)
-    with pytest.raises(Problem, match=r"x.fmu: expected a zip archive"):
-        load(tmp_path / "x.fmu")
+    problem(lambda: load(tmp_path / "x.fmu"), r"x.fmu: expected a zip archive")
 
 
 def test_members_that_point_outside_are_refused(tmp_path):
     """An archive may not write beside its folder."""
     with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
         archive.writestr("../evil", "")
-    with pytest.raises(Problem, match=r"has .* in its path"):
-        Location(tmp_path / "x.zip").extract(tmp_path / "into")
+    problem(lambda: Location(tmp_path / "x.zip").extract(tmp_path / "into"), r"has .* in its path")
 
 
 def test_directional_derivatives_of_fmi2(fmu_dir):

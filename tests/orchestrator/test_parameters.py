@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit.any_fmu.edit import edited
-from kit.mistakes import table
+from kit.mistakes import problem, table
 
 from orchestrator import Problem, assemble, load, run
 
@@ -100,8 +100,7 @@ def test_sets_that_do_not_fit_are_refused(system, tmp_path, monkeypatch, name, m
     monkeypatch.chdir(tmp_path)
     for file, values in (("odd", {"g__fctor": 1}), ("output", {"g__y": 1}), ("text", {"g__factor": "x"})):
         (tmp_path / f"{file}.ssv").write_text(ssv(**values), encoding="utf-8")
-    with pytest.raises(Problem, match=message):
-        run(system, parameters=[name])
+    problem(lambda: run(system, parameters=[name]), message)
 
 
 def test_a_system_without_sets_says_so(fmus):
@@ -117,6 +116,5 @@ def test_a_value_of_an_ssp_outside_its_limits_can_be_corrected(fmus, zip_ssp, tm
     files = {"resources/gain.fmu": gain, "resources/plain.ssv": ssv(g__factor=1.57080000001)}
     system = load(zip_ssp(SSD, files))
     got = r"SystemStructure\.ssd: g\.factor: expected at most 1\.5708, got 1\.57080000001"
-    with pytest.raises(Problem, match=got):
-        run(system, step=0.5, stop=0.5)
+    problem(lambda: run(system, step=0.5, stop=0.5), got)
     assert factor(system, set={"u": 1.0, "g.factor": 1.5}) == 1.5

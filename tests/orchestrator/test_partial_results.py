@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kit import shards
+from kit.mistakes import problem
 from kit.wait import LONG, runs, until
 from zoo.command import command
 
@@ -119,8 +120,7 @@ def test_two_runs_do_not_write_the_same_file(tmp_path, suffix):
 def test_a_name_that_cannot_be_written_is_refused_at_once(tmp_path, name):
     """A name for unfinished results, and a folder; nothing is removed."""
     (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(Problem, match=r"expected (another name|the name of a file)"):
-        TraceFile(tmp_path / name)
+    problem(lambda: TraceFile(tmp_path / name), r"expected (another name|the name of a file)")
     (tmp_path / "t.partial.parquet").mkdir()
     (tmp_path / "t.partial.parquet" / "mine.txt").touch()
     with pytest.raises(Problem, match=r"expected parts of a trace, which are replaced, got mine\.txt$"):

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.io
-from kit.mistakes import table
+from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, read_trace, run, validate, write_trace
 from orchestrator.__main__ import main
@@ -61,8 +61,7 @@ def test_what_shows_nothing_is_left_out_unless_it_is_chosen():
     whole = Trace(TIME, {**trace.signals, **more}, {**trace.units, "a.const": "m", "b.u": "m"})
     assert whole.chosen() == ["a.y", "b.z"]
     assert whole.chosen(["a.*", "u"]) == ["a.y", "a.const", "b.u"]
-    with pytest.raises(Problem, match=r"^no signal v in the run"):
-        whole.chosen(["v"])
+    problem(lambda: whole.chosen(["v"]), r"^no signal v in the run")
 
 
 def test_a_joint_has_its_colour_in_each_panel():
@@ -203,8 +202,7 @@ def test_values_have_units(body, text, kilograms):
 @table(__file__, "units", "text, message")
 def test_a_wrong_unit_is_told_with_the_expected_one(body, text, message):
     """In one line with the name, what was given and what the variable has."""
-    with pytest.raises(Problem, match=message):
-        body.with_start({"body.mass": text})
+    problem(lambda: body.with_start({"body.mass": text}), message)
 
 
 # ---- data in memory
@@ -225,8 +223,7 @@ def test_a_scenario_can_be_a_mapping_or_a_data_frame(body, tmp_path):
 @table(__file__, "mappings", "data, message")
 def test_mistakes_in_a_mapping_are_told_in_one_line(body, data, message):
     """With column and row, before anything runs."""
-    with pytest.raises(Problem, match=message):
-        run(body, data)
+    problem(lambda: run(body, data), message)
 
 
 def test_validate_takes_data_frames(body):

@@ -29,8 +29,7 @@ def test_choices_add_to_the_usual_ones_unless_they_name_a_master():
     assert merged == Coupling("hermite", passes=2, factors={"a": 5, "b": 3})
     assert merge_choices({"master": "hermite", "order": 2}, usual) == Coupling("hermite", order=2)
     assert merge_choices({}, None) == Coupling() == Coupling("gauss-seidel")
-    with pytest.raises(Problem, match="expected the master hermite"):
-        merge_choices({"passes": 2}, Coupling("jacobi"))
+    problem(lambda: merge_choices({"passes": 2}, Coupling("jacobi")), "expected the master hermite")
 
 
 def test_the_text_tells_what_is_not_usual():
@@ -127,8 +126,7 @@ def test_without_a_record_step_there_is_no_estimate_of_an_adaptive_run(oscillato
 @table(__file__, "times", "options, message")
 def test_times_that_adaptive_steps_cannot_tell_are_refused(oscillator, options, message):
     """Before the run begins, which would never end."""
-    with pytest.raises(Problem, match=message):
-        run(oscillator, master=Coupling("jacobi", adaptive=1e-2), **options)
+    problem(lambda: run(oscillator, master=Coupling("jacobi", adaptive=1e-2), **options), message)
 
 
 def test_adaptive_steps_get_no_shorter_than_the_times_can_tell(oscillator):

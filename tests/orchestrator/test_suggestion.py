@@ -11,7 +11,7 @@ from kit.mistakes import problem, table
 from lxml import etree
 from pyssp_standard.ssd import SSD
 
-from orchestrator import Coupling, Problem, Trace, load, run
+from orchestrator import Coupling, Trace, load, run
 from orchestrator.__main__ import main
 from orchestrator.data.trace import read_trace
 from orchestrator.engine.result import read_metadata
@@ -130,8 +130,7 @@ def test_a_step_beyond_the_stop_time_names_its_place(make):
     """Unless another one is given."""
     path = make(annotated(coupling('step="0.3"')))
     told = r"\.ssd: line \d+: Coupling: step: expected at most the time from 0 to 0\.1 s, got 0\.3 s"
-    with pytest.raises(Problem, match=told):
-        run(path)
+    problem(lambda: run(path), told)
     assert run(path, step=0.05).card.steps == 2
 
 

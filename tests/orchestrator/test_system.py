@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit.mistakes import table
+from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base.units import DeclaredUnit, LinearTransformation, conversion
@@ -41,8 +41,7 @@ def test_linear_transformation_comes_after_the_unit_conversion(fmus):
 def test_different_dimensions_are_refused_by_name(fmus):
     """Both ports, both units, both in base units."""
     told = r"s\.y \[bar\] -> g\.u \[N\]: the units cannot be converted, "
-    with pytest.raises(Problem, match=told + r"bar = kg\.m-1\.s-2 and N = kg\.m\.s-2"):
-        gained(fmus, "bar", "N")
+    problem(lambda: gained(fmus, "bar", "N"), told + r"bar = kg\.m-1\.s-2 and N = kg\.m\.s-2")
 
 
 def test_units_that_cannot_be_compared_pass_with_a_note(fmus):
@@ -68,8 +67,7 @@ def test_connections_are_cut_by_the_name_of_their_target(fmus):
 def test_a_cut_that_fits_nothing_is_told(fmus):
     """With a similar name."""
     whole = assemble({"s": fmus["source"], "p": fmus["gain"]}, ["s.y -> p.u"])
-    with pytest.raises(Problem, match=r"cut u: no connected input matches; did you mean p.u\?"):
-        whole.without("*.u", "u")
+    problem(lambda: whole.without("*.u", "u"), r"cut u: no connected input matches; did you mean p.u\?")
 
 
 def test_conversions_compose():
@@ -91,8 +89,7 @@ def test_a_unit_with_a_factor_that_is_none_converts_nothing(factor, turn):
     """As source and as target; a value never becomes 0 or NaN."""
     odd = DeclaredUnit("odd", METRE.exponents, factor)
     told = r"^x: \[odd\]: expected a finite factor other than 0 .*, got factor (0|nan|inf)"
-    with pytest.raises(Problem, match=told):
-        conversion(*(METRE, odd)[::turn], "x")
+    problem(lambda: conversion(*(METRE, odd)[::turn], "x"), told)
 
 
 def test_units_whose_ratio_no_number_holds_are_told():
@@ -107,8 +104,7 @@ def test_units_whose_ratio_no_number_holds_are_told():
 @table(__file__, "connections", "wire, message")
 def test_wrong_connections_are_refused(fmus, wire, message):
     """Unknown ports come with close matches."""
-    with pytest.raises(Problem, match=message):
-        assemble({"a": fmus["mass_a"], "b": fmus["mass_b"]}, [wire])
+    problem(lambda: assemble({"a": fmus["mass_a"], "b": fmus["mass_b"]}, [wire]), message)
 
 
 def test_an_input_is_fed_once(fmus):
@@ -121,8 +117,7 @@ def test_an_input_is_fed_once(fmus):
 @table(__file__, "start", "values, message")
 def test_wrong_start_values_are_refused(oscillator, values, message):
     """Name, expected, got."""
-    with pytest.raises(Problem, match=message):
-        run(oscillator, set=values)
+    problem(lambda: run(oscillator, set=values), message)
 
 
 @pytest.fixture(scope="module")
@@ -149,8 +144,7 @@ def test_all_types_pass_over_connections(chatter):
 @table(__file__, "types", "values, message")
 def test_values_must_fit_the_type(chatter, values, message):
     """The choice of an enumeration is listed."""
-    with pytest.raises(Problem, match=message):
-        run(chatter, set=values)
+    problem(lambda: run(chatter, set=values), message)
 
 
 def test_types_must_match_at_connections(fmus):
@@ -158,8 +152,7 @@ def test_types_must_match_at_connections(fmus):
     files = {"p": fmus["types"], "q": fmus["types"]}
     with pytest.raises(Problem, match="variables of type Real and Integer cannot be connected"):
         assemble(files, ["p.real_out -> q.int_in"])
-    with pytest.raises(Problem, match="variables of type String"):
-        assemble(files, ["p.echo -> q.label"])
+    problem(lambda: assemble(files, ["p.echo -> q.label"]), "variables of type String")
 
 
 def test_scenarios_drive_all_numeric_types(fmus):
@@ -176,8 +169,7 @@ def test_scenarios_drive_all_numeric_types(fmus):
 @table(__file__, "columns", "column, message")
 def test_wrong_columns_of_a_scenario_are_refused(oscillator, column, message):
     """The label, the column, and close matches."""
-    with pytest.raises(Problem, match=message):
-        run(oscillator, Trace(np.array([0.0, 1.0]), {column: np.zeros(2)}))
+    problem(lambda: run(oscillator, Trace(np.array([0.0, 1.0]), {column: np.zeros(2)})), message)
 
 
 def test_a_bare_name_means_every_input_of_that_name(fmus):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.mistakes import table
+from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, read_trace, write_trace
 
@@ -46,8 +46,7 @@ def test_lines_after_a_name_with_line_breaks_are_counted_as_in_an_editor(tmp_pat
     """The mistake in the file's line 5 is told with this line; Excel writes such names, too."""
     path = tmp_path / "a.csv"
     path.write_bytes(b'time,"flow\r\n[m3/s]"\r\n0,1\r\n1,2\r\n2,off\r\n')
-    with pytest.raises(Problem, match=r"line 5: column .*: expected a number, got 'off'$"):
-        read_trace(path)
+    problem(lambda: read_trace(path), r"line 5: column .*: expected a number, got 'off'$")
 
 
 def test_an_unknown_signal_is_told_with_what_it_could_be(trace):
@@ -55,8 +54,7 @@ def test_an_unknown_signal_is_told_with_what_it_could_be(trace):
     for kind in (KeyError, Problem):
         with pytest.raises(kind, match=r"^no signal y in the run; did you mean a.y\?$"):
             trace["y"]
-    with pytest.raises(Problem, match=r"^no signal pump in the run; there are a.y, b.x, odd$"):
-        trace.select(["pump"])
+    problem(lambda: trace.select(["pump"]), r"^no signal pump in the run; there are a.y, b.x, odd$")
 
 
 def test_values_between_samples_are_linear_and_held_outside():
@@ -81,8 +79,7 @@ def test_missing_rows_of_a_uniform_file_are_a_gap(tmp_path):
     gap, path = np.delete(time, slice(40, 50)), tmp_path / "gap.csv"
     write_trace(Trace(gap, {"u": gap}), path)
     told = r"line 42: expected a sample every 0.005 s, got none between 0.195 and 0.25 s"
-    with pytest.raises(Problem, match=told):
-        read_trace(path)
+    problem(lambda: read_trace(path), told)
     points = np.array([0, 0.1, 0.15, 2, 5, 20])
     write_trace(Trace(points, {"u": points}), path)
     assert len(read_trace(path).time) == 6
@@ -92,11 +89,9 @@ def test_unknown_formats_and_missing_files_are_told(tmp_path, trace):
     """The file name is in the message."""
     with pytest.raises(Problem, match=r"a.txt: expected a file name ending in .csv, .parquet or .mat"):
         write_trace(trace, tmp_path / "a.txt")
-    with pytest.raises(Problem, match=r"none.csv: no such file"):
-        read_trace(tmp_path / "none.csv")
+    problem(lambda: read_trace(tmp_path / "none.csv"), r"none.csv: no such file")
     (tmp_path / "fake.parquet").write_text("time,u")
-    with pytest.raises(Problem, match=r"fake.parquet: expected a Parquet file"):
-        read_trace(tmp_path / "fake.parquet")
+    problem(lambda: read_trace(tmp_path / "fake.parquet"), r"fake.parquet: expected a Parquet file")
 
 
 def test_parquet_columns_must_be_numbers(tmp_path):
@@ -105,8 +100,7 @@ def test_parquet_columns_must_be_numbers(tmp_path):
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"time": [0.0, 1.0], "u": ["a", "b"]}), tmp_path / "text.parquet")
-    with pytest.raises(Problem, match=r"row 1: column 'u': expected a number, got 'a'"):
-        read_trace(tmp_path / "text.parquet")
+    problem(lambda: read_trace(tmp_path / "text.parquet"), r"row 1: column 'u': expected a number, got 'a'")
 
 
 def test_signals_are_plotted_in_a_panel_for_each_unit(trace):
@@ -118,5 +112,4 @@ def test_signals_are_plotted_in_a_panel_for_each_unit(trace):
     # exact identity: rounding only
     np.testing.assert_allclose(pressures.lines[0].get_ydata(), trace["a.y"] / 1e5, rtol=1e-14)
     assert len(more.plot().axes) == 2
-    with pytest.raises(Problem, match=r"no signal a\.q in the run"):
-        more.plot("a.q")
+    problem(lambda: more.plot("a.q"), r"no signal a\.q in the run")

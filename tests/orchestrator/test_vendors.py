@@ -133,8 +133,7 @@ def test_a_step_that_is_none_is_told_and_can_be_put_aside(make, capsys, text):
     path = make(experiment=BASE.replace("2e-2", text))
     kind = "a positive number of seconds" if text in ("0", "-0.02") else "a finite number"
     told = rf"SystemStructure\.ssd: line \d+: FixedStepAlgorithm: expected {kind} for baseStepSize, got '{text}'; --master"
-    with pytest.raises(Problem, match=told):
-        run(path)
+    problem(lambda: run(path), told)
     assert run(path, master="jacobi", step=0.05).card.steps == 2
     assert main(["signals", str(path)]) == 0
     assert "a.x2" in capsys.readouterr().out
@@ -153,8 +152,7 @@ def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, chang
     name, value = change
     path = make(in_system=re.sub(rf'{name}="[^"]*"', f'{name}="{value}"', note("oms", "{variable}")))
     told = r"ssd: line \d+: VariableStepMaster: smallest and largest step: expected 0 < .*, got "
-    with pytest.raises(Problem, match=f"{told}{got}; --master"):
-        run(path)
+    problem(lambda: run(path), f"{told}{got}; --master")
     assert run(path, master="jacobi", step=0.05).card.steps == 2
 
 
@@ -169,12 +167,8 @@ def test_limits_of_steps_that_are_none_are_told_and_can_be_put_aside(make, chang
 def test_a_step_that_does_not_fit_the_times_is_told_with_its_place(make, step, told):
     """The message has the line of the suggestion, unless the user gives another step."""
     path = make(in_system=FIXED.replace("0.02", step))
-    with pytest.raises(
-        Problem, match=rf"ssd: line \d+ \(OMSimulator\): step: {told}; --master and --step over"
-    ):
-        run(path)
-    with pytest.raises(Problem, match=r"^step: expected at most the time from 0 to 0\.1 s, got 0\.4 s$"):
-        run(path, step=0.4)
+    problem(lambda: run(path), rf"ssd: line \d+ \(OMSimulator\): step: {told}; --master and --step over")
+    problem(lambda: run(path, step=0.4), r"^step: expected at most the time from 0 to 0\.1 s, got 0\.4 s$")
     assert run(path, step=0.05).card.steps == 2
 
 
@@ -226,8 +220,7 @@ def test_an_annotation_in_a_nested_file_is_followed(nest):
 def test_an_annotation_in_a_nested_file_that_does_not_fit_is_refused(nest, outer, inner, told):
     """The message names the nested file."""
     path = nest(outer, inner)
-    with pytest.raises(Problem, match=told):
-        run(path)
+    problem(lambda: run(path), told)
     assert run(path, step=0.05).card.steps == 2
 
 
@@ -258,8 +251,7 @@ def test_an_empty_system_is_told(zip_ssp, capsys):
 def test_other_slips_in_the_xml_are_still_told(zip_ssp):
     """Only an undeclared prefix is accepted."""
     broken = ssd(experiment=note("osp_undeclared", "{base}")).replace("</ssd:Elements>", "")
-    with pytest.raises(Problem, match=r"SystemStructure\.ssd: cannot be read as XML: [^\n]+$"):
-        load(zip_ssp(broken, {}))
+    problem(lambda: load(zip_ssp(broken, {})), r"SystemStructure\.ssd: cannot be read as XML: [^\n]+$")
 
 
 # ---- broken
