@@ -50,14 +50,15 @@ def test_a_set_of_the_ssp_wins_over_the_bound_one(system):
 
 
 def test_a_set_of_an_unpacked_ssp(fmus, tmp_path):
-    """The folder resources/ next to the .ssd file."""
-    (tmp_path / "resources").mkdir()
-    (tmp_path / "SystemStructure.ssd").write_text(SSD, encoding="utf-8")
-    (tmp_path / "resources" / "gain.fmu").write_bytes(fmus["gain"].read_bytes())
+    """The folder resources/ next to the .ssd file; the path has a space."""
+    folder = tmp_path / "un packed"
+    (folder / "resources").mkdir(parents=True)
+    (folder / "SystemStructure.ssd").write_text(SSD, encoding="utf-8")
+    (folder / "resources" / "gain.fmu").write_bytes(fmus["gain"].read_bytes())
     for name, value in (("plain", 2.0), ("steep", 9.0)):
-        (tmp_path / "resources" / f"{name}.ssv").write_text(ssv(g__factor=value), encoding="utf-8")
-    assert factor(load(tmp_path), parameters=["steep"]) == 9.0
-    assert factor(load(tmp_path / "SystemStructure.ssd"), parameters=["steep"]) == 9.0
+        (folder / "resources" / f"{name}.ssv").write_text(ssv(g__factor=value), encoding="utf-8")
+    for path in (folder, folder / "SystemStructure.ssd"):
+        assert factor(load(path), parameters=["steep"]) == 9.0
 
 
 def test_a_file_with_units_for_an_assembled_system(fmus, tmp_path):
