@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from functools import cache
 from pathlib import Path
 
@@ -13,6 +14,9 @@ from kit.any_fmu.outcome import Outcome, compare, once
 from numpy.typing import NDArray
 
 from orchestrator import Coupling, Result, System, assemble
+from orchestrator.base.files import Location
+from orchestrator.fmi.cosimulation import CoSimulationFmu
+from orchestrator.fmi.description import read_interface
 
 
 def pytest_make_parametrize_id(val: object) -> str | None:
@@ -50,6 +54,34 @@ def oscillator(fmus: Workshop) -> System:
 def open_oscillator(fmus: Workshop) -> System:
     """Both masses have directional derivatives, and their inputs follow cubics."""
     return oscillator_of(telling(fmus, "mass_a"), telling(fmus, "mass_b"))
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[..., CoSimulationFmu]]:
+    """opened(path, name): an instance of an FMU, not yet initialised; it is closed at the end."""
+    with ExitStack() as instances:
+
+        def make(path: Path | str, name: str = "it") -> CoSimulationFmu:
+            fmu = Location(Path(path))
+            return instances.enter_context(closing(CoSimulationFmu(name, read_interface(fmu), fmu)))
+
+        yield make
+
+
+@pytest.fixture
+def started(opened: Callable[..., CoSimulationFmu]) -> Callable[..., CoSimulationFmu]:
+    """started(path, **start): an instance that is ready to step from 0 to 10 s."""
+
+    def make(path: Path | str, **start: object) -> CoSimulationFmu:
+        slave = opened(path)
+        slave.setup(0.0, 10.0, None)
+        for name, value in start.items():
+            slave.set(name, value)
+        slave.enter()
+        slave.exit()
+        return slave
+
+    return make
 
 
 Oscillators = Callable[..., System]

@@ -13,7 +13,6 @@ from kit.mistakes import problem, table
 from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location
 from orchestrator.fmi import library
-from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
 from orchestrator.fmi.messages import with_variable_names
 from orchestrator.ssp.listing import lines
@@ -21,20 +20,6 @@ from orchestrator.ssp.listing import lines
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
 <Dimension start="3"/></Float64>
 <Binary name="blob" valueReference="401" causality="output"/>"""
-
-
-def opened(path):
-    """An instance, not yet initialised."""
-    return CoSimulationFmu("it", read_interface(Location(Path(path))), Location(Path(path)))
-
-
-def started(path):
-    """An instance, ready to step from 0."""
-    slave = opened(path)
-    slave.setup(0.0, 10.0, None)
-    slave.enter()
-    slave.exit()
-    return slave
 
 
 def refusal(file, set=None, scenario=None, **more):
@@ -84,7 +69,7 @@ def test_numbers_of_all_widths_pass(fmus3):
     np.testing.assert_array_equal(trace["q.float32_out"], np.float32([0.1, 0.6, 1.1]).astype(float))
 
 
-def test_texts_booleans_and_enumerations_can_be_set(fmus3):
+def test_texts_booleans_and_enumerations_can_be_set(fmus3, opened):
     """With the names of the enumeration, and texts as parameters; test_any_variables.py connects them."""
     values = {"real_in": 1.5, "int_in": 5, "bool_in": "true", "enum_in": "green"}
     trace = run(str(fmus3["types"]), step=0.1, stop=0.2, set=values).trace
@@ -96,7 +81,6 @@ def test_texts_booleans_and_enumerations_can_be_set(fmus3):
     slave.enter()
     assert slave.get("echo") == "hello crane"
     assert slave.get("bool_out") is True
-    slave.close()
 
 
 @pytest.mark.parametrize(("name", "value"), [("Int8", 200), ("UInt16", -1)])
@@ -123,15 +107,14 @@ def test_an_alias_is_the_variable_itself(fmus3):
 # ---- instances
 
 
-def test_inputs_without_a_rate_input_accept_no_derivative(fmus3):
+def test_inputs_without_a_rate_input_accept_no_derivative(fmus3, started):
     """FMI 3.0 has no function that gives inputs a slope; whoever asks for it is told."""
     slave = started(fmus3["fails"])
     with pytest.raises(Problem, match="it: u: the FMU accepts no derivative of order 1 of this input"):
         slave.input_derivative_writer(["u"], np.zeros(1))
-    slave.close()  # test_masters.py has a ramp in such an FMU
 
 
-def test_the_resources_are_a_path(fmus, fmus3):
+def test_the_resources_are_a_path(fmus, fmus3, started):
     """With a separator at its end; none when the FMU has no such folder. FMI 2.0 gets a URI."""
     for workshop, model in ((fmus3, "types"), (fmus, "types")):
         slave = started(workshop.make(model, "resourceful", extra={"resources/x.txt": ""}))
@@ -141,10 +124,8 @@ def test_the_resources_are_a_path(fmus, fmus3):
             assert Path(told, "x.txt").is_file()
         else:
             assert told.startswith("file://")
-        slave.close()
     bare = started(fmus3["types"])
     assert bare.get("resources") == ""
-    bare.close()
 
 
 def test_messages_tell_names():
@@ -157,13 +138,13 @@ def test_messages_tell_names():
 # ---- platforms
 
 
-def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus3):
+def test_binaries_lie_in_the_folder_of_the_platform_tuple(fmus3, opened):
     """The folder of FMI 2.0 does not count."""
     with pytest.raises(Problem, match=rf"expected binaries/{fmpy.platform_tuple}/misplaced"):
         opened(fmus3.make("gain", "misplaced", platform=fmpy.platform))
 
 
-def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch):
+def test_fmi2_knows_arm_by_its_tuple(fmus, monkeypatch, opened):
     """linux64 does not tell the processor: on ARM aarch64-linux comes first, and linux64 may still do."""
     monkeypatch.setattr(library, "PLATFORM_TUPLE", "aarch64-linux")
     monkeypatch.setattr(library, "FMI2_PLATFORM", "linux64")

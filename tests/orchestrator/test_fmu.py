@@ -8,34 +8,16 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from orchestrator import Problem
 from orchestrator.base.files import Location
 from orchestrator.fmi.calls import compatible_buffer
-from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
 from orchestrator.fmi.library import load_library
 
 
-def opened(path, name="it"):
-    """An instance, not yet initialised."""
-    fmu = Location(Path(path))
-    return CoSimulationFmu(name, read_interface(fmu), fmu)
-
-
-def started(path, stop=10.0, **start):
-    """An instance, ready to step from 0."""
-    slave = opened(path)
-    slave.setup(0.0, stop, None)
-    for name, value in start.items():
-        slave.set(name, value)
-    slave.enter()
-    slave.exit()
-    return slave
-
-
-def test_unpacked_files_are_removed(each, tmp_path, monkeypatch):
+def test_unpacked_files_are_removed(each, tmp_path, monkeypatch, opened, started):
     """Nothing is left in the temporary folder, not even after a failed start."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # other processes unpack files too
     started(each["gain"]).close()
@@ -51,7 +33,7 @@ def test_a_number_that_is_none_is_named(tmp_path):
     problem(lambda: read_interface(Location(tmp_path)), r"startTime: expected a number, got 'soon'$")
 
 
-def test_instances_are_freed(each):
+def test_instances_are_freed(each, started):
     """A new instance finds no other one alive, and close may be called twice."""
     for _ in range(3):
         slave = started(each["types"])
@@ -60,7 +42,7 @@ def test_instances_are_freed(each):
         slave.close()
 
 
-def test_a_missing_binary_tells_what_there_is(each):
+def test_a_missing_binary_tells_what_there_is(each, opened):
     """Expected and found, with the component and the FMU."""
     told = (
         r"it \(.*foreign.fmu\): no binary for this platform: expected binaries/.*got binaries/amiga/foreign"
@@ -69,111 +51,76 @@ def test_a_missing_binary_tells_what_there_is(each):
     problem(lambda: opened(each.make("gain", "bare", platform="")), "got no binaries at all")
 
 
-def test_a_failed_start_tells_what_the_fmu_says(each):
+def test_a_failed_start_tells_what_the_fmu_says(each, opened):
     """The reason is asked for, and its printf arguments are filled in."""
     with pytest.raises(Problem, match="could not be instantiated; it says: wrong guid impostor"):
         opened(each.make("gain", "impostor", guid="impostor"))
 
 
-@pytest.mark.parametrize(
-    ("version", "how", "message"),
-    [
-        *((v, 2, r"failed at t = 0.2 s with status discard \(the FMU reached t = 0.2 s\)") for v in (2, 3)),
-        *(
-            (v, 3, r"failed at t = 0.2 s with status error; it says: the pump broke, y is: 0.2")
-            for v in (2, 3)
-        ),
-        *((v, 4, r"failed at t = 0.2 s with status fatal; it says: the house burnt down") for v in (2, 3)),
-        (2, 6, r"at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.2 s"),
-        (3, 6, r"at t = 0.2 s is the last one: the FMU requests the end of the simulation at t = 0.3 s"),
-        (3, 7, r"at t = 0.2 s ended early at t = 0.25 s, which was not allowed"),
-    ],
-)
-def test_a_failed_step_tells_when_and_why(fmus, fmus3, version, how, message):
+@table(__file__, "failures", "version, how, message")
+def test_a_failed_step_tells_when_and_why(fmus, fmus3, version, how, message, started):
     """Component, time, status, and the FMU's own words."""
     slave = started({2: fmus, 3: fmus3}[version]["fails"], when=0.15, how=how)
     slave.set("u", 1.0)
     slave.step(0.0, 0.1)
     slave.step(0.1, 0.1)
     problem(lambda: slave.step(0.2, 0.1), r"^it: .*the step " + message)
-    slave.close()
 
 
-def test_warnings_are_kept_and_counted(each):
+def test_warnings_are_kept_and_counted(each, started):
     """Equal warnings become one line."""
     slave = started(each["fails"], when=0.0, how=1)
     for n in range(3):
         slave.step(0.1 * n, 0.1)
     assert slave.log.warnings() == ["it: the oil is warm at: 0 (3 times, first at t = 0 s)"]
-    slave.close()
 
 
-def test_messages_go_to_the_instance_that_sent_them(each):
+def test_messages_go_to_the_instance_that_sent_them(each, opened):
     """Two instances of one FMU, and FMPy's own logger beside them."""
     first, second = opened(each["fails"], "first"), opened(each["fails"], "second")
     for slave in (first, second):
         slave.setup(0.0, 1.0, None)
     problem(lambda: second.exit(), f"second: fmi{each.fmi}ExitInitializationMode failed")
     assert (len(first.log.messages), len(second.log.messages)) == (0, 1)
-    first.close()
-    second.close()
 
 
-def test_restoring_a_state_repeats_the_step_exactly(each):
-    """Save, step, restore, step: bit for bit."""
-    slave = started(each["mass_b"])
-    slave.step(0.0, 0.1)
-    state = slave.save()
-    slave.step(0.1, 0.1)
-    once = slave.get("x")
-    slave.restore(state)
-    slave.step(0.1, 0.1)
-    assert slave.get("x") == once
-    slave.free_state(state)
-    slave.close()
-
-
-def test_states_go_from_one_instance_to_another_as_bytes(each):
-    """And the other one continues bit for bit."""
+def test_restoring_a_state_repeats_the_step_exactly(each, started):
+    """Save, step, restore, step: bit for bit, in the same instance, and as bytes in another one."""
     first, second = started(each["mass_b"]), started(each["mass_b"])
     first.step(0.0, 0.1)
     state = first.save()
-    copy = second.deserialize(first.serialize(state))
-    second.restore(copy)
-    for slave, snapshot in ((first, state), (second, copy)):
+    first.step(0.1, 0.1)
+    once = first.get("x")
+    for slave, saved in ((first, state), (second, second.deserialize(first.serialize(state)))):
+        slave.restore(saved)
         slave.step(0.1, 0.1)
-        slave.free_state(snapshot)
-    assert second.get("x") == first.get("x") != 0.0
-    first.close()
-    second.close()
+        assert slave.get("x") == once != 0.0
+        slave.free_state(saved)
 
 
-def test_slopes_are_read(each):
+def test_slopes_are_read(each, started):
     """The derivative of a position is the velocity."""
     mass = started(each["mass_b"])
     found = np.zeros(1)
     mass.output_derivative_reader(["x"], found)()
     assert found[0] == -100.0
-    mass.close()
 
 
-def test_slopes_are_written(fmus):
+def test_slopes_are_written(fmus, started):
     """An input with a slope integrates to a parabola."""
     slave = started(fmus.make("fails", "moved", interpolates=True))
     slave.input_derivative_writer(["u"], np.array([2.0]))()
     slave.step(0.0, 1.0)
     assert slave.get("y") == pytest.approx(1.0, rel=1e-12)  # exact for polynomials; 4000 roundings
-    slave.close()
 
 
-def test_readers_and_writers_use_slices_in_place(each):
+def test_readers_and_writers_use_slices_in_place(each, started):
     """Several variables in one call, into the middle of an array."""
     slave = started(each["gain"])
     values = np.array([-1.0, 3.0, 2.0, 0.5, -1.0])
     slave.writer(["u", "factor", "offset"], values[1:4])()
     slave.reader(["y"], values[4:])()
     np.testing.assert_array_equal(values, [-1.0, 3.0, 2.0, 0.5, 6.5])
-    slave.close()
 
 
 def test_buffers_must_fit():
@@ -184,11 +131,10 @@ def test_buffers_must_fit():
         compatible_buffer(np.zeros(2, np.float32), 2, ctypes.c_double)
 
 
-def test_a_missing_function_is_named_when_it_is_needed(fmus):
+def test_a_missing_function_is_named_when_it_is_needed(fmus, started):
     """Optional functions may be absent until somebody asks for them."""
     slave = started(fmus["gain"])
     problem(lambda: slave.fmu.call("CancelStep"), "its binary lacks the function fmi2CancelStep")
-    slave.close()
 
 
 def test_a_broken_binary_is_told(tmp_path):
@@ -199,7 +145,7 @@ def test_a_broken_binary_is_told(tmp_path):
     problem(lambda: load_library(tmp_path, "x", 2, "label"), r"label: x\..* cannot be loaded")
 
 
-def test_instances_leave_nothing_behind(each):
+def test_instances_leave_nothing_behind(each, opened):
     """Their libraries are unloaded, and none of their files is mapped any more."""
     maps = Path("/proc/self/maps")
     if not maps.exists():
@@ -216,7 +162,7 @@ def test_members_that_point_outside_are_refused(tmp_path):
     problem(lambda: Location(tmp_path / "x.zip").extract(tmp_path / "into"), r"has .* in its path")
 
 
-def test_directional_derivatives_of_fmi2(fmu_dir):
+def test_directional_derivatives_of_fmi2(fmu_dir, started):
     """Of a flow along two inputs, against a difference of values."""
     slave = started(fmu_dir / "swing.fmu")
     names, into = ["swing_command", "supply_pressure"], np.zeros(1)
@@ -233,4 +179,3 @@ def test_directional_derivatives_of_fmi2(fmu_dir):
     # central difference over 2e-3 of the seed: truncation near (1e-3 / 4)^2 relative, rounding below 1e-11
     assert into[0] == pytest.approx((flows[1] - flows[0]) / 2e-3, rel=1e-5, abs=0)
     assert into[0] != 0.0
-    slave.close()

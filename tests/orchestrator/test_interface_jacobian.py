@@ -1,7 +1,5 @@
 """The master that foretells inputs from the joined linearisations, on the undamped two-mass oscillator."""
 
-from contextlib import closing
-
 import numpy as np
 import pytest
 from kit.any_fmu.models import DEPENDS, RATES, STATES, TELLS, V, oscillator_of, telling
@@ -14,7 +12,6 @@ from orchestrator.engine.job import Job
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.engine.masters import interface_jacobian_plan
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.cosimulation import CoSimulationFmu
 from orchestrator.fmi.description import read_interface
 
 
@@ -161,17 +158,13 @@ def test_states_are_read_from_the_model_structure(fmus, fmus3):
 
 
 @pytest.mark.parametrize(("undeclared", "calls"), [(False, 2), (True, 3)])
-def test_one_call_for_knowns_that_share_nothing(fmus, undeclared, calls):
+def test_one_call_for_knowns_that_share_nothing(fmus, started, undeclared, calls):
     """x and v affect different unknowns, so one call gives both columns if dependencies are declared."""
-    fmu = Location(telling(fmus, "mass_a", f"calls_{undeclared}", undeclared=undeclared))
-    with closing(CoSimulationFmu("a", read_interface(fmu), fmu)) as slave:
-        slave.setup(0.0, 1.0, None)
-        slave.enter()
-        slave.exit()
-        tangent = Linearisation(slave, ["x2"], ["force"], np.zeros(2), np.zeros(2))
-        assert len(tangent.columns) == calls
-        # x' = v, v' = -10 x + 100 (x2 - x), force = 100 (x2 - x): exact
-        np.testing.assert_array_equal(tangent.matrix(), [[0, 1, 0], [-110, 0, 100], [-100, 0, 100]])
+    slave = started(telling(fmus, "mass_a", f"calls_{undeclared}", undeclared=undeclared))
+    tangent = Linearisation(slave, ["x2"], ["force"], np.zeros(2), np.zeros(2))
+    assert len(tangent.columns) == calls
+    # x' = v, v' = -10 x + 100 (x2 - x), force = 100 (x2 - x): exact
+    np.testing.assert_array_equal(tangent.matrix(), [[0, 1, 0], [-110, 0, 100], [-100, 0, 100]])
 
 
 def test_undeclared_dependencies_cost_calls_only(fmus, open_oscillator):

@@ -15,13 +15,10 @@ from kit.mistakes import problem, table
 
 from orchestrator import Problem, assemble, run
 from orchestrator.base.coupling import Coupling
-from orchestrator.base.files import Location
 from orchestrator.engine.c_library import library
 from orchestrator.engine.network import initialise
 from orchestrator.engine.run import open_slave
 from orchestrator.fmi.calls import address
-from orchestrator.fmi.cosimulation import CoSimulationFmu
-from orchestrator.fmi.description import read_interface
 from orchestrator.ssp.dependencies import output_order
 
 # Solutions are as good as the residual, 1e-10 of the magnitude, times what the loop makes of it, at most 5.
@@ -302,10 +299,9 @@ def test_linear_equations(n):
         assert not library().loop_factorise(address(singular), address(rows), n)
 
 
-def test_directional_derivatives(each):
+def test_directional_derivatives(each, opened):
     """y = w + factor u + bend u^2 along a direction of u, w and factor."""
-    bent = Location(Kind(each, True).make("bent"))
-    slave = CoSimulationFmu("it", read_interface(bent), bent)
+    slave = opened(Kind(each, True).make("bent"))
     assert slave.interface.directional_derivatives
     slave.setup(0.0, 1.0, None)
     slave.enter()
@@ -313,4 +309,3 @@ def test_directional_derivatives(each):
     seed, into = np.array([1.0, 10.0, 100.0]), np.zeros(1)
     slave.directional_derivative(["y"], ["u", "w", "factor"], seed, into)()
     assert into[0] == (5.0 + 2 * 0.5 * 3.0) + 10.0 + 3.0 * 100.0
-    slave.close()
