@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from kit.any_fmu.edit import caused, edited, renamed
+from kit.any_fmu.edit import edited, renamed
 from kit.mistakes import problem
 
 from orchestrator import load, run
@@ -63,26 +63,3 @@ def test_rates_may_be_missing_on_both_sides(machine, fmu_dir, tmp_path):
     assert before - after == set(rates)
     assert speed(result) < STILL
     assert any("plain.fmu has no" in note for note in result.card.notes)
-
-
-KELVIN = r'\g<0><Unit name="K"><BaseUnit K="1"/></Unit>'
-FAULTS = {
-    "port": (
-        [renamed("boom_force", "boomforce")],
-        "expected output boom_force [N], got none (it has boomforce)",
-    ),
-    "velocity": ([renamed("boom_velocity", "v")], "expected input boom_velocity [m/s], got none"),
-    "unit": (
-        [(r'(name="boom_force" [^>]*>\s*<Real )unit="N"', r'\1unit="K"'), ("<UnitDefinitions>", KELVIN)],
-        "expected output boom_force [N], got [K]",
-    ),
-    "causality": ([caused("stick_force", "local")], "expected output stick_force [N], got a local variable"),
-}
-
-
-@pytest.mark.parametrize(("changes", "message"), FAULTS.values(), ids=FAULTS)
-def test_a_faulty_actuator_is_told_in_one_line(machine, fmu_dir, tmp_path, changes, message):
-    """Component, file, port, expected, got."""
-    faulty = edited(fmu_dir / "boom_stick.fmu", tmp_path / "faulty.fmu", *changes)
-    told = problem(lambda: with_swaps(machine, {"boom_stick": faulty}))
-    assert told == f"swap boom_stick: {faulty} does not fit: {message}"
