@@ -25,7 +25,7 @@ RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
 PLANTED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["planted"]
 # quick: the first of each probe, but for those that take long
 QUICK = {id(next(row for row in PLANTED if row[0] == probe)) for probe, _, _ in PLANTED}
-SLOW = ("leak", "threads")
+SLOW = ("leak", "threads", "stiff")
 
 
 @pytest.fixture(autouse=True)

@@ -26,7 +26,7 @@ FEW = (
     *("machine_train_1", "machine_test"),
 )
 RIG = importlib.import_module("fmus.rig.experiments")  # the package has a function of this name
-SECONDS = 3.5  # of the machine at work
+SECONDS = 2.0  # of the machine at work
 
 
 def write_few(folder: Path) -> None:
