@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,8 @@ import numpy as np
 import pytest
 from fmpy import extract, fmi2, fmi3, read_model_description
 from fmpy.fmi1 import FMICallException
+
+from kit.wait import LONG
 
 CLASSES = {
     (2, "cs"): fmi2.FMU2Slave,
@@ -214,11 +217,12 @@ def elsewhere(path: Path, state: bytes, time: float, step: float, count: int, *n
     return bytes.fromhex(printed.split()[-1])
 
 
-def in_new_process(code: str, *arguments: object) -> str:
-    """Output of a Python program, which must succeed; it can import what tests can."""
+def in_new_process(code: str, *arguments: object, **environment: str) -> str:
+    """Output of a Python program, which must succeed without a message; it can import what tests can."""
     command, folder = [sys.executable, "-c", code, *map(str, arguments)], Path(__file__).parents[1]
-    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
-    assert run.returncode == 0, run.stderr
+    environment, limit = {**os.environ, **environment}, {"timeout": 3 * LONG, "check": False}
+    run = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, **limit)
+    assert (run.returncode, run.stderr) == (0, "")
     return run.stdout
 
 

@@ -1,12 +1,12 @@
 """Runs in a process of their own, from Python: the same bits, failures with their rows, and the next run."""
 
 import multiprocessing
-import os
-import subprocess
 import sys
 
 import numpy as np
 import pytest
+from kit.fmu import in_new_process
+from kit.mistakes import problem
 from kit.wait import LONG
 from zoo.faulty import faulty
 
@@ -87,24 +87,20 @@ def test_a_crash_before_the_run_is_a_problem_without_a_result(tmp_path):
     """Nothing has been recorded."""
     crashing = faulty(tmp_path, "exit_0", "initialise")
     told = r"^the process ended with exit status 0 in fmi2ExitInitializationMode"
-    with pytest.raises(Problem, match=told) as problem:
+    with pytest.raises(Problem, match=told) as refusal:
         run(crashing.fmu, **STEPS)
-    assert type(problem.value) is Problem
+    assert type(refusal.value) is Problem
 
 
 @posix
 def test_a_limit_of_time_ends_a_run_that_hangs(tmp_path):
-    """With the call that does not return."""
+    """With the call that does not return; a limit that could not be kept is refused."""
     hanging, good = faulty(tmp_path, "sleep"), faulty(tmp_path, name="good")
     run(good.fmu, **STEPS)  # on a busy computer, a process takes longer than the limit to start
     with pytest.raises(RunFailed, match=r"^not done within 1 s in fmi2DoStep at t = 0\.5 s of lag "):
         run(hanging.fmu, **STEPS, time_limit=1.0)
-
-
-def test_a_limit_needs_a_process_of_its_own(oscillator):
-    """A limit that could not be kept is refused."""
-    with pytest.raises(Problem, match="time_limit: expected a run in its own process"):
-        run(oscillator, **STEPS, isolate=False, time_limit=1.0)
+    told = "time_limit: expected a run in its own process"
+    problem(lambda: run(good.fmu, **STEPS, isolate=False, time_limit=1.0), told)
 
 
 @posix
@@ -171,9 +167,4 @@ print(lost)
 @posix
 def test_no_interrupt_is_lost(fmus):
     """Whenever it comes: a loop over runs ends, also if the run is complete at the same moment."""
-    command = [sys.executable, "-c", INTERRUPTS, str(fmus["source"])]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    ended = subprocess.run(
-        command, capture_output=True, text=True, env=environment, timeout=LONG, check=False
-    )
-    assert (ended.stdout, ended.stderr) == ("0\n", "")
+    assert in_new_process(INTERRUPTS, fmus["source"]) == "0\n"
