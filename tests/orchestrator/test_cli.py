@@ -25,7 +25,6 @@ from orchestrator.results import validate_system
 from orchestrator.ssp.listing import KINDS
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")
-GUARDED = {"guard": 0.01}  # of masters that keep states, where nobody says otherwise
 
 
 def harvester(arguments):
@@ -66,17 +65,8 @@ def test_all_options_reach_the_run(capsys):
 
 
 @pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize(
-    ("step", "times"),
-    [
-        ("0.001", [0, 0.005, 0.01, 0.012]),
-        ("0.002", [0, 0.004, 0.008, 0.012]),
-        ("0.006", [0, 0.006, 0.012]),
-        ("0.001 --record-step 0.006", [0, 0.006, 0.012]),
-        ("0.004 --record-step 0.004", [0, 0.004, 0.008, 0.012]),
-    ],
-)
-def test_records_at_200_hz_unless_told(step, times, capsys):
+@table(__file__, "steps", "times, step")
+def test_records_at_200_hz_unless_told(times, step, capsys):
     """The default interval is 5 ms or just below, at least a step; the steps of the card stay all steps."""
     assert harvester(f"run --stop 0.012 --step {step}") == 0
     # point n is start + n * step: rounding only
@@ -97,27 +87,8 @@ def noted(file="o.run.json"):
 
 
 @pytest.mark.usefixtures("pair")
-@pytest.mark.parametrize(
-    ("options", "coupling"),
-    [
-        ("", {}),
-        ("--order 2 --correct", {"order": 2, "correct": True}),
-        ("--master jacobi --factor a=2 --factor b=4", {"master": "jacobi", "factors": {"a": 2, "b": 4}}),
-        (
-            "--master hermite --order 0 --passes 3 --coupling-tolerance 1e-6",
-            {"master": "hermite", "passes": 3, "tolerance": 1e-6} | GUARDED,
-        ),
-        (
-            "--master interface-jacobian --lag 5",
-            {"master": "interface-jacobian", "order": 3, "lag": 5} | GUARDED,
-        ),
-        (
-            "--adaptive 0.01 --control error --smallest 1e-6 --largest 0.05",
-            {"adaptive": 0.01, "control": "error", "smallest": 1e-6, "largest": 0.05},
-        ),
-    ],
-)
-def test_every_choice_of_the_coupling_reaches_the_run(options, coupling):
+@table(__file__, "choices", "coupling, options")
+def test_every_choice_of_the_coupling_reaches_the_run(coupling, options):
     """They are noted beside the trace, all of them and no others."""
     assert harvester(f"run pair.ssp --stop 0.1 --step 0.01 --out o.csv {options}") == 0
     found = noted()
@@ -194,18 +165,6 @@ def test_a_machine_that_is_not_built_yet_is_told(tmp_path, monkeypatch, capsys):
 def test_mistakes_are_one_line_and_status_2(capsys, arguments, message):
     """No traceback."""
     assert message in refused(capsys, arguments.split())
-
-
-@pytest.mark.usefixtures("folder")
-def test_a_failed_run_leaves_its_record(capsys, fmus):
-    """What was recorded until the failure is written, and the failure told."""
-    values = "--set fails.when=0.45 --set fails.how=3"
-    assert harvester(f"run {fmus['fails']} --stop 1 --step 0.1 {values} --out o.csv") == 2
-    printed = capsys.readouterr()
-    assert len(read_trace("o.partial.csv").time) == 6
-    assert not Path("o.csv").exists()
-    assert "the run ended early; the trace up to t = 0.5 s is in o.partial.csv" in printed.out
-    assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
 
 
 INTERRUPTED = """

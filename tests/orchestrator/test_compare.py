@@ -132,8 +132,6 @@ def test_grids_may_differ():
     np.testing.assert_allclose(row.time, TIME[200:401:10], rtol=0, atol=1e-12)  # rounding only
     assert row.metrics.rmse == pytest.approx(0.1, rel=1e-12)
     assert found.window == pytest.approx((2.0, 4.0))
-    with pytest.raises(Problem, match=r"expected two or more samples in a common window, got 0"):
-        compare({"fine": trace(), "coarse": trace()}, start=20.0)
 
 
 def test_units_are_completed_and_converted():
@@ -158,21 +156,7 @@ def test_signals_are_chosen_by_patterns():
     assert re.match(r"compare: signals arm.sped: no common signal .* did you mean arm.speed\?", told)
 
 
-def test_traces_without_common_signals_are_refused():
-    """With what each has."""
-    other = Trace(TIME, {"x": SPEED})
-    told = "compare: expected signals that all runs have, got none: "
-    told += "one has arm.speed, arm.rest, pump.pressure; two has x"
-    assert problem(lambda: compare({"one": trace(), "two": other})) == told
-
-
-@pytest.mark.parametrize(
-    ("unit", "word"),
-    [
-        *(("rad/s", "speed"), ("deg/s", "speed"), ("bar", "pressure"), ("N.m", "torque"), ("kJ", "energy")),
-        *(("W", "power"), ("N.m/s", "[N.m/s]"), ("odd", "[odd]"), ("", "without unit")),
-    ],
-)
+@table(__file__, "quantities", "unit, word")
 def test_quantities_have_words(unit, word):
     """Also where two quantities share their base units."""
     assert quantity(unit) == word

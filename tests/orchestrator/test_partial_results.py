@@ -245,14 +245,21 @@ def _has_rows(partial):
     return partial.read_bytes().count(b"\n") > 1
 
 
-def test_trace_and_metadata_belong_together(fmus, tmp_path, monkeypatch):
-    """Those of a complete run, and those of a run that failed."""
+def test_trace_and_metadata_belong_together(fmus, tmp_path, monkeypatch, capsys):
+    """Those of a complete run, and those of a run that failed, which is told."""
     monkeypatch.chdir(tmp_path)
     arguments = ["run", str(fmus["fails"]), "--stop", "1", "--step", "0.1", "--out", "t.csv"]
+    failing = [*arguments, "--set", "fails.when=0.45", "--set", "fails.how=3"]
+    assert main(failing) == 2
+    printed = capsys.readouterr()
+    assert len(read_trace("t.partial.csv").time) == 6
+    assert not Path("t.csv").exists()
+    assert "the run ended early; the trace up to t = 0.5 s is in t.partial.csv" in printed.out
+    assert printed.err.startswith("harvester: fails: the step failed at t = 0.5 s with status error")
     assert main(arguments) == 0
     assert read_metadata(tmp_path / "t.csv").complete
     text = (tmp_path / "t.run.json").read_bytes()
-    assert main([*arguments, "--set", "fails.when=0.45", "--set", "fails.how=3"]) == 2
+    assert main(failing) == 2
     assert (tmp_path / "t.run.json").read_bytes() == text
     assert read_metadata(tmp_path / "t.csv").complete
     assert not read_metadata(tmp_path / "t.partial.csv").complete

@@ -75,16 +75,8 @@ def test_a_master_from_python_puts_the_suggestion_aside(make):
     assert (result.coupling.master, result.card.step) == ("hermite", 0.02)
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ("", {"passes": 3, "tolerance": 1e-6, "factors": {"a": 4}}),
-        ("--passes 5", {"passes": 5, "tolerance": 1e-6, "factors": {"a": 4}}),
-        ("--factor b=2", {"passes": 3, "tolerance": 1e-6, "factors": {"a": 4, "b": 2}}),
-        ("--master hermite --guard 0", {}),
-    ],
-)
-def test_the_command_line_changes_single_settings(make, tmp_path, options, expected):
+@table(__file__, "options", "expected, options")
+def test_the_command_line_changes_single_settings(make, tmp_path, expected, options):
     """The choices of the file are kept unless a master is given."""
     path = make(annotated(coupling(inside=FACTOR)))
     assert main(["run", str(path), "--out", str(tmp_path / "o.csv"), *options.split()]) == 0
