@@ -43,12 +43,15 @@ def test_a_figure_without_chosen_signals_fits_on_a_page():
     assert "9 of 14 signals" in [text.get_text() for text in figure.texts]
 
 
-def test_a_band_is_drawn_in_the_unit_of_its_signal():
+def test_a_signal_and_its_band_are_drawn_in_the_unit_of_the_panel():
     """A half width of up to 1 bar around one of two pressures, given on a coarser time axis."""
-    trace = waves(a__p="Pa", b__p="Pa")
+    trace = waves(a__p="Pa", b__p="Pa", b__x="")
     band = Trace(TIME[::50], {"a.p": np.array([0.0, 1e5, 0.0])}, {"a.p": "Pa"})
-    (axes,) = trace.plot(band=band).axes
-    (area,) = axes.collections
+    pressures, others = trace.plot("*.p", "b.x", title="Pump", band=band).axes
+    assert (pressures.get_ylabel(), others.get_ylabel()) == ("pressure\n[bar]", "[1]")
+    # exact identity: rounding only
+    np.testing.assert_allclose(pressures.lines[0].get_ydata(), trace["a.p"] / 1e5, rtol=1e-14)
+    (area,) = pressures.collections
     edges = area.get_paths()[0].vertices
     quarter = edges[np.abs(edges[:, 0] - 0.25) < 1e-9, 1]
     assert np.sort(quarter) == pytest.approx(np.array([-0.5, 0.5]) + 1e-5 * trace["a.p"][25])  # bar
@@ -61,7 +64,8 @@ def test_what_shows_nothing_is_left_out_unless_it_is_chosen():
     whole = Trace(TIME, {**trace.signals, **more}, {**trace.units, "a.const": "m", "b.u": "m"})
     assert whole.chosen() == ["a.y", "b.z"]
     assert whole.chosen(["a.*", "u"]) == ["a.y", "a.const", "b.u"]
-    problem(lambda: whole.chosen(["v"]), r"^no signal v in the run")
+    for refused in (lambda: whole.chosen(["v"]), lambda: whole.plot("v")):
+        problem(refused, r"^no signal v in the run")
 
 
 def test_a_joint_has_its_colour_in_each_panel():
@@ -186,14 +190,8 @@ def body(fmus):
     return assemble({"body": fmus["mass_b"]})
 
 
-@pytest.mark.parametrize(
-    ("text", "kilograms"),
-    [
-        *(("600kg", 600.0), ("0.6 t", 600.0), ("6e5 g", 600.0)),
-        *(("2lb", 0.90718474), ("2e-1 t", 200.0), ("1e2", 100.0)),
-    ],
-)
-def test_values_have_units(body, text, kilograms):
+@table(__file__, "values", "kilograms, text")
+def test_values_have_units(body, kilograms, text):
     """A text may end with any unit of the same dimension; without one the unit is that of the FMU."""
     start = body.with_start({"body.mass": text}).components["body"].start
     assert start["mass"] == pytest.approx(kilograms, rel=1e-15)  # one rounding of a product

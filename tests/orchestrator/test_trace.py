@@ -101,15 +101,3 @@ def test_parquet_columns_must_be_numbers(tmp_path):
 
     pq.write_table(pa.table({"time": [0.0, 1.0], "u": ["a", "b"]}), tmp_path / "text.parquet")
     problem(lambda: read_trace(tmp_path / "text.parquet"), r"row 1: column 'u': expected a number, got 'a'")
-
-
-def test_signals_are_plotted_in_a_panel_for_each_unit(trace):
-    """In display units, by name or pattern, each line with its name; what no pattern fits is refused."""
-    more = Trace(trace.time, {**trace.signals, "a.z": trace["a.y"]}, {**trace.units, "a.z": "Pa"})
-    pressures, others = more.plot("a.*", "b.x, odd", title="Pump").axes
-    assert (pressures.get_ylabel(), others.get_ylabel()) == ("pressure\n[bar]", "[1]")
-    assert [line.get_label() for line in pressures.lines] == ["y", "z"]
-    # exact identity: rounding only
-    np.testing.assert_allclose(pressures.lines[0].get_ydata(), trace["a.y"] / 1e5, rtol=1e-14)
-    assert len(more.plot().axes) == 2
-    problem(lambda: more.plot("a.q"), r"no signal a\.q in the run")
