@@ -1,8 +1,10 @@
-"""The supply: an ideal source, and two pumps on an engine that obey their closed forms and their limits."""
+"""The supply: an ideal source, and two pumps on an engine that obey their closed forms and their limits.
+
+Engine, swash plates, valves and rail are those of the load-sensing pump: test_circuits_transcription.py.
+"""
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,8 +13,6 @@ from kit.equations import cavity
 from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
-
-from fmus.components import engine_and_pump
 
 ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
 IDEAL = Bench("ideal")
@@ -82,29 +82,6 @@ def test_pressure_falls_along_the_compensator_line(flow):
     assert y["pump_1_flow"] == pytest.approx(y["pump_2_flow"], rel=1e-9)
 
 
-def test_governor_droops_in_proportion_to_the_load():
-    """Net torque = torque curve times (no-load speed - speed) over the governor's range."""
-    y = ENGINE_PUMP.settled(orifice(150 * L_MIN))
-    span = P["engine_no_load_speed"] - P["engine_rated_speed"]
-    governed = net(y["engine_speed"]) * (P["engine_no_load_speed"] - y["engine_speed"]) / span
-    # the foot of the rack's stop is rounded by 0.02^2 / (4 * 0.6) of the torque of 520 N.m: 0.09 N.m
-    assert y["engine_load"] == pytest.approx(governed, abs=0.1)
-    assert y["engine_load"] == pytest.approx(
-        load(y["engine_speed"], y["pump_1_stroke"], y["pump_1_pressure"]), rel=1e-6
-    )
-
-
-def test_full_stroke_limits_the_flow():
-    """Far below the setting both pumps are on full stroke: flow = 2 (D w - leakage), whatever the load."""
-    for pressure in (5e6, 1e7):
-        y = ENGINE_PUMP.settled(orifice(2 * FULL, pressure))
-        assert y["pump_1_stroke"] > 1 - 1e-9
-        given_ = 2 * (P["pump_displacement"] * y["engine_speed"] - P["pump_leakage"] * y["pump_1_pressure"])
-        assert y["supply_flow"] == pytest.approx(given_, rel=1e-6)  # integrator
-        assert y["supply_pressure"] < SETTING - P["compensator_band"]
-        assert y["engine_speed"] > P["engine_rated_speed"]  # 5 and 10 MPa do not need rated power
-
-
 def test_engine_lugs_down_to_where_its_curve_meets_the_pumps():
     """Full stroke near the setting needs more than rated torque: speed and pressure by two curves."""
     opened = orifice(2 * FULL, 19e6)
@@ -126,6 +103,10 @@ def test_engine_lugs_down_to_where_its_curve_meets_the_pumps():
     # the bench's orifice is laminar below 0.1 MPa, 1e-5 at 18 MPa; the top of the stroke is rounded
     assert y["engine_speed"] == pytest.approx(speed, rel=1e-3)
     assert y["pump_1_pressure"] == pytest.approx(lines(speed), rel=1e-3)
+    # the same numbers in closed form: rounding and the integrator
+    assert y["engine_load"] == pytest.approx(
+        load(y["engine_speed"], y["pump_1_stroke"], y["pump_1_pressure"]), rel=1e-6
+    )
 
 
 def test_staggered_settings_let_one_pump_do_the_small_flows():
@@ -138,31 +119,6 @@ def test_staggered_settings_let_one_pump_do_the_small_flows():
 
 
 # ---- dynamics
-
-
-def stroke_after(start: float, pressure: float, time: float) -> float:
-    """Stroke of the first pump at a constant outlet pressure."""
-    s, (pump, _) = ca.SX.sym("s"), ENGINE_PUMP.sub.parameters(**P).pumps
-    ode = {"x": s, "ode": engine_and_pump.stroke_rate(pump, s, pressure)}
-    options = {"reltol": 1e-10, "abstol": 1e-12}
-    return float(ca.integrator("s", "cvodes", ode, 0.0, time, options)(x0=start)["xf"])
-
-
-def test_a_large_step_takes_the_stroke_times_of_the_data_sheet():
-    """With the pressure far off, nine tenths of the stroke take nine tenths of the shortest time."""
-    # the limit is approached as (r_max / r)^2 / 2: below 3 % while a tenth of the stroke is missing
-    assert stroke_after(0.0, 0.0, 0.9 * P["pump_stroke_time"]) == pytest.approx(0.9, abs=0.02)
-    assert stroke_after(1.0, 2 * SETTING, 0.9 * P["pump_destroke_time"]) == pytest.approx(0.1, abs=0.06)
-    assert P["pump_destroke_time"] < P["pump_stroke_time"]
-
-
-def test_a_small_step_follows_with_the_lag():
-    """A hundredth of the band moves the stroke by a hundredth, 63 % of it within one lag."""
-    line = SETTING - 0.5 * P["compensator_band"]
-    begin = stroke_after(0.5, line, 1.0)
-    after = stroke_after(begin, line - 0.01 * P["compensator_band"], P["compensator_lag"])
-    # the rate limit takes off (r / r_max)^2 / 2 = 2 % at first
-    assert after - begin == pytest.approx(0.01 * (1 - np.exp(-1)), rel=0.02)
 
 
 def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
