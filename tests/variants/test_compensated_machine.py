@@ -128,7 +128,6 @@ def moved(stop, commands, pose="nominal", changed=None, rate=500, **given):
     return played(model, time, given | levers, in_pose(model, pose, changed))
 
 
-# through the FMU, test_compensated_circuits.py moves the lever both ways as well
 @pytest.mark.parametrize(("leakage", "command"), [(P["counterbalance_leakage"], 10.0), (1e-13, -10.0)])
 def test_a_failed_supply_lets_the_boom_sink_by_the_leakage_stated(leakage, command):
     """Supply at the pressure of the tank, levers anywhere: the head loses G (P_C - P_V), nothing else."""

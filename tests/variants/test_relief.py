@@ -1,37 +1,16 @@
-"""Relief and anti-cavitation valves: their characteristic, and what they do to the drives."""
+"""What relief and anti-cavitation valves do to the drives; their flow: test_circuits_transcription.py."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from kit.equations import corners, machine, played
 
-from fmus.components import chamber, orifice
-from fmus.components.orifice import PressureValve
+from fmus.components import chamber
 from fmus.export.build import build_all
 from fmus.machine.parts import parts
 from fmus.parameters import values
 from orchestrator import Trace, run
-
-VALVE = PressureValve(pressure=24.8e6, gain=1e-9, rounding=2e5)
-
-
-@given(st.floats(-5e7, 5e7))
-def test_a_valve_passes_nothing_below_its_pressure_and_a_straight_line_above(drop):
-    """Exactly no flow up to the set pressure; slope g from P_set + w on; back to back it is odd."""
-    flow = float(orifice.relief_flow(VALVE, drop))
-    if drop <= VALVE.pressure:
-        assert flow == 0.0
-    else:
-        assert flow > 0.0 or drop - VALVE.pressure < 1.0  # the foot is cubic: 1e-20 m3/s, then rounding
-    if drop >= VALVE.pressure + VALVE.rounding:
-        # exact identity, rounding only
-        assert flow == pytest.approx(VALVE.gain * (drop - VALVE.pressure - VALVE.rounding / 2), rel=1e-12)
-    crossing = float(orifice.cross_flow(VALVE, drop))
-    assert crossing == -float(orifice.cross_flow(VALVE, -drop))
-    assert crossing * drop >= 0.0  # along the pressure difference: it only loses power
 
 
 def moved(stop, commands, **variants):
