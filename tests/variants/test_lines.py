@@ -164,7 +164,7 @@ def hose_modes(p: dict[str, float]) -> np.ndarray:
     """
     u, found = values(detailed(1)).u, []
     for axis in ("boom", "stick"):
-        one = hose_of(p, axis)
+        one = line(detailed(1).parameters(**p), axis)
         head, rod = piston_areas(p, axis)
         x, stroke, dead = u[f"{axis}_position"], p[f"{axis}_stroke"], p[f"{axis}_dead_volume"]
         modulus = 1 / (1 / p["bulk_modulus"] + 1 / p["hose_wall_modulus"])
@@ -173,11 +173,6 @@ def hose_modes(p: dict[str, float]) -> np.ndarray:
             kl = brentq(lambda a, r=ratio: math.sin(a) + a * r * math.cos(a), math.pi / 2, math.pi)
             found.append(kl * math.sqrt(modulus / p["density"]) / (2 * math.pi * one.length))
     return np.sort(found)
-
-
-def hose_of(p: dict[str, float], axis: str) -> Line:
-    """The hose of an axis from plain numbers."""
-    return line(detailed(1).parameters(**p), axis)
 
 
 def test_the_subsystem_has_the_modes_of_its_hoses():

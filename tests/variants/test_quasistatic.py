@@ -74,16 +74,6 @@ def test_an_open_edge_has_a_finite_slope_at_zero_pressure_difference(command):
     assert float(slope(SUPPLY)) == pytest.approx(expected, rel=1e-12)
 
 
-@given(drops, drops, st.sampled_from([0.8, 3.0, 10.0]))
-def test_flow_over_an_edge_is_odd_and_increasing(one, other, command):
-    """Q(-dp) = -Q(dp), and more pressure gives more flow."""
-    flow = [ports(command, SUPPLY - dp, 0.0)[0]["supply"] for dp in (one, other)]
-    # SUPPLY - dp is rounded to 4e-9 Pa; the slope is up to 1e-7 m3/s per Pa
-    assert ports(command, SUPPLY + one, 0.0)[0]["supply"] == pytest.approx(-flow[0], rel=1e-9, abs=1e-14)
-    if one - other > 1e-6:
-        assert flow[0] > flow[1]
-
-
 @given(st.floats(-1e-2, 1e-2), st.sampled_from([0.8, 3.0, 10.0]))
 def test_flow_over_an_edge_is_the_inverse_of_the_lumped_drop(flow, command):
     """The drop of the lumped edge and hose at a flow Q, put over the quasistatic edge, gives Q back."""
@@ -93,16 +83,6 @@ def test_flow_over_an_edge_is_the_inverse_of_the_lumped_drop(flow, command):
     # exact identity: some rounding errors of numbers that are never subtracted
     assert port["supply"] == pytest.approx(flow, rel=1e-12, abs=1e-25)
     assert port["line"] == port["supply"]
-
-
-@given(pressures, pressures, pressures, pressures, commands)
-def test_edges_conserve_oil_and_only_dissipate(a, b, supply, tank, command):
-    """Supply less tank flow goes into the line; the heat of each port is not negative."""
-    for port in ports(command, a, b, supply, tank):
-        # rounding of flows up to 0.01 m3/s, and of their products with 1e7 Pa
-        assert port["supply"] - port["tank"] == pytest.approx(port["line"], rel=1e-12, abs=1e-17)
-        heat = port["supply"] * (supply - port["pressure"]) + port["tank"] * (port["pressure"] - tank)
-        assert heat >= 0
 
 
 @pytest.mark.parametrize("pressure", [-1e30, -1e14, 1e14, 1e30])
