@@ -131,12 +131,6 @@ def test_buffers_must_fit():
         compatible_buffer(np.zeros(2, np.float32), 2, ctypes.c_double)
 
 
-def test_a_missing_function_is_named_when_it_is_needed(fmus, started):
-    """Optional functions may be absent until somebody asks for them."""
-    slave = started(fmus["gain"])
-    problem(lambda: slave.fmu.call("CancelStep"), "its binary lacks the function fmi2CancelStep")
-
-
 def test_a_broken_binary_is_told(tmp_path):
     """The file that cannot be loaded is named."""
     folder = tmp_path / "binaries" / fmpy.platform

@@ -76,17 +76,18 @@ def root(trace, there: float, back: float, bend: float):
 def test_linear_loops_are_solved_at_every_point(kind, there, back):
     """Also if copied values would diverge, and at the first point; the note has connections and method."""
     result = run(forced(kind, there, back), step=0.1, stop=1.0)
-    exact = result.trace["s.y"] / (1 - there * back)
+    exact, rounded = result.trace["s.y"] / (1 - there * back), there * back == -1e7
     # At a gain of 1e7 all but 2e-7 of w, up to 3, is taken from it: u and its product are rounded, by at most
     # 2.7e-16 and 2.2e-16 of the sum. Measured 3.8e-16, and 2.3e-16 by a fused multiplication and addition
-    np.testing.assert_allclose(result.trace["p.y"], exact, rtol=CLOSE, atol=5e-16)
+    bound = {"rtol": 0, "atol": 5e-16} if rounded else {"rtol": CLOSE}
+    np.testing.assert_allclose(result.trace["p.y"], exact, **bound)
     np.testing.assert_allclose(result.trace["p.u"], back * exact, rtol=CLOSE)
     note, method = result.card.notes[-1], "directional derivatives" if kind.directional else "differences"
     assert note.startswith("algebraic loop ")
     assert all(part in note for part in (*PAIR, f"Newton's method with {method}, "))
     # the Jacobian of a linear loop is kept: one evaluation, and one after a step, except at first; at a gain
     # of 1e7 rounding is more than the residual that is wanted
-    assert there * back == -1e7 or " 1.9 evaluations each" in note
+    assert rounded or " 1.9 evaluations each" in note
 
 
 @pytest.mark.parametrize("master", ["jacobi", "gauss-seidel", "hermite"])
@@ -210,11 +211,13 @@ def test_loops_are_solved_in_initialisation_mode(kind):
 
 
 def test_a_loop_without_solution_is_named(kind):
-    """One line with the connections: y = y + 1."""
+    """One line with the connections: y = y + 1; an output that is NaN is named."""
     system = assemble({n: kind.make("gain") for n in "pq"}, PAIR, {"p.offset": 1.0})
     message = problem(lambda: run(system, step=0.1, stop=1.0))
     assert message.startswith("algebraic loop ")
     assert all(part in message for part in (*PAIR, ": no solution at t = 0 s"))
+    odd = forced(kind, float("nan"), 0.5)
+    problem(lambda: run(odd, step=0.1, stop=1.0), r"loop .*: no solution at t = 0 s: p\.y is nan")
 
 
 def test_a_loop_that_loses_its_solution_ends_the_run(kind, both):
@@ -223,12 +226,6 @@ def test_a_loop_that_loses_its_solution_ends_the_run(kind, both):
     outcome = both(system, "jacobi", stop=2.0)
     assert re.match(r"algebraic loop .*: no solution at t = 0\.6 s.*residual of", outcome.error)
     assert outcome.result.trace.time[-1] == pytest.approx(0.5)  # sin 0.5 < 0.5 < sin 0.6
-
-
-def test_a_loop_of_numbers_that_are_not_numbers_is_told(fmus):
-    """An output that is NaN is named."""
-    with pytest.raises(Problem, match=r"algebraic loop .*: no solution at t = 0 s: p\.y is nan"):
-        run(forced(Kind(fmus, False), 1.0, 0.5).with_start({"p.factor": float("nan")}), step=0.1, stop=1.0)
 
 
 def test_a_loop_of_whole_numbers_is_refused(each):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Coupling, Problem, run
+from orchestrator import Coupling, run
 from orchestrator.base.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine.masters import MASTERS as MADE
@@ -76,12 +76,6 @@ def test_a_name_is_a_coupling_with_defaults(oscillator):
     assert run(oscillator, step=1e-2, stop=0.2).coupling == Coupling("gauss-seidel")
 
 
-def test_a_factor_of_no_component_is_told(oscillator):
-    """The message has a similar name, or all names."""
-    with pytest.raises(Problem, match="factor of c: unknown component; there are a, b"):
-        run(oscillator, master=Coupling(factors={"c": 2}), stop=0.1)
-
-
 def test_the_card_and_the_side_file_tell_steps_passes_and_settings(oscillator, tmp_path):
     """Of an adaptive run the tolerance, the range of the steps, passes, repeats, and all settings."""
     result = run(oscillator, master=Coupling("hermite", adaptive=1e-3), step=1e-3, stop=1.0)
@@ -136,9 +130,3 @@ def test_adaptive_steps_get_no_shorter_than_the_times_can_tell(oscillator):
     card = run(oscillator, master=hopeless, start=at, stop=at + 1e-2, step=1e-3).card
     assert card.lengths[0] > 1e-5
     assert card.simulated == pytest.approx(1e-2, abs=1e-7)  # [s]: rounding of times
-
-
-def test_a_wrong_record_step_of_an_adaptive_run_is_told(oscillator):
-    """By its own name, not as the step."""
-    with pytest.raises(Problem, match="record step: expected at most the time from 0 to 1 s, got 2 s"):
-        run(oscillator, master=Coupling(adaptive=1e-2), stop=1.0, record_step=2.0)

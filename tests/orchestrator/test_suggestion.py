@@ -95,18 +95,15 @@ def test_a_suggested_adaptive_run_records_every_step(make, tmp_path):
 
 
 def test_all_attributes_are_read(make):
-    """Floating-point numbers, integers, Booleans and text."""
-    text = 'master="gauss-seidel" order="2" correct="true" adaptive="1e-3" control="energy" largest="0.01"'
+    """Floating-point numbers, integers, Booleans and text; those of other namespaces are passed over."""
+    many = 'master="gauss-seidel" order="2" correct="true" adaptive="1e-3" control="energy" largest="0.01"'
     expected = Coupling("gauss-seidel", 2, correct=True, adaptive=1e-3, control="energy", largest=0.01)
-    assert load(make(annotated(coupling(text)))).coupling == expected
-    text = 'master="interface-jacobian" lag="3"'
-    assert load(make(annotated(coupling(text)))).coupling == Coupling("interface-jacobian", lag=3)
-
-
-def test_attributes_of_other_namespaces_are_passed_over(make):
-    """As in XML."""
-    text = 'xmlns:x="urn:x" x:note="mine" master="hermite"'
-    assert load(make(annotated(coupling(text)))).coupling == Coupling("hermite")
+    for text, found in (
+        (many, expected),
+        ('master="interface-jacobian" lag="3"', Coupling("interface-jacobian", lag=3)),
+        ('xmlns:x="urn:x" x:note="mine" master="hermite"', Coupling("hermite")),
+    ):
+        assert load(make(annotated(coupling(text)))).coupling == found
 
 
 @table(__file__, "mistakes", "text, message")
