@@ -20,11 +20,6 @@ MASTERS = ("jacobi", "gauss-seidel")
 REFERENCE = read_recording(data("reference/work_cycle.csv"))
 
 
-@pytest.fixture(scope="module")
-def system(fmu_dir) -> System:
-    return load(fmu_dir / "harvester.ssp")
-
-
 def without_rates(system: System) -> System:
     """The same wires but those of the rate ports."""
     held = system.without("*_rate", "*_acceleration")

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from kit import shards
 
-from orchestrator import Coupling, RunFailed, System, Trace, load, run
+from orchestrator import Coupling, RunFailed, Trace, run
 from orchestrator.ssp.swap import with_swaps
 
 SPEEDS = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
 GUARDED = ("hermite", "interface-jacobian")
-
-
-@pytest.fixture(scope="module")
-def system(fmu_dir: Path) -> System:
-    return load(fmu_dir / "harvester.ssp")
 
 
 def off(found: Trace, truth: Trace, name: str) -> float:

@@ -236,31 +236,3 @@ def test_fmu_meets_the_reference_within_ten_times_its_tolerance(fmu_dir, toleran
     # the bar of the issue; the reference has nine digits, so that 1e-7 of range is still seen
     assert max(row.metrics.nrmse for row in outcome.rows) <= 10 * tolerance
     assert not found.messages
-
-
-def test_rate_ports_are_as_good_as_input_derivatives(fmu_dir):
-    """A ramp of the boom command by its rate port or by fmi2SetRealInputDerivatives: the same bits."""
-    found = []
-    for by_port in (True, False):
-        with driving(fmu_dir / "harvester.fmu") as fmu:
-            for k in range(200):
-                fmu.set(boom_command=2e-2 * k, **({"boom_command_rate": 20.0} if by_port else {}))
-                if not by_port:
-                    fmu.fmu.setRealInputDerivatives([fmu.references["boom_command"]], [1], [20.0])
-                fmu.step(1e-3)
-            found.append(fmu.get(*quantities(HARVESTER.outputs)))
-    np.testing.assert_array_equal(*found)
-
-
-def test_restored_state_repeats_bit_for_bit(fmu_dir):
-    """A valve opens: the same 50 ms twice."""
-    with driving(fmu_dir / "harvester.fmu") as fmu:
-        fmu.set(swing_command=3.0, boom_command=-2.0)
-        fmu.step(1e-3, 20)
-        state, found = fmu.fmu.getFMUstate(), []
-        for _ in range(2):
-            fmu.fmu.setFMUstate(state)
-            fmu.time = 0.02
-            found.append(fmu.step(1e-3, 50).get(*quantities(HARVESTER.outputs)))
-        fmu.fmu.freeFMUstate(state)
-    np.testing.assert_array_equal(*found)

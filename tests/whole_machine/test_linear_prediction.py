@@ -12,7 +12,7 @@ from kit.any_fmu.outcome import OPENERS
 from machine import solve  # of the example, see conftest.py
 
 from fmus.machine.build import data
-from orchestrator import RunFailed, System, Trace, load, run
+from orchestrator import RunFailed, Trace, run
 from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
 from orchestrator.engine.linear_prediction import LinearPrediction
@@ -20,11 +20,6 @@ from orchestrator.results.validation import validate
 
 MASTER = "interface-jacobian"
 REFERENCE = read_recording(data("reference/work_cycle.csv"))
-
-
-@pytest.fixture(scope="module")
-def system(fmu_dir) -> System:
-    return load(fmu_dir / "harvester.ssp")
 
 
 def worst(result, group: str) -> float:

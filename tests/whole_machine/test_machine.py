@@ -1,12 +1,14 @@
-"""The machine of coupled FMUs: held, moved the way it is told, and driven to and beyond its limits."""
+"""The machine of coupled FMUs: held, moved the way it is told, and driven to and beyond its limits.
+
+Energy: tests/variants/test_balances.py, test_manipulator.py, over the work cycle test_energy.py.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from kit.equations import Part, machine
+from kit.equations import machine, piston_areas
 
-from fmus.contract import quantities
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
@@ -53,15 +55,9 @@ def extremes(y, *joints):
     return min(c.min() for c in found), max(c.max() for c in found)
 
 
-def areas(joint):
-    """Head and rod side [m2]."""
-    head = np.pi / 4 * BOOM_STICK[f"{joint}_bore"] ** 2
-    return head, head - np.pi / 4 * BOOM_STICK[f"{joint}_rod"] ** 2
-
-
 def leaked(drop, joint):
     """Largest speed [m/s] of a piston whose ports leak under pressure differences of `drop` [Pa] in all."""
-    return BOOM_STICK["valve_leakage"] * drop / areas(joint)[1]
+    return BOOM_STICK["valve_leakage"] * drop / piston_areas(BOOM_STICK, joint)[1]
 
 
 # ---- at rest
@@ -94,7 +90,8 @@ def test_a_held_arm_sinks_as_its_leakage_says(driven, pose):
     y = driven(5.0, at(*pose))
     for joint in PISTONS:
         p = {n.removeprefix(f"{joint}_"): v for n, v in BOOM_STICK.items()}
-        x, beta, (head, rod) = y[f"manipulator.{joint}_position"], p["bulk_modulus"], areas(joint)
+        x, beta = y[f"manipulator.{joint}_position"], p["bulk_modulus"]
+        head, rod = piston_areas(BOOM_STICK, joint)
         c_head = p["hose_capacitance"] + (p["dead_volume"] + head * x[0]) / beta
         c_rod = p["hose_capacitance"] + (p["dead_volume"] + rod * (p["stroke"] - x[0])) / beta
         q_head, q_rod = (p["valve_leakage"] * (SUPPLY - 2 * np.mean(c)) for c in chambers(y, joint))
@@ -282,38 +279,3 @@ def test_the_work_cycle_moves_like_a_harvester(cycle):
     commands = ["swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"]
     active = sum(np.abs(cycle[name]) > BOOM_STICK["valve_dead_band"] for name in commands)
     assert np.mean(active >= 2) > 0.3  # two or three functions at once for a third of the time
-
-
-# ---- energy: of the drives in tests/variants/test_balances.py, over the work cycle in test_energy.py
-
-
-def test_the_arm_turns_all_power_into_motion_height_and_heat():
-    """Power in = rate of both energies + heat at random states, to rounding."""
-    arm, rng = Part(SUBSYSTEMS["manipulator"]), np.random.default_rng(1)
-    x, u, y = (arm.expressions[k] for k in "xuy")
-    power = y["payload_power"] + u["swing_torque"] * x["swing_speed"]
-    for a in PISTONS:
-        power += (u[f"{a}_force"] + y[f"{a}_stop_force"]) * y[f"{a}_velocity"]
-    energy = arm.along(y["kinetic_energy"] + y["potential_energy"])
-    balance = arm.of(power, energy + y["dissipated_power"])
-    nominal = {n: q.nominal for n, q in quantities(arm.sub.inputs).items()}
-    start, spread = arm.start(), [0.3 if n.endswith("_angle") else 1.0 for n in arm.states]
-    for _ in range(50):
-        given = {n: rng.uniform(-1, 1) * size for n, size in nominal.items()}
-        power_in, used = (b.item() for b in balance(start + spread * rng.uniform(-1, 1, start.size), **given))
-        # exact identity; 1e-9 is 1e6 rounding errors of terms up to 1e6 W
-        assert power_in == pytest.approx(used, rel=1e-9, abs=1e-3)
-
-
-def test_moving_volumes_convect_what_the_document_says():
-    """(A_h P_h^2 - A_r P_r^2) x' / (2 beta) of each cylinder: docs/equations.md, section 7."""
-    drive, rng = Part(SUBSYSTEMS["boom_stick"]), np.random.default_rng(1)
-    for _ in range(20):
-        x = rng.uniform(5e5, 2.5e7, len(drive.states))
-        speeds = {f"{a}_velocity": rng.uniform(-0.5, 0.5) for a in PISTONS}
-        expected = 0.0
-        for a in PISTONS:
-            squares = [x[drive.at(f"{a}_{side}_pressure")] ** 2 for side in ("head", "rod")]
-            (head, rod), v = areas(a), speeds[f"{a}_velocity"]
-            expected += (head * squares[0] - rod * squares[1]) * v / (2 * BOOM_STICK["bulk_modulus"])
-        assert drive(x, **speeds)[1]["convected_power"] == pytest.approx(expected, rel=1e-12)  # rounding
