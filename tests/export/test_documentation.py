@@ -189,13 +189,6 @@ def test_numbers_travel_with_the_fmu(content):
         assert all(len(table[n]["value"]) == POINTS for n in listed)
 
 
-def test_a_list_is_one_row(content):
-    """The page of a drive shows the points of an opening curve as one row, not as twenty."""
-    page = content["swing", 2]["documentation/index.html"].decode()
-    assert "<code>valve_pa_command_1 to 10</code>" in page
-    assert "valve_pa_command_3" not in page
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [(1.6e9, "1.6·10⁹"), (-4e-05, "−4·10⁻⁵"), (20684000.0, "2.0684·10⁷"), (0.0, "0"), (16000.0, "16000")],  # noqa: RUF001 (the page shows a minus sign)

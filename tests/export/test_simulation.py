@@ -158,12 +158,6 @@ def test_input_derivative_wins_over_rate_port(open_fmu):
     assert fmu["integral"] == pytest.approx(exact(0.5, 1.0, 2.0), rel=1e-13, abs=0)
 
 
-def test_outputs_at_the_end_see_the_input_at_the_end(open_fmu):
-    """An output with direct feed-through follows the input inside the step."""
-    fmu = open_fmu("path").start().set(position=1.0, velocity=2.0).step(0.5)
-    assert fmu["where"] == 2.0
-
-
 # ---- derivatives -------------------------------------------------------------------------------------
 
 

@@ -54,11 +54,6 @@ def test_every_part_is_that_of_another_implementation(theirs, case):
     np.testing.assert_allclose(rate(*CASES[case]), theirs(*CASES[case]), rtol=1e-9, atol=1e-12)
 
 
-def test_equal_curves_are_rated_1():
-    """All parts."""
-    assert rate(pulse(), pulse()) == (1.0, 1.0, 1.0, 1.0, 1.0)
-
-
 def test_a_shift_costs_phase_alone():
     """A curve that comes later by n of N samples has the phase rating 1 - n / (0.2 N), and equal shape."""
     n, late = 400, 20
