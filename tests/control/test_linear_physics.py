@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from kit.equations import SUPPLY, edge_resistance, piston_areas, steady_velocity
 from kit.fmu import driving
 from scipy.signal import StateSpace, lsim
 
@@ -12,19 +13,12 @@ from fmus.parameters import values
 from orchestrator import Trace, linearize, run
 
 OIL, SWING = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing"))
-SUPPLY = 20.684e6  # Pa, of the ideal supply
 BAR = 5e-3  # the bar of all closed forms: leakage, friction, inertia of the oil lie below
-
-
-def areas(name):
-    """Head and rod side [m2]."""
-    head = math.pi / 4 * OIL[f"{name}_bore"] ** 2
-    return head, head - math.pi / 4 * OIL[f"{name}_rod"] ** 2
 
 
 def stiffness(name, position):
     """beta (A_h^2/V_h + A_r^2/V_r) of a locked cylinder with its hoses [N/m]."""
-    head, rod = areas(name)
+    head, rod = piston_areas(OIL, name)
     beta, dead = OIL["bulk_modulus"], OIL[f"{name}_dead_volume"]
     hose = OIL[f"{name}_hose_capacitance"] * beta
     v_rod = hose + dead + rod * (OIL[f"{name}_stroke"] - position)
@@ -59,13 +53,11 @@ def test_the_gain_from_command_to_speed_is_the_slope_of_the_valve(fmu_dir, pose)
     quick = [i for i, s in enumerate(linear.states) if not s.name.endswith("_angle")]
     steady = np.linalg.solve(linear.a[np.ix_(quick, quick)], linear.b[quick])
     speed_gain, force_gain = (linear.d - linear.c[:, quick] @ steady).ravel()
-    (speed, force), (head, rod) = linear.y0, areas("boom")
-    beyond = linear.u0[0] - OIL["valve_dead_band"] - OIL["valve_command_rounding"] / 2
-    full = OIL["valve_full_command"] - OIL["valve_dead_band"] - OIL["valve_command_rounding"] / 2
-    area = OIL["valve_discharge_coefficient"] * OIL["valve_area"] * beyond / full
-    edge = OIL["density"] / (2 * area**2)
-    resistance, drive = edge + OIL["boom_hose_resistance"], head * SUPPLY - force
-    assert speed == pytest.approx(math.sqrt(drive / (resistance * (head**3 + rod**3))), rel=BAR)
+    (speed, force), command = linear.y0, linear.u0[0]
+    assert speed == pytest.approx(steady_velocity(OIL, "boom", command, force), rel=BAR)
+    edge, drive = edge_resistance(OIL, command), piston_areas(OIL, "boom")[0] * SUPPLY - force
+    resistance = edge + OIL["boom_hose_resistance"]
+    beyond = command - OIL["valve_dead_band"] - OIL["valve_command_rounding"] / 2
     slope = speed * edge / resistance / beyond - speed / (2 * drive) * force_gain  # friction grows with speed
     assert speed_gain == pytest.approx(slope, rel=BAR)
 
