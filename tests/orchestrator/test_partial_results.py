@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -170,14 +171,10 @@ def test_a_full_disk_leaves_the_earlier_result_and_whole_rows(fmus, tmp_path, su
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_disk_that_is_full_at_the_end_leaves_all_rows(tmp_path, suffix, monkeypatch):
     """As when the metadata do not fit any more."""
-
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
     file = begun(tmp_path / f"t{suffix}")
     file.append(*rows(0, 30))
     complete, _ = file.finish()
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_text", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(Problem, match=r"cannot be written: No space left on device$"):
         file.publish(complete, {tmp_path / "t.run.json": "{}"})
     file.close()
