@@ -110,12 +110,6 @@ def test_speeds_stay_below_the_limits(swing, boom, stick, boom_at, stick_at):
         assert abs(speed) * factor <= P.stroke_gain * max(left, 0.0) + reference.CREEP * slack
 
 
-def test_slow_motion_away_from_the_ends_is_not_touched():
-    """Exactly the commanded speed up to 80 % of every limit: the norm of three is 1.15 at most."""
-    moving = [("boom", 0.3, 0.75 * P.boom_speed_limit), ("stick", 0.35, -0.75 * P.stick_speed_limit)]
-    assert float(reference.utilisation(0.75 * P.swing_speed_limit, moving, P).factor) == 1.0
-
-
 @examples(30)
 @given(ANGLES, st.floats(-math.pi, math.pi), st.floats(0.5, 3.0))
 def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, heading, speed):
@@ -139,14 +133,6 @@ def test_the_reference_never_leaves_its_strokes_and_keeps_the_direction(angles, 
         x = x + 0.02 * dx
         for now, before, stroke in zip(pistons(boom, stick), first, STROKES, strict=True):
             assert min(P.stroke_margin, before) - 1e-4 <= now <= max(stroke - P.stroke_margin, before) + 1e-4
-
-
-def test_beyond_the_margin_only_the_way_back_is_open():
-    """Levers brought the piston into the margin: outwards it creeps at 1e-6 m/s, inwards it is free."""
-    inside = P.boom_stroke - P.stroke_margin / 2
-    outwards = reference.utilisation(0.0, [("boom", inside, 0.05), ("stick", 0.3, 0.0)], P).factor * 0.05
-    assert 0 <= float(outwards) <= 1.001 * reference.CREEP
-    assert float(reference.utilisation(0.0, [("boom", inside, -0.05), ("stick", 0.3, 0.0)], P).factor) == 1.0
 
 
 def test_the_reference_waits_for_a_machine_at_rest():

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.components import spool_valve
-from fmus.components.smooth import ramp
 from fmus.components.spool_valve import Valve
 from fmus.controller import valve
 from fmus.controller.model import CONTROLLER, actuators
@@ -38,13 +37,6 @@ def drives() -> dict[str, Actuator]:
 
 def number(expression) -> float:
     return float(ca.DM(ca.evalf(ca.SX(expression))))
-
-
-@given(VALVES, st.floats(1e-6, 3.0))
-def test_inverse_of_the_ramp(v, value):
-    """ramp(inverse(value)) = value to 1e-9: two steps of Halley from the series."""
-    z = number(valve.inverse_ramp(value, v))
-    assert number(ramp(z, v.command_rounding)) == pytest.approx(value, rel=1e-9, abs=0)
 
 
 @given(VALVES, st.floats(20 * FOOT, 1.0), st.sampled_from([-1, 1]))
