@@ -33,6 +33,13 @@ def test_call_in_a_wrong_state_names_function_and_state(open_fmu, call, function
     fmu.refuses(lambda: call(fmu), f"fmi2{function}: not allowed", state)
 
 
+def test_model_exchange_call_is_refused_in_cosimulation(open_fmu):
+    """An instance for co-simulation has no event mode."""
+    fmu = open_fmu("decay").start()
+    assert fmu.fmu.dll.fmi2EnterEventMode(ctypes.c_void_p(fmu.fmu.component)) == 3
+    assert "fmi2EnterEventMode: not allowed" in fmu.errors()[-1]
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_value_that_is_no_number_is_refused_by_name(open_fmu, value):
     """NaN and infinity are refused for all variables."""

@@ -28,7 +28,6 @@ def test_nominals_are_known_before_the_initialisation(open_fmu):
     [
         ("cs", "fmi2GetContinuousStates", ((ctypes.c_double * 3)(), 3)),
         ("cs", "fmi2GetEventIndicators", (None, 0)),
-        ("cs", "fmi2EnterEventMode", ()),
         ("me", "fmi2SetRealInputDerivatives", (None, 0, None, None)),
         ("me", "fmi2DoStep", (ctypes.c_double(0.0), ctypes.c_double(1.0), 1)),
         ("me", "fmi2GetRealStatus", (2, ctypes.byref(ctypes.c_double()))),
