@@ -1,4 +1,4 @@
-"""What compensated sections are for, through their FMUs; the equations: test_circuits_transcription.py.
+"""Closed forms of the compensated drives, through their FMUs.
 
 The formulas below are written out here, with the numbers of parameters.toml. Pistons move as a load does that
 holds its pressure: the test bench gives the velocity that keeps a chamber at the wanted pressure.
@@ -117,3 +117,76 @@ def test_saturated_sections_of_both_drives_share_the_flow_in_the_ratio_of_their_
     assert flows[0] / flows[1] == pytest.approx(asked[0] / asked[1], rel=0.015)  # the droop alone
     shared = P["compensator_sharing"] * (margin + 1e8 / margin)  # m(z) of docs/equations.md, Symbols
     assert np.array(drops) / droop == pytest.approx(np.full(2, shared), rel=5e-3)
+
+
+@pytest.mark.parametrize("command", [0.0, 10.0, -10.0])
+def test_without_supply_the_head_sinks_by_the_leakage_of_its_valve(fmus, command):
+    """Supply at the pressure of the tank, lever anywhere: A x' = -G (P_C - P_V), 0.2 um in a second."""
+    time, position = 60.0, 0.3
+    start = {"boom_holding_force": 8e4, "boom_position": position, "supply_pressure": 0.0}
+    with driving(fmus["boom_stick"], **start) as fmu:
+        (load,) = fmu.get("boom_head_pressure")
+        lost, moved, step = 0.0, 0.0, 1e-2
+        for k in range(round(time / step)):
+            pressure, hose, flow = fmu.get("boom_head_pressure", "boom_head_valve_pressure", "boom_head_flow")
+            velocity = (flow + 1e-10 * (pressure - load)) / HEAD  # the load keeps its pressure
+            fmu.set(boom_velocity=velocity, boom_command=command * min(1.0, k * step))
+            fmu.step(step)
+            moved += step * velocity
+            lost += step * P["counterbalance_leakage"] * (pressure - hose)
+    # the bar; what the load lacks of its pressure, G P_C/1e-10, is 5e-4 of the oil that leaks
+    assert moved == pytest.approx(-lost / HEAD, rel=5e-3)
+    if command <= 0.0:  # the hose is drained: the leakage is that at the pressure of the load
+        assert lost == pytest.approx(P["counterbalance_leakage"] * load * time, rel=5e-3)
+
+
+def test_crossover_reliefs_limit_the_torque(fmus):
+    """The locked motor turned from outside: P_b - P_a = P_r + w/2 + Q/g with the flow that leaks nowhere."""
+    speed = 0.4
+    with driving(fmus["swing"], swing_speed=speed, supply_pressure=0.0) as fmu:
+        fmu.step(STEP, 500)
+        a, b = fmu.get("swing_pressure_a", "swing_pressure_b")
+    displaced = speed * S["motor_displacement"] * S["gear_ratio"]
+    leaking = (b - a) / S["internal_leakage_resistance"] + b / S["external_leakage_resistance"]
+    crossing = displaced - leaking - S["valve_leakage"] * b
+    expected = S["relief_pressure"] + S["relief_rounding"] / 2 + crossing / S["relief_gain"]
+    assert b - a == pytest.approx(expected, rel=5e-3)
+    assert -5e3 < a < 0  # made up from the return line
+
+
+def test_the_brake_holds_and_does_not_creep(fmus):
+    """95 % of its torque for half a minute: twisted by T/k, without drift, the oil's share leaked away.
+
+    The column has an inertia of 2e4 kg m2, and as much viscous friction that it comes to rest.
+    """
+    inertia, damping, torque = 2e4, 4e4, 0.95 * S["brake_torque"]
+    with driving(fmus["swing"], supply_pressure=0.0) as fmu:
+        angle, speed, shown = 0.0, 0.0, []
+        for k in range(30000):
+            hydraulic = fmu["swing_torque"]
+            speed += STEP * (min(1.0, k * STEP / 2) * torque + hydraulic - damping * speed) / inertia
+            angle += STEP * speed
+            fmu.set(swing_speed=speed)
+            fmu.step(STEP)
+            if k >= 20000:
+                shown.append(angle)
+        held = fmu["swing_brake_torque"]
+    assert held == pytest.approx(torque, rel=5e-3)
+    assert shown[-1] == pytest.approx(torque / S["brake_stiffness"], rel=5e-3)
+    assert abs(shown[-1] - shown[0]) < 1e-9  # rad in 10 s; what the oil still leaks is gone after seconds
+
+
+def test_the_brake_waits_for_command_and_pressure(fmus):
+    """Applied in neutral; released by a command within five time constants, but not without pressure."""
+
+    def applied(command, supply, time):
+        with driving(fmus["swing"], swing_command=0.0, supply_pressure=supply) as fmu:
+            assert fmu["swing_brake_applied"] == 1.0
+            fmu.set(swing_command=command)
+            fmu.step(STEP, round(time / STEP))
+            return fmu["swing_brake_applied"]
+
+    assert applied(0.3, 2e6, 1.0) == 1.0
+    # exp(-5); the FMU's solver has a tolerance of 1e-6
+    assert applied(1.0, 2e6, 5 * S["brake_release_time"]) == pytest.approx(math.exp(-5), rel=1e-3)
+    assert applied(10.0, 0.5e6, 1.0) == 1.0

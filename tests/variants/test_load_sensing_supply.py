@@ -1,4 +1,4 @@
-"""The load-sensing supply: margin, power limit and limits; its equations: test_circuits_transcription.py."""
+"""The load-sensing supply: margin, cut-off, power limit and times against closed forms."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def stroke(y) -> float:
     return (y["pump_flow"] + lost) / (P["main_pump_displacement"] * y["engine_speed"])
 
 
-def line(setting: float, s: float) -> float:
-    """Outlet pressure of the regulator at a stroke, with the rounded foot of its line."""
-    return setting - P["margin_band"] * (s - P["main_pump_rounding"] ** 2 / (4 * s))
+def line(setting: float, band: float, s: float) -> float:
+    """Outlet pressure of a regulator at a stroke, with the rounded foot of its line."""
+    return setting - band * (s - P["main_pump_rounding"] ** 2 / (4 * s))
 
 
 def speed(load) -> float:
@@ -56,9 +56,9 @@ def speed(load) -> float:
     return brentq(short, P["engine_rated_speed"], P["engine_no_load_speed"])
 
 
-def regulated(flow: float, setting: float) -> float:
+def regulated(flow: float, setting: float, band: float) -> float:
     """Supply pressure [Pa] at a flow, from the parameters alone: regulator, check valve, governor."""
-    d, leakage, band = P["main_pump_displacement"], P["main_pump_leakage"], P["margin_band"]
+    d, leakage = P["main_pump_displacement"], P["main_pump_leakage"]
 
     def rail(p):
         return brentq(lambda rail: rail + drop(flow + P["rail_leakage"] * rail) - p, 0.0, p, xtol=1e-6)
@@ -67,7 +67,7 @@ def regulated(flow: float, setting: float) -> float:
         drawn = flow + P["rail_leakage"] * rail(p) + leakage * p
         friction = P["main_pump_pressure_friction"] * d * p
         w = speed(lambda w: drawn / w * p + friction + P["main_pump_viscous_friction"] * w)
-        return line(setting, drawn / (d * w)) - p
+        return line(setting, band, drawn / (d * w)) - p
 
     return rail(brentq(short, setting - 1.1 * band, setting + 0.1 * band, xtol=1e-3))
 
@@ -85,10 +85,10 @@ def test_margin_at_standstill_is_what_the_regulator_leaves_for_the_leakage():
     y = BENCH.show(BENCH.rest(BENCH.constants()), BENCH.row(), BENCH.constants())
     assert y["load_sensing_pressure"] == pytest.approx(SHUTTLE, rel=1e-9)
     assert y["pump_flow"] == pytest.approx(P["rail_leakage"] * y["supply_pressure"], rel=1e-9)
-    at_stroke = line(P["margin"], stroke(y)) - drop(y["pump_flow"])
+    at_stroke = line(P["margin"], P["margin_band"], stroke(y)) - drop(y["pump_flow"])
     # closed forms on both sides; the fixed-point iterations end at rounding
     assert y["pressure_margin"] == pytest.approx(at_stroke, rel=1e-8)
-    alone = regulated(0.0, SHUTTLE + P["margin"]) - SHUTTLE
+    alone = regulated(0.0, SHUTTLE + P["margin"], P["margin_band"]) - SHUTTLE
     # the roundings at the feet of governor and stroke: 1e-5
     assert y["pressure_margin"] == pytest.approx(alone, rel=1e-4)
     # what a user expects of the standby pressure: the margin
@@ -124,10 +124,10 @@ def test_margin_in_motion_droops_along_the_band(flow, load):
     """P - P_LS = margin - band s - drop over the check valve, with the stroke s of flow and leakage."""
     y = BENCH.settled(wide(flow * L_MIN, load))
     assert y["load_sensing_pressure"] == pytest.approx(load, rel=1e-6)  # integrator
-    at_stroke = line(P["margin"], stroke(y)) - drop(y["pump_flow"])
+    at_stroke = line(P["margin"], P["margin_band"], stroke(y)) - drop(y["pump_flow"])
     assert y["pressure_margin"] == pytest.approx(at_stroke, rel=SETTLED)
     # the roundings at the feet of governor and stroke: 1e-5
-    alone = regulated(y["supply_flow"], load + P["margin"]) - load
+    alone = regulated(y["supply_flow"], load + P["margin"], P["margin_band"]) - load
     assert y["pressure_margin"] == pytest.approx(alone, rel=1e-4)
     assert P["margin"] - P["margin_band"] - drop(FULL) < y["pressure_margin"] < P["margin"]
 
@@ -138,7 +138,23 @@ def test_flow_of_a_valve_does_not_depend_on_its_load():
     assert np.ptp(flows) < 0.02 * np.mean(flows)
 
 
-# ---- power, full stroke
+# ---- cut-off, power, full stroke
+
+
+@pytest.mark.parametrize("load", [LIMIT, 2.5e7])
+def test_a_stalled_stroke_ends_at_the_cut_off(load):
+    """No flow, load pressure at the limit or beyond: line at its relief valve, pump at the cut-off."""
+    y = BENCH.settled(Load(0.0, load))
+    relieved = LIMIT - (3 / 32 * P["load_sensing_relief_rounding"] if load == LIMIT else 0.0)
+    assert y["load_sensing_pressure"] == pytest.approx(relieved, rel=SETTLED)
+    # before the line is at rest the check valve may have trapped a little more pressure
+    cut_off = line(P["pressure_cut_off"], P["cut_off_band"], stroke(y))
+    assert y["pump_pressure"] == pytest.approx(cut_off, rel=1e-4)
+    assert y["pump_pressure"] == pytest.approx(P["pressure_cut_off"], rel=0.005)
+    assert y["supply_pressure"] == pytest.approx(y["pump_pressure"] - drop(y["pump_flow"]), rel=1e-3)
+    alone = regulated(0.0, P["pressure_cut_off"], P["cut_off_band"])
+    assert y["supply_pressure"] == pytest.approx(alone, rel=1e-3)
+    assert y["relief_flow"] == 0
 
 
 @pytest.mark.parametrize("load", [1.7e7, 1.8e7])
@@ -170,6 +186,37 @@ def test_inverse_of_the_ramp(y, width):
     """ramp(ramp_inverse(y)) = y."""
     back = float(smooth.ramp(smooth.ramp_inverse(ca.DM(y), width), width))
     assert back == pytest.approx(y, rel=1e-9, abs=1e-300)  # fixed-point iteration, rounding of a cube root
+
+
+# ---- times
+
+
+def rise_time(y, time, name) -> float:
+    """Time to nine tenths of the last value [s]."""
+    return float(time[np.argmax(y[name] > 0.9 * y[name][-1])])
+
+
+def test_from_standby_to_full_flow_takes_the_stroke_time():
+    """Valve opened at once for full flow at 5 MPa: limited by the swash plate, 0.13 to 0.18 s."""
+    time, y = BENCH.through([wide(2 * FULL, 5e6)], BENCH.constants(), 0.6, 600)
+    found = rise_time(y, time, "pump_stroke")
+    # nine tenths of the shortest time, plus the lag of line and servo at most
+    assert 0.9 * P["main_pump_stroke_time"] < found
+    assert found < P["main_pump_stroke_time"] + P["load_sensing_lag"] + 4 * P["main_pump_lag"]
+
+
+def test_after_a_stroke_the_pressure_falls_to_standby():
+    """Behind the check valve pilot oil and spools lower the pressure: C_s / k_l = 1 s, from 12 MPa."""
+    p = BENCH.constants()
+    time, y = BENCH.through([wide(60 * L_MIN, 1e7), Load(0.0, 0.0)], p, 3.0, 300)
+    shut = time > 3.3
+    begin = y["supply_pressure"][shut][0]
+    expected = begin * np.exp(-(time[shut] - time[shut][0]) * P["rail_leakage"] / P["rail_capacitance"])
+    falling = expected > 1.1 * P["margin"]
+    assert begin > 9e6
+    # no flow but the leakage: an exponential; integrator
+    assert y["supply_pressure"][shut][falling] == pytest.approx(expected[falling], rel=1e-6)
+    assert y["pump_stroke"][-1] < 0.01
 
 
 @examples(25)

@@ -5,6 +5,7 @@ Engine, swash plates, valves and rail are those of the load-sensing pump: test_c
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +14,8 @@ from kit.equations import cavity
 from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
+
+from fmus.components import engine_and_pump
 
 ENGINE_PUMP, LOAD_SENSING = BENCHES = [Bench(name) for name in ("engine_pump", "load_sensing")]
 IDEAL = Bench("ideal")
@@ -119,6 +122,31 @@ def test_staggered_settings_let_one_pump_do_the_small_flows():
 
 
 # ---- dynamics
+
+
+def stroke_after(start: float, pressure: float, time: float) -> float:
+    """Stroke of the first pump at a constant outlet pressure."""
+    s, (pump, _) = ca.SX.sym("s"), ENGINE_PUMP.sub.parameters(**P).pumps
+    ode = {"x": s, "ode": engine_and_pump.stroke_rate(pump, s, pressure)}
+    options = {"reltol": 1e-10, "abstol": 1e-12}
+    return float(ca.integrator("s", "cvodes", ode, 0.0, time, options)(x0=start)["xf"])
+
+
+def test_a_large_step_takes_the_stroke_times_of_the_data_sheet():
+    """With the pressure far off, nine tenths of the stroke take nine tenths of the shortest time."""
+    # the limit is approached as (r_max / r)^2 / 2: below 3 % while a tenth of the stroke is missing
+    assert stroke_after(0.0, 0.0, 0.9 * P["pump_stroke_time"]) == pytest.approx(0.9, abs=0.02)
+    assert stroke_after(1.0, 2 * SETTING, 0.9 * P["pump_destroke_time"]) == pytest.approx(0.1, abs=0.06)
+    assert P["pump_destroke_time"] < P["pump_stroke_time"]
+
+
+def test_a_small_step_follows_with_the_lag():
+    """A hundredth of the band moves the stroke by a hundredth, 63 % of it within one lag."""
+    line = SETTING - 0.5 * P["compensator_band"]
+    begin = stroke_after(0.5, line, 1.0)
+    after = stroke_after(begin, line - 0.01 * P["compensator_band"], P["compensator_lag"])
+    # the rate limit takes off (r / r_max)^2 / 2 = 2 % at first
+    assert after - begin == pytest.approx(0.01 * (1 - np.exp(-1)), rel=0.02)
 
 
 def test_functions_that_overlap_make_the_pressure_sag_and_it_recovers():
