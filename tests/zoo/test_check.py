@@ -46,7 +46,7 @@ def _findings(ended: Ended, severity: str) -> list[str]:
 
 @pytest.mark.parametrize(
     ("fault", "phase", "major"),
-    shards.few([("segfault", "step", 2), ("spin", "initialise", 3)], CASES, shards.faults),
+    shards.few([("segfault", "step", 2), ("spin", "instantiate", 3)], CASES, shards.faults),
 )
 def test_a_fault_is_found(tmp_path: Path, fault: str, phase: str, major: int) -> None:
     """Under the name of the file, with the call that did not return."""

@@ -124,7 +124,7 @@ def _check_view(folder: Path, fmu: Faulty) -> None:
 
 @pytest.mark.parametrize(
     ("fault", "phase", "major"),
-    shards.few([("segfault", "step", 3)], CASES, shards.faults),
+    shards.few([("abort", "step", 3)], CASES, shards.faults),
 )
 def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str, major: int) -> None:
     """In one line, also while an FMU hangs; Ctrl-C ends the command and leaves nothing."""
