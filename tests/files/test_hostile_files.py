@@ -515,12 +515,12 @@ def test_a_check_runs_an_fmu_without_its_local_variables() -> None:
 
 @shards.search
 def test_200_000_variables_are_checked(tmp_path: Path) -> None:
-    """In bounded time and memory, by rules that are linear in the number of variables."""
+    """In bounded time and memory, by rules that are linear in the number of variables: 6 s, else hours."""
     path = fmu(tmp_path / "x.fmu", ("</ModelVariables>", f"{variables(200_000)}</ModelVariables>"))
     start, before = time.process_time(), peak()
     report = check(path)
     assert "fmpy.validate" in {f.rule for f in report.findings}  # left out
-    assert time.process_time() - start < LONGEST
+    assert time.process_time() - start < 20 * LONGEST
     assert peak() - before < MOST
 
 

@@ -25,7 +25,11 @@ def test_numbers_survive_bit_for_bit(trace, tmp_path, suffix):
     assert back.units == ({"a.y": "Pa"} if suffix != ".csv" else {})
 
 
-NAME = st.text(st.characters(exclude_categories=["Cs"]) | st.sampled_from(" ,;\"'\n\r\t.#"), min_size=1)
+# without NUL, with which MATLAB fills texts up
+NAME = st.text(
+    st.characters(exclude_categories=["Cs"], exclude_characters="\0") | st.sampled_from(" ,;\"'\n\r\t.#"),
+    min_size=1,
+)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
