@@ -33,8 +33,9 @@ test: $(TESTING)
 # the long tests, in shards (tests/kit/shards.py): all of them, or `make test-browser`, `make test-c`
 test-long: test-documents test-tools test-platforms test-c test-browser test-faults test-machine test-search
 
+# other examples in each run; with SEED=1 the same
 test-search: $(TESTING)
-	$(PYTEST) -m "long(shard='search') or hypothesis" --hypothesis-profile=search
+	$(PYTEST) -m "long(shard='search') or hypothesis" --hypothesis-profile=search $(SEED:%=--hypothesis-seed=%)
 
 test-%: $(TESTING)
 	$(PYTEST) -m "long(shard='$*')"
