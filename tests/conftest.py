@@ -9,6 +9,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import contextlib
 import shutil
+import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
@@ -32,6 +33,7 @@ FLAGS = (
     "--disable-sync",
 )
 properties.register()  # before any test is read
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in a background job
 # the compiler's own cache, also for tests that move the user's: else it compiles its C library again in each
 os.environ.setdefault(
     "ZIG_GLOBAL_CACHE_DIR", str(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zig")
