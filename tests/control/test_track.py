@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kit import mistakes
+from kit import mistakes, shards
 from kit.equations import Part
 
 from fmus.controller.paths import start_angles
@@ -117,6 +117,7 @@ def test_command_keeps_the_bars(track, tmp_path, capsys):
     assert (tmp_path / "tracking.png").stat().st_size > 20_000  # a picture, not an empty one
 
 
+@shards.machine
 def test_command_keeps_the_bar_of_the_detailed_machine(track):
     """With hoses, spools, friction, a swinging head and a real supply the tip stays within 60 mm."""
     assert track(*DETAILED, "--no-compare", "--limit", "60")[0] == 0
