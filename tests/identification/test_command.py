@@ -19,11 +19,10 @@ from fmus.parameters import values
 from fmus.rig.recordings import write, write_all
 from orchestrator.__main__ import main
 
-# the fewest with which each procedure has a result
+# the fewest with which each procedure on a test bench has a result, and the machine at work
 FEW = (
     *("valve_pa", "valve_pb", "hose_resistance", "hose_dynamics_1", "hose_dynamics_3", "motor_leakage_1"),
-    *("motor_leakage_2", "damping_swing_1", "weighing_loaded"),
-    *("machine_train_1", "machine_test"),
+    *("motor_leakage_2", "machine_train_1", "machine_test"),
 )
 RIG = importlib.import_module("fmus.rig.experiments")  # the package has a function of this name
 SECONDS = 2.0  # of the machine at work
@@ -95,7 +94,7 @@ def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys
     here(request.getfixturevalue(which))
     assert main(["identify", "mine", "--no-joint"]) == 0
     printed, tables = capsys.readouterr().out, found()
-    assert {"valve_area", "valve_dead_band", "swing_damping", "internal_leakage_resistance"} <= set(tables)
+    assert {"valve_area", "valve_dead_band", "internal_leakage_resistance"} <= set(tables)
     assert all(t["source"] == "identified" and t["sd"] > 0 and "95 %" in t["note"] for t in tables.values())
     for name, entry in tables.items():
         # 2 % is the bar of the project; the noise of this seed moves none by more than 0.5 %
@@ -108,7 +107,8 @@ def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys
     assert {p["estimate"]["name"]: p["estimate"]["value"] for p in told["parameters"]} == {
         n: t["value"] for n, t in tables.items()
     }
-    assert all(procedure in printed for procedure in PROCEDURES)
+    ran = [name for name in PROCEDURES if name in printed]
+    assert ran == [*PROCEDURES][: 6 if which == "everything" else 4]
     usual, _ = parts_with_parameters(Path("parameters.toml"))
     assert values(usual["swing"]).p["valve_area"] == tables["valve_area"]["value"]
 
