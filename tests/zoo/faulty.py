@@ -31,7 +31,8 @@ CAUSES = {  # what a message calls a fault that ends the process
 }
 FAULTS = (*CAUSES, *HANGS, "nan", *HARMLESS[1:])
 PHASES = ("instantiate", "initialise", "step", "free")
-# and a version of FMI: only the names of the functions depend on it, so each fault and each phase has both
+# with one version of FMI, on which only the names of the functions depend: each fault and each phase has both.
+# test_sweep.py has every fault in every phase with both
 CASES = tuple(
     (fault, phase, 3 - (i + j) % 2)
     for (i, fault), (j, phase) in product(enumerate(FAULTS), enumerate(PHASES))
