@@ -31,7 +31,7 @@ CAUSES = {  # what a message calls a fault that ends the process
 }
 FAULTS = (*CAUSES, *HANGS, "nan", *HARMLESS[1:])
 PHASES = ("instantiate", "initialise", "step", "free")
-# with one version of FMI, on which only the names of the functions depend: each fault and each phase has both.
+# with one version of FMI, on which only the names of the functions depend: each fault and phase has both.
 # test_sweep.py has every fault in every phase with both
 CASES = tuple(
     (fault, phase, 3 - (i + j) % 2)
