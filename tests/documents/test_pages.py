@@ -14,7 +14,7 @@ import pytest
 from identification.report import samples
 from kit import shards
 from sweep.synthetic import ISHIGAMI, ishigami, results
-from view.standin import LONG
+from view.standin import LONG, URL, started
 
 from fmus.identification.report.identification_page import render as identification
 from fmus.identification.report.recording_comparison import CaptionedFigure
@@ -23,8 +23,6 @@ from orchestrator.base.figures import TraceFigure, TraceLine, TracePanel, pack, 
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.data.trace import Trace
-from orchestrator.realtime.machine import RealTimeMachine
-from orchestrator.realtime.replay import Replay
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import render as comparison
 from orchestrator.results.layout import FigureSpec, PanelSpec
@@ -34,9 +32,6 @@ from orchestrator.results.validation_report import Report
 from orchestrator.results.validation_report import render as report
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.report.study_page import render as study
-from orchestrator.view.choice import MachineChoice
-from orchestrator.view.server import Server
-from orchestrator.view.session import Session
 
 pytestmark = shards.browser
 
@@ -105,14 +100,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
 
 
 @pytest.fixture(scope="module")
-def view(fmu_dir: Path) -> Iterator[str]:
-    """Address of the operator's page."""
-    session = Session(MachineChoice(fmu_dir / "harvester.ssp"), RealTimeMachine, Replay)
-    served = Server(session)
-    served.start()
-    yield served.url
-    served.stop()
-    session.close()
+def view(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of the operator's page; its server is another process, since NiceGUI serves once in each."""
+    with started(fmu_dir, tmp_path_factory.mktemp("results")) as (_, said):
+        yield said[URL]
 
 
 @pytest.fixture

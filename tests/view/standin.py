@@ -1,8 +1,10 @@
-"""A machine without physics, and a server around it: what was commanded is what a test looks at."""
+"""A machine without physics and a server around it; the command `harvester view`."""
 
 from __future__ import annotations
 
 import contextlib
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -121,3 +123,19 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     finally:
         server.should_exit = True
         thread.join(LONG)
+
+
+URL = 1  # of the lines that `started` gives
+
+
+@contextlib.contextmanager
+def started(fmu_dir: Path, folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+    """`harvester view` in its own process, and what it says when it is ready; it ends in any case."""
+    command = [sys.executable, "-m", "orchestrator", "view", str(fmu_dir / "harvester.ssp"), "--no-open"]
+    command += ["--port", "0", "--results", str(folder), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        try:
+            yield child, [child.stdout.readline().strip() for _ in range(3)]
+        finally:
+            child.kill()

@@ -32,9 +32,12 @@ DRAWN = "(number) => document.querySelector('.machine')?.dataset.drawn > number"
 MOVED = 0.1  # rad; far more than creep of a machine that nobody drives
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def server(fmu_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """The page of the real machine, in this process, so that a test can look at what moves."""
+    """The page of the real machine, in this process, so that a test can look at what moves.
+
+    NiceGUI serves once in a process, so pytest-xdist must not end this server and begin another one.
+    """
     results = tmp_path_factory.mktemp("results")
     times = np.linspace(0, 4, 401)
     angles = {"manipulator.boom_angle": 0.2 + 0.1 * times, "manipulator.stick_angle": -1.4 + 0 * times}
@@ -64,7 +67,7 @@ def page_of(chromium: Any, server: Server) -> Any:
     return opened
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def only(chromium: Any, server: Server) -> Iterator[Any]:
     """The page of the tests that do not disturb each other."""
     opened = page_of(chromium, server)

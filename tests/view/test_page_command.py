@@ -7,11 +7,8 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -19,11 +16,11 @@ import httpx
 import pytest
 from kit.mistakes import refused, table
 from kit.wait import LONG
+from view.standin import URL, started
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 POSED = ("--pose", "reach", "--swap", "swing=detailed", "--set", "manipulator.head_mass=900")
-URL = 1  # line of the output
 RECORDING = "recording.csv"  # of a test rig, with names of its own
 get = partial(httpx.get, timeout=LONG)
 SOCKET = "_nicegui_ws/socket.io/?EIO=4"
@@ -37,19 +34,6 @@ NONSENSE = (
 )
 
 opened = partial(connect, compression=None, open_timeout=LONG, ping_timeout=None)
-
-
-@contextmanager
-def started(fmu_dir: Path, folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
-    """A server in a process of its own, and the lines it says when it is ready; it ends in any case."""
-    command = [sys.executable, "-m", "orchestrator", "view", str(fmu_dir / "harvester.ssp"), "--no-open"]
-    command += ["--port", "0", "--results", str(folder), *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        try:
-            yield child, [child.stdout.readline().strip() for _ in range(3)]
-        finally:
-            child.kill()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt of one process cannot be sent there")
