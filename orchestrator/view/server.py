@@ -76,6 +76,8 @@ class Server:
         )
         # NiceGUI would build a page for an unknown path, and serve long polls next to its websocket
         nicegui.add_exception_handler(404, _not_found)
+        # no loading bar, because a screen reader finds no name on it
+        nicegui.config.quasar_config["loadingBar"]["skipHijack"] = True
         nicegui.config.socket_io_js_transports = core.sio.eio.transports = ["websocket"]
         app.add_middleware(PageInterval)
         app.add_middleware(Guard, rules=allowed)
