@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -78,10 +78,17 @@ def test_partial_derivatives_are_of_the_running_model_after_the_initialisation(c
 # ---- inputs that are held
 
 
+def derivatives_at(fmu: Fmu, *times: float) -> None:
+    """Calls of a solver with the present inputs."""
+    for time in times:
+        fmu.fmu.setTime(time)
+        fmu.derivatives()
+
+
 def test_an_input_that_was_held_and_jumps_asks_for_an_event(chamber):
-    """If all derivatives were computed with the old input, the solver must restart once."""
+    """If all derivatives of a step were computed with the old input, the solver must restart once."""
     fmu = chamber(Fmu.start)
-    fmu.derivatives()
+    derivatives_at(fmu, 0.0, 1e-3)
     assert not fmu.completed()
     fmu.set(supply=1.5e7)
     assert fmu.completed()
@@ -89,29 +96,85 @@ def test_an_input_that_was_held_and_jumps_asks_for_an_event(chamber):
     assert fmu.update()[3]  # some importers start anew only if states have changed
     assert not fmu.update()[3]
     fmu.fmu.enterContinuousTimeMode()
-    fmu.derivatives()
+    derivatives_at(fmu, 1e-3, 2e-3)
     assert not fmu.completed()
 
 
 def test_a_solver_that_is_ahead_of_the_output_is_told_as_well(chamber):
     """A solver that interpolates at outputs computes no derivative in between; it must restart too."""
     fmu = chamber(Fmu.start)
-    fmu.derivatives()
+    derivatives_at(fmu, 0.0, 5e-3)
     for _ in range(3):  # outputs inside one step of the solver
         assert not fmu.completed()
     fmu.set(supply=1.5e7)
     assert fmu.completed()
 
 
-def test_inputs_that_move_with_the_time_ask_for_nothing(chamber):
-    """No restart if the solver evaluates derivatives ahead, at each stage or at the end of the step."""
-    fmu = chamber(Fmu.start)
-    for k in range(1, 4):
-        fmu.set(supply=2e7 + 1e5 * k)
+def ahead(fmu: Fmu, u: Callable[[float], float], time: float, step: float) -> Iterator[bool]:
+    """A solver evaluates at the end of its step and completes it; outputs between are interpolated."""
+    fmu.set(supply=u(time + step))
+    derivatives_at(fmu, time + step)
+    yield fmu.completed()
+    fmu.set(supply=u(time + step / 2))
+    yield fmu.completed()
+
+
+def before_each(fmu: Fmu, u: Callable[[float], float], time: float, step: float) -> Iterator[bool]:
+    """A step is completed at each evaluation, before the derivatives; the first one is a tiny step ahead."""
+    for at in (time, time + 1e-14, time + step / 2, time + step, time + step):
+        fmu.fmu.setTime(at)
+        fmu.set(supply=u(at))
+        yield fmu.completed()
         fmu.derivatives()
-        assert not fmu.completed()
-        fmu.set(supply=2e7 + 1e5 * k - 5e4)  # an output between, interpolated
-        assert not fmu.completed()
+
+
+def stages(fmu: Fmu, u: Callable[[float], float], time: float, step: float) -> Iterator[bool]:
+    """A Runge-Kutta method with two stages at one time."""
+    for at in (time, time + step / 2, time + step / 2, time + step):
+        fmu.set(supply=u(at))
+        derivatives_at(fmu, at)
+    yield fmu.completed()
+
+
+def euler(fmu: Fmu, u: Callable[[float], float], time: float, step: float) -> Iterator[bool]:
+    """One evaluation for each step; the inputs at its end are set before it is completed."""
+    derivatives_at(fmu, time)
+    fmu.fmu.setTime(time + step)
+    fmu.set(supply=u(time + step))
+    yield fmu.completed()
+
+
+ORDERS = pytest.mark.parametrize("order", [ahead, before_each, stages, euler])
+
+
+@ORDERS
+def test_inputs_that_move_with_the_time_ask_for_nothing(chamber, order):
+    """In whichever order an importer evaluates, sets inputs and completes steps."""
+    fmu = chamber(Fmu.start)
+    fmu.set(supply=2e7)
+    asked = [e for k in range(20) for e in order(fmu, lambda t: 2e7 * (1 + np.sin(9 * t)), 0.01 * k, 0.01)]
+    assert not any(asked)
+
+
+@ORDERS
+def test_time_passes_between_two_requests(chamber, order):
+    """An importer that enters event mode at each request gets through an input that rests, jumps and moves."""
+
+    def u(t: float) -> float:
+        return 2e7 if t < 0.05 else 1e7 if t < 0.1 else 1e7 + 1e8 * (t - 0.1)
+
+    fmu = chamber(Fmu.start)
+    fmu.set(supply=2e7)
+    requests = []
+    for k in range(20):
+        for asked in order(fmu, u, 0.01 * k, 0.01):
+            if asked:
+                requests.append(k)
+                fmu.fmu.enterEventMode()
+                fmu.update()
+                fmu.fmu.enterContinuousTimeMode()
+    assert len(requests) <= 2  # at most one at each jump or kink
+    assert len(set(requests)) == len(requests)
 
 
 @pytest.mark.parametrize("back", ["state", "reset"])
@@ -119,7 +182,7 @@ def test_a_restored_state_and_a_reset_ask_for_nothing(chamber, back):
     """A restored state or a reset may come with other inputs, and while an event is pending: no restart."""
     fmu = chamber(Fmu.start)
     state = fmu.state()
-    fmu.derivatives()
+    derivatives_at(fmu, 0.0, 1e-3)
     fmu.set(supply=1e7)
     assert fmu.completed()
     if back == "state":
@@ -136,7 +199,7 @@ def test_the_rate_of_an_input_asks_for_nothing(open_fmu):
     """Derivatives do not depend on a rate input, because the importer's solver varies the input itself."""
     fmu = open_fmu("path", "me").start()
     for name, event in (("velocity", False), ("acceleration", False), ("position", True)):
-        fmu.derivatives()
+        derivatives_at(fmu, 0.0, 1e-3)
         fmu.set(**{name: 2.0})
         assert fmu.completed() is event
 
@@ -145,8 +208,7 @@ def test_zero_with_the_other_sign_is_no_change(chamber):
     """0.0 and -0.0 are one value."""
     fmu = chamber(Fmu.start)
     fmu.set(supply=0.0)
-    fmu.derivatives()
-    fmu.completed()
-    fmu.derivatives()
+    derivatives_at(fmu, 0.0, 1e-3)
+    assert not fmu.completed()
     fmu.set(supply=-0.0)
     assert not fmu.completed()

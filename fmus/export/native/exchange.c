@@ -13,6 +13,10 @@
 /* A state that exceeds this multiple of its nominal value has diverged. */
 static const double DIVERGED = 1e4;
 
+/* Inputs that keep their values over this time [s] are held. A shorter one shows nothing: times of one instant differ
+   by rounding, and a sine at its peak keeps its value over 1e-8 s. */
+static const double HELD = 1e-6;
+
 /* 1 if the importer's array can hold the states; else 0 and a message. */
 static int right_size(Instance *self, const double x[], size_t n) {
     if (n == NX) return valid_array(self, x, n);
@@ -31,10 +35,12 @@ static Status end_initialisation(Instance *self) {
 
    Some importers, such as FMPy's simulate_fmu, hold the inputs over their output interval and then change them
    without notice to their solver. A multistep method continues with the history of another right-hand side and
-   fails if that has changed much. So it is made to restart if, at the end of a step, the inputs have changed and all
-   derivatives since their last change were computed with the old values. If the importer varies the inputs with
-   time, a solver that evaluates derivatives ahead does not meet this condition. Euler's method does, but an event
-   costs it nothing. */
+   fails if that has changed much. So it is made to restart at the end of a step if the inputs have jumped there:
+   derivatives were computed with the old values over some time, and none with the new ones.
+
+   Inputs that vary with time never meet this condition, in whichever order the importer sets the inputs, computes
+   derivatives and completes steps, because no two times share their values. The importer itself finds the kinks and
+   jumps of its own sources. Between two requests time passes. */
 
 /* 1 if the input is the time derivative of another one, which model exchange does not use. */
 static int is_rate_input(int input) {
@@ -51,7 +57,16 @@ static int inputs_differ(const Instance *self) {
 
 void exchange_keep_inputs(Instance *self) {
     memcpy(self->held.inputs, self->core.s.u, NU * sizeof(double));
-    self->held.evaluated = self->held.inputs_vary = self->held.restart = 0;
+    self->held.since = NAN;
+    self->held.long_enough = self->held.restart = 0;
+}
+
+/* At each computation of derivatives: were the inputs the same at another time? */
+static void watch_inputs(Instance *self) {
+    const double time = self->core.s.time;
+    if (inputs_differ(self)) exchange_keep_inputs(self);
+    if (isnan(self->held.since)) self->held.since = time;
+    self->held.long_enough |= fabs(time - self->held.since) > HELD;
 }
 
 /* Some importers, such as fmusim, restart their solver only if valuesOfContinuousStatesChanged is set. */
@@ -94,7 +109,7 @@ Status exchange_completed(Instance *self, int *event) {
     }
     *event = 0;
     if (inputs_differ(self)) {
-        *event = self->held.evaluated && !self->held.inputs_vary;
+        *event = self->held.long_enough;
         exchange_keep_inputs(self);
         self->held.restart = *event;
     }
@@ -134,8 +149,7 @@ Status exchange_derivatives(Instance *self, double dx[], size_t n) {
     Core *core = &self->core;
     if (!right_size(self, dx, n)) return ERROR;
     core_derivatives(core);
-    self->held.evaluated = 1;
-    self->held.inputs_vary |= inputs_differ(self);
+    watch_inputs(self);
     for (int i = 0; i < NX; i++) {
         dx[i] = core->dx[i];
         if (isfinite(dx[i])) continue;

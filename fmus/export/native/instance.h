@@ -38,8 +38,8 @@ typedef struct Instance {
     int has_time;     /* the time is a variable, after the last one of the model */
     struct {          /* model exchange: detects an importer that holds the inputs over steps of its solver */
         double inputs[ROOM(NU)]; /* the inputs after their last change */
-        int evaluated;           /* derivatives were computed since then */
-        int inputs_vary;         /* some of these with other inputs */
+        double since;            /* time [s] of the first derivatives with these; NaN: there are none */
+        int long_enough;         /* derivatives with these were computed over some time */
         int restart;             /* the next update at an event restarts the solver */
     } held;
     char name[];
