@@ -158,7 +158,7 @@ def test_inputs_that_move_with_the_time_ask_for_nothing(chamber, order):
 
 @ORDERS
 def test_time_passes_between_two_requests(chamber, order):
-    """An importer that enters event mode at each request gets through an input that rests, jumps and moves."""
+    """An importer that enters event mode at each request gets through jumps and kinks of an input."""
 
     def u(t: float) -> float:
         return 2e7 if t < 0.05 else 1e7 if t < 0.1 else 1e7 + 1e8 * (t - 0.1)

@@ -159,6 +159,34 @@ def test_watched_output_warns_once_per_excursion(open_fmu):
     assert "mixed = 200 1 at t = 2 s is above 5" in warnings[0]
 
 
+def test_a_repeated_warning_is_logged_three_times(open_fmu):
+    """The third one says so; the other variables go on to warn."""
+    fmu = open_fmu("decay").start()
+    for k in range(10):
+        fmu.set(target=50.0 * (k % 2), rate=20.0)
+        fmu.fmu.doStep(float(k), 1.0)
+    said = [w for w in fmu.logged("logStatusWarning") if "mixed" in w]
+    assert ["no further warning of it follows" in w for w in said] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("targets", "rate", "named"),
+    [((0, 1, 2, 3, 50), 0.0, True), ((0, 1, 2, 3, 50), 2.0, False), ((0, 0, 0, 0, 50), 0.0, False)],
+    ids=["held", "with its rate", "jump"],
+)
+def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, targets, rate, named):
+    """An input that moves in each step while its rate input stays 0 may be the cause; a jump is none."""
+    fmu = open_fmu("decay").start()
+    for k, target in enumerate(targets):
+        fmu.set(target=target, rate=rate)
+        fmu.fmu.doStep(float(k), 1.0)
+    warnings = fmu.logged("logStatusWarning")
+    assert any("mixed" in w for w in warnings)
+    told = [w for w in warnings if "target moved in each of the last" in w]
+    assert len(told) == named
+    assert not named or "steps while its rate input rate stayed 0" in told[0]
+
+
 def test_value_that_is_printed_as_the_limit_is_no_excess(open_fmu):
     """A ramp that ends at the limit exceeds it by rounding: 5 is not above 5, 5.0001 is."""
     fmu = open_fmu("decay").start(gain=0.0)

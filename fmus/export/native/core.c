@@ -35,6 +35,8 @@ LOCAL void core_reset(Core *core) {
     for (int i = 0; i < NU; i++) s->u[i] = s->last_set[i] = model_start_values[FIRST_INPUT + i];
     for (int i = 0; i < NX; i++) s->x[i] = model_start_values[FIRST_STATE + i];
     s->initial = 1;
+    memset(&core->held, 0, sizeof core->held);
+    memcpy(core->held.last, s->u, sizeof s->u);
     core_invalidate(core);
 }
 
@@ -116,8 +118,46 @@ static void compute_requirements(Core *core) {
     model_require(core->s.x, core->s.u, core->s.p, core->c, core->z, core->require);
 }
 
+/* ---- inputs that are held ---------------------------------------------------------------------- */
+
+/* An input that moved in fewer steps has jumped, which no rate input would tell. */
+enum { MOVING = 3 };
+
+/* Before each step: counts steps in which an input moves while its rate input stays 0. */
+static void watch_held_inputs(Core *core) {
+    const State *s = &core->s;
+    for (int i = 0; i < NU; i++) {
+        const int rate = model_variables[FIRST_INPUT + i].rate;
+        if (rate < 0) continue;
+        core->held.change[i] = s->last_set[i] - core->held.last[i];
+        const int held = core->held.change[i] != 0.0 && s->last_set[rate] == 0.0 && !s->has_derivatives[i];
+        core->held.steps[i] = held ? core->held.steps[i] + 1 : 0;
+        core->held.last[i] = s->last_set[i];
+    }
+}
+
+/* Once, when something else is reported: held inputs may be the cause, the one that moves most first. */
+static void tell_held_inputs(Core *core) {
+    int most = -1;
+    double largest = 0.0;
+    for (int i = 0; i < NU && !core->held.told; i++) {
+        const double change = fabs(core->held.change[i]) / model_variables[FIRST_INPUT + i].nominal;
+        if (core->held.steps[i] < MOVING || change <= largest) continue;
+        most = i;
+        largest = change;
+    }
+    if (most < 0) return;
+    core->held.told = 1;
+    const Variable *v = &model_variables[FIRST_INPUT + most];
+    core_message(core, WARNING,
+                 "%s moved in each of the last %d steps while its rate input %s stayed 0. Held inputs can make "
+                 "connected FMUs unstable: connect the rate inputs, or take shorter steps",
+                 v->name, core->held.steps[most], model_variables[FIRST_INPUT + v->rate].name);
+}
+
 /* Reports that a requirement is violated; returns 0. */
 static int violated(Core *core, int i) {
+    tell_held_inputs(core);
     core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
                  model_statements[i], core->s.time, core->require[i]);
     return 0;
@@ -247,17 +287,23 @@ static void plan_inputs(const State *s, const double *u, double tau, InputPolyno
    a value within the margin would be printed as the limit itself. */
 static const double WARNING_MARGIN = 1e-5;
 
-/* One warning per excursion of a watched input or output. */
+/* Warnings of one variable; later excursions are not logged. */
+enum { MOST_WARNINGS = 3 };
+
+/* A warning for each of the first excursions of a watched input or output. */
 static void watch(Core *core) {
     for (int k = 0; k < NWATCHED; k++) {
         const int r = model_watched[k];
         const Variable *v = &model_variables[r];
         const double value = value_of(core, r);
         const int above = fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
-        if (above && !core->s.warned[k])
-            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s", v->name, value, v->unit,
-                         core->s.time, v->warn_above, v->unit);
-        core->s.warned[k] = above;
+        if (above && !core->s.above[k] && core->s.warnings[k] < MOST_WARNINGS) {
+            const int last = ++core->s.warnings[k] == MOST_WARNINGS;
+            tell_held_inputs(core);
+            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s%s", v->name, value, v->unit,
+                         core->s.time, v->warn_above, v->unit, last ? "; no further warning of it follows" : "");
+        }
+        core->s.above[k] = above;
     }
 }
 
@@ -285,6 +331,7 @@ LOCAL int core_check_state(Core *core) {
 static void report_failure(Core *core, const Report *report) {
     const double time = core->s.time + report->tau;
     const Variable *state = &model_variables[FIRST_STATE + report->worst];
+    tell_held_inputs(core);
     const double value = core->s.x[report->worst];
     switch (report->outcome) {
     case NOT_FINITE:
@@ -342,6 +389,7 @@ LOCAL int core_step(Core *core, double length) {
     const double minimum_step = fmax(1e-14 * length, DBL_MIN); /* a smaller one does not change the time */
     double tau = length;
     prepare(core);
+    watch_held_inputs(core);
     plan_inputs(s, s->last_set, 0.0, &core->inputs);
     if (NX > 0) {
         if (EXPLICIT_FIRST) {

@@ -29,7 +29,8 @@ typedef struct {
     double input_derivatives[ROOM(NU)][3]; /* derivatives of order 1 to 3 that were set for the next step */
     int has_derivatives[ROOM(NU)];         /* 1 if such derivatives were set */
     int had_derivatives[ROOM(NU)];         /* 1 if they were set for the last step */
-    int warned[ROOM(NWATCHED)];            /* 1 while a watched input or output is above its limit */
+    int above[ROOM(NWATCHED)];             /* 1 while a watched input or output is above its limit */
+    int warnings[ROOM(NWATCHED)];          /* that were logged of it */
     int initial;     /* 1 while fixed parameters may be set and the states are computed from start values */
     int start_fixed; /* 1 once the importer has the initial states: inputs no longer change them */
     int phase, type; /* state of the FMI state machine and kind of instance, see instance.h */
@@ -44,6 +45,12 @@ typedef struct Core {
     double direction[ROOM(NUMBER_OF_VARIABLES)]; /* seed and result of a derivative, by value reference */
     InputPolynomials inputs;
     int inputs_changed; /* 1 if an input was set inside the step: `inputs` must be computed anew */
+    struct {            /* inputs that move from step to step while their rate input stays 0 */
+        double last[ROOM(NU)];
+        double change[ROOM(NU)]; /* since the step before */
+        int steps[ROOM(NU)];     /* so many in a row */
+        int told;
+    } held;
     Work work;
     const char *call; /* name of the FMI function that runs, for messages */
     void (*report)(void *owner, Status kind, const char *text);

@@ -31,6 +31,7 @@ from orchestrator.base.errors import Problem
 
 LOOSEST_TOLERANCE = 1e-3  # as in native/core.h
 INSTANTIATED, INITIALIZATION, STEP_MODE, STEP_FAILED, TERMINATED = 1, 2, 4, 8, 16
+MOST_WARNINGS = 3  # of one variable, as in native/core.c
 WARNING_MARGIN = 1e-5  # relative excess over a limit without a warning, as in native/core.c
 ANY = INSTANTIATED | INITIALIZATION | STEP_MODE | STEP_FAILED | TERMINATED
 PHASES = {  # phase -> state of the FMI state machine
@@ -89,7 +90,8 @@ class Instance:
             input_derivatives=np.zeros((u.size, 3)),
             has_derivatives=np.zeros(u.size, dtype=bool),
             had_derivatives=np.zeros(u.size, dtype=bool),
-            warned=np.zeros(len(self.variables), dtype=bool),
+            above=np.zeros(len(self.variables), dtype=bool),
+            warnings=np.zeros(len(self.variables), dtype=int),
             tolerance=DEFAULT_TOLERANCE,
             phase=INSTANTIATED,
         )
@@ -259,14 +261,19 @@ class Instance:
             self._not_finite(self.variables[first + i], float(values[i]))
 
     def _watch(self) -> None:
-        """One warning per excursion of a watched input or output."""
+        """A warning for each of the first excursions of a watched input or output."""
         s = self.state
         for v in self._watched:
             value, limit, unit = self._value(v.reference), v.quantity.warn_above or 0.0, v.quantity.unit
             above = abs(value) > (1 + WARNING_MARGIN) * limit
-            if above and not s.warned[v.reference]:
-                self.warn(f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is above {limit:g} {unit}")
-            s.warned[v.reference] = above
+            if above and not s.above[v.reference] and s.warnings[v.reference] < MOST_WARNINGS:
+                s.warnings[v.reference] += 1
+                last = s.warnings[v.reference] == MOST_WARNINGS
+                end = "; no further warning of it follows" if last else ""
+                self.warn(
+                    f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is above {limit:g} {unit}{end}"
+                )
+            s.above[v.reference] = above
 
     # ---- steps
 

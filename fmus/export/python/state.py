@@ -29,7 +29,8 @@ class InstanceState:
     input_derivatives   derivatives of order 1 to 3 that were set for the next step, shape (n, 3)
     has_derivatives     inputs for which such derivatives were set
     had_derivatives     inputs for which they were set for the last step
-    warned              watched variables that are above their limit, by value reference
+    above               watched variables that are above their limit, by value reference
+    warnings            that were logged of each variable
     time, start_time, stop_time   [s]; stop_time is infinite if it is not defined
     tolerance           relative tolerance of the solver
     memory              memory of the solver between steps, see `fmus.solver.solve`
@@ -45,7 +46,8 @@ class InstanceState:
     input_derivatives: Array
     has_derivatives: NDArray[np.bool_]
     had_derivatives: NDArray[np.bool_]
-    warned: NDArray[np.bool_]
+    above: NDArray[np.bool_]
+    warnings: NDArray[np.int_]
     time: float = 0.0
     start_time: float = 0.0
     stop_time: float = np.inf
