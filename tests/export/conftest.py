@@ -46,7 +46,7 @@ PATH = toy(
         "velocity": q("m/s", rate="acceleration"),
         "acceleration": q("m/s2"),
     },
-    y={"integral": q("m.s"), "where": q("m")},
+    y={"integral": q("m.s"), "where": q("m", warn_above=5e3)},
     f=lambda x, u, p: {"integral": u.position},
     g=lambda x, u, p: {"integral": x.integral, "where": u.position},
 )

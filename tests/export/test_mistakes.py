@@ -170,21 +170,24 @@ def test_a_repeated_warning_is_logged_three_times(open_fmu):
 
 
 @pytest.mark.parametrize(
-    ("targets", "rate", "named"),
-    [((0, 1, 2, 3, 50), 0.0, True), ((0, 1, 2, 3, 50), 2.0, False), ((0, 0, 0, 0, 50), 0.0, False)],
+    ("positions", "velocity", "named"),
+    [
+        ((0, 1, 2, 3, 9e3, 10), 0.0, True),
+        ((0, 1, 2, 3, 9e3, 10), 1.0, False),
+        ((0, 0, 0, 0, 9e3, 0), 0.0, False),
+    ],
     ids=["held", "with its rate", "jump"],
 )
-def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, targets, rate, named):
+def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, positions, velocity, named):
     """An input that moves in each step while its rate input stays 0 may be the cause; a jump is none."""
-    fmu = open_fmu("decay").start()
-    for k, target in enumerate(targets):
-        fmu.set(target=target, rate=rate)
+    fmu = open_fmu("path").start()
+    for k, position in enumerate(positions):
+        fmu.set(position=position, velocity=velocity)
         fmu.fmu.doStep(float(k), 1.0)
-    warnings = fmu.logged("logStatusWarning")
-    assert any("mixed" in w for w in warnings)
-    told = [w for w in warnings if "target moved in each of the last" in w]
-    assert len(told) == named
-    assert not named or "steps while its rate input rate stayed 0" in told[0]
+    told, *others = fmu.logged("logStatusWarning") if named else ("", *fmu.logged("logStatusWarning"))
+    assert ["where = 9" in warning for warning in others] == [True]
+    if named:
+        assert "position moved in each of the last 4 steps while its rate input velocity stayed 0" in told
 
 
 def test_value_that_is_printed_as_the_limit_is_no_excess(open_fmu):
