@@ -55,7 +55,7 @@ class LinearModel:
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:
-        """Eigenvalues with their participating states, slowest first."""
+        """Eigenvalues with their participating states: oscillations, then the others, each slowest first."""
         return modes(self.a, self.states)
 
     def text(self) -> str:

@@ -179,10 +179,10 @@ class Mode:
 
 
 def modes(a: Array, states: Sequence[LinearVariable]) -> tuple[Mode, ...]:
-    """The modes of dx/dt = A x, slowest first. Modes with the same name are numbered."""
+    """The modes of dx/dt = A x: oscillations, then the others, each slowest first. Equal names are numbered."""
     values, left, right = eigen(a, np.array([s.nominal for s in states]))
     labels, units, result = short_names(states), [s.unit for s in states], list[Mode]()
-    for k in np.lexsort((values.imag, np.abs(values))):
+    for k in np.lexsort((values.imag, np.abs(values), values.imag == 0.0)):
         value = complex(values[k])
         if value.imag >= 0.0:
             factors = np.abs(left[:, k] * right[:, k])
