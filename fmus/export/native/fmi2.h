@@ -13,19 +13,17 @@
 #define fmi2Paste(a, b) a##b
 #define fmi2PasteB(a, b) fmi2Paste(a, b)
 #define fmi2FullName(name) fmi2PasteB(FMI2_FUNCTION_PREFIX, name)
-#define DECLARE(name) name##TYPE name;
-DECLARE(fmi2GetTypesPlatform) DECLARE(fmi2GetVersion) DECLARE(fmi2SetDebugLogging) DECLARE(fmi2Instantiate)
-DECLARE(fmi2FreeInstance) DECLARE(fmi2SetupExperiment) DECLARE(fmi2EnterInitializationMode)
-DECLARE(fmi2ExitInitializationMode) DECLARE(fmi2Terminate) DECLARE(fmi2Reset) DECLARE(fmi2GetReal)
-DECLARE(fmi2GetInteger) DECLARE(fmi2GetBoolean) DECLARE(fmi2GetString) DECLARE(fmi2SetReal) DECLARE(fmi2SetInteger)
-DECLARE(fmi2SetBoolean) DECLARE(fmi2SetString) DECLARE(fmi2GetFMUstate) DECLARE(fmi2SetFMUstate)
-DECLARE(fmi2FreeFMUstate) DECLARE(fmi2SerializedFMUstateSize) DECLARE(fmi2SerializeFMUstate)
-DECLARE(fmi2DeSerializeFMUstate) DECLARE(fmi2GetDirectionalDerivative) DECLARE(fmi2EnterEventMode)
-DECLARE(fmi2NewDiscreteStates) DECLARE(fmi2EnterContinuousTimeMode) DECLARE(fmi2CompletedIntegratorStep)
-DECLARE(fmi2SetTime) DECLARE(fmi2SetContinuousStates) DECLARE(fmi2GetDerivatives) DECLARE(fmi2GetEventIndicators)
-DECLARE(fmi2GetContinuousStates) DECLARE(fmi2GetNominalsOfContinuousStates) DECLARE(fmi2SetRealInputDerivatives)
-DECLARE(fmi2GetRealOutputDerivatives) DECLARE(fmi2DoStep) DECLARE(fmi2CancelStep) DECLARE(fmi2GetStatus)
-DECLARE(fmi2GetRealStatus) DECLARE(fmi2GetIntegerStatus) DECLARE(fmi2GetBooleanStatus) DECLARE(fmi2GetStringStatus)
+#define DECLARE(name) fmi2##name##TYPE fmi2##name;
+DECLARE(GetTypesPlatform) DECLARE(GetVersion) DECLARE(SetDebugLogging) DECLARE(Instantiate) DECLARE(FreeInstance)
+DECLARE(SetupExperiment) DECLARE(EnterInitializationMode) DECLARE(ExitInitializationMode) DECLARE(Terminate)
+DECLARE(Reset) DECLARE(GetReal) DECLARE(GetInteger) DECLARE(GetBoolean) DECLARE(GetString) DECLARE(SetReal)
+DECLARE(SetInteger) DECLARE(SetBoolean) DECLARE(SetString) DECLARE(GetFMUstate) DECLARE(SetFMUstate)
+DECLARE(FreeFMUstate) DECLARE(SerializedFMUstateSize) DECLARE(SerializeFMUstate) DECLARE(DeSerializeFMUstate)
+DECLARE(GetDirectionalDerivative) DECLARE(EnterEventMode) DECLARE(NewDiscreteStates) DECLARE(EnterContinuousTimeMode)
+DECLARE(CompletedIntegratorStep) DECLARE(SetTime) DECLARE(SetContinuousStates) DECLARE(GetDerivatives)
+DECLARE(GetEventIndicators) DECLARE(GetContinuousStates) DECLARE(GetNominalsOfContinuousStates)
+DECLARE(SetRealInputDerivatives) DECLARE(GetRealOutputDerivatives) DECLARE(DoStep) DECLARE(CancelStep)
+DECLARE(GetStatus) DECLARE(GetRealStatus) DECLARE(GetIntegerStatus) DECLARE(GetBooleanStatus) DECLARE(GetStringStatus)
 #endif
 
 /* The body of a function that is allowed in the states `mask`. */
