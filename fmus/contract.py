@@ -196,6 +196,9 @@ class Subsystem:
     part, variant   component of a system, and the name of this variant of it (`family`)
     validity   range of validity, in one line
     names_of_variants   names in parameters.toml that only other variants of the part declare
+    connections   of a part of a known system, for its page: port, FMUs to connect to it (FMU.PORT if the
+                  names differ), its rate port or nothing
+    notes      what to know about these connections, in sentences
     """
 
     name: str
@@ -218,6 +221,8 @@ class Subsystem:
     variant: str = ""
     validity: str = ""
     names_of_variants: frozenset[str] = frozenset()
+    connections: tuple[tuple[str, tuple[str, ...], str], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def folder(self) -> Path:

@@ -22,6 +22,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import textwrap
 import time
 import tomllib
 import zipfile
@@ -42,6 +43,16 @@ documentation/   a page for each FMU: equations, ports, parameters with sources;
 
 Each FMU runs on Linux (x86-64, ARM), Windows (x86-64) and macOS (x86-64, ARM) without other software.
 harvester.fmu is the whole machine; harvester.ssp connects its parts; harvester_control.ssp has a controller.
+
+To connect the parts yourself, connect equal names, and the names that differ as listed. A rate port is
+connected to the port of its name. The commands come from operator_input, controller, or your own signals.
+
+{connections}
+
+Simulink and OpenModelica set unconnected inputs to 0 instead of their start values.
+{unpowered}
+Connect constants there: each page lists the start values.
+{held}
 """
 
 
@@ -140,8 +151,16 @@ def _zip() -> None:
     write_zip(DIST / f"{top}.zip", members)
 
 
+def read_me(release: str) -> str:
+    """The README of the zip."""
+    from fmus.machine.partners import HELD, UNPOWERED, connection_list
+
+    held = textwrap.fill(HELD, 110)
+    return READ_ME.format(version=release, connections=connection_list(), held=held, unpowered=UNPOWERED)
+
+
 def _members(release: str) -> Iterator[tuple[str, bytes]]:
-    yield "README.txt", READ_ME.format(version=release).encode()
+    yield "README.txt", read_me(release).encode()
     yield "LICENSE.txt", (STAGE / "LICENSE").read_bytes()
     for path in sorted(p for p in BUILT.rglob("*") if p.is_file()):
         relative = path.relative_to(BUILT)

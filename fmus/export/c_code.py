@@ -167,6 +167,7 @@ def _adjoint(sym: Symbolic, y: ca.SX, d: Mapping[str, ca.SX]) -> dict[str, ca.SX
 # ---- files -----------------------------------------------------------------------------------------
 
 DEFAULT_TOLERANCE = 1e-6  # relative, of the solver
+INCLUDED = ".inc"  # model.c is model.c.inc in an FMU, so that only one .c file is left to compile
 
 
 # order in which the C files are included; all others follow in alphabetical order
@@ -198,7 +199,7 @@ def native_sources(fmi: int) -> dict[str, str]:
 def sources(
     interface: Interface, guid: str, fmi: int, printed: PrintedEquations | None = None
 ) -> dict[str, str]:
-    """All C files of an FMU, name -> content; only `main_source` is to be compiled.
+    """All C files of an FMU, name -> content; only `main_source` ends in .c, and includes the others.
 
     printed   the equations in C, if they are known
     """
@@ -206,13 +207,14 @@ def sources(
     names = [name for stem in _ORDER if (name := f"{stem}.c") in code]
     names += sorted(name for name in code if name.endswith(".c") and name not in names)
     head = [
-        f"/* {interface.name}: the one file to compile. Generated.",
-        f"   To link it statically with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={interface.name}_ */",
+        f"/* {interface.name}: the one file to compile; it includes the others. Generated.",
+        f"   To link it into one program with other FMUs: -DFMI{fmi}_FUNCTION_PREFIX={interface.name}_ */",
         "",
     ]
-    includes = [f'#include "{name}"' for name in names]
+    includes = [f'#include "{name}{INCLUDED}"' for name in names]
     includes[0] = f"#ifndef START_APART\n{includes[0]}\n#endif"
-    return code | {main_source(interface.name): "\n".join([*head, *includes, ""])}
+    packed = {f"{name}{INCLUDED}" if name in names else name: text for name, text in code.items()}
+    return packed | {main_source(interface.name): "\n".join([*head, *includes, ""])}
 
 
 def main_source(model: str) -> str:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import fmpy
 
+from fmus.export.c_code import INCLUDED
 from orchestrator.base import compiler
 from orchestrator.base.compiler import PLATFORMS, CompilerError, Platform, host, linker_arguments
 from orchestrator.base.errors import Problem
@@ -98,7 +99,7 @@ def shared_library(
     libraries   linker options for system libraries, except on Windows and macOS
     """
     try:
-        if START in code and platform != WASM:
+        if START + INCLUDED in code and platform != WASM:
             code, compiled = _start_apart(model, code, compiled, platform)
         made = compiler.shared_library(*recipe(model, code, compiled, platform, libraries))
     except CompilerError as error:
@@ -117,8 +118,8 @@ def _start_apart(
     An FMU with other values has the same object file, which is then in the cache.
     """
     file, target = f"{model}.o", TARGETS[platform]
-    starts = {name: code[name] for name in (START, START_HEADER)}
-    rest = {name: content for name, content in code.items() if name not in starts}
+    starts = {START: code[START + INCLUDED], START_HEADER: code[START_HEADER]}
+    rest = {n: content for n, content in code.items() if n not in (START + INCLUDED, START_HEADER)}
     flags = [flag for flag in (*FLAGS, *LIBRARY) if flag not in ("-s", "-shared")]
     arguments = ["-target", target.target, *flags, APART, "-c", "-isystem", str(HEADERS), *compiled]
     headers = [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]

@@ -330,6 +330,8 @@ def page(sub: Subsystem, interface: Interface, fmi: int, step: float, stop: floa
         text=text,
         sections=sections,
         ports=_ports(sub, rows),
+        directions={name: row.direction for name, row in rows.items()},
+        not_zero=[rows[v.name] for v in interface.inputs if v.start],
         parameters=[VariableGroup(title, group) for title, group in parameters.items()],
         start=[VariableGroup("", start)] if start else [],
         local_states=[rows[v.name] for v in interface.states if not v.output],

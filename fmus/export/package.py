@@ -63,7 +63,7 @@ def packages(
         content = {path: text.replace(PLACEHOLDER, guid).encode() for path, text in drafts[fmi].items()}
         if fmi == 3:
             content["sources/buildDescription.xml"] = build_description(sub.name, compiled)
-            content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)
+        content["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(sub, interface)  # FMI 2: since 2.0.4
         content |= common_files(sub, interface, fmi, step, stop)
         result[fmi] = Package(sub.name, fmi, content, compiled)
     return result
@@ -83,7 +83,9 @@ def common_files(
     icon = icon_file.read_bytes() if icon_file.is_file() else None
     content = {"documentation/index.html": page(sub, interface, fmi, step, stop, icon).encode()}
     if icon is not None:
-        content["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
+        content["terminalsAndIcons/icon.png"] = icon
+        if fmi == 2:
+            content["model.png"] = icon
     if licence is not None:
         content["documentation/licenses/license.txt"] = licence.read_bytes()
     if view.is_file():

@@ -14,6 +14,7 @@ from fmus.controller import CONTROLLER, controller
 from fmus.controller.values import GAINS
 from fmus.export.build import build_all
 from fmus.machine.one_block import composed_machine
+from fmus.machine.partners import with_partners
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.machine.poses import NOMINAL, POSES, pose_set
 from fmus.machine.ssp import NAME, write_control, write_system
@@ -54,7 +55,7 @@ def build_machine(
     whole = composed_machine({name: parts[name] for name in SUBSYSTEMS})
     subs = [*reversed(others), steering, whole, *parts.values()]
     names = [sub.name for sub in subs]
-    subs = [sub for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
+    subs = [with_partners(sub) for sub in subs if any(fnmatchcase(sub.name, pattern) for pattern in only)]
     if not subs:
         raise Problem(f"--only {only[0]}: expected the name of an FMU; there are {', '.join(names)}")
     folders = {fmi: Path(folder) / SUBFOLDERS[fmi] for fmi in versions}

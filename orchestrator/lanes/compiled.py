@@ -133,7 +133,11 @@ def sources_of(component: Component) -> dict[str, bytes]:
     assert component.source is not None
     where = f"{component.name} ({component.source})"
     try:
-        code = {name: component.source.member(f"sources/{name}").read() for name in SOURCES}
+        members = {
+            name.removesuffix(".inc"): name for name in component.source.names()
+        }  # earlier FMUs: model.c
+        wanted = {name: members.get(f"sources/{name}", name) for name in SOURCES}
+        code = {name: component.source.member(member).read() for name, member in wanted.items()}
     except Problem:
         raise NotInLanes(f"{where} has no C sources of harvester-cosim") from None
     if MARK not in code["model.h"]:

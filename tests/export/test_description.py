@@ -114,16 +114,18 @@ def test_capabilities_are_declared(chamber):
 
 
 def test_archive_holds_sources_and_documentation(toy_dir):
-    """The FMU contains all C files, lists the one to compile, and has a documentation page."""
+    """The FMU contains all C files, lists the one to compile, no other ends in .c, and there is a page."""
     with zipfile.ZipFile(toy_dir / "chamber.fmu") as archive:
         names = archive.namelist()
         page = archive.read("documentation/index.html").decode()
         xml = archive.read("modelDescription.xml").decode()
         code = archive.read("sources/chamber_fmu.c").decode()
     listed = set(re.findall(r'<File name="([^"]+)"', xml))
-    included = set(re.findall(r'#include "(\w+\.c)"', code))
+    included = set(re.findall(r'#include "(\w+\.c\.inc)"', code))
     assert listed == {"chamber_fmu.c"}
-    assert {f"sources/{name}" for name in listed | included} == {n for n in names if n.endswith(".c")}
+    assert {f"sources/{name}" for name in listed} == {n for n in names if n.endswith(".c")}
+    assert {f"sources/{name}" for name in included} == {n for n in names if n.endswith(".inc")}
+    assert len(included) > 10
     assert {"sources/model.h", "sources/sizes.h"} <= set(names)
     assert "<code>pressure_rate</code>" in page
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import struct
 import tomllib
 import zipfile
@@ -10,6 +11,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from kit.fmu import Fmu
 from lxml import etree, html
 from markdown_it import MarkdownIt
 
@@ -20,7 +22,8 @@ from fmus.export.documentation import formulas, mathml, printed, project_file, p
 from fmus.export.interface import interface_of
 from fmus.export.package import packages
 from fmus.machine.one_block import HARVESTER
-from fmus.machine.parts import ALL, FAMILIES
+from fmus.machine.partners import HELD, HELD_COMMAND, UNPOWERED
+from fmus.machine.parts import ALL, COMMAND_WIRES, CONNECTIONS, CONTROL_WIRES, FAMILIES, SUPPLY_WIRES
 from fmus.parameters import numbers, values
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import pretty
@@ -34,6 +37,18 @@ DOCUMENTS = sorted(
 )
 OTHERS = [sub for variants in FAMILIES.values() for sub in variants.values() if sub.name not in ALL]
 SUBSYSTEMS = {sub.name: sub for sub in (*ALL.values(), *OTHERS, CONTROLLER, HARVESTER)}
+PARTS = ("swing", "boom_stick", "manipulator")
+# part -> rate ports that are connected to it
+RATED = {
+    part: {
+        p
+        for wire in (*CONNECTIONS, *COMMAND_WIRES, *SUPPLY_WIRES, *CONTROL_WIRES)
+        for end in wire
+        if end.startswith(f"{part}.")
+        for p in [end.split(".")[1]]
+    }
+    for part in (*ALL, CONTROLLER.name)
+}
 ICONS = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 
 
@@ -138,6 +153,93 @@ def _rows(tree, section):
     found = tree.get_element_by_id(section).xpath(".//tr[td/code and count(td) > 1]")
     texts = [" ".join(" ".join(cell.text_content().split()) for cell in row.findall("td")) for row in found]
     return {row.find("td/code").text: text for row, text in zip(found, texts, strict=True)}
+
+
+@pytest.mark.parametrize("name", SUBSYSTEMS)
+def test_page_says_what_to_connect(page, name):
+    """The table has the machine's connections of the FMU, no more and no fewer, with the rate ports."""
+    sub, tree = SUBSYSTEMS[name], page(name)
+    found = set()
+    for row in tree.get_element_by_id("connections").iter("tr"):
+        cells = [[code.text for code in cell.iter("code")] for cell in row.findall("td")]
+        if cells:
+            (port,), direction, ends, rates = cells[0], row.findall("td")[1].text, cells[2], cells[3]
+            for end in ends:
+                part, _, other = end.partition(".")
+                found |= {(direction, port, part, other or port)}
+                found |= {(direction, rate, part, rate) for rate in rates if rate in RATED.get(part, ())}
+    parts = PARTS if name == HARVESTER.name else (sub.component,)
+    expected = set()
+    for wire in (*CONNECTIONS, *COMMAND_WIRES, *SUPPLY_WIRES, *CONTROL_WIRES):
+        for direction, own, other in (("out", *wire), ("in", *wire[::-1])):
+            (part, port), (partner, name_there) = own.split("."), other.split(".")
+            outside = partner not in parts and not (name == HARVESTER.name and partner == "supply")
+            if part in parts and outside:
+                expected.add((direction, port, partner, name_there))
+    assert found == expected
+
+
+def test_page_of_another_model_has_no_table(toys):
+    """Only FMUs of the machine have partners; the note on unconnected inputs is on every page."""
+    sub, values = toys["gain"]
+    text = packages(sub, 1e-3, 1.0, values)[2].files["documentation/index.html"].decode()
+    assert 'id="connections"' not in text
+    assert "Simulink and OpenModelica set them to 0. Connect constants there: <code>left</code> 1" in text
+    assert "harvester-cosim." not in text
+
+
+def test_inputs_that_must_not_be_zero_are_listed(page):
+    """The page names the supply pressure with its value, and what happens without it."""
+    text = " ".join(page("swing").get_element_by_id("use").text_content().split())
+    assert "supply_pressure 2.0684·10⁷ Pa" in text
+    assert UNPOWERED in text
+    assert "tank_pressure" not in text
+
+
+@pytest.mark.parametrize("voltage", [-4.0, 4.0])
+def test_without_supply_pressure_the_arm_sinks(fmu_dir, voltage):
+    """As the page says: no command turns the swing, and each command lets boom or stick sink."""
+    still, *sunk = (
+        axis_angle(fmu_dir / "harvester.fmu", axis, voltage) for axis in ("swing", "boom", "stick")
+    )
+    assert abs(still) < 1e-3  # leakage
+    assert max(sunk) < -0.02
+
+
+def axis_angle(path, axis, voltage):
+    """The angle [rad] by which an axis turns within a second under its command, without supply pressure."""
+    fmu = Fmu(path).start(**{"supply_pressure": 0.0, f"{axis}_command": voltage})
+    before = fmu[f"{axis}_angle"]
+    after = fmu.step(0.01, 100)[f"{axis}_angle"]
+    fmu.close()
+    return after - before
+
+
+@pytest.mark.parametrize(
+    ("document", "rows"),
+    [
+        ("rate-ports.md", {"Ecos, rate ports connected": "0.0086 %", "Ecos, rate ports open": "0.072 %"}),
+        ("other-tools.md", {"FMPy|2.0, 3.0 CS|1 ms": "0.34", "FMPy|2.0, 3.0 CS|10 ms": "3.2"}),
+    ],
+)
+def test_cost_of_held_inputs_is_that_of_the_measurement(page, document, rows):
+    """The numbers in the pages are those of the tables that the named commands write."""
+    lines = (ROOT / "docs" / document).read_text(encoding="utf-8").splitlines()
+    told, name = (HELD, "swing") if document == "rate-ports.md" else (HELD_COMMAND, "harvester")
+    assert told in page(name).get_element_by_id("use").text_content()
+    for start, number in rows.items():
+        (line,) = [line for line in lines if line.startswith(f"|{start}|")]
+        assert number in line.split("|")
+        assert f"{number.removesuffix(' %')} %" in told
+
+
+def test_readme_of_the_release_lists_the_connections():
+    """The README in the zip has each connection of the parts, or its port has it as its rate."""
+    text = runpy.run_path(str(ROOT / "tools" / "release.py"))["read_me"]("1.2.3")
+    for start, end in (*CONNECTIONS, *COMMAND_WIRES, *SUPPLY_WIRES, *CONTROL_WIRES):
+        name = end.partition(".")[2]
+        assert f"  {start} to {end}" in text or f", rate port {name}\n" in text
+    assert max(map(len, text.splitlines())) <= 120
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from kit.mistakes import problem, table
 
 from orchestrator import Coupling, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError, host
+from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled
-from orchestrator.lanes.compiled import NotInLanes
+from orchestrator.lanes.compiled import NotInLanes, sources_of
 
 # full strokes: cylinders hit their stops, chambers cavitate, and valves close fast
 STROKES = {
@@ -91,6 +93,17 @@ def test_every_variant_runs_in_lanes(system, variants):
     for scenario in (None, STROKES):
         result = batch(swapped, MASSES, scenario, stop=4.0, lanes=True)
         assert max(differences(swapped, result, scenario, stop=4.0).values()) < SAME
+
+
+def test_sources_of_earlier_fmus_are_read(system, tmp_path):
+    """FMUs of earlier versions have model.c where those of today have model.c.inc."""
+    component = system.components["swing"]
+    names = component.source.names()
+    assert "sources/model.c.inc" in names
+    content = {name.removesuffix(".inc"): component.source.member(name).read() for name in names}
+    write_zip(tmp_path / "swing.fmu", content)
+    earlier = replace(component, source=Location(tmp_path / "swing.fmu"))
+    assert sources_of(earlier) == sources_of(component)
 
 
 def test_the_fmus_of_fmi_3_run_in_lanes(fmi3_dir):

@@ -15,6 +15,7 @@ from kit import shards
 from kit.compile import HEADERS
 from native.bench import needs_gcc, run
 
+from fmus.machine.one_block import HARVESTER
 from fmus.machine.parts import ALL
 
 pytestmark = shards.c
@@ -24,41 +25,22 @@ TABLE = [("time", float), ("swing_command", float)]
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{HEADERS}"]
 
 
-def sources(fmu: Path, folder: Path) -> Path:
-    """The C file to compile, unpacked with what it includes."""
+def sources(fmu: Path, folder: Path) -> list[Path]:
+    """The .c files, unpacked with what they include."""
     with zipfile.ZipFile(fmu) as archive:
         for name in archive.namelist():
             if name.startswith("sources/"):
                 archive.extract(name, folder)
-    return folder / "sources" / f"{fmu.stem}_fmu.c"
+    return sorted((folder / "sources").glob("*.c"))
 
 
 @needs_gcc
 @pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
-@pytest.mark.parametrize("name", tuple(ALL))
+@pytest.mark.parametrize("name", [*ALL, HARVESTER.name])
 def test_sources_compile_without_a_warning(request, tmp_path, name, version):
-    """The C in sources/ is plain C99 for a compiler that did not build the FMU, with FMPy's FMI headers."""
+    """All .c files in sources/ are plain C99 for another compiler, with FMPy's headers."""
     code = sources(request.getfixturevalue(version) / f"{name}.fmu", tmp_path)
-    run(["gcc", *FLAGS, "-O2", "-fPIC", "-shared", code, "-o", tmp_path / f"{name}.so", "-lm"])
-
-
-@needs_gcc
-def test_two_fmus_link_into_one_program(fmi3_dir, tmp_path):
-    """Source FMUs for targets without a loader: with a prefix each, two of them have no name in common.
-
-    With FMI 3, because FMPy's header of FMI 2 has lost the prefix that the standard's has.
-    """
-    names, objects = ("swing", "manipulator"), []
-    for name in names:
-        code = sources(fmi3_dir / f"{name}.fmu", tmp_path / name)
-        objects.append(tmp_path / f"{name}.o")
-        run(["gcc", *FLAGS, f"-DFMI3_FUNCTION_PREFIX={name}_", "-c", code, "-o", objects[-1]])
-    main = tmp_path / "main.c"
-    declared = "".join(f"const char *{name}_fmi3GetVersion(void);" for name in names)
-    calls = " && ".join(f"{name}_fmi3GetVersion()" for name in names)
-    main.write_text(f"{declared} int main(void) {{ return !({calls}); }}\n", encoding="utf-8")
-    run(["gcc", "-std=c99", main, *objects, "-o", tmp_path / "main", "-lm"])
-    run([tmp_path / "main"])
+    run(["gcc", *FLAGS, "-O2", "-fPIC", "-shared", *code, "-o", tmp_path / f"{name}.so", "-lm"])
 
 
 @pytest.mark.skipif(not (shutil.which("make") and shutil.which("cc")), reason="needs make and a C compiler")

@@ -59,10 +59,15 @@ def test_terminals_carry_all_wires_of_the_machine():
     assert wires == set(CONNECTIONS) | set(COMMAND_WIRES)
 
 
-def test_file_names_variables_of_the_fmu(fmi3_dir):
-    """Every terminal member in the file is a variable of the model description beside it."""
+@pytest.mark.parametrize("version", ["fmu_dir", "fmi3_dir"])
+def test_file_names_variables_of_the_fmu(request, version):
+    """Every terminal member in the file is a variable of the model description beside it; the icon exists.
+
+    FMI 2.0.4 adopted the folder from FMI 3.0.
+    """
     for name in ALL:
-        with zipfile.ZipFile(fmi3_dir / f"{name}.fmu") as archive:
+        with zipfile.ZipFile(request.getfixturevalue(version) / f"{name}.fmu") as archive:
+            assert archive.read("terminalsAndIcons/icon.png")
             ports = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
             model = etree.fromstring(archive.read("modelDescription.xml"))
         variables = {v.get("name") for v in model.find("ModelVariables")}
