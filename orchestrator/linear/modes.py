@@ -179,7 +179,7 @@ class Mode:
 
 
 def modes(a: Array, states: Sequence[LinearVariable]) -> tuple[Mode, ...]:
-    """The modes of dx/dt = A x: oscillations, then the others, each slowest first. Equal names are numbered."""
+    """The modes of dx/dt = A x: oscillations, then the others, slowest first. Equal names are numbered."""
     values, left, right = eigen(a, np.array([s.nominal for s in states]))
     labels, units, result = short_names(states), [s.unit for s in states], list[Mode]()
     for k in np.lexsort((values.imag, np.abs(values), values.imag == 0.0)):
