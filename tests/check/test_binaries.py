@@ -12,6 +12,7 @@ import pytest
 
 from check.good import TARGETS, Archive, compiled
 from check.test_faults import new_findings
+from orchestrator.check.binary import _macho, required
 
 LINUX, WINDOWS, INTEL_MAC, ARM_MAC = TARGETS
 SONAME = "libharvester_tables.so.1"
@@ -185,6 +186,26 @@ def test_each_kind_may_have_its_own_binary(good: Mapping[int, Archive], tmp_path
     for member in [m for m in two.members if m.startswith("binaries/")]:
         two = two.put(member.replace("lag.", "lag_me."), two.members[member])
     assert {rule for rule, _, _ in new_findings(two, tmp_path)} == {"identity.same"}
+
+
+class _Old:
+    """A library as lief reads it if the file has no tables of the dynamic loader (before macOS 10.6)."""
+
+    exported_functions = ()
+
+    def __init__(self, new: lief.MachO.Binary) -> None:
+        self.new = new
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.new, name)
+
+
+def test_an_old_library_of_macos_exports_by_its_symbol_table() -> None:
+    """Its exports are those that the tables of the dynamic loader list in a new library."""
+    library = lief.parse(compiled(INTEL_MAC, "-DFMI=2"))
+    assert isinstance(library, lief.MachO.Binary)
+    exports = _macho(_Old(library), "lag.dylib", 0).exports
+    assert exports == _macho(library, "lag.dylib", 0).exports >= set(required(2, ["CoSimulation"]))
 
 
 def named(archive: Archive, identifier: str) -> Archive:

@@ -124,6 +124,18 @@ def test_a_slow_instantiation_is_not_a_leak(oscillators, tmp_path):
     }
 
 
+def test_an_exact_stop_time_is_no_drift(oscillators, tmp_path):
+    """The end of the last of many steps may exceed the stop time by a rounding error: none is set."""
+    assert apply(oscillators.make(2, "exact"), tmp_path, "drift") == []
+
+
+def test_a_licence_that_ends_is_no_leak(oscillators, tmp_path):
+    """An FMU that refuses the 152nd instance leaks nothing; the note has the call."""
+    (found,) = apply(oscillators.make(2, "licence"), tmp_path, "leak")
+    assert found.severity == "note"
+    assert found.text.startswith("not measured: fmi2Instantiate returns no instance")
+
+
 @pytest.mark.parametrize("major", [pytest.param(2, marks=shards.faults), 3])
 def test_a_valid_fmu_has_no_findings(oscillators, tmp_path, major):
     """No probe has findings on the oscillator without fault."""

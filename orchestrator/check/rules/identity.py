@@ -64,8 +64,8 @@ def version(subject: Subject) -> Iterator[Finding]:
     if subject.root is None or local_name(subject.root) != "fmiModelDescription":
         return
     if subject.version.startswith("1."):
-        text = f"FMI {subject.version} is not supported by this check, expected 2.0 or 3.0"
-        yield error(f"{text}; newer tools do not support it, either")
+        text = f"FMI {subject.version}: only the archive was checked, this check is for FMI 2.0 and 3.0"
+        yield warning(f"{text}; FMPy, PyFMI and libcosim read FMI 1.0, many tools do not")
     elif not subject.major:
         yield error(f"{DESCRIPTION}: fmiVersion: expected 2.0 or 3.0, got {subject.version!r}")
 

@@ -166,7 +166,6 @@ def drift(trial: Trial) -> Iterator[Remark]:
 def _run(trial: Trial, length: float, summed: bool) -> tuple[Rows, str]:
     """Rows, and the message about a step that fails; empty if none does."""
     simulation = Simulation(trial, step=length, summed=summed)
-    simulation.stop = simulation.start + DRIFT_STEPS * length
     rows: Rows = []
     try:
         simulation.begin()

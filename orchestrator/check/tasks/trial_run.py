@@ -379,7 +379,7 @@ class Simulation:
         if self.instance.fmi == 3 or status == DISCARD:
             end = self.instance.step_end(status)
             self._ended, self.early = end.terminate, end.early
-            self.reached = end.reached if self.instance.fmi == 3 else time + length
+            self.reached = time + length if math.isnan(end.reached) else end.reached
         else:
             self.reached = time + length
         if status and not (status == DISCARD and self._ended):
