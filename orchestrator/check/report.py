@@ -142,8 +142,11 @@ def _for_tool(f: Finding, tool: str) -> Finding:
 
 def table(rules: tuple[CheckRule, ...]) -> str:
     """All rules as a Markdown table."""
-    lines = ["| rule | requirement | tools | issue threads |", "|---|---|---|---|"]
+    lines = [
+        "| rule | requirement | clause if it gives errors | tools | issue threads |",
+        "|---|---|---|---|---|",
+    ]
     for rule in rules:
         tools = ", ".join(t.name for t in affected_tools(rule.id)) or "any"
-        lines.append(f"| `{rule.id}` | {rule.text} | {tools} | {' '.join(rule.threads)} |")
+        lines.append(f"| `{rule.id}` | {rule.text} | {rule.clause} | {tools} | {' '.join(rule.threads)} |")
     return "\n".join(lines)

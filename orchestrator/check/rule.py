@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orchestrator.base.errors import one_line
@@ -14,6 +16,13 @@ if TYPE_CHECKING:
     from orchestrator.check.subject import Subject
 
 MAX_FINDINGS = 10_000  # of one rule; a report shows five
+CLAUSES: dict[str, str] = {"reference.result": "draft of FMI-LS-REF"} | {
+    rule: ", ".join(f"FMI {v}: {c}" for v, c in (("2.0.5", old), ("3.0.2", new)) if c)
+    for old, new, rules in tomllib.loads(Path(__file__).with_name("clauses.toml").read_text("utf-8"))[
+        "clauses"
+    ]
+    for rule in rules.split()
+}
 Check = Callable[["Subject"], Iterable["Finding"]]
 
 
@@ -32,12 +41,18 @@ class CheckRule:
     check: Check
     threads: tuple[str, ...] = ()
 
+    @property
+    def clause(self) -> str:
+        """The clause of the standard on which errors are based; empty: the rule gives warnings at most."""
+        return CLAUSES.get(self.id, "")
+
     def __call__(self, subject: Subject) -> Iterator[Finding]:
         """All findings, with the id of this rule and, if they have none, its threads."""
         findings = iter(self.check(subject))
         for finding in islice(findings, MAX_FINDINGS):
-            text = one_line(finding.text)
-            yield replace(finding, rule=self.id, text=text, thread=finding.thread or " ".join(self.threads))
+            text, threads = one_line(finding.text), finding.thread or " ".join(self.threads)
+            severity = finding.severity if self.clause or finding.severity != "error" else "warning"
+            yield replace(finding, rule=self.id, severity=severity, text=text, thread=threads)
         if next(findings, None) is not None:
             yield Finding(
                 self.id, "note", f"more than {MAX_FINDINGS} findings of this rule; the others are left out"

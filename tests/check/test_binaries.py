@@ -164,6 +164,16 @@ def test_a_fault_in_a_library_is_reported_by_its_rule_alone(
     assert any(expected in text for _, _, text in found), found
 
 
+@pytest.mark.parametrize(("target", "severity"), [(LINUX, "error"), (WINDOWS, "warning")])
+def test_a_broken_binary_is_an_error_on_the_machine_at_hand(
+    good: Mapping[int, Archive], target: str, severity: str, tmp_path: Path
+) -> None:
+    """A binary of another platform that has no content, or another name, is a warning."""
+    file = good[2].library(target)
+    for broken in (good[2].put(file, b""), move(file, f"{file[:-4]}_{file[-4:]}")(good[2], tmp_path)):
+        assert {found for _, found, _ in new_findings(broken, tmp_path)} == {severity}
+
+
 def test_fmi_3_needs_the_functions_of_all_kinds(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """An FMI 3 library without the constructor of a kind that the FMU does not even offer is refused."""
     broken = flags(LACKS)(good[3], tmp_path)

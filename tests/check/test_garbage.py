@@ -166,6 +166,9 @@ def test_fmpy_speaks_where_no_rule_does(
     assert rules(path) == {"structure.initial"}
     monkeypatch.setattr("orchestrator.check.rules.identity.COVERED", {})
     assert rules(path) == {"structure.initial", "fmpy.validate"}
+    for tool, severity in (("any", "warning"), ("fmpy", "error")):
+        findings = check(path, tool, run=False).findings
+        assert [f.severity for f in findings if f.rule == "fmpy.validate"] == [severity]
 
 
 @pytest.mark.parametrize(("path", "says"), [("gone.fmu", "no such file"), (".", "got a folder")])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,14 @@ import pytest
 from check.good import Archive
 from check.test_binaries import FAULTS as BINARY_FAULTS
 from check.test_faults import FAULTS
+from check.test_probes import PLANTED
 from orchestrator.__main__ import main
 from orchestrator.check import all_rules, check
-from orchestrator.check.finding import SEVERITIES
+from orchestrator.check.finding import SEVERITIES, error
 from orchestrator.check.report import MAX_PRINTED, TOOLS, table
+from orchestrator.check.rule import CLAUSES
 from orchestrator.check.rules import STATIC
+from orchestrator.check.subject import open_subject
 
 DOCS = Path(__file__).parents[2] / "docs/check.md"
 # rules on whole files, or with findings of another rule at the same time; separate tests cover them
@@ -31,7 +35,7 @@ ELSEWHERE = {
 def bad(good: Mapping[int, Archive], tmp_path: Path) -> Path:
     """An FMU with an error, a warning and a note."""
     simulation = '<CoSimulation modelIdentifier="lag"'
-    broken = good[2].swap('stopTime="10"', 'stopTime="-1"').put("build.log", "")
+    broken = good[2].swap('<Real unit="1/s"', '<Real unit="Hz"').put("build.log", "")
     broken = broken.swap(simulation, f'{simulation} canBeInstantiatedOnlyOncePerProcess="true"')
     return broken.write(tmp_path / "bad.fmu")
 
@@ -50,6 +54,21 @@ def test_ids_of_rules_are_unique() -> None:
     assert len(known) == len(everything)
     assert all(r.text and "." in r.id for r in everything)
     assert {rule for tool in TOOLS.values() for rule in tool.verdicts} <= known
+
+
+def test_an_error_has_a_clause(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Planted faults that are errors break a clause; without one, an error becomes a warning."""
+    rules = {rule.id: rule for rule in all_rules()}
+    errors = {f["rule"] for f in FAULTS if f.get("severity", "error") == "error"}
+    errors |= {f"run.{probe}" for probe, _, more in PLANTED if more.get("severity", "error") == "error"}
+    assert [rule for rule in errors if not rules[rule].clause] == []
+    assert set(CLAUSES) <= set(rules)
+    with open_subject(good[2].write(tmp_path / "lag.fmu")) as subject:
+        found = [
+            replace(rules[name], check=lambda _: [error("x")])(subject)
+            for name in ("name.case", "xml.schema")
+        ]
+        assert [f.severity for (f,) in map(list, found)] == ["warning", "error"]
 
 
 def test_the_worst_comes_first(bad: Path) -> None:

@@ -140,7 +140,7 @@ def _invalid_outputs(simulation: Simulation, rows: Rows) -> Iterator[Remark]:
             return
         huge = [i for i, (x, limit) in enumerate(zip(row, limits, strict=True)) if abs(x) > limit]
         if huge:
-            yield "error", f"{names[huge[0]]} has grown to {row[huge[0]]:.3g} {when}"
+            yield "warning", f"{names[huge[0]]} has grown to {row[huge[0]]:.3g} {when}"
             return
 
 
