@@ -16,8 +16,8 @@ from check.test_faults import FAULTS
 from check.test_probes import PLANTED
 from orchestrator.__main__ import main
 from orchestrator.check import all_rules, check
-from orchestrator.check.finding import SEVERITIES, error
-from orchestrator.check.report import MAX_PRINTED, TOOLS, table
+from orchestrator.check.finding import SEVERITIES, Finding, error
+from orchestrator.check.report import MAX_PRINTED, TOOLS, CheckReport, table
 from orchestrator.check.rule import CLAUSES
 from orchestrator.check.rules import STATIC
 from orchestrator.check.subject import open_subject
@@ -80,19 +80,32 @@ def test_the_worst_comes_first(bad: Path) -> None:
     assert text.endswith("1 error, 1 warning, 1 note")
 
 
-def test_many_findings_of_a_rule_are_cut_in_the_text_report(
-    good: Mapping[int, Archive], tmp_path: Path
-) -> None:
-    """The text report cuts many findings of one rule; the JSON file has all."""
+def test_a_finding_with_many_places_is_one_line(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """The line has their number and the first names; the JSON file has all places, and rules are counted."""
     more = "".join(
-        f'<ScalarVariable name="v{i}" valueReference="{i}"><Real unit="Hz"/></ScalarVariable>'
+        f'<ScalarVariable name="v{i}" valueReference="{i}"><Real unit="Hz{i}"/></ScalarVariable>'
         for i in range(10, 30)
     )
     archive = good[2].swap("</ModelVariables>", f"{more}</ModelVariables>")
     report = check(archive.write(tmp_path / "lag.fmu"), run=False)
-    assert report.count("error") == 20
+    assert report.count("error") == 1
+    (line,) = [line for line in report.text().splitlines() if "unit.undefined" in line]
+    assert (
+        "v10: unit 'Hz10' is not in UnitDefinitions (and 19 more: v11, v12, v13, v14, v15 and 14 more)"
+        in line
+    )
+    (found,) = [f for f in json.loads(report.json())["findings"] if f["rule"] == "unit.undefined"]
+    assert len(found["places"]) == 20
+    assert "v29: unit 'Hz29'" in found["places"][-1]
+
+
+def test_different_findings_of_a_rule_are_cut_in_the_text_report(bad: Path) -> None:
+    """The text report has five messages of a rule, the JSON file all; they count once."""
+    faults = tuple(Finding("xml.schema", "error", f"fault {i}") for i in range(20))
+    report = CheckReport(bad, "", faults)
+    assert report.count("error") == 1
     assert f"and {20 - MAX_PRINTED} more of this rule" in report.text()
-    assert len(json.loads(report.json())["findings"]) == len(report.findings)
+    assert len(json.loads(report.json())["findings"]) == 20
 
 
 def test_a_tool_raises_the_severity_of_a_finding(good: Mapping[int, Archive], tmp_path: Path) -> None:
