@@ -27,15 +27,15 @@ def _opening(rule: str, subject: Subject) -> Iterator[Finding]:
     return (f for f in subject.faults if f.rule == rule)
 
 
-for _id, _text, _threads in (
-    ("archive.zip", "The file is a zip archive, and all its members can be unpacked", ()),
-    ("archive.name", "Members have relative names with forward slashes and are inside of the archive", ()),
-    ("archive.link", "No member is a symbolic link", ()),
-    ("archive.method", "Members are deflated or stored, not encrypted", ()),
-    ("archive.twice", "All members have different names, even if case is ignored", ()),
-    ("archive.size", "The unpacked archive has a reasonable size", ()),
+for _id, _text in (
+    ("archive.zip", "The file is a zip archive, and all its members can be unpacked"),
+    ("archive.name", "Members have relative names with forward slashes and are inside of the archive"),
+    ("archive.link", "No member is a symbolic link"),
+    ("archive.method", "Members are deflated or stored, not encrypted"),
+    ("archive.twice", "All members have different names, even if case is ignored"),
+    ("archive.size", "The unpacked archive has a reasonable size"),
 ):
-    ARCHIVE.rule(_id, _text, *_threads)(partial(_opening, _id))
+    ARCHIVE.rule(_id, _text)(partial(_opening, _id))
 
 
 @ARCHIVE.rule("archive.suffix", "The file name ends in .fmu")

@@ -8,13 +8,11 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
-from orchestrator.check.tasks.runner import Remark, Task, Trial
+from orchestrator.check.tasks.runner import Remark, Trial
 from orchestrator.check.tasks.trial_run import Simulation
-from orchestrator.fmi.instance import CallFailed
 
 INSTANCES = 2000  # created one after the other
 WARM_UP = 200  # instances before the first measurement, while caches fill
@@ -26,20 +24,6 @@ PAGE_NOISE = 1e6  # bytes; the same if only the pages of the process can be coun
 ENOUGH = 64e6  # bytes of growth after which the measurement ends
 
 
-def _measured(task: Task) -> Task:
-    """An instance that is refused, such as by a licence, is no leak."""
-
-    @wraps(task)
-    def measured(trial: Trial) -> Iterator[Remark]:
-        try:
-            yield from task(trial)
-        except CallFailed as failure:
-            yield "note", f"not measured: {failure}"
-
-    return measured
-
-
-@_measured
 def leak(trial: Trial) -> Iterator[Remark]:
     """Two thousand instances leak no memory, no file handle and no thread."""
     if not _warmed_up(trial):
@@ -155,7 +139,6 @@ def running() -> float:
     return float(len(os.listdir(folder))) if folder.is_dir() else 0.0
 
 
-@_measured
 def reload(trial: Trial) -> Iterator[Remark]:
     """Loading, instantiating, freeing and unloading many times leaks no file handle."""
     before = handles()
