@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from orchestrator.check.subject import Subject
 
 DEFECT = "check.defect"
+RULES_1 = ("archive.", "xml.syntax", "version.known")  # those that apply to FMI 1.0
 
 
 def all_rules() -> tuple[CheckRule, ...]:
@@ -45,6 +46,8 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
         raise Problem(f"{path}: {'expected an .fmu file, got a folder' if path.is_dir() else 'no such file'}")
     with open_subject(path) as subject:
         rules = all_rules() if run else STATIC
+        if subject.version.startswith("1."):
+            rules = tuple(r for r in rules if r.id.startswith(RULES_1))
         findings = [finding for rule in rules for finding in _findings(rule, subject)]
         return CheckReport(path, _title(subject), without_repeats(findings), tool)
 
@@ -66,7 +69,7 @@ def _title(subject: Subject) -> str:
 
     model = subject.model
     if not model.interfaces:
-        return "not a readable FMU"
+        return f"FMI {subject.version}" if subject.version.startswith("1.") else "not a readable FMU"
     offered = " and ".join(INTERFACES[k].title() for k in model.interfaces)
     tool = model.attributes.get("generationTool") or "unknown tool"
     platforms = ", ".join(dict.fromkeys(b.platform for b in subject.binaries)) or "no binaries"

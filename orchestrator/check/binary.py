@@ -236,6 +236,8 @@ def _macho(b: Any, file: str, size: int) -> Binary:
     macos = (
         b.build_version.minos if b.has_build_version else b.version_min.version if b.has_version_min else ()
     )
+    # libraries for old versions of macOS list their exports in the symbol table only
+    exports = list(b.exported_functions) or [s for s in b.symbols if _is_defined(s)]
     return Binary(
         file=file,
         size=size,
@@ -243,7 +245,7 @@ def _macho(b: Any, file: str, size: int) -> Binary:
         machine=_machine(b.header.cpu_type),
         is_library=b.header.file_type
         in (lief.MachO.Header.FILE_TYPE.DYLIB, lief.MachO.Header.FILE_TYPE.BUNDLE),
-        exports=frozenset(e.name.removeprefix("_") for e in b.exported_functions),
+        exports=frozenset(str(s.name).removeprefix("_") for s in exports),
         libraries=tuple(n.name for n in b.libraries if n.command != lief.MachO.LoadCommand.TYPE.ID_DYLIB),
         imports=frozenset(s.name.removeprefix("_") for s in b.imported_symbols),
         rpaths=tuple(r.path for r in b.rpaths),
@@ -251,6 +253,11 @@ def _macho(b: Any, file: str, size: int) -> Binary:
         debug=sum(s.size for s in b.sections if s.name in DEBUG_SECTIONS),
         macos=tuple(macos),
     )
+
+
+def _is_defined(symbol: Any) -> bool:
+    """An external symbol of a section: N_EXT is set, N_TYPE is N_SECT, N_STAB is zero."""
+    return bool(symbol.raw_type & 0xEF == 0x0F)
 
 
 COMMON_2 = """GetTypesPlatform GetVersion SetDebugLogging Instantiate FreeInstance SetupExperiment

@@ -22,6 +22,7 @@ class Finding:
     text      file or variable, line, expected and actual value
     tools     ids of the tools that are affected; empty: any tool
     thread    issue threads that report the problem, such as "FMPy#511"; if empty, the rule sets them
+    places    texts of the findings that differ in their places only, if there are several
     """
 
     rule: str
@@ -29,6 +30,7 @@ class Finding:
     text: str
     tools: tuple[str, ...] = ()
     thread: str = ""
+    places: tuple[str, ...] = ()
 
 
 def error(text: str, *tools: str, thread: str = "") -> Finding:

@@ -116,15 +116,12 @@ def _unreadable(model: ModelDescription) -> str:
     return ""
 
 
-def _findings(first: FirstRun, outcomes: dict[str, Outcome], crash: str = "error") -> Iterator[Finding]:
-    """Remarks, crashes and failures as findings; what both interfaces have in common is one finding.
-
-    crash   severity of a crash
-    """
+def _findings(first: FirstRun, outcomes: dict[str, Outcome]) -> Iterator[Finding]:
+    """Remarks, crashes and failures as findings; what both interfaces have in common is one finding."""
     kinds_of: dict[tuple[str, str], list[str]] = {}
     for kind, outcome in outcomes.items():
-        failures = [(crash, text) for text in outcome.crashes]
-        failures += [("note" if outcome.late else crash, outcome.failure)] if outcome.failure else []
+        failures = [("error", text) for text in outcome.crashes]
+        failures += [("note" if outcome.late else "error", outcome.failure)] if outcome.failure else []
         for remark in [*outcome.remarks, *failures]:
             kinds_of.setdefault(remark, []).append(kind)
     for (severity, text), kinds in kinds_of.items():
@@ -155,9 +152,7 @@ def _runs(subject: Subject) -> Iterator[Finding]:
         yield note(f"{INTERFACES[kind]}: {text}")
 
 
-def _probe(
-    tasks: Sequence[str], kind: str = "", needs: Sequence[str] = (), fmi: int = 0, crash: str = "error"
-) -> Check:
+def _probe(tasks: Sequence[str], kind: str = "", needs: Sequence[str] = (), fmi: int = 0) -> Check:
     """A check that runs tasks one after the other; the arguments are those of probes.toml."""
 
     def check(subject: Subject) -> Iterable[Finding]:
@@ -182,7 +177,7 @@ def _probe(
                     break
             return outcome
 
-        yield from _findings(first, dict(zip(kinds, in_parallel(work, kinds), strict=True)), crash)
+        yield from _findings(first, dict(zip(kinds, in_parallel(work, kinds), strict=True)))
 
     return check
 

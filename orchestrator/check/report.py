@@ -72,14 +72,15 @@ class CheckReport:
         return tuple(sorted((_for_tool(f, self.tool) for f in affected), key=_rank))
 
     def count(self, severity: str) -> int:
-        return sum(f.severity == severity for f in self.findings)
+        """Number of rules with findings of this severity."""
+        return len({f.rule for f in self.findings if f.severity == severity})
 
     @property
     def failed(self) -> bool:
         return self.count("error") > 0
 
     def text(self) -> str:
-        """One line for each finding, grouped by severity."""
+        """One line for each finding, grouped by severity; the counts are those of rules."""
         lines = [f"{self.path}: {self.title}"]
         if self.tool != ANY:
             tool = TOOLS[self.tool]
@@ -142,8 +143,11 @@ def _for_tool(f: Finding, tool: str) -> Finding:
 
 def table(rules: tuple[CheckRule, ...]) -> str:
     """All rules as a Markdown table."""
-    lines = ["| rule | requirement | tools | issue threads |", "|---|---|---|---|"]
+    lines = [
+        "| rule | requirement | clause if it gives errors | tools | issue threads |",
+        "|---|---|---|---|---|",
+    ]
     for rule in rules:
         tools = ", ".join(t.name for t in affected_tools(rule.id)) or "any"
-        lines.append(f"| `{rule.id}` | {rule.text} | {tools} | {' '.join(rule.threads)} |")
+        lines.append(f"| `{rule.id}` | {rule.text} | {rule.clause} | {tools} | {' '.join(rule.threads)} |")
     return "\n".join(lines)

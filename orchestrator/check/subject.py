@@ -85,7 +85,8 @@ def _faults(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
         if fault := why_unreadable(member):
             yield _error("archive.method", f"member {name!r} {fault}")
         elif member.compress_type == zipfile.ZIP_STORED and member.flag_bits & 8 and member.file_size:
-            yield _error("archive.method", f"member {name!r} is stored with a data descriptor, expected none")
+            text = f"member {name!r} is stored with a data descriptor, expected none"
+            yield Finding("archive.method", "warning", text)
     yield from _duplicates(members)
 
 
@@ -97,7 +98,7 @@ def _duplicates(members: list[zipfile.ZipInfo]) -> Iterator[Finding]:
         if other is name:
             continue
         fault = "exists twice" if other == name else f"differs from {other!r} only by case"
-        yield _error("archive.twice", f"member {name!r} {fault}")
+        yield Finding("archive.twice", "warning", f"member {name!r} {fault}")
 
 
 def _extract(archive: zipfile.ZipFile, folder: Path) -> Iterator[Finding]:

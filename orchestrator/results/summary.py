@@ -87,12 +87,6 @@ def outcome(row: ValidatedSignal) -> str:
     return {True: "pass", False: "fail", None: NO_VALUE}[row.passed]
 
 
-def rating_text(row: ValidatedSignal) -> str:
-    """The ISO/TS 18571 rating with its grade."""
-    iso = row.metrics.iso
-    return f"{iso.overall:.3f} {iso.grade}" if iso.overall is not None else "not rated"
-
-
 _COLOUR = {True: "green", False: "bold red", None: "dim"}
 _WIDTHS = (9, 8, 8, 7, 7, 5, 4)
 _HEADINGS = ("max error", "RMSE", "NRMSE %", "fit %", "VAF %", "ISO", "")

@@ -12,6 +12,7 @@ import pytest
 
 from check.good import TARGETS, Archive, compiled
 from check.test_faults import new_findings
+from orchestrator.check.binary import _macho, required
 
 LINUX, WINDOWS, INTEL_MAC, ARM_MAC = TARGETS
 SONAME = "libharvester_tables.so.1"
@@ -163,6 +164,16 @@ def test_a_fault_in_a_library_is_reported_by_its_rule_alone(
     assert any(expected in text for _, _, text in found), found
 
 
+@pytest.mark.parametrize(("target", "severity"), [(LINUX, "error"), (WINDOWS, "warning")])
+def test_a_broken_binary_is_an_error_on_the_machine_at_hand(
+    good: Mapping[int, Archive], target: str, severity: str, tmp_path: Path
+) -> None:
+    """A binary of another platform that has no content, or another name, is a warning."""
+    file = good[2].library(target)
+    for broken in (good[2].put(file, b""), move(file, f"{file[:-4]}_{file[-4:]}")(good[2], tmp_path)):
+        assert {found for _, found, _ in new_findings(broken, tmp_path)} == {severity}
+
+
 def test_fmi_3_needs_the_functions_of_all_kinds(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """An FMI 3 library without the constructor of a kind that the FMU does not even offer is refused."""
     broken = flags(LACKS)(good[3], tmp_path)
@@ -185,6 +196,26 @@ def test_each_kind_may_have_its_own_binary(good: Mapping[int, Archive], tmp_path
     for member in [m for m in two.members if m.startswith("binaries/")]:
         two = two.put(member.replace("lag.", "lag_me."), two.members[member])
     assert {rule for rule, _, _ in new_findings(two, tmp_path)} == {"identity.same"}
+
+
+class _Old:
+    """A library as lief reads it if the file has no tables of the dynamic loader (before macOS 10.6)."""
+
+    exported_functions = ()
+
+    def __init__(self, new: lief.MachO.Binary) -> None:
+        self.new = new
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.new, name)
+
+
+def test_an_old_library_of_macos_exports_by_its_symbol_table() -> None:
+    """Its exports are those that the tables of the dynamic loader list in a new library."""
+    library = lief.parse(compiled(INTEL_MAC, "-DFMI=2"))
+    assert isinstance(library, lief.MachO.Binary)
+    exports = _macho(_Old(library), "lag.dylib", 0).exports
+    assert exports == _macho(library, "lag.dylib", 0).exports >= set(required(2, ["CoSimulation"]))
 
 
 def named(archive: Archive, identifier: str) -> Archive:

@@ -139,6 +139,19 @@ def test_a_large_file_is_noted(
     assert rules(good[2].write(tmp_path / "lag.fmu")) == {"contents.size"}
 
 
+def test_a_dot_in_the_path_of_a_source_is_no_fault(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """OpenModelica lists its sources so."""
+    listed = good[2].members[DESCRIPTION].replace(b'<File name="lag.c"/>', b'<File name="./lag.c"/>')
+    assert rules(good[2].put(DESCRIPTION, listed).write(tmp_path / "lag.fmu")) == set()
+
+
+def test_an_fmu_of_fmi_1_gives_one_warning(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Rules of FMI 2.0 and 3.0 are not applied to it, and nothing is run."""
+    report = check(good[2].swap('fmiVersion="2.0"', 'fmiVersion="1.0"').write(tmp_path / "lag.fmu"))
+    assert [(f.rule, f.severity) for f in report.findings] == [("version.known", "warning")]
+    assert report.title == "FMI 1.0"
+
+
 def test_another_suffix_is_reported(good: Mapping[int, Archive], tmp_path: Path) -> None:
     """Tools open .fmu files; a .zip file is reported."""
     assert rules(good[2].write(tmp_path / "lag.zip")) == {"archive.suffix"}
@@ -153,6 +166,9 @@ def test_fmpy_speaks_where_no_rule_does(
     assert rules(path) == {"structure.initial"}
     monkeypatch.setattr("orchestrator.check.rules.identity.COVERED", {})
     assert rules(path) == {"structure.initial", "fmpy.validate"}
+    for tool, severity in (("any", "warning"), ("fmpy", "error")):
+        findings = check(path, tool, run=False).findings
+        assert [f.severity for f in findings if f.rule == "fmpy.validate"] == [severity]
 
 
 @pytest.mark.parametrize(("path", "says"), [("gone.fmu", "no such file"), (".", "got a folder")])

@@ -17,6 +17,7 @@ from orchestrator.check.probes import PROBES
 from orchestrator.check.subject import Subject, parse_unpacked
 from orchestrator.check.tasks import importing_solver, leaks
 from orchestrator.check.tasks.runner import Trial
+from orchestrator.check.tasks.trial_run import severity
 from orchestrator.worker.activity import ActivityRecord
 
 RULES = {rule.id.removeprefix("run."): rule for rule in PROBES}
@@ -61,12 +62,12 @@ def apply(path: Path, folder: Path, *probes: str) -> list[Finding]:
 )
 def test_a_planted_fault_is_found_by_its_probe(oscillators, tmp_path, probe, text, more):
     """One finding has the right severity, and a message with the fault and the call."""
-    fault, severity = more.get("fault", "none"), more.get("severity", "error")
+    fault, grave = more.get("fault", "none"), more.get("severity", "error")
     path = oscillators.make(more.get("major", 2), fault, more.get("change", ("", "")))
     call_time = 2.0 if fault == "hang" else probe_limits().call_time
     with use_probe_limits(replace(probe_limits(), call_time=call_time)):
         found = apply(path, tmp_path, probe)
-    assert any(text in f.text and f.severity == severity for f in found), found
+    assert any(text in f.text and f.severity == grave for f in found), found
     assert all(f.rule == f"run.{probe}" for f in found)
 
 
@@ -124,6 +125,18 @@ def test_a_slow_instantiation_is_not_a_leak(oscillators, tmp_path):
     }
 
 
+def test_an_exact_stop_time_is_no_drift(oscillators, tmp_path):
+    """The end of the last of many steps may exceed the stop time by a rounding error: none is set."""
+    assert apply(oscillators.make(2, "exact"), tmp_path, "drift") == []
+
+
+def test_a_licence_that_ends_is_no_leak(oscillators, tmp_path):
+    """An FMU that refuses the 152nd instance leaks nothing; the note has the call."""
+    (found,) = apply(oscillators.make(2, "licence"), tmp_path, "leak")
+    assert found.severity == "note"
+    assert found.text.startswith("not measured: fmi2Instantiate returns no instance")
+
+
 @pytest.mark.parametrize("major", [pytest.param(2, marks=shards.faults), 3])
 def test_a_valid_fmu_has_no_findings(oscillators, tmp_path, major):
     """No probe has findings on the oscillator without fault."""
@@ -159,6 +172,15 @@ def test_rounding_around_zero_is_no_difference(oscillators, tmp_path):
     for major in (2, 3):
         path = oscillators.make(major, "zero")
         assert apply(path, tmp_path / f"{major}", "state", "serialize", "reset", "instances") == []
+
+
+def test_a_difference_above_the_tolerance_is_an_error(oscillators, tmp_path):
+    """The tolerance is 1e-4 without a DefaultExperiment that has one; rows are position and force."""
+    subject = opened(oscillators.make(), tmp_path)
+    trial = Trial(subject.folder, subject.model, "CoSimulation", ActivityRecord(tmp_path / "activity"))
+    for difference, expected in ((0.9e-4, "warning"), (1.1e-4, "error")):
+        assert severity(trial, [[1.0, -40.0]], [[1.0, -40.0 * (1 + difference)]]) == expected
+    assert severity(trial, [[1.0, 0.0]] * 2, [[1.0, 0.0]]) == "error"  # the run ends early
 
 
 def test_a_table_that_doubles_is_no_leak():

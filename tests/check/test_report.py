@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,11 +13,14 @@ import pytest
 from check.good import Archive
 from check.test_binaries import FAULTS as BINARY_FAULTS
 from check.test_faults import FAULTS
+from check.test_probes import PLANTED
 from orchestrator.__main__ import main
 from orchestrator.check import all_rules, check
-from orchestrator.check.finding import SEVERITIES
-from orchestrator.check.report import MAX_PRINTED, TOOLS, table
+from orchestrator.check.finding import SEVERITIES, Finding, error
+from orchestrator.check.report import MAX_PRINTED, TOOLS, CheckReport, table
+from orchestrator.check.rule import CLAUSES
 from orchestrator.check.rules import STATIC
+from orchestrator.check.subject import open_subject
 
 DOCS = Path(__file__).parents[2] / "docs/check.md"
 # rules on whole files, or with findings of another rule at the same time; separate tests cover them
@@ -31,7 +35,7 @@ ELSEWHERE = {
 def bad(good: Mapping[int, Archive], tmp_path: Path) -> Path:
     """An FMU with an error, a warning and a note."""
     simulation = '<CoSimulation modelIdentifier="lag"'
-    broken = good[2].swap('stopTime="10"', 'stopTime="-1"').put("build.log", "")
+    broken = good[2].swap('<Real unit="1/s"', '<Real unit="Hz"').put("build.log", "")
     broken = broken.swap(simulation, f'{simulation} canBeInstantiatedOnlyOncePerProcess="true"')
     return broken.write(tmp_path / "bad.fmu")
 
@@ -52,6 +56,21 @@ def test_ids_of_rules_are_unique() -> None:
     assert {rule for tool in TOOLS.values() for rule in tool.verdicts} <= known
 
 
+def test_an_error_has_a_clause(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """Planted faults that are errors break a clause; without one, an error becomes a warning."""
+    rules = {rule.id: rule for rule in all_rules()}
+    errors = {f["rule"] for f in FAULTS if f.get("severity", "error") == "error"}
+    errors |= {f"run.{probe}" for probe, _, more in PLANTED if more.get("severity", "error") == "error"}
+    assert [rule for rule in errors if not rules[rule].clause] == []
+    assert set(CLAUSES) <= set(rules)
+    with open_subject(good[2].write(tmp_path / "lag.fmu")) as subject:
+        found = [
+            replace(rules[name], check=lambda _: [error("x")])(subject)
+            for name in ("name.case", "xml.schema")
+        ]
+        assert [f.severity for (f,) in map(list, found)] == ["warning", "error"]
+
+
 def test_the_worst_comes_first(bad: Path) -> None:
     """Errors, then warnings, then notes, and the counts at the end."""
     report = check(bad, run=False)
@@ -61,19 +80,32 @@ def test_the_worst_comes_first(bad: Path) -> None:
     assert text.endswith("1 error, 1 warning, 1 note")
 
 
-def test_many_findings_of_a_rule_are_cut_in_the_text_report(
-    good: Mapping[int, Archive], tmp_path: Path
-) -> None:
-    """The text report cuts many findings of one rule; the JSON file has all."""
+def test_a_finding_with_many_places_is_one_line(good: Mapping[int, Archive], tmp_path: Path) -> None:
+    """The line has their number and the first names; the JSON file has all places, and rules are counted."""
     more = "".join(
-        f'<ScalarVariable name="v{i}" valueReference="{i}"><Real unit="Hz"/></ScalarVariable>'
+        f'<ScalarVariable name="v{i}" valueReference="{i}"><Real unit="Hz{i}"/></ScalarVariable>'
         for i in range(10, 30)
     )
     archive = good[2].swap("</ModelVariables>", f"{more}</ModelVariables>")
     report = check(archive.write(tmp_path / "lag.fmu"), run=False)
-    assert report.count("error") == 20
+    assert report.count("error") == 1
+    (line,) = [line for line in report.text().splitlines() if "unit.undefined" in line]
+    assert (
+        "v10: unit 'Hz10' is not in UnitDefinitions (and 19 more: v11, v12, v13, v14, v15 and 14 more)"
+        in line
+    )
+    (found,) = [f for f in json.loads(report.json())["findings"] if f["rule"] == "unit.undefined"]
+    assert len(found["places"]) == 20
+    assert "v29: unit 'Hz29'" in found["places"][-1]
+
+
+def test_different_findings_of_a_rule_are_cut_in_the_text_report(bad: Path) -> None:
+    """The text report has five messages of a rule, the JSON file all; they count once."""
+    faults = tuple(Finding("xml.schema", "error", f"fault {i}") for i in range(20))
+    report = CheckReport(bad, "", faults)
+    assert report.count("error") == 1
     assert f"and {20 - MAX_PRINTED} more of this rule" in report.text()
-    assert len(json.loads(report.json())["findings"]) == len(report.findings)
+    assert len(json.loads(report.json())["findings"]) == 20
 
 
 def test_a_tool_raises_the_severity_of_a_finding(good: Mapping[int, Archive], tmp_path: Path) -> None:

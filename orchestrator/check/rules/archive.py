@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import PurePosixPath
 
@@ -26,15 +27,15 @@ def _opening(rule: str, subject: Subject) -> Iterator[Finding]:
     return (f for f in subject.faults if f.rule == rule)
 
 
-for _id, _text, _threads in (
-    ("archive.zip", "The file is a zip archive, and all its members can be unpacked", ()),
-    ("archive.name", "Members have relative names with forward slashes and are inside of the archive", ()),
-    ("archive.link", "No member is a symbolic link", ()),
-    ("archive.method", "Members are deflated or stored, not encrypted", ()),
-    ("archive.twice", "All members have different names, even if case is ignored", ()),
-    ("archive.size", "The unpacked archive has a reasonable size", ()),
+for _id, _text in (
+    ("archive.zip", "The file is a zip archive, and all its members can be unpacked"),
+    ("archive.name", "Members have relative names with forward slashes and are inside of the archive"),
+    ("archive.link", "No member is a symbolic link"),
+    ("archive.method", "Members are deflated or stored, not encrypted"),
+    ("archive.twice", "All members have different names, even if case is ignored"),
+    ("archive.size", "The unpacked archive has a reasonable size"),
 ):
-    ARCHIVE.rule(_id, _text, *_threads)(partial(_opening, _id))
+    ARCHIVE.rule(_id, _text)(partial(_opening, _id))
 
 
 @ARCHIVE.rule("archive.suffix", "The file name ends in .fmu")
@@ -220,20 +221,26 @@ def _code(subject: Subject) -> list[str]:
     return sorted(f for f in subject.files if f.startswith("sources/") and f.endswith(CODE))
 
 
+def _severity(subject: Subject) -> Callable[..., Finding]:
+    """A fault of the sources matters less if there are binaries."""
+    return warning if subject.binaries else error
+
+
 @SOURCES.rule("source.listed", "Listed source files exist")
 def listed(subject: Subject) -> Iterator[Finding]:
-    for kind in subject.model.interfaces:
-        for file in children(subject.root, kind, "SourceFiles", "File"):
-            name = file.get("name", "")
-            if f"sources/{name}" not in subject.files:
-                yield error(f"{DESCRIPTION} line {file.sourceline}: sources/{name} is listed, but missing")
-    if BUILD not in subject.files:
-        return
-    root, _ = read_xml(subject.folder, BUILD)
-    for file in children(root, "BuildConfiguration", "SourceFileSet", "SourceFile"):
-        name = file.get("name", "")
-        if f"sources/{name}" not in subject.files:
-            yield error(f"{BUILD} line {file.sourceline}: sources/{name} is listed, but missing")
+    lists = [(DESCRIPTION, subject.root, (k, "SourceFiles", "File")) for k in subject.model.interfaces]
+    if BUILD in subject.files:
+        root, _ = read_xml(subject.folder, BUILD)
+        lists.append((BUILD, root, ("BuildConfiguration", "SourceFileSet", "SourceFile")))
+    for where, root, path in lists:
+        files = list(children(root, *path))
+        names = dict.fromkeys(posixpath.normpath(f.get("name", "")) for f in files)
+        missing = [n for n in names if f"sources/{n}" not in subject.files]
+        if missing:
+            text = (
+                f"{len(missing)} of {len(names)} listed files are missing in sources/: {join_names(missing)}"
+            )
+            yield _severity(subject)(f"{where} line {files[0].sourceline}: {text}")
 
 
 @SOURCES.rule("source.build", "Sources come with a list of the files to compile")
@@ -243,7 +250,9 @@ def build(subject: Subject) -> Iterator[Finding]:
         return
     kinds = [k for k in subject.model.interfaces if child(subject.root, k, "SourceFiles", "File") is not None]
     if subject.major == 3 and BUILD not in subject.files:
-        yield error(f"{BUILD} is missing next to {join_names(code, 2)}; FMI 3 tools cannot compile them")
+        yield _severity(subject)(
+            f"{BUILD} is missing next to {join_names(code, 2)}; FMI 3 tools cannot compile them"
+        )
     elif subject.major == 2 and BUILD not in subject.files and not kinds:
         yield warning(f"{DESCRIPTION}: no SourceFiles for {join_names(code, 2)}")
     elif subject.major == 2 and kinds and len(kinds) < len(subject.model.interfaces):
@@ -257,25 +266,28 @@ def build(subject: Subject) -> Iterator[Finding]:
 def build_description(subject: Subject) -> Iterator[Finding]:
     if BUILD not in subject.files:
         return
+    finding = _severity(subject)
     root, wrong = read_xml(subject.folder, BUILD)
     if root is None:
-        yield error(wrong)
+        yield finding(wrong)
         return
     for line, message in violations(root, "fmi3/fmi3BuildDescription.xsd"):
-        yield error(f"{BUILD} line {line}: {message}")
+        yield finding(f"{BUILD} line {line}: {message}")
     if subject.major == 3 and (got := root.get("fmiVersion")) != subject.version:
-        yield error(f"{BUILD}: fmiVersion: expected {subject.version} as in {DESCRIPTION}, got {got}")
+        yield finding(f"{BUILD}: fmiVersion: expected {subject.version} as in {DESCRIPTION}, got {got}")
     configurations = list(children(root, "BuildConfiguration"))
     for c in configurations:
         name, platform = c.get("modelIdentifier"), c.get("platform")
         if name not in subject.model.identifiers:
             expected = ", ".join(subject.model.identifiers) or "none"
-            yield error(f"{BUILD} line {c.sourceline}: modelIdentifier: expected {expected}, got {name!r}")
+            yield finding(f"{BUILD} line {c.sourceline}: modelIdentifier: expected {expected}, got {name!r}")
         if platform and not TUPLE.fullmatch(platform):
             yield note(f"{BUILD} line {c.sourceline}: {platform} is not a platform of the standard")
     generic = Counter(c.get("modelIdentifier") for c in configurations if not c.get("platform"))
     if any(n > 1 for n in generic.values()):
-        yield error(f"{BUILD}: expected one BuildConfiguration without platform, got {max(generic.values())}")
+        yield finding(
+            f"{BUILD}: expected one BuildConfiguration without platform, got {max(generic.values())}"
+        )
 
 
 @SOURCES.rule("source.name", "A single source file has the name of the model (FMI 3)")

@@ -56,7 +56,7 @@ def encoding(subject: Subject) -> Iterator[Finding]:
         return
     encoding_ = subject.root.getroottree().docinfo.encoding or "UTF-8"
     if encoding_.upper() not in ("UTF-8", "ASCII", "US-ASCII"):
-        yield error(f"{DESCRIPTION}: encoding: expected UTF-8, got {encoding_}")
+        yield warning(f"{DESCRIPTION}: encoding: expected UTF-8, got {encoding_}")
 
 
 @DESCRIPTION_FILE.rule("version.known", "The FMI version is 2.0 or 3.0")
@@ -64,8 +64,8 @@ def version(subject: Subject) -> Iterator[Finding]:
     if subject.root is None or local_name(subject.root) != "fmiModelDescription":
         return
     if subject.version.startswith("1."):
-        text = f"FMI {subject.version} is not supported by this check, expected 2.0 or 3.0"
-        yield error(f"{text}; newer tools do not support it, either")
+        text = f"FMI {subject.version}: only the archive was checked, this check is for FMI 2.0 and 3.0"
+        yield warning(f"{text}; FMPy, PyFMI and libcosim read FMI 1.0, many tools do not")
     elif not subject.major:
         yield error(f"{DESCRIPTION}: fmiVersion: expected 2.0 or 3.0, got {subject.version!r}")
 
@@ -118,9 +118,9 @@ def fmpy_validate(subject: Subject) -> Iterator[Finding]:
         read_model_description(str(subject.folder), **options)
     except ValidationError as invalid:
         for problem in dict.fromkeys(invalid.problems):
-            yield error(f"FMPy: {' '.join(str(problem).split())}", "fmpy")
+            yield warning(f"FMPy: {' '.join(str(problem).split())}", "fmpy")
     except Exception as problem:  # FMPy raises many types, some of them because of its own faults
-        yield error(f"FMPy {FMPY_FAILS}: {type(problem).__name__}: {problem}", "fmpy")
+        yield warning(f"FMPy {FMPY_FAILS}: {type(problem).__name__}: {problem}", "fmpy")
 
 
 def without_repeats(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -179,7 +179,7 @@ def token(subject: Subject) -> Iterator[Finding]:
     value = subject.root.get(name)
     where = f"{DESCRIPTION} line {subject.root.sourceline}: {name}"
     if value is not None and not value.strip():
-        yield error(f"{where} is empty, expected a new value for each change of the interface")
+        yield warning(f"{where} is empty, expected a new value for each change of the interface")
     elif value is not None:
         digits = re.sub(r"[^0-9a-z]", "", value.lower())
         origin = next((o for pattern, o in EXAMPLE_TOKENS.items() if re.fullmatch(pattern, digits)), None)
@@ -249,9 +249,9 @@ def values(subject: Subject) -> Iterator[Finding]:
     for name in ("stepSize", "tolerance"):
         value = _number(element, name)
         if value is not None and not (math.isfinite(value) and value > 0):
-            yield error(f"{where}: {name}: expected a positive number, got {value:g}")
+            yield warning(f"{where}: {name}: expected a positive number, got {value:g}")
     if stop is not None and not start < stop < math.inf:
-        yield error(f"{where}: stopTime: expected a time after startTime {start:g}, got {stop:g}")
+        yield warning(f"{where}: stopTime: expected a time after startTime {start:g}, got {stop:g}")
     step = _number(element, "stepSize")
     if stop is not None and step is not None and stop > start and step > stop - start:
         yield warning(f"{where}: stepSize {step:g} is longer than the experiment of {stop - start:g} s")

@@ -8,13 +8,14 @@ from __future__ import annotations
 import ast
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 from orchestrator.check.binary import SUFFIXES, Binary, required
 from orchestrator.check.finding import Finding, error, join_names, note, warning
 from orchestrator.check.rule import RuleTable
 from orchestrator.check.subject import Subject
+from orchestrator.fmi.library import platform_folders
 
 EXPORTS = RuleTable()
 
@@ -63,7 +64,7 @@ def version(subject: Subject) -> Iterator[Finding]:
 def symbols(subject: Subject) -> Iterator[Finding]:
     for b, _ in models(subject):
         if b.unresolved:
-            yield error(
+            yield warning(
                 f"{b}: needs {join_names(b.unresolved, 3)}, which none of {', '.join(b.libraries)} has;"
                 " it loads only inside a program that provides them"
             )
@@ -314,20 +315,25 @@ def folder(subject: Subject) -> Iterator[Finding]:
             yield note(f"binaries/{name} is not a platform of the standard; tools ignore it")
 
 
+def _severity(folder_: str, subject: Subject) -> Callable[..., Finding]:
+    """A fault of a binary is an error on the machine at hand, else a warning."""
+    return error if folder_ in platform_folders(subject.major) else warning
+
+
 @PLATFORMS.rule("platform.format", "Each library has the format and machine of its platform folder")
 def format_(subject: Subject) -> Iterator[Finding]:
     for b in subject.binaries:
-        machine, system = as_tuple(b.platform)
+        (machine, system), finding = as_tuple(b.platform), _severity(b.platform, subject)
         if not b.format:
             got = b.damage or "an unknown format"
             got = "a Git LFS pointer" if b.head.startswith(b"version https://git-lfs") else got
-            yield error(f"{b}: expected a shared library, got {got if b.size else 'an empty file'}")
+            yield finding(f"{b}: expected a shared library, got {got if b.size else 'an empty file'}")
         elif system and FORMATS[system] != b.format:
-            yield error(f"{b}: expected {FORMATS[system]} for {system}, got {b.format}")
+            yield finding(f"{b}: expected {FORMATS[system]} for {system}, got {b.format}")
         elif not b.is_library:
-            yield error(f"{b}: expected a shared library, got an executable")
+            yield finding(f"{b}: expected a shared library, got an executable")
         elif machine and not _has_machine(b, machine, subject):
-            yield error(f"{b}: expected code for {machine}, got {b.machine}")
+            yield finding(f"{b}: expected code for {machine}, got {b.machine}")
 
 
 def _has_machine(b: Binary, machine: str, subject: Subject) -> bool:
@@ -351,7 +357,9 @@ def name(subject: Subject) -> Iterator[Finding]:
             present = sorted(b.name for b in subject.binaries if b.platform == folder_)
             if present or not static:
                 got = ", ".join(present[:4]) or "no library"
-                yield error(f"binaries/{folder_}: expected {expected} for {kind}, got {got}")
+                yield _severity(folder_, subject)(
+                    f"binaries/{folder_}: expected {expected} for {kind}, got {got}"
+                )
 
 
 @PLATFORMS.rule("platform.wasm", "Folders of WebAssembly have a module with the name of the model identifier")
@@ -361,14 +369,14 @@ def wasm(subject: Subject) -> Iterator[Finding]:
         for identifier in {e.get("modelIdentifier") for e in subject.model.interfaces.values()}:
             file = f"binaries/{folder_}/{identifier}.wasm"
             if file not in subject.files:
-                yield error(f"binaries/{folder_}: expected {identifier}.wasm, found no such file")
+                yield warning(f"binaries/{folder_}: expected {identifier}.wasm, found no such file")
                 continue
             with (subject.folder / file).open("rb") as opened:
                 head = opened.read(8)
             got = kinds.get(head[4:], "") if head[:4] == b"\0asm" else ""
             expected = "component" if folder_.endswith("p2") else "module"
             if got != expected:
-                yield error(f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}")
+                yield warning(f"{file}: expected a WebAssembly {expected}, got {got or 'another format'}")
 
 
 PYTHON = RuleTable()
@@ -447,7 +455,7 @@ def syntax(subject: Subject) -> Iterator[Finding]:
         try:
             ast.parse((subject.folder / script).read_text("utf-8", "replace"))
         except (SyntaxError, ValueError) as problem:
-            yield error(f"{script}: Python cannot parse it: {problem}")
+            yield warning(f"{script}: Python cannot parse it: {problem}")
         except (RecursionError, MemoryError):
             yield note(f"{script}: is nested too deeply to be parsed")
 

@@ -31,13 +31,24 @@ def _differences(
     """Variables that are missing in a list, and variables that do not belong there."""
     listed = dict.fromkeys(u.variable for u in model.structure.get(section, ()) if u.variable)
     name = ELEMENTS[model.major][section]
-    missing = [v.name for v in expected if v not in listed]
+    ignored = {*model.derivatives, *model.states} if _ignores_derivatives(model) else set()
+    missing = [v.name for v in expected if v not in listed and (v not in ignored or v.causality == "output")]
+    optional = [v.name for v in expected if v not in listed and v.name not in missing]
     allowed = set(expected)
     extra = [v.name for v in listed if v not in allowed and v.initial]  # initial "": variable.combination
     if missing:
         yield error(f"{WHERE}: {name} lacks {join_names(missing)}; expected {why}")
+    if optional:
+        text = "importers ignore derivatives in co-simulation without directional derivatives"
+        yield note(f"{WHERE}: {name} lacks {join_names(optional)}; {text}")
     if extra:
         yield error(f"{WHERE}: {name} has {join_names(extra)}; expected only {why}")
+
+
+def _ignores_derivatives(model: ModelDescription) -> bool:
+    """Only Co-Simulation of FMI 2.0 without directional derivatives (section 2.2.8, Derivatives)."""
+    flags = (e.declares("providesDirectionalDerivative") for e in model.interfaces.values())
+    return model.major == 2 and list(model.interfaces) == ["CoSimulation"] and not any(flags)
 
 
 @STRUCTURE.rule(
@@ -78,19 +89,22 @@ def initial(subject: Subject) -> Iterator[Finding]:
 )
 def derivatives(subject: Subject) -> Iterator[Finding]:
     model = subject.model
+    finding = note if _ignores_derivatives(model) else error
     for unknown in model.structure.get("derivatives", ()):
         variable = unknown.variable
         if variable is None:
             continue
         key, state = variable.attributes.get("derivative"), model.state_of(variable)
         if key is None:
-            yield error(f"{unknown}: the variable has no attribute derivative")
+            yield finding(f"{unknown}: the variable has no attribute derivative")
         elif state is None:
-            yield error(f"{variable}: derivative={key!r} is not a variable")
+            yield finding(f"{variable}: derivative={key!r} is not a variable")
         elif not (state.is_float and state.variability == "continuous"):
-            yield error(f"{variable}: is the derivative of {state.name}, which is not continuous")
+            yield finding(f"{variable}: is the derivative of {state.name}, which is not continuous")
         elif state.causality not in ("local", "output"):
-            yield error(f"{variable}: its state {state.name} is {state.causality}, expected local or output")
+            yield finding(
+                f"{variable}: its state {state.name} is {state.causality}, expected local or output"
+            )
 
 
 @STRUCTURE.rule("structure.rates", "Only derivatives of states have the attribute derivative in FMI 2.0")

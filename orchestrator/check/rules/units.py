@@ -45,11 +45,12 @@ def display(subject: Subject) -> Iterator[Finding]:
         if v.unit is None:
             yield error(f"{v}: displayUnit {display_unit!r} without unit")
         elif v.unit in displays and display_unit not in displays[v.unit]:
-            yield error(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit}")
+            make = error if subject.major == 3 else note  # FMI 2.0: "then displayUnit is ignored"
+            yield make(f"{v}: displayUnit {display_unit!r} is not defined in unit {v.unit}")
     for unit in subject.model.units:
         for name, attributes in unit.display_units.items():
             if _float(attributes.get("factor", "1")) == 0:
-                yield error(f"{_at(unit)}: DisplayUnit {name} has factor 0")
+                yield warning(f"{_at(unit)}: DisplayUnit {name} has factor 0")
 
 
 @UNITS.rule("unit.twice", "Each unit is defined once")
@@ -79,13 +80,13 @@ def wrong(subject: Subject) -> Iterator[Finding]:
         declared = {b: unit.base_unit.get(b, "0") for b in DIMENSIONS}
         factor, offset = _float(unit.base_unit.get("factor", "1")), _float(unit.base_unit.get("offset", "0"))
         if {b: parse_int(e) for b, e in declared.items()} != {b: int(e) for b, e in exponents.items()}:
-            yield error(f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}")
+            yield warning(f"{_at(unit)}: expected exponents {_text(exponents)}, got {_text(declared)}")
         elif not (  # factors have five digits or more
             math.isclose(factor, usual.factor, rel_tol=1e-4)
             and math.isclose(offset, usual.offset, abs_tol=1e-2)
         ):
             expected = f"expected factor {usual.factor:.6g} and offset {usual.offset:g}"
-            yield error(f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}")
+            yield warning(f"{_at(unit)}: {expected}, got {factor:g} and {offset:g}")
 
 
 def _text(exponents: Mapping[str, str]) -> str:

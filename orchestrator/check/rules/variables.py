@@ -139,8 +139,9 @@ def _alias(aliases: list[Variable]) -> Iterator[Finding]:
         return
     if len([v for v in aliases if v.starts is not None and v.variability != "constant"]) > 1:
         yield error(f"{first}: {names} share a valueReference, and more than one has a start value")
-    if len({v.unit for v in aliases}) > 1:
-        yield error(f"{first}: {names} share a valueReference, but have different units")
+    if len(units := {v.unit for v in aliases}) > 1:
+        make = warning if None in units else error  # no conversion goes wrong without a unit
+        yield make(f"{first}: {names} share a valueReference, but have different units")
     if len({v.variability == "constant" for v in aliases}) > 1:
         yield error(f"{first}: {names} share a valueReference, but only some are constant")
 
@@ -253,9 +254,9 @@ def _structured(subject: Subject) -> bool:
 def grammar(subject: Subject) -> Iterator[Finding]:
     for v, name in _named(subject):
         if re.search(r"[\r\n\t]", name):
-            yield error(f"{v}: the name {name!r} has a line break or tab")
+            yield warning(f"{v}: the name {name!r} has a line break or tab")
         elif _structured(subject) and name and not STRUCTURED.fullmatch(name):
-            yield error(f"{v}: the name {name!r} breaks the grammar of variableNamingConvention structured")
+            yield warning(f"{v}: the name {name!r} breaks the grammar of variableNamingConvention structured")
 
 
 @NAMES.rule("name.structured", "Inputs and outputs have flat names", "Hopsan#2266 Hopsan#2280 OSMP#70")

@@ -41,7 +41,7 @@ def leak(trial: Trial) -> Iterator[Remark]:
     for name, (_, limit, noise) in measures.items():
         growth, count = _growth(samples[name], noise), WINDOW * (len(samples[name]) - 1)
         if growth > limit:
-            yield "error", f"each instance leaks {growth:.3g} {name} (of {count} instances)"
+            yield "warning", f"each instance leaks {growth:.3g} {name} (of {count} instances)"
 
 
 def _windows(trial: Trial, memory_samples: Sequence[float]) -> Iterator[None]:
@@ -149,4 +149,4 @@ def reload(trial: Trial) -> Iterator[Remark]:
         trial.activity.call("unloading the binary")
         library.close()
     if handles() - before > LOADS / 2:
-        yield "error", f"each load and unload leaks {(handles() - before) / LOADS:.3g} file handles"
+        yield "warning", f"each load and unload leaks {(handles() - before) / LOADS:.3g} file handles"

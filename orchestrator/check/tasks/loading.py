@@ -11,7 +11,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import Rows, Simulation, bits, difference
+from orchestrator.check.tasks.trial_run import Rows, Simulation, bits, difference, severity
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.messages import STATUS
 
@@ -85,7 +85,7 @@ def resources(trial: Trial) -> Iterator[Remark]:
     (folder / "resources").mkdir(exist_ok=True)
     trial.folder = folder
     library = trial.load(folder)
-    for location, severity in _locations(trial.description.major, folder / "resources"):
+    for location, grave in _locations(trial.description.major, folder / "resources"):
         case = f'with the resources at "{_shown(location, folder)}" in a folder "{FOLDER}"'
         trial.activity.case(case)
         try:
@@ -93,10 +93,10 @@ def resources(trial: Trial) -> Iterator[Remark]:
             row = [simulation.row()]
             simulation.close()
         except CallFailed as failure:
-            yield severity, f"{case}: {failure}"
+            yield grave, f"{case}: {failure}"
             continue
         if bits(row) != bits(expected):
-            yield severity, f"{case} the first outputs differ"
+            yield grave, f"{case} the first outputs differ"
 
 
 def _shown(location: str, folder: Path) -> str:
@@ -122,7 +122,7 @@ def instances(trial: Trial) -> Iterator[Remark]:
     """Consecutive and interleaved runs are bit-identical to a single run."""
     expected, shifted, repeated = _single_run(trial, 0), _single_run(trial, 5), _single_run(trial, 0)
     if bits(expected) != bits(repeated):
-        yield "error", f"a second run in the same process differs: {difference(trial, expected, repeated)}"
+        yield "warning", f"a second run in the same process differs: {difference(trial, expected, repeated)}"
         return
     try:
         first, second = Simulation(trial).begin(), Simulation(trial, name="second").begin()
@@ -136,7 +136,8 @@ def instances(trial: Trial) -> Iterator[Remark]:
     for interleaved, single, which in ((rows[0], expected, "first"), (rows[1], shifted, "second")):
         if bits(interleaved) != bits(single):
             text = difference(trial, single, interleaved)
-            yield "error", f"two instances disturb each other: in the {which} {text}"
+            grave = severity(trial, single, interleaved)
+            yield grave, f"two instances disturb each other: in the {which} {text}"
             return
 
 
@@ -171,5 +172,5 @@ def threads(trial: Trial) -> Iterator[Remark]:
     for n in range(THREADS):
         if bits(serial[n]) != bits(parallel[n]):
             text = difference(trial, serial[n], parallel[n])
-            yield "error", f"{THREADS} instances in {THREADS} threads: {text}"
+            yield "warning", f"{THREADS} instances in {THREADS} threads: {text}"
             return

@@ -109,7 +109,9 @@ def main(channel: Channel) -> None:
     except OnlyOnce:
         pass  # the rest of the task needs another instance
     except Problem as problem:
-        channel.put({"severity": "error", "text": str(problem)})
+        # an instance that is refused, such as by a licence, is no leak
+        refused = ("note", "not measured: ") if module == "leaks" else ("error", "")
+        channel.put({"severity": refused[0], "text": f"{refused[1]}{problem}"})
     except Crashed as problem:
         channel.put({"crash": str(problem)})
     except OSError as problem:

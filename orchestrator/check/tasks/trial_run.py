@@ -150,6 +150,18 @@ def difference(trial: Trial, expected: Rows, rows: Rows) -> str:
     return f"{len(rows)} steps instead of {len(expected)}{changing}" if len(expected) != len(rows) else ""
 
 
+def severity(trial: Trial, expected: Rows, rows: Rows) -> str:
+    """ "error" if two runs differ by more than the tolerance of the FMU, "warning" if by less."""
+    tolerance = experiment(trial.description, "tolerance") or TOLERANCE
+    variables = flat(observed(trial.description))
+    near = len(expected) == len(rows) and all(
+        abs(x - y) <= tolerance * max(abs(x), v.nominal)
+        for a, b in zip(expected, rows, strict=True)
+        for v, x, y in zip(variables, a, b, strict=True)
+    )
+    return "warning" if near else "error"
+
+
 # ---- model exchange
 
 
@@ -379,7 +391,7 @@ class Simulation:
         if self.instance.fmi == 3 or status == DISCARD:
             end = self.instance.step_end(status)
             self._ended, self.early = end.terminate, end.early
-            self.reached = end.reached if self.instance.fmi == 3 else time + length
+            self.reached = time + length if math.isnan(end.reached) else end.reached
         else:
             self.reached = time + length
         if status and not (status == DISCARD and self._ended):
