@@ -50,7 +50,7 @@ SOURCES: Mapping[str, tuple[Callable[[Values], Values], int]] = {
     "Table": (through((0.5, 0.0), (1.5, 1.0), (2.5, 1.0), (3.2, -0.5), (4.0, 0.0)), 5),
 }
 SOLVERS = [("dassl", 1e-8), ("dassl", 1e-4), ("ida", 1e-8), ("cvode", 1e-8)]
-QUICK = [("Table", 1, "dassl", 1e-8), ("Trapezoid", 0, "dassl", 1e-8)]
+QUICK = [("Table", 1, "dassl", 1e-8)]
 MATRIX = [(source, moving, *solver) for source in SOURCES for moving in (0, 1) for solver in SOLVERS]
 
 
@@ -137,6 +137,7 @@ def target(time: float) -> float:
     return float(np.interp(time, [0.5, 2.5], [0.2, 0.5]))
 
 
+@shards.tools
 def test_a_controller_in_the_loop_holds_the_boom(simulate, fmu_dir):
     """P with the delay of an amplifier: as in co-simulation, and no nearer than the dead band lets it."""
     rows = simulate("Loops.P")
