@@ -4,12 +4,14 @@ Connections are kept, with units converted to those of the new FMU. Values that 
 (scenarios, parameter sets, --set) keep the units of the replaced FMU.
 
 A port fits if the new FMU has it with the same type, a causality that serves the same purpose, and a unit of
-the same dimension. The new FMU may lack ports without power of two kinds; their connections are left out:
+the same dimension. The new FMU may lack ports without power of three kinds; their connections are left out:
 
 - Rate ports, the time derivative of another port. Without them inputs are held that would vary inside a step,
   which only reduces the accuracy.
 - Ports of connections to inputs that an FMU declares as optional. They keep their start values. A note has
   the declared meaning. It is a warning if a state of the system depends on the input.
+- Inputs that it does not use, with a note. If it has another free input of the same type and dimension, the swap
+  is refused, because that input may be the same port under another name.
 """
 
 from __future__ import annotations
@@ -140,7 +142,7 @@ class UsedPort:
 
     unit          of the values that are exchanged
     connections   to or from it
-    exposed       it is connected to an input or output of the system
+    ignorable     an input without power: an FMU that does not use it may lack it
     optional      another FMU may lack it
     meanings      connected inputs that are declared as optional -> what it means that nothing feeds them
     """
@@ -148,7 +150,7 @@ class UsedPort:
     declared: FmuVariable
     unit: DeclaredUnit | None
     connections: tuple[Connection, ...]
-    exposed: bool
+    ignorable: bool
     optional: bool
     meanings: Mapping[Port, str] = field(default_factory=dict)
 
@@ -178,12 +180,13 @@ def _used_port(system: System, port: Port, exposed: bool, power: set[Port]) -> U
     units = [system.variable(p).unit for p in (port, *other_ends)]
     meanings = {p: text for p in sorted(targets) if (text := _optional_input(system, p))}
     dispensable = all(p in meanings or _is_rate(system, p) for p in targets)
+    powerless = not exposed and not targets & power
     return UsedPort(
         declared=system.variable(port),
         unit=next((u for u in units if u), None),
         connections=connections,
-        exposed=exposed,
-        optional=not exposed and not targets & power and dispensable,
+        ignorable=powerless and system.variable(port).causality == "input" and not dispensable,
+        optional=powerless and dispensable,
         meanings=meanings,
     )
 
@@ -250,13 +253,13 @@ class Fit:
 def _fit(system: System, old: Component, new: Component) -> Fit:
     """Compare the new component with the old one; raises Problem with all ports that do not fit."""
     used, variables = used_ports(system, old), new.interface.variables
-    dropped = [n for n, use in used.items() if use.optional and n not in variables]
+    others = {n: v for n, v in variables.items() if n not in used}
+    missing = {n: use for n, use in used.items() if n not in variables}
+    unused = [n for n, use in missing.items() if use.ignorable and not _fault(use, new, others)]
+    dropped = [n for n, use in missing.items() if use.optional or n in unused]
     needed = {n: use for n, use in used.items() if n not in dropped}
-    unused = {n: v for n, v in variables.items() if n not in used}
-    faults = {n: fault for n, use in needed.items() if (fault := _fault(use, new.interface, unused))}
-    if faults:
-        advice = _cut_advice(system, new, faults)
-        raise Problem(f"swap {new.name}: {new.source} does not fit: {'; '.join(faults.values())}{advice}")
+    if faults := list(filter(None, (_fault(use, new, others) for use in needed.values()))):
+        raise Problem(f"swap {new.name}: {new.source} does not fit: {'; '.join(faults)}")
     without_unit = [n for n, use in needed.items() if variables[n].unit is None and use.unit]
     maps, notes = dict[Port, tuple[LinearTransformation, LinearTransformation]](), list[str | None]()
     for n, use in needed.items():
@@ -273,23 +276,31 @@ def _fit(system: System, old: Component, new: Component) -> Fit:
         dropped=frozenset(Port(new.name, n) for n in dropped),
         lost=lost,
         assumed={n: replace(variables[n], unit=needed[n].unit) for n in without_unit},
-        notes=(*_notes(old, new, _lost_rates(system, used, dropped), without_unit), *filter(None, notes)),
+        notes=(
+            *_notes(old, new, unused, _lost_rates(system, used, dropped), without_unit),
+            *filter(None, notes),
+        ),
     )
 
 
-def _fault(use: UsedPort, interface: FmuInterface, unused: Mapping[str, FmuVariable]) -> str:
+def _fault(use: UsedPort, new: Component, others: Mapping[str, FmuVariable]) -> str:
     """Why a port does not fit, as 'expected ..., got ...'; empty if it fits.
 
-    unused   variables of the new FMU that may have another name for the port
+    others   variables of the new FMU that may have another name for the port
     """
-    name = use.declared.name
+    name, interface = use.declared.name, new.interface
     if name in interface.unsupported:
         return f"expected {use}, got {interface.unsupported[name]}"
     if name in interface.variables:
         return _mismatch(use, interface.variables[name])
-    fitting = [other for other, v in unused.items() if not _mismatch(use, v)]
+    # a similar name, or any input that fits one which the FMU might leave out
+    fitting = [other for other, v in others.items() if not _mismatch(use, v)]
     similar = get_close_matches(name, fitting, n=1, cutoff=0.8)
-    return f"expected {use}, got none{f' (it has {similar[0]})' if similar else ''}"
+    other = next(iter(similar or (fitting if use.ignorable else ())), "")
+    if use.ignorable and not other:
+        return ""
+    cut = f"; to do without: --cut {new.name}.{name}" if use.ignorable else ""
+    return f"expected {use}, got none{f' (it has {other}{cut})' if other else ''}"
 
 
 def _mismatch(use: UsedPort, new: FmuVariable) -> str:
@@ -313,19 +324,10 @@ def _article(causality: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
-def _cut_advice(system: System, new: Component, faults: Iterable[str]) -> str:
-    """The options that cut the missing inputs, if nothing else is wrong."""
-    ports = [Port(new.name, name) for name in faults]
-    fed = {c.target for c in system.connections} - _power_inputs(system)
-    missing = [p for p in ports if p in fed and p.variable not in new.interface.variables]
-    if len(missing) < len(ports):
-        return ""
-    return f"; to do without: {' '.join(f'--cut {port}' for port in missing)}"
-
-
 def _lost_rates(system: System, used: Mapping[str, UsedPort], dropped: Iterable[str]) -> list[str]:
     """The dropped rates, without those of signals that are dropped, too."""
-    lost = {target for name in dropped for target in used[name].meanings}
+    rates = {n for n in dropped if used[n].optional and not used[n].meanings}
+    lost = {c.target for n in dropped if n not in rates for c in used[n].connections}
 
     def alone(rate: Port) -> bool:
         interface = system.components[rate.component].interface
@@ -333,8 +335,7 @@ def _lost_rates(system: System, used: Mapping[str, UsedPort], dropped: Iterable[
             r == rate.variable and Port(rate.component, u) in lost for u, r in interface.rate_inputs.items()
         )
 
-    rates = [name for name in dropped if not used[name].meanings]
-    return [name for name in rates if any(alone(c.target) for c in used[name].connections)]
+    return [n for n in dropped if n in rates and any(alone(c.target) for c in used[n].connections)]
 
 
 @dataclass(frozen=True)
@@ -379,7 +380,11 @@ def _users(system: System, inputs: Iterable[Port]) -> Iterator[str]:
         )
 
 
-def _notes(old: Component, new: Component, rates: list[str], without_unit: list[str]) -> Iterator[str]:
+def _notes(
+    old: Component, new: Component, unused: list[str], rates: list[str], without_unit: list[str]
+) -> Iterator[str]:
+    if unused:
+        yield f"{new.source} has no {first_names(unused)}: it does not use what the system would send there"
     if rates:
         yield (
             f"{new.source} has no {first_names(rates)}: without these rates inputs are held during a step,"

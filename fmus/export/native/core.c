@@ -123,6 +123,26 @@ static void compute_requirements(Core *core) {
 /* An input that moved in fewer steps has jumped, which no rate input would tell. */
 enum { MOVING = 3 };
 
+/* Once in the log, and once as a warning when something else is reported, because held inputs may be its cause;
+   the input that moves most. */
+static void tell_held_inputs(Core *core, Status kind) {
+    int most = -1;
+    double largest = 0.0;
+    for (int i = 0; i < NU && !(core->held.told & 1u << kind); i++) {
+        const double change = fabs(core->held.change[i]) / model_variables[FIRST_INPUT + i].nominal;
+        if (core->held.steps[i] < MOVING || change <= largest) continue;
+        most = i;
+        largest = change;
+    }
+    if (most < 0) return;
+    core->held.told |= 1u << kind;
+    const Variable *v = &model_variables[FIRST_INPUT + most];
+    core_message(core, kind,
+                 "%s moved in each of the last %d steps while its rate input %s stayed 0. Held inputs can make "
+                 "connected FMUs unstable: connect the rate inputs, or take shorter steps",
+                 v->name, core->held.steps[most], model_variables[FIRST_INPUT + v->rate].name);
+}
+
 /* Before each step: counts steps in which an input moves while its rate input stays 0. */
 static void watch_held_inputs(Core *core) {
     const State *s = &core->s;
@@ -134,30 +154,12 @@ static void watch_held_inputs(Core *core) {
         core->held.steps[i] = held ? core->held.steps[i] + 1 : 0;
         core->held.last[i] = s->last_set[i];
     }
-}
-
-/* Once, when something else is reported: held inputs may be the cause, the one that moves most first. */
-static void tell_held_inputs(Core *core) {
-    int most = -1;
-    double largest = 0.0;
-    for (int i = 0; i < NU && !core->held.told; i++) {
-        const double change = fabs(core->held.change[i]) / model_variables[FIRST_INPUT + i].nominal;
-        if (core->held.steps[i] < MOVING || change <= largest) continue;
-        most = i;
-        largest = change;
-    }
-    if (most < 0) return;
-    core->held.told = 1;
-    const Variable *v = &model_variables[FIRST_INPUT + most];
-    core_message(core, WARNING,
-                 "%s moved in each of the last %d steps while its rate input %s stayed 0. Held inputs can make "
-                 "connected FMUs unstable: connect the rate inputs, or take shorter steps",
-                 v->name, core->held.steps[most], model_variables[FIRST_INPUT + v->rate].name);
+    tell_held_inputs(core, OK);
 }
 
 /* Reports that a requirement is violated; returns 0. */
 static int violated(Core *core, int i) {
-    tell_held_inputs(core);
+    tell_held_inputs(core, WARNING);
     core_message(core, ERROR, "requirement \"%s\" is violated at t = %.9g s: %.6g, expected > 0",
                  model_statements[i], core->s.time, core->require[i]);
     return 0;
@@ -299,7 +301,7 @@ static void watch(Core *core) {
         const int above = fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
         if (above && !core->s.above[k] && core->s.warnings[k] < MOST_WARNINGS) {
             const int last = ++core->s.warnings[k] == MOST_WARNINGS;
-            tell_held_inputs(core);
+            tell_held_inputs(core, WARNING);
             core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s%s", v->name, value, v->unit,
                          core->s.time, v->warn_above, v->unit, last ? "; no further warning of it follows" : "");
         }
@@ -331,7 +333,7 @@ LOCAL int core_check_state(Core *core) {
 static void report_failure(Core *core, const Report *report) {
     const double time = core->s.time + report->tau;
     const Variable *state = &model_variables[FIRST_STATE + report->worst];
-    tell_held_inputs(core);
+    tell_held_inputs(core, WARNING);
     const double value = core->s.x[report->worst];
     switch (report->outcome) {
     case NOT_FINITE:

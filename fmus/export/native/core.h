@@ -49,7 +49,7 @@ typedef struct Core {
         double last[ROOM(NU)];
         double change[ROOM(NU)]; /* since the step before */
         int steps[ROOM(NU)];     /* so many in a row */
-        int told;
+        unsigned told; /* a bit for each Status with which it was told */
     } held;
     Work work;
     const char *call; /* name of the FMI function that runs, for messages */
