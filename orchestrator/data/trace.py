@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TIME = "time"
+JUMP = 1e-6  # s, in which a scenario goes from one row to the next one with the same time
 
 
 @dataclass(frozen=True)
@@ -122,11 +123,12 @@ class Trace:
 Data: TypeAlias = "Trace | Mapping[str, ArrayLike] | pd.DataFrame"  # signals over time in memory
 
 
-def as_trace(data: Data, name: str = "data") -> Trace:
+def as_trace(data: Data, name: str = "data", jumps: bool = False) -> Trace:
     """A trace from columns: a mapping or a pandas DataFrame with a column `time` [s].
 
     The index of a DataFrame can be the time instead, if it is named `time`. Raises Problem, beginning with
     `name`, for columns of different lengths, times that do not increase, and values that are no numbers.
+    jumps: see `read_trace`.
     """
     if isinstance(data, Trace):
         return data
@@ -151,12 +153,15 @@ def as_trace(data: Data, name: str = "data") -> Trace:
             raise Problem(
                 f"{name}: column {column!r}: expected a vector of one number for each time, got {got}"
             )
-    _check_samples(Columns(name, values, range(1, 1 + len(values[TIME]))))
-    return Trace(values.pop(TIME), values)
+    return _checked(Columns(name, values, range(1, 1 + len(values[TIME]))), jumps)
 
 
-def read_trace(path: str | Path | Location) -> Trace:
-    """Read a trace from a .csv, .parquet or .mat file, on disk or inside an archive."""
+def read_trace(path: str | Path | Location, jumps: bool = False) -> Trace:
+    """Read a trace from a .csv, .parquet or .mat file, on disk or inside an archive.
+
+    jumps   two rows may have the same time, as in a scenario: the first one is moved to 1 us before it, or to the
+            middle of a shorter interval, and left out at the beginning
+    """
     file = path if isinstance(path, Location) else Location(Path(path))
     check_suffix(str(file))
     columns = read_columns(file, None)
@@ -166,14 +171,12 @@ def read_trace(path: str | Path | Location) -> Trace:
     if first != TIME:
         where = "line 1: " if columns.row_word == "line" else ""
         raise Problem(f"{file}: {where}expected the first column to be named {TIME!r}, got {first!r}")
-    _check_samples(columns)
-    signals = {name: values for name, values in columns.values.items() if name != TIME}
-    return Trace(columns.values[TIME], signals, {n: u for n, u in columns.units.items() if n in signals})
+    return _checked(columns, jumps)
 
 
-def _check_samples(columns: Columns) -> None:
-    """Refuse empty rows, missing samples, times that do not increase, and missing rows."""
-    time, rows = columns.values[TIME], np.asarray(columns.rows)
+def _checked(columns: Columns, jumps: bool) -> Trace:
+    """The trace; refuses empty rows, missing samples, times that do not increase, and missing rows."""
+    time, rows = columns.values[TIME].copy(), np.asarray(columns.rows)
     for k in np.flatnonzero(np.diff(rows) > 1)[:1]:
         row = f"{columns.file}: {columns.row_word} {rows[k] + 1}"
         raise Problem(f"{row}: expected {len(columns.values)} cells, got an empty row")
@@ -182,6 +185,12 @@ def _check_samples(columns: Columns) -> None:
             raise Problem(
                 f"{columns.location(int(missing.argmax()))}: column {name!r}: expected a number, got none"
             )
+    equal = jumps & (np.diff(time) == 0)
+    for k in np.flatnonzero(
+        equal & ~np.append(equal[1:], False)
+    ):  # more than two equal times stay, and are refused
+        time[k] -= min(JUMP, (time[k] - time[k - 1]) / 2) if k else JUMP
+    kept = slice(int(equal[:1].any()), None)
     steps = np.diff(time)
     for k in np.flatnonzero(steps <= 0)[:1]:
         raise Problem(f"{columns.location(k + 1)}: expected a time after {time[k]!s} s, got {time[k + 1]!s}")
@@ -189,6 +198,8 @@ def _check_samples(columns: Columns) -> None:
         expected = f"a sample every {np.median(steps):.6g} s"
         interval = f"between {time[gap]!s} and {time[gap + 1]!s} s"
         raise Problem(f"{columns.location(gap + 1)}: expected {expected}, got none {interval}")
+    signals = {name: values[kept] for name, values in columns.values.items() if name != TIME}
+    return Trace(time[kept], signals, {n: u for n, u in columns.units.items() if n in signals})
 
 
 def check_suffix(path: str | Path) -> None:

@@ -249,9 +249,9 @@ def _scenario(system: System, scenario: ScenarioSource) -> tuple[Trace | None, S
     if scenario is None:
         return None, None
     if isinstance(scenario, str | Path | Location):
-        trace = read_trace(scenario)
+        trace = read_trace(scenario, jumps=True)
         return trace, drive(system, trace, str(scenario))
-    trace = as_trace(scenario, "scenario")
+    trace = as_trace(scenario, "scenario", jumps=True)
     return trace, drive(system, trace)
 
 

@@ -10,8 +10,8 @@ the same dimension. The new FMU may lack ports without power of three kinds; the
   which only reduces the accuracy.
 - Ports of connections to inputs that an FMU declares as optional. They keep their start values. A note has
   the declared meaning. It is a warning if a state of the system depends on the input.
-- Inputs that it does not use, with a note. If it has another free input of the same type and dimension, the swap
-  is refused, because that input may be the same port under another name.
+- Inputs that it does not use, with a note. If it has another free input of the same type and dimension, the
+  swap is refused, because that input may be the same port under another name.
 """
 
 from __future__ import annotations

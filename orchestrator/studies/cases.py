@@ -107,7 +107,7 @@ def _case(study: Study, system: System, options: Options) -> StudyCase:
     scenario = chosen.pop(SCENARIO, None)
     sets = [chosen.pop(PARAMETERS)] if PARAMETERS in chosen else []
     system = with_sets(with_swaps(system, chosen), sets)
-    trace = None if scenario is None else read_trace(scenario)
+    trace = None if scenario is None else read_trace(scenario, jumps=True)
     if trace is not None:
         drive(system, trace, str(scenario))
     return StudyCase(system, trace)

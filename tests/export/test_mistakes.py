@@ -179,11 +179,15 @@ def test_a_repeated_warning_is_logged_three_times(open_fmu):
     ids=["held", "with its rate", "jump"],
 )
 def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, positions, velocity, named):
-    """An input that moves in each step while its rate input stays 0 may be the cause; a jump is none."""
-    fmu = open_fmu("path").start()
+    """An input that moves in each step while its rate input stays 0 may be the cause; a jump is none.
+
+    A debug log has it, too, once.
+    """
+    fmu = open_fmu("path", loggingOn=True).start()
     for k, position in enumerate(positions):
         fmu.set(position=position, velocity=velocity)
         fmu.fmu.doStep(float(k), 1.0)
+    assert sum("stayed 0" in event for event in fmu.logged("logEvents")) == named
     told, *others = fmu.logged("logStatusWarning") if named else ("", *fmu.logged("logStatusWarning"))
     assert ["where = 9" in warning for warning in others] == [True]
     if named:

@@ -218,6 +218,22 @@ def test_a_scenario_can_be_a_mapping_or_a_data_frame(body, tmp_path):
     assert np.ptp(runs[0]["body.x"]) > 0
 
 
+def test_a_scenario_may_jump(body, tmp_path):
+    """Of two rows at one time the first one is 1 us earlier, or in the middle of a shorter interval.
+
+    At the beginning only the second one counts. A recording has one row at a time.
+    """
+    jumps = {"time": [0.0, 0.0, 0.5, 0.5, 0.5000002, 0.5000002, 1.0], "force": [9.0, 0, 1, 3, 3, 5, 5]}
+    (tmp_path / "s.csv").write_text(pd.DataFrame(jumps).to_csv(index=False), encoding="utf-8")
+    ramps = {"time": [0.0, 0.499999, 0.5, 0.5000001, 0.5000002, 1.0], "force": jumps["force"][1:]}
+    by_hand, *others = (run(body, s, stop=1.0) for s in (ramps, jumps, tmp_path / "s.csv"))
+    for other in others:
+        np.testing.assert_allclose(
+            other["body.x"], by_hand["body.x"], rtol=0, atol=1e-9
+        )  # rounding of 0.499999
+    problem(lambda: read_trace(tmp_path / "s.csv"), "line 3: expected a time after 0.0 s, got 0.0")
+
+
 @table(__file__, "mappings", "data, message")
 def test_mistakes_in_a_mapping_are_told_in_one_line(body, data, message):
     """With column and row, before anything runs."""
