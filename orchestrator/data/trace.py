@@ -159,8 +159,8 @@ def as_trace(data: Data, name: str = "data", jumps: bool = False) -> Trace:
 def read_trace(path: str | Path | Location, jumps: bool = False) -> Trace:
     """Read a trace from a .csv, .parquet or .mat file, on disk or inside an archive.
 
-    jumps   two rows may have the same time, as in a scenario: the first one is moved 1 us back, or to the middle
-            of a shorter interval, and left out at the beginning
+    jumps   two rows may have the same time, as in a scenario: the first one is moved 1 us back, or to the
+            middle of a shorter interval, and left out at the beginning
     """
     file = path if isinstance(path, Location) else Location(Path(path))
     check_suffix(str(file))
