@@ -11,7 +11,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import Rows, Simulation, bits, difference, severity
+from orchestrator.check.tasks.trial_run import MAX_INNER_STEPS, Rows, Simulation, bits, difference, severity
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.messages import STATUS
 
@@ -162,7 +162,7 @@ def _single_run(trial: Trial, shift: int, count: int = STEPS) -> Rows:
 
 def threads(trial: Trial) -> Iterator[Remark]:
     """Runs in parallel threads are bit-identical to serial runs."""
-    count = 60
+    count = 60 if trial.kind == "CoSimulation" else 60 // MAX_INNER_STEPS  # each with as many calls
     serial = [_single_run(trial, n, count) for n in range(THREADS)]
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)  # the interpreter changes threads between almost all calls
