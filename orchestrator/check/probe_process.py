@@ -122,27 +122,26 @@ def _attempt(job: Mapping[str, Any]) -> Outcome:
     try:
         worker.forget_printed()
         worker.put(job)
-        try:
-            for message in worker.messages(probe_limits(), _halt):
-                worker.working = message.get("pid", worker.working)
-                if "severity" in message:
-                    outcome.remarks.append((message["severity"], message["text"]))
-                outcome.case = message.get("case", outcome.case)
-                outcome.failure = message.get("crash", outcome.failure)
-                if "done" in message and not outcome.failure:
-                    done, outcome.result = True, message["result"]
-                if idle := "idle" in message:
-                    break
-        except LimitExceeded as limit:
-            outcome.failure, outcome.late = str(limit), limit.timed_out
+        for message in worker.messages(probe_limits(), _halt):
+            worker.working = message.get("pid", worker.working)
+            if "severity" in message:
+                outcome.remarks.append((message["severity"], message["text"]))
+            outcome.case = message.get("case", outcome.case)
+            outcome.failure = message.get("crash", outcome.failure)
+            if "done" in message and not outcome.failure:
+                done, outcome.result = True, message["result"]
+            if idle := "idle" in message:
+                break
         if not done and not outcome.failure:
             outcome.failure = worker.report
-        return outcome
+    except LimitExceeded as limit:
+        outcome.failure, outcome.late = str(limit), limit.timed_out
     finally:
         if idle:
             _idle.append(worker)
         else:
             worker.close()
+    return outcome
 
 
 @contextmanager

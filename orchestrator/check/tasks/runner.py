@@ -129,9 +129,12 @@ def main(channel: Channel) -> None:
     except OnlyOnce:
         pass  # the rest of the task needs another instance
     except Problem as problem:
-        # an instance that is refused, such as by a licence, is no leak
-        refused = ("note", "not measured: ") if module == "leaks" else ("error", "")
-        channel.put({"severity": refused[0], "text": f"{refused[1]}{problem}"})
+        grave, why = ("error", "")
+        if module == "leaks":  # an instance that is refused, such as by a licence, is no leak
+            grave, why = ("note", "not measured: ")
+        elif not trial._instances and trial.interface.declares("needsExecutionTool"):
+            grave, why = ("warning", "the tool that the FMU needs may be missing: ")
+        channel.put({"severity": grave, "text": f"{why}{problem}"})
     except Crashed as problem:
         channel.put({"crash": str(problem)})
     except OSError as problem:
