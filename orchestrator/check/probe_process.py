@@ -1,6 +1,6 @@
 """Runs a task on an FMU in a child process with limits of time and memory, and returns its outcome.
 
-A child process imports what tasks need and then, where the system can, runs each of them in a fork of itself.
+A child process imports what tasks need and then, on Linux, runs each of them in a fork of itself.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -19,6 +20,7 @@ from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.main import Channel
 
 MAX_MESSAGES = 10_000  # log messages that are kept per instance
+FORKS = hasattr(os, "fork") and sys.platform != "darwin"  # there, libraries of the system may crash in a fork
 FINISHED = 93  # exit status of a fork whose task is complete
 Remark = tuple[str, str]  # severity, text
 Task = Callable[["Trial"], Iterator[Remark]]
@@ -110,7 +112,7 @@ def main(channel: Channel) -> None:
     own = {*channel.folder.iterdir()}
     while job := channel.get():
         channel.activity.clear()
-        if not hasattr(os, "fork") or not (pid := os.fork()):
+        if not FORKS or not (pid := os.fork()):
             break
         end = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         if end != FINISHED:
