@@ -5,7 +5,6 @@ Imports are inside the functions, because the child processes of a check import 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +34,7 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
     run    also load and run the FMU in child processes
     """
     from orchestrator.base.errors import Problem
+    from orchestrator.check.probe_process import probe_threads
     from orchestrator.check.report import ANY, TOOLS, CheckReport
     from orchestrator.check.rules import STATIC
     from orchestrator.check.rules.identity import without_repeats
@@ -44,23 +44,25 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
         raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")
     if not path.is_file():
         raise Problem(f"{path}: {'expected an .fmu file, got a folder' if path.is_dir() else 'no such file'}")
-    with open_subject(path) as subject:
+    with probe_threads(run) as pool, open_subject(path) as subject:
         rules = all_rules() if run else STATIC
         if subject.version.startswith("1."):
             rules = tuple(r for r in rules if r.id.startswith(RULES_1))
-        findings = [finding for rule in rules for finding in _findings(rule, subject)]
+        running = [pool.submit(_findings, rule, subject) for rule in rules if rule not in STATIC]
+        findings = [finding for rule in rules if rule in STATIC for finding in _findings(rule, subject)]
+        findings += [finding for future in running for finding in future.result()]
         return CheckReport(path, _title(subject), without_repeats(findings), tool)
 
 
-def _findings(rule: CheckRule, subject: Subject) -> Iterator[Finding]:
+def _findings(rule: CheckRule, subject: Subject) -> list[Finding]:
     """The findings of a rule; an exception in a rule becomes a finding, so that the other rules still run."""
     from orchestrator.check.finding import Finding
 
     try:
-        yield from rule(subject)
+        return list(rule(subject))
     except Exception as problem:
         text = f"rule {rule.id} could not be applied: {type(problem).__name__}: {problem}"
-        yield Finding(DEFECT, "warning", text)
+        return [Finding(DEFECT, "warning", text)]
 
 
 def _title(subject: Subject) -> str:

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from orchestrator.base.interrupts import DeferredInterrupts
+
 SUFFIXES = {"ELF": ".so", "PE": ".dll", "Mach-O": ".dylib"}
 MACHINES = {
     "X86_64": "x86_64",
@@ -102,7 +104,8 @@ def _read(path: Path, file: str) -> list[Binary]:
 
 
 def _parse(path: Path, file: str, size: int) -> Iterator[Binary]:
-    import lief
+    with DeferredInterrupts():  # one while lief is loaded would abort this process
+        import lief
 
     lief.logging.disable()
     if lief.is_elf(str(path)):

@@ -1,11 +1,15 @@
-"""Runs a task on an FMU in a child process with limits of time and memory, and returns its outcome."""
+"""Runs a task on an FMU in a child process with limits of time and memory, and returns its outcome.
+
+A child process imports what tasks need and then, on Linux, runs each of them in a fork of itself.
+"""
 
 from __future__ import annotations
 
+import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +17,7 @@ from typing import Any
 from orchestrator.fmi.raw_description import ModelDescription
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
+ELSEWHERE = "time_and_state:elsewhere"  # needs a process with other addresses
 MAX_ATTEMPTS = 6  # child processes for one task; each continues after the case that crashed the one before
 
 
@@ -26,11 +31,13 @@ class ProbeLimits(WorkerLimits):
     call_time: float = 10.0
     total_time: float = 60.0
     memory: float = machine_memory() / 4
-    work_time: float = 0.8
+    work_time: float = 0.5
 
 
 _limits = [ProbeLimits()]
 _halt = threading.Event()  # set by an interrupt; all child processes are stopped then
+_places = threading.Semaphore(max(2, min(4, os.cpu_count() or 1)))  # for child processes that work
+_idle: list[Worker] = []
 
 
 @contextmanager
@@ -90,7 +97,8 @@ def run(
     trial |= {**(options or {}), "payload": payload, "first_case": 0}
     outcome = Outcome()
     for _ in range(MAX_ATTEMPTS):
-        attempt = _attempt({"task": task, "trial": trial})
+        with _places:
+            attempt = _attempt({"task": task, "trial": trial})
         outcome.remarks += attempt.remarks
         outcome.result, outcome.case = attempt.result, attempt.case
         if not attempt.failure or attempt.late or attempt.case < 0:
@@ -101,37 +109,54 @@ def run(
     return outcome
 
 
+def _process() -> Worker:
+    return Worker("orchestrator.check.tasks.runner:main", "probe", in_folder=True)
+
+
 def _attempt(job: Mapping[str, Any]) -> Outcome:
-    """Run the task in one child process."""
-    worker = Worker("orchestrator.check.tasks.runner:main", "probe", in_folder=True)
-    outcome, done = Outcome(), False
+    """Run the task in one child process, an idle one if there is one."""
+    worker, outcome, done, idle = None, Outcome(), False, False
+    with suppress(IndexError):
+        worker = _idle.pop() if job["task"] != ELSEWHERE else None
+    worker = worker or _process()
     try:
+        worker.forget_printed()
         worker.put(job)
-        try:
-            for message in worker.messages(probe_limits(), _halt):
-                if "severity" in message:
-                    outcome.remarks.append((message["severity"], message["text"]))
-                outcome.case = message.get("case", outcome.case)
-                outcome.failure = message.get("crash", outcome.failure)
-                if "done" in message and not outcome.failure:
-                    done, outcome.result = True, message["result"]
-        except LimitExceeded as limit:
-            outcome.failure, outcome.late = str(limit), limit.timed_out
+        for message in worker.messages(probe_limits(), _halt):
+            worker.working = message.get("pid", worker.working)
+            if "severity" in message:
+                outcome.remarks.append((message["severity"], message["text"]))
+            outcome.case = message.get("case", outcome.case)
+            outcome.failure = message.get("crash", outcome.failure)
+            if "done" in message and not outcome.failure:
+                done, outcome.result = True, message["result"]
+            if idle := "idle" in message:
+                break
         if not done and not outcome.failure:
             outcome.failure = worker.report
-        return outcome
+    except LimitExceeded as limit:
+        outcome.failure, outcome.late = str(limit), limit.timed_out
     finally:
-        worker.close()
+        if idle:
+            _idle.append(worker)
+        else:
+            worker.close()
+    return outcome
 
 
-def in_parallel(work: Callable[[str], Outcome], kinds: Sequence[str]) -> list[Outcome]:
-    """Work for several interfaces at the same time; an interrupt stops the child processes at once."""
+@contextmanager
+def probe_threads(run: bool) -> Iterator[ThreadPoolExecutor]:
+    """Threads that run tasks; child processes end with the block, also after an interrupt.
+
+    run   start two child processes already, which takes them a tenth of a second
+    """
+    pool = ThreadPoolExecutor()
     try:
-        with ThreadPoolExecutor() as pool:
-            try:
-                return list(pool.map(work, kinds))
-            except BaseException:
-                _halt.set()  # the threads of the pool are waited for
-                raise
+        _idle.extend(_process() for _ in range(2 * run))
+        yield pool
     finally:
+        _halt.set()
+        pool.shutdown(cancel_futures=True)
         _halt.clear()
+        while _idle:
+            _idle.pop().close()

@@ -6,19 +6,21 @@ follow.
 
 from __future__ import annotations
 
+import threading
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from orchestrator.check.finding import MAKE, Finding, note
-from orchestrator.check.probe_process import Outcome, in_parallel, run
+from orchestrator.check.probe_process import Outcome, run
 from orchestrator.check.rule import Check, CheckRule
 from orchestrator.check.subject import DESCRIPTION, Subject
 from orchestrator.fmi.library import ARM, SYSTEM, find_library, platform_folders
 from orchestrator.fmi.raw_description import INTERFACES, ModelDescription
 
-MAX_VARIABLES = 20_000  # in a run; each of 50 child processes needs 1 s for 20 000 variables
+MAX_VARIABLES = 20_000  # in a run; each of 50 tasks needs 1 s for 20 000 variables
 KINDS = ("CoSimulation", "ModelExchange")
 
 
@@ -46,14 +48,16 @@ class FirstRun:
 
 
 _cache: dict[Path, FirstRun] = {}  # by folder of the FMU; only the latest FMU
+_running = threading.Lock()
 
 
 def first_run(subject: Subject) -> FirstRun:
     """Load and run the FMU; the result is cached while the same FMU is checked."""
-    if subject.folder not in _cache:
-        _cache.clear()
-        _cache[subject.folder] = _first_run(subject)
-    return _cache[subject.folder]
+    with _running:
+        if subject.folder not in _cache:
+            _cache.clear()
+            _cache[subject.folder] = _first_run(subject)
+        return _cache[subject.folder]
 
 
 def _first_run(subject: Subject) -> FirstRun:
@@ -75,7 +79,8 @@ def _first_run(subject: Subject) -> FirstRun:
         return FirstRun(problem=text)
 
     def outcomes(kinds: Sequence[str], task: str) -> dict[str, Outcome]:
-        results = in_parallel(lambda kind: run(folder, model, kind, task), kinds)
+        with ThreadPoolExecutor() as pool:
+            results = pool.map(lambda kind: run(folder, model, kind, task), kinds)
         return dict(zip(kinds, results, strict=True))
 
     loaded = outcomes(kinds, "loading:load")
@@ -177,7 +182,7 @@ def _probe(tasks: Sequence[str], kind: str = "", needs: Sequence[str] = (), fmi:
                     break
             return outcome
 
-        yield from _findings(first, dict(zip(kinds, in_parallel(work, kinds), strict=True)))
+        yield from _findings(first, {kind: work(kind) for kind in kinds})
 
     return check
 

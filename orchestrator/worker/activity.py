@@ -49,6 +49,10 @@ class ActivityRecord:
             self._memory = mmap.mmap(file.fileno(), SIZE)
         self._count, self._case = 0, ""
 
+    def clear(self) -> None:
+        """Forget the last activity."""
+        self._memory[:] = _HEAD.pack(0, float("nan"), b"") + bytes(_TEXT)
+
     def call(self, name: str, time: float = float("nan")) -> None:
         """Store the function that is called next, and the simulation time [s]."""
         self._count += 1

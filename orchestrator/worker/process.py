@@ -97,6 +97,7 @@ class Worker:
         self._activity = ActivityRecord(self.folder / "activity")
         options = {"cwd": self.folder} if in_folder else {}
         self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
+        self.working = self._child.pid  # the process that works: this one, or a fork of it
         _enlarge(self._child.stdout)
         self._messages: Queue[Any] = Queue(MAX_MESSAGES)
         reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
@@ -127,9 +128,9 @@ class Worker:
 
     @property
     def memory(self) -> float:
-        """Resident memory of the process [bytes]; 0 on systems that do not report it."""
+        """Resident memory of the process that works [bytes]; 0 on systems that do not report it."""
         try:
-            pages = Path(f"/proc/{self.pid}/statm").read_text(encoding="ascii").split()[1]
+            pages = Path(f"/proc/{self.working}/statm").read_text(encoding="ascii").split()[1]
         except (OSError, IndexError):
             return 0.0
         return float(pages) * os.sysconf("SC_PAGE_SIZE")

@@ -94,7 +94,7 @@ static Model *make(const char *token, const char *location, int side) {
         for (const char *c = location; *c; c++)
             if (*c == ' ') return NULL;
     }
-    if (is("once") && alive) return NULL;
+    if (is("refuses") || (is("once") && alive)) return NULL;
     if (is("only") && made++) return NULL;
     if (is("slow")) usleep(20000);
     if (is("place") && location && strchr(location, '%')) abort();

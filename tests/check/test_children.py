@@ -16,7 +16,7 @@ from zoo.command import command
 
 from check.test_probes import apply, opened
 from orchestrator.check import probe_process
-from orchestrator.check.probe_process import ProbeLimits, use_probe_limits
+from orchestrator.check.probe_process import ProbeLimits, probe_threads, use_probe_limits
 from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.process import MAX_STDERR, LimitExceeded, Worker, WorkerLimits
 
@@ -39,8 +39,8 @@ def group(leader: int) -> list[str]:
 
 
 @linux
-def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypatch):
-    """A process that the FMU has started does not outlive the probe."""
+def test_what_the_fmu_starts_ends_with_the_check(oscillators, tmp_path, monkeypatch):
+    """A process that the FMU has started does not outlive the child process, which is used again."""
     started = []
 
     class Noted(probe_process.Worker):
@@ -49,9 +49,9 @@ def test_what_the_fmu_starts_ends_with_its_child(oscillators, tmp_path, monkeypa
             started.append(self.pid)
 
     monkeypatch.setattr(probe_process, "Worker", Noted)
-    with use_probe_limits(ProbeLimits(call_time=PATIENCE, work_time=2.0)):
-        apply(oscillators.make(fault="starts"), tmp_path, "default")
-    assert started
+    with use_probe_limits(ProbeLimits(call_time=PATIENCE, work_time=2.0)), probe_threads(run=True):
+        apply(oscillators.make(fault="starts"), tmp_path, "default", "reset")
+    assert len(started) == 2
     assert until(lambda: not any(group(pid) for pid in started))
 
 

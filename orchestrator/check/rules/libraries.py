@@ -91,11 +91,7 @@ def debug(subject: Subject) -> Iterator[Finding]:
             )
 
 
-@EXPORTS.rule(
-    "binary.traits",
-    "Libraries have no writable code and no executable stack",
-    "melonDS#217",
-)
+@EXPORTS.rule("binary.traits", "Libraries have no writable code and no executable stack", "melonDS#217")
 def traits(subject: Subject) -> Iterator[Finding]:
     consequences = {
         "executable stack": "Linux with glibc 2.41 and newer does not load it",

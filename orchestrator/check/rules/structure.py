@@ -52,9 +52,7 @@ def _ignores_derivatives(model: ModelDescription) -> bool:
 
 
 @STRUCTURE.rule(
-    "structure.outputs",
-    "Outputs lists exactly the outputs",
-    "OMSimulator#838 FMUComplianceChecker#27",
+    "structure.outputs", "Outputs lists exactly the outputs", "OMSimulator#838 FMUComplianceChecker#27"
 )
 def outputs(subject: Subject) -> Iterator[Finding]:
     model = subject.model

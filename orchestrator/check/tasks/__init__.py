@@ -1,5 +1,4 @@
 """Tasks that load and run the FMU in a child process; each task yields findings as (severity, text).
 
-They need only the standard library, so a child process starts within a tenth of a second. A check starts
-about forty child processes.
+They need only the standard library, so a child process starts within a tenth of a second.
 """

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from orchestrator.base.errors import Problem
 from orchestrator.check.tasks.runner import Remark, Trial
-from orchestrator.check.tasks.trial_run import Rows, Simulation, bits, difference, severity
+from orchestrator.check.tasks.trial_run import MAX_INNER_STEPS, Rows, Simulation, bits, difference, severity
 from orchestrator.fmi.instance import CallFailed
 from orchestrator.fmi.messages import STATUS
 
@@ -115,7 +115,7 @@ def _locations(major: int, resources_folder: Path) -> list[tuple[str, str]]:
 
 
 STEPS = 12
-THREADS = 4
+THREADS, RUNS = 4, 32
 
 
 def instances(trial: Trial) -> Iterator[Remark]:
@@ -162,15 +162,15 @@ def _single_run(trial: Trial, shift: int, count: int = STEPS) -> Rows:
 
 def threads(trial: Trial) -> Iterator[Remark]:
     """Runs in parallel threads are bit-identical to serial runs."""
-    count = 60
+    count = 30 if trial.kind == "CoSimulation" else 30 // MAX_INNER_STEPS  # each with as many calls
     serial = [_single_run(trial, n, count) for n in range(THREADS)]
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)  # the interpreter changes threads between almost all calls
     with ThreadPoolExecutor(THREADS) as pool:
-        parallel = list(pool.map(lambda n: _single_run(trial, n, count), range(THREADS)))
+        parallel = list(pool.map(lambda n: _single_run(trial, n % THREADS, count), range(RUNS)))
     sys.setswitchinterval(interval)
-    for n in range(THREADS):
-        if bits(serial[n]) != bits(parallel[n]):
-            text = difference(trial, serial[n], parallel[n])
+    for n, rows in enumerate(parallel):
+        if bits(serial[n % THREADS]) != bits(rows):
+            text = difference(trial, serial[n % THREADS], rows)
             yield "warning", f"{THREADS} instances in {THREADS} threads: {text}"
             return

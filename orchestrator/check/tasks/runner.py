@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -17,6 +20,8 @@ from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.main import Channel
 
 MAX_MESSAGES = 10_000  # log messages that are kept per instance
+FORKS = hasattr(os, "fork") and sys.platform != "darwin"  # there, libraries of the system may crash in a fork
+FINISHED = 93  # exit status of a fork whose task is complete
 Remark = tuple[str, str]  # severity, text
 Task = Callable[["Trial"], Iterator[Remark]]
 
@@ -98,8 +103,25 @@ class Trial:
 
 
 def main(channel: Channel) -> None:
-    """Run the task that the parent process sends, and send each finding at once."""
-    job = channel.get()
+    """Run the tasks that the parent process sends, each in a fork of this process, which has the imports.
+
+    If a fork does not end by itself, this process ends in the same way. Without forks it runs one task.
+    """
+    for module in Path(__file__).parent.glob("[a-z]*.py"):
+        import_module(f"orchestrator.check.tasks.{module.stem}")
+    own = {*channel.folder.iterdir()}
+    while job := channel.get():
+        channel.activity.clear()
+        if not FORKS or not (pid := os.fork()):
+            break
+        end = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        if end != FINISHED:
+            os.kill(os.getpid(), max(-end, 0))
+            os._exit(end)
+        for left in {*channel.folder.iterdir()} - own:
+            shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
+        channel.put({"idle": True})
+    channel.put({"pid": os.getpid()})
     trial = Trial(**job["trial"], activity=channel.activity, begin_case=lambda n: channel.put({"case": n}))
     module, _, name = job["task"].partition(":")
     task: Task = getattr(import_module(f"orchestrator.check.tasks.{module}"), name)
@@ -109,9 +131,12 @@ def main(channel: Channel) -> None:
     except OnlyOnce:
         pass  # the rest of the task needs another instance
     except Problem as problem:
-        # an instance that is refused, such as by a licence, is no leak
-        refused = ("note", "not measured: ") if module == "leaks" else ("error", "")
-        channel.put({"severity": refused[0], "text": f"{refused[1]}{problem}"})
+        grave, why = ("error", "")
+        if module == "leaks":  # an instance that is refused, such as by a licence, is no leak
+            grave, why = ("note", "not measured: ")
+        elif not trial._instances and trial.interface.declares("needsExecutionTool"):
+            grave, why = ("warning", "the tool that the FMU needs may be missing: ")
+        channel.put({"severity": grave, "text": f"{why}{problem}"})
     except Crashed as problem:
         channel.put({"crash": str(problem)})
     except OSError as problem:
@@ -122,3 +147,4 @@ def main(channel: Channel) -> None:
         text = f"the probe failed (a defect of this check): {problem!r}"
         channel.put({"severity": "warning", "text": text})
     channel.put({"done": True, "result": trial.result})
+    os._exit(FINISHED)

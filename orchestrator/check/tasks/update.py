@@ -42,17 +42,8 @@ class UpdateCallback:
     def __post_init__(self) -> None:
         self.function = CALLBACK(self._call)
 
-    def _call(
-        self,
-        _environment: Any,
-        time: float,
-        _set_requested: bool,
-        get_allowed: bool,
-        _step_finished: bool,
-        can_return_early: bool,
-        early_return_requested: Any,
-        early_return_time: Any,
-    ) -> None:
+    def _call(self, _environment: Any, time: float, *arguments: Any) -> None:
+        _, get_allowed, _, can_return_early, early_return_requested, early_return_time = arguments
         self.times.append(time)
         if get_allowed and self.outputs is not None and not self.problem:
             try:
