@@ -2,6 +2,7 @@
 
 import casadi as ca
 import pytest
+from kit.mistakes import table
 
 from fmus.contract import Quantity
 from fmus.export.interface import dependencies, interface_of
@@ -36,15 +37,7 @@ def test_stepwise_dependency_has_no_factor(make_toy):
     assert (kinds["straight"], kinds["scaled"]) == ([("u", "constant")], [("u", "fixed")])
 
 
-@pytest.mark.parametrize(
-    ("more", "start", "words"),
-    [
-        ({"nominal": 0.0}, 1.0, "nominal of u is 0, expected a finite number above 0"),
-        ({"nominal": float("inf")}, 1.0, "nominal of u is inf, expected a finite number above 0"),
-        ({"maximum": 2.0}, 3.0, "u starts at 3, expected -inf to 2"),
-        ({}, float("nan"), "u starts at nan"),
-    ],
-)
+@table(__file__, "numbers", "more, start, words")
 def test_impossible_numbers_of_a_variable_are_refused(make_toy, more, start, words):
     """A nominal value that is not positive and a start value out of bounds are refused."""
     u = q(**more)

@@ -4,6 +4,7 @@ import ctypes
 import math
 
 import pytest
+from kit.mistakes import table
 
 
 def test_wrong_guid_gives_no_instance(open_fmu):
@@ -92,16 +93,7 @@ def test_start_values_act_before_and_in_initialisation(open_fmu):
         assert chamber["pressure"] == supply / 2
 
 
-@pytest.mark.parametrize(
-    ("time", "step", "word"),
-    [
-        (0.0, 0.0, "step size is 0"),
-        (0.0, -0.1, "step size is -0.1"),
-        (0.0, math.nan, "step size is nan"),
-        (0.2, 0.1, "communication point is 0.2 s, expected 0 s"),
-        (0.0, 20.0, "after the stop time 10 s"),
-    ],
-)
+@table(__file__, "steps", "time, step, word")
 def test_impossible_step_is_refused(open_fmu, time, step, word):
     """Impossible step sizes and times are refused with their values, and the simulation can continue."""
     fmu = open_fmu("decay").start(stop=10.0)
@@ -169,15 +161,7 @@ def test_a_repeated_warning_is_logged_three_times(open_fmu):
     assert ["no further warning of it follows" in w for w in said] == [False, False, True]
 
 
-@pytest.mark.parametrize(
-    ("positions", "velocity", "named"),
-    [
-        ((0, 1, 2, 3, 9e3, 10), 0.0, True),
-        ((0, 1, 2, 3, 9e3, 10), 1.0, False),
-        ((0, 0, 0, 0, 9e3, 0), 0.0, False),
-    ],
-    ids=["held", "with its rate", "jump"],
-)
+@table(__file__, "held", "positions, velocity, named")
 def test_held_inputs_are_named_once_with_the_first_warning(open_fmu, positions, velocity, named):
     """An input that moves in each step while its rate input stays 0 may be the cause; a jump is none.
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
@@ -116,16 +116,7 @@ def test_an_interrupt_keeps_what_is_finished(file, finished, monkeypatch, capsys
     assert pd.read_csv(out / "log.csv")["run"].tolist()[: len(kept)] == kept
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ("seed = 3", "seed = 4", "seed was 3, is 4"),
-        ("runs = 12", "runs = 13", "runs was 12, is 13"),
-        ("maximum = 3", "maximum = 2", 'factors."gain.factor".maximum was 3, is 2'),
-        ('"gain.u" = 2', '"gain.u" = 1', 'fixed."gain.u" was 2, is 1'),
-        ("stop = 0.2", "stop = 0.3", "stop was 0.2, is 0.3"),
-    ],
-)
+@table(__file__, "changes", "old, new, told")
 def test_a_changed_study_is_refused(done, one, old, new, told):
     """The line says what changed and that --fresh deletes what is there."""
     done.write_text(GAIN.replace(old, new), encoding="utf-8")

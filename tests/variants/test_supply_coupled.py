@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.equations import JOINTS, Part, machine, played, work_cycle
+from kit.mistakes import table
 
 from fmus.contract import quantities
 from fmus.machine.parts import DRIVES, FAMILIES, SUPPLY_WIRES
@@ -63,15 +64,7 @@ def test_both_drives_have_their_bonds(system):
 
 
 # each pair of a master, a cut and a supply once
-@pytest.mark.parametrize(
-    ("variant", "cut", "master"),
-    [
-        ("engine_pump", (), "gauss-seidel"),
-        ("engine_pump", ("supply_pressure_rate",), "jacobi"),
-        ("load_sensing", (), "jacobi"),
-        ("load_sensing", ("supply_pressure_rate",), "gauss-seidel"),
-    ],
-)
+@table(__file__, "runs", "variant, cut, master")
 def test_co_simulation_at_1_ms_agrees_with_the_monolith(system, reference, master, cut, variant):
     """Speeds to 2e-4 or 5e-4 and supply pressure to 1e-3 of range, with that rate port or without."""
     true = reference(variant)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from kit.equations import machine, piston_areas
+from kit.mistakes import table
 
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
@@ -134,14 +135,7 @@ def test_without_supply_the_closed_valves_still_hold(driven):
 # ---- moved
 
 
-@pytest.mark.parametrize(
-    ("command", "signs"),
-    [
-        ("swing_command", {"swing_speed": 1}),
-        ("boom_command", {"boom_speed": 1, "boom_velocity": 1}),
-        ("stick_command", {"stick_velocity": 1, "stick_speed": -1}),
-    ],
-)
+@table(__file__, "signs", "command, signs")
 def test_positive_commands_move_the_stated_way_and_negative_ones_back(driven, command, signs):
     """Signs of every port: positive swings left, raises the boom, extends (and so folds) the stick."""
     for direction in (1, -1):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from identification.procedures.bench import assert_coverage, changed, measured, named
 from identification.procedures.lumped_machine import KNOWN
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from fmus.identification.procedures.motor_leakage import identify
 from orchestrator.data.recording import Recording, Sensor
@@ -144,15 +144,7 @@ def test_ripple_of_the_pump_does_not_hide_a_step():
     assert waved == plain
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"conditions": {"shaft": "free"}}, "shaft: expected locked, got 'free'"),
-        ({"procedure": "valve"}, "expected a recording of this procedure"),
-        ({"signals": {}}, "expected the signal pressure_a"),
-        ({"units": {"pressure_a": "m3/s"}}, "pressure_a is in m3/s, expected Pa"),
-    ],
-)
+@table(__file__, "mistakes", "change, message")
 def test_wrong_data_are_refused_in_one_line(change, message):
     """A free shaft, no recording, no signal, another quantity."""
     assert message in problem(lambda: identify([replace(r, **change) for r in recordings()], KNOWN))
