@@ -1,7 +1,5 @@
 """The command line on the machine itself: build, parameters, signals, run; validate: test_validate.py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The base installation: what works without the extras, and what a command says without its extra."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The documents: links lead somewhere, commands and snippets run as printed, names exist."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -1,7 +1,5 @@
 """The tutorials do what they say: every command and snippet is run, every output shown is what comes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

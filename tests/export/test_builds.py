@@ -1,7 +1,5 @@
 """Builds: the same bytes anywhere, whole files or none, no work done twice; the command."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`batch`: results in lanes equal those of single runs, whatever the other machines do; mistakes."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`Machines`: steps with commands for each machine equal single runs, and machines start again one by one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

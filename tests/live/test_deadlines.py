@@ -1,7 +1,5 @@
 """When frames are due: on a clock that the test moves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

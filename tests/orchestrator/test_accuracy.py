@@ -1,7 +1,5 @@
 """Runs of an accuracy that is asked for: against closed forms and the monolithic solution."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """FMUs in Python in the machine: whole parts, and the example's model by hand."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

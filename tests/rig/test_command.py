@@ -1,7 +1,5 @@
 """harvester rig: what it writes, and what it refuses in one line."""
 
-from __future__ import annotations
-
 import pytest
 from kit.mistakes import refused, table
 

@@ -1,7 +1,5 @@
 """The folder of a study: the same content however it came about, nothing run twice, nothing mixed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """The registry and what it prints; every combination of variants in the machine; Python FMUs among them."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import shutil

@@ -1,7 +1,5 @@
 """The supply in the machine: its lines fit, power is counted at them, and the coupling is accurate."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

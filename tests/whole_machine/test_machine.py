@@ -3,8 +3,6 @@
 Energy: tests/variants/test_balances.py, test_manipulator.py, over the work cycle test_energy.py.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from kit.equations import machine, piston_areas

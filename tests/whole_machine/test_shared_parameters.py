@@ -1,7 +1,5 @@
 """Values that parts share, and bounds of values: one line before the run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Damping, eq. (13): true values come back, intervals hold them, doubts and faults are told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

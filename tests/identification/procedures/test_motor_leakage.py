@@ -1,7 +1,5 @@
 """Motor leakage procedure, eqs. (11), (12): estimates, coverage of the intervals, remarks on other flows."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
