@@ -167,6 +167,14 @@ def fmu_dir(built: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def system(fmu_dir: Path) -> Any:
+    """The machine, read once."""
+    from orchestrator import load
+
+    return load(fmu_dir / "harvester.ssp")
+
+
+@pytest.fixture(scope="session")
 def fmi3_dir(built: Path) -> Path:
     """Folder with the same files in FMI 3 and SSP 2."""
     return built / "fmi3"

@@ -10,8 +10,6 @@ import pytest
 from kit import shards
 from kit.tutorial import Tutorial, blocks
 
-from orchestrator import load
-
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
     p for p in ROOT.rglob("*.md") if not {".venv", "build", "node_modules"} & set(p.relative_to(ROOT).parts)
@@ -79,11 +77,10 @@ def test_the_python_snippets_of_a_page_run(page, workplace):
     assert eval(LEFT[page], names | {"printed": printed.getvalue()}), printed.getvalue()
 
 
-def test_signals_of_the_mapping_example_exist(fmu_dir):
+def test_signals_of_the_mapping_example_exist(system):
     """The measurement in docs/recordings.md maps columns to signals of this machine."""
     text = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
-    names = set(load(fmu_dir / "harvester.ssp").names())
     examples = [tomllib.loads(t) for t in re.findall(r"```toml\n(.*?)```", text, re.DOTALL)]
     (signals,) = [example["signals"] for example in examples if "experiment" not in example]
     assert signals
-    assert set(signals) <= names
+    assert set(signals) <= set(system.names())

@@ -1,19 +1,9 @@
-"""The usual machine, and small foreign FMUs."""
+"""Small foreign FMUs."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from kit.any_fmu.models import Workshop
-
-from orchestrator import System, load
-
-
-@pytest.fixture(scope="session")
-def system(fmu_dir: Path) -> System:
-    """The usual machine."""
-    return load(fmu_dir / "harvester.ssp")
 
 
 @pytest.fixture(scope="session")

@@ -11,15 +11,10 @@ from kit.mistakes import table
 from fmus.contract import quantities
 from fmus.machine.parts import DRIVES, FAMILIES, SUPPLY_WIRES
 from fmus.parameters import values
-from orchestrator import Trace, load, run
+from orchestrator import Trace, run
 from orchestrator.ssp.power_bonds import find_bonds
 
 STOP = 6.0  # s of the work cycle: lift, swing and stick overlap
-
-
-@pytest.fixture(scope="module")
-def system(fmu_dir):
-    return load(fmu_dir / "harvester.ssp")
 
 
 @pytest.fixture(scope="module")

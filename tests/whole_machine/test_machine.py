@@ -12,7 +12,7 @@ from fmus.machine.parts import SUBSYSTEMS
 from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
 from fmus.parameters import values
-from orchestrator import Problem, load, run
+from orchestrator import Problem, run
 
 BOOM_STICK, MANIPULATOR = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "manipulator"))
 SUPPLY = values(SUBSYSTEMS["swing"]).u["supply_pressure"]
@@ -22,12 +22,11 @@ PISTONS = ("boom", "stick")
 
 
 @pytest.fixture(scope="module")
-def driven(fmu_dir):
+def driven(system):
     """driven(stop, numbers, input=...): the trace of a run with inputs that are constant, or over `time`.
 
     Commands that are not given are zero.
     """
-    system = load(fmu_dir / "harvester.ssp")
 
     def trace(stop, numbers=None, record_step=0.01, time=None, **inputs):
         time = [0.0, stop] if time is None else time
