@@ -32,7 +32,7 @@ ELSEWHERE = {
     "rig --out": "minutes; tests/identification/test_command.py",
     "--platform all": "five platforms; tests/export/test_platforms.py",
     "harvester view": "does not end by itself; tests/view",
-    "harvester sweep": "640 runs; tests/sweep/test_swing_peaks.py",
+    "harvester sweep": "640 runs; tests/sweep/test_study_docs.py",
 }
 PAGES = ("README.md", "docs/run.md", "docs/coupling.md", "docs/control.md", "docs/machine.md")
 

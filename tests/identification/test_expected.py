@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from kit.mistakes import problem, table
 
 from fmus.identification.machine import signal_names
@@ -47,10 +46,7 @@ def test_all_signals_of_the_machine_may_be_recorded():
     assert remarks([recording("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
 
 
-@pytest.mark.parametrize(
-    ("procedure", "wrong", "right"),
-    [("valve", "Edge", "edge"), ("hose_resistance", "lenght", "length"), ("damping", "Joint", "joint")],
-)
+@table(__file__, "conditions", "procedure, wrong, right")
 def test_a_misspelt_condition_is_refused(procedure, wrong, right):
     """A key of [experiment] that differs by case or a letter from one that is read."""
     message = problem(lambda: remarks([recording(procedure, [], **{wrong: "x"})]))

@@ -80,13 +80,7 @@ def test_intervals_have_their_coverage():
     assert sum(not any("linear:" in text for text in r.remarks) for r in results) < 2
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"square": 1e-21}, "quadratic part of the internal"),
-        ({"zero": 3e-6 / 60}, "a flow in the drain of"),
-    ],
-)
+@table(__file__, "flows", "change, message")
 def test_a_flow_that_the_laminar_law_neglects_is_reported(change, message):
     """A quadratic part of 3 % at full pressure, a zero of 3 mL/min."""
     remarks = identify(recordings(1, **change), KNOWN).remarks
