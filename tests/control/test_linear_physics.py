@@ -68,10 +68,8 @@ def test_a_small_step_moves_the_machine_as_the_linear_model_says(fmu_dir):
     """While it swings evenly, 20 mV more and less: co-simulations differ as the model says."""
     system, step, at, end = fmu_dir / "harvester.ssp", 0.02, 8.0, 10.0
     names = ["manipulator.swing_speed", "swing.swing_pressure_a", "swing.swing_pressure_b"]
-    time, held = (
-        np.array([0.0, at, at + 1e-3, end]),
-        {n: np.zeros(4) for n in ("boom_command", "stick_command")},
-    )
+    time = np.array([0.0, at, at + 1e-3, end])
+    held = {n: np.zeros(4) for n in ("boom_command", "stick_command")}
 
     def swung(more):
         command = {**held, "swing_command": np.array([2.0, 2.0, 2.0 + more, 2.0 + more])}
@@ -100,11 +98,9 @@ DIGITS = 80  # rates reach 1e13: so many that none of what is seen here is round
 def resolvent_trace(a, value):
     """tr (s - A)^-1 = p'(s)/p(s) with p the characteristic polynomial, by Gauss-Jordan on real blocks."""
     n, decimal = len(a), np.vectorize(Decimal, otypes=[object])
-    real, imaginary = (
-        decimal(-a) + Decimal(value.real) * decimal(np.eye(n)),
-        Decimal(value.imag) * decimal(np.eye(n)),
-    )
-    m = np.block([[real, -imaginary, decimal(np.eye(n))], [imaginary, real, decimal(np.zeros((n, n)))]])
+    one = decimal(np.eye(n))
+    real, imaginary = decimal(-a) + Decimal(value.real) * one, Decimal(value.imag) * one
+    m = np.block([[real, -imaginary, one], [imaginary, real, decimal(np.zeros((n, n)))]])
     for k in range(2 * n):
         pivot = k + int(np.argmax(np.abs(m[k:, k])))
         if not m[pivot, k]:
@@ -138,6 +134,5 @@ def test_eigenvalues_of_mixed_scales_are_those_of_the_diagonal():
     place, size = rng.permutation(7), np.array([1.0, 1e7, 1e-3, 1.0, 1e7, 1e-3, 1.0])
     found = eigen((size[:, None] * triangular / size)[np.ix_(place, place)], size[place])[0]
     assert not found.imag.any()
-    np.testing.assert_allclose(
-        np.sort(found.real), np.sort(wanted), rtol=1e-8
-    )  # hundredth of what is promised
+    # hundredth of what is promised
+    np.testing.assert_allclose(np.sort(found.real), np.sort(wanted), rtol=1e-8)

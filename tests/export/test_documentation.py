@@ -286,10 +286,7 @@ def test_numbers_travel_with_the_fmu(content):
         assert all(len(table[n]["value"]) == POINTS for n in listed)
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(1.6e9, "1.6·10⁹"), (-4e-05, "−4·10⁻⁵"), (20684000.0, "2.0684·10⁷"), (0.0, "0"), (16000.0, "16000")],  # noqa: RUF001 (the page shows a minus sign)
-)
+@table(__file__, "numbers", "value, text")
 def test_numbers_read_as_in_a_data_sheet(value, text):
     """Exponents are not padded, and the minus sign is that of typesetting."""
     assert printed(value) == text
@@ -305,10 +302,8 @@ def test_slugs_are_those_of_forges():
 
 def parsed(document: Path) -> tuple[html.HtmlElement, list[str]]:
     """A document with its formulas in MathML and without code; the formulas with their dollar signs."""
-    page, source = (
-        MarkdownIt("commonmark").enable("table").use(formulas),
-        document.read_text(encoding="utf-8"),
-    )
+    page = MarkdownIt("commonmark").enable("table").use(formulas)
+    source = document.read_text(encoding="utf-8")
     tree = html.fromstring(f"<div>{page.render(source, {'file': document.name})}</div>")
     for code in tree.xpath("//code"):
         code.text = ""

@@ -122,12 +122,12 @@ def test_a_changed_study_is_refused(done, one, old, new, told):
     assert line == f"{done.parent / 'out'}: holds runs of another study: {told}; --fresh deletes them"
 
 
-def test_a_changed_fmu_is_refused(done, one, workshop):
+def test_a_changed_fmu_is_refused(done, one, fmus):
     """It is its content that counts, not its name or its date."""
     fmu = done.parent / "gain.fmu"
     os.utime(fmu, (0, 0))
     assert run(done, one)[1] == []
-    fmu.write_bytes(workshop.make("gain", "other_gain", more="<!-- another -->").read_bytes())
+    fmu.write_bytes(fmus.make("gain", "other_gain", more="<!-- another -->").read_bytes())
     with pytest.raises(Problem, match=r"another study: the FMU of gain changed; --fresh deletes them$"):
         run(done, one)
 
@@ -140,9 +140,7 @@ def test_a_folder_that_is_not_understood_is_refused(done, one, text):
     assert "study.json: is not the study.json of a parameter study; --fresh" in line
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new"), [("study.toml", "seed = 3", "seed = 4"), ("out/study.json", "{", "")]
-)
+@table(__file__, "refused", "name, old, new")
 def test_fresh_deletes_what_is_refused(done, one, name, old, new):
     """Another study, and a folder that is not understood: all runs take place."""
     path = done.parent / name

@@ -18,11 +18,11 @@ BENT = '[choices]\ngain = ["gain.fmu", "bent.fmu"]\n'
 
 
 @pytest.fixture
-def offset(workshop, tmp_path):
+def offset(fmus, tmp_path):
     """The text of a study that varies the offset of the gain, and the file of it; bent.fmu is beside it."""
-    (tmp_path / "bent.fmu").write_bytes(workshop["bent"].read_bytes())
+    (tmp_path / "bent.fmu").write_bytes(fmus["bent"].read_bytes())
     text = GAIN.replace("gain.factor", "gain.offset")
-    return text, study(tmp_path, text, workshop["gain"])
+    return text, study(tmp_path, text, fmus["gain"])
 
 
 def test_a_file_is_understood(file):

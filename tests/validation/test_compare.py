@@ -92,10 +92,8 @@ def test_window_narrows_the_comparison() -> None:
 
 def test_rounded_times_do_not_cut_the_last_sample() -> None:
     """A last time of 0.3 in the CSV and 0.30000000000000004 in the run are the same instant."""
-    run, reference = (
-        metres(np.arange(4) * 0.1, np.arange(4.0)),
-        made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0)),
-    )
+    run = metres(np.arange(4) * 0.1, np.arange(4.0))
+    reference = made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0))
     found = validate(run, reference, rate=False)
     assert len(found["a.x"].time) == 4
     assert len(found.notes) == 1
