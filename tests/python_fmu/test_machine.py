@@ -23,7 +23,7 @@ def actuator(tmp_path_factory):
 
 
 # one part in every run: the code around the equations is the same for all
-EACH = [part if part == "swing" else pytest.param(part, marks=shards.system) for part in SUBSYSTEMS]
+EACH = [part if part == "swing" else pytest.param(part, marks=shards.machine) for part in SUBSYSTEMS]
 
 
 @pytest.mark.parametrize("part", EACH)
