@@ -167,6 +167,22 @@ def fmu_dir(built: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
+def system(fmu_dir: Path) -> Any:
+    """The machine, read once."""
+    from orchestrator import load
+
+    return load(fmu_dir / "harvester.ssp")
+
+
+@pytest.fixture(scope="session")
+def fmus(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The plain FMU of each small model by name, and a way to make others."""
+    from kit.any_fmu.models import Workshop
+
+    return Workshop(tmp_path_factory.mktemp("any_fmu"))
+
+
+@pytest.fixture(scope="session")
 def fmi3_dir(built: Path) -> Path:
     """Folder with the same files in FMI 3 and SSP 2."""
     return built / "fmi3"

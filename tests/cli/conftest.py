@@ -1,7 +1,5 @@
 """Where commands on the built machine run."""
 
-from __future__ import annotations
-
 import shutil
 from functools import partial
 

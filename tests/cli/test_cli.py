@@ -1,7 +1,5 @@
 """The command line on the machine itself: build, parameters, signals, run; validate: test_validate.py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -66,9 +64,8 @@ def test_signals_are_listed(capsys, fmu_dir):
     assert main(["signals"]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert max(map(len, printed)) <= 100
-    rows = [
-        line.split() for line in printed if line[:2] == "  " and line[2:3].strip()
-    ]  # wrapped text is further in
+    # wrapped text is further in
+    rows = [line.split() for line in printed if line[:2] == "  " and line[2:3].strip()]
     words = {row[0]: row[1:] for row in rows}
     assert words["supply.supply_pressure"][:5] == ["Pa", "Pressure", "of", "the", "supply"]
     assert words["manipulator.boom_angle"][:3] == ["rad", "Boom", "angle"]
@@ -144,9 +141,7 @@ def test_a_machine_that_is_not_built_yet(tmp_path, monkeypatch, capsys, command)
 
 
 @pytest.mark.usefixtures("here")
-@pytest.mark.parametrize(
-    ("command", "option"), [("run", ["--out", "new/run.csv"]), ("validate", ["--out", "new"])]
-)
+@table(__file__, "failing", "command, option")
 def test_a_failure_in_mid_run_keeps_the_record(capsys, command, option):
     """A supply pressure beyond reason breaks the linkage: the record stays, the FMU's own words are told."""
     Path("burst.csv").write_text(

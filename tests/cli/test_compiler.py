@@ -1,7 +1,5 @@
 """The cache of compiled code: only what nobody but the user can change is loaded."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys

@@ -1,7 +1,5 @@
 """The base installation: what works without the extras, and what a command says without its extra."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -125,20 +123,15 @@ def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
     )
     done = without(EVERY, code, tmp_path)
     install = 'install with: pip install "harvester-cosim[view]"'
-    assert (done.returncode, done.stderr) == (
-        2,
-        f"harvester: the package nicegui is not installed; {install}\n",
-    )
+    told = f"harvester: the package nicegui is not installed; {install}\n"
+    assert (done.returncode, done.stderr) == (2, told)
 
 
 BASE = {
     "run": ["run", "{system}", "--stop", "0.05"],
     "validate": ["validate", "{system}", "--stop", "0.2"],
-    "check": [
-        "check",
-        "{fmu}",
-        "--static",
-    ],  # the probes are imported all the same, and run in processes of their own
+    # the probes are imported all the same, and run in processes of their own
+    "check": ["check", "{fmu}", "--static"],
     "signals": ["signals", "{system}"],
     "parameters": ["parameters"],
     "variants": ["variants", "none.ssp"],

@@ -21,12 +21,6 @@ TIP = [f"manipulator.tip_{n}" for n in ("x", "y", "height")]
 SHOWN = [*COMMANDS, *TIP, "manipulator.boom_speed", "controller.tip_error"]
 
 
-@pytest.fixture(scope="module")
-def machine(fmu_dir):
-    """harvester_control.ssp."""
-    return fmu_dir / "harvester_control.ssp"
-
-
 def driven(machine, time, pose=NOMINAL, **inputs) -> Trace:
     """A run from a pose with inputs of the controller, or of all (`supply_pressure`), over time."""
     names = {n: n if n == "supply_pressure" else f"controller.{n}" for n in inputs}

@@ -14,12 +14,6 @@ OLD = {"position_gain": 5.0, "integral_gain": 10.0, "damping_rate": 15.0, "load_
 STRETCHED = ["reach"]
 
 
-@pytest.fixture(scope="module")
-def machine(fmu_dir):
-    """harvester_control.ssp."""
-    return fmu_dir / "harvester_control.ssp"
-
-
 def slewed(machine, time, wanted, **more):
     """Swing speed and time from 0 to 20 s of the stretched arm, with swing velocities wanted over time."""
     signals = {"swing_velocity": np.array(wanted, float), "engaged": np.ones(len(time))}

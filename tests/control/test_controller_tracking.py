@@ -16,12 +16,6 @@ ANGLE = "manipulator.swing_angle"
 COMMANDS = [f"controller.{n}_command" for n in ("swing", "boom", "stick")]
 
 
-@pytest.fixture(scope="module")
-def machine(fmu_dir):
-    """harvester_control.ssp."""
-    return fmu_dir / "harvester_control.ssp"
-
-
 def tracked(
     machine, path: str, scenario: Trace | None = None, **options
 ) -> tuple[np.ndarray, np.ndarray, Trace]:

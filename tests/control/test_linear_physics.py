@@ -1,6 +1,7 @@
-"""Linear models of the harvester against closed forms of hydraulics, and differences of co-simulations."""
+"""Linear models against closed forms of hydraulics, differences of co-simulations, and exact eigenvalues."""
 
 import math
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.signal import StateSpace, lsim
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.parameters import values
 from orchestrator import Trace, linearize, run
+from orchestrator.linear.modes import eigen
 
 OIL, SWING = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "swing"))
 BAR = 5e-3  # the bar of all closed forms: leakage, friction, inertia of the oil lie below
@@ -66,10 +68,8 @@ def test_a_small_step_moves_the_machine_as_the_linear_model_says(fmu_dir):
     """While it swings evenly, 20 mV more and less: co-simulations differ as the model says."""
     system, step, at, end = fmu_dir / "harvester.ssp", 0.02, 8.0, 10.0
     names = ["manipulator.swing_speed", "swing.swing_pressure_a", "swing.swing_pressure_b"]
-    time, held = (
-        np.array([0.0, at, at + 1e-3, end]),
-        {n: np.zeros(4) for n in ("boom_command", "stick_command")},
-    )
+    time = np.array([0.0, at, at + 1e-3, end])
+    held = {n: np.zeros(4) for n in ("boom_command", "stick_command")}
 
     def swung(more):
         command = {**held, "swing_command": np.array([2.0, 2.0, 2.0 + more, 2.0 + more])}
@@ -86,3 +86,53 @@ def test_a_small_step_moves_the_machine_as_the_linear_model_says(fmu_dir):
         found = (more[name] - less[name])[after] / 2
         # of third order: 20 mV on 1.4 V beyond the dead band; and inputs within a step
         assert np.abs(found - wanted[:, k]).max() <= 3e-3 * np.abs(wanted[:, k]).max(), name
+
+
+# ---- matrices with rates from 1e-6 to 1e7 1/s: against a diagonal, and against 80 digits
+
+
+SAME = 1e-6  # relative, what is promised of eigenvalues
+DIGITS = 80  # rates reach 1e13: so many that none of what is seen here is rounding
+
+
+def resolvent_trace(a, value):
+    """tr (s - A)^-1 = p'(s)/p(s) with p the characteristic polynomial, by Gauss-Jordan on real blocks."""
+    n, decimal = len(a), np.vectorize(Decimal, otypes=[object])
+    one = decimal(np.eye(n))
+    real, imaginary = decimal(-a) + Decimal(value.real) * one, Decimal(value.imag) * one
+    m = np.block([[real, -imaginary, one], [imaginary, real, decimal(np.zeros((n, n)))]])
+    for k in range(2 * n):
+        pivot = k + int(np.argmax(np.abs(m[k:, k])))
+        if not m[pivot, k]:
+            return math.inf  # an exact eigenvalue, such as that of a lag by itself
+        m[[k, pivot]] = m[[pivot, k]]
+        m[k] = m[k] / m[k, k]
+        others = np.flatnonzero((np.arange(2 * n) != k) & (m[:, k] != 0))
+        m[others] = m[others] - m[others, k][:, None] * m[k]
+    return complex(float(np.trace(m[:n, 2 * n :])), float(np.trace(m[n:, 2 * n :])))
+
+
+@pytest.mark.parametrize(("pose", "swap"), [("folded", {}), ("reach", {"swing": "detailed"})])
+def test_eigenvalues_of_the_machine_are_those_of_80_digits(fmu_dir, pose, swap):
+    """|s - s_k| <= n |p(s)/p'(s)| for some eigenvalue s_k (Laguerre): each s found, to 1e-6 of itself."""
+    linear = linearize(fmu_dir / "harvester.ssp", [pose], steady=True, swap=swap)
+    size = np.array([s.nominal for s in linear.states])
+    with localcontext() as context:
+        context.prec = DIGITS
+        for value in eigen(linear.a, size)[0]:
+            if value and value.imag >= 0.0:  # zero is exact: the column of the swing angle is
+                distance = len(size) / abs(resolvent_trace(linear.a, complex(value)))
+                assert distance <= SAME * abs(value), value
+    assert sum(eigen(linear.a, size)[0] == 0.0) == sum(~linear.a.any(axis=0))
+
+
+def test_eigenvalues_of_mixed_scales_are_those_of_the_diagonal():
+    """Rates from 1e-6 to 1e7 on the diagonal of a triangular matrix, its rows mixed, in Pa and in m3/s."""
+    wanted = -np.array([9.1e6, 1e-6, 20.0, 9e6, 3e-3, 4e3, 0.5])
+    rng = np.random.default_rng(0)
+    triangular = wanted[:, None] * (np.eye(7) + np.triu(rng.uniform(-1, 1, (7, 7)), 1))
+    place, size = rng.permutation(7), np.array([1.0, 1e7, 1e-3, 1.0, 1e7, 1e-3, 1.0])
+    found = eigen((size[:, None] * triangular / size)[np.ix_(place, place)], size[place])[0]
+    assert not found.imag.any()
+    # hundredth of what is promised
+    np.testing.assert_allclose(np.sort(found.real), np.sort(wanted), rtol=1e-8)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from kit import mistakes, shards
 from kit.equations import Part
+from kit.mistakes import table
 
 from fmus.controller.paths import start_angles
 from fmus.manipulator import MANIPULATOR
@@ -190,15 +191,7 @@ def test_a_scenario_without_a_path_and_a_machine_without_a_controller_are_told(f
 # ---- large errors, other machines
 
 
-@pytest.mark.parametrize(
-    ("uses", "cause"),
-    [
-        ({"stroke": 400, "speed": 1.2, "wait": 0.1}, "the path leads beyond the end of a stroke, from 2.0"),
-        ({"stroke": 0.9, "speed": 1.2, "wait": 0.4}, "the path requires more speed than an actuator has"),
-        ({"stroke": 0.2, "speed": 1.2, "wait": 0.9}, "the machine does not follow, from 2.0 s on"),
-        ({"stroke": 0.9, "speed": 0.9, "wait": 0.4}, "no limit of the controller acts"),
-    ],
-)  # fmt: skip
+@table(__file__, "causes", "uses, cause")
 def test_the_cause_is_the_limit_that_is_exceeded_most(uses, cause):
     """Strokes and speed act above 1, the wait above a half; the sentence tells the largest and when."""
     told = text([made(0.3, **uses)])

@@ -1,7 +1,5 @@
 """The documents: links lead somewhere, commands and snippets run as printed, names exist."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re
@@ -11,8 +9,6 @@ from pathlib import Path
 import pytest
 from kit import shards
 from kit.tutorial import Tutorial, blocks
-
-from orchestrator import load
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
@@ -36,7 +32,7 @@ ELSEWHERE = {
     "rig --out": "minutes; tests/identification/test_command.py",
     "--platform all": "five platforms; tests/export/test_platforms.py",
     "harvester view": "does not end by itself; tests/view",
-    "harvester sweep": "640 runs; tests/sweep/test_swing_peaks.py",
+    "harvester sweep": "640 runs; tests/sweep/test_study_docs.py",
 }
 PAGES = ("README.md", "docs/run.md", "docs/coupling.md", "docs/control.md", "docs/machine.md")
 
@@ -81,11 +77,10 @@ def test_the_python_snippets_of_a_page_run(page, workplace):
     assert eval(LEFT[page], names | {"printed": printed.getvalue()}), printed.getvalue()
 
 
-def test_signals_of_the_mapping_example_exist(fmu_dir):
+def test_signals_of_the_mapping_example_exist(system):
     """The measurement in docs/recordings.md maps columns to signals of this machine."""
     text = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
-    names = set(load(fmu_dir / "harvester.ssp").names())
     examples = [tomllib.loads(t) for t in re.findall(r"```toml\n(.*?)```", text, re.DOTALL)]
     (signals,) = [example["signals"] for example in examples if "experiment" not in example]
     assert signals
-    assert set(signals) <= names
+    assert set(signals) <= set(system.names())

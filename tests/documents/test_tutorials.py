@@ -1,11 +1,10 @@
 """The tutorials do what they say: every command and snippet is run, every output shown is what comes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 from kit import shards, tutorial
+from kit.mistakes import table
 
 ROOT = Path(__file__).parents[2]
 TUTORIALS = sorted(p for p in (ROOT / "docs" / "tutorials").glob("*.md") if p.stem != "index")
@@ -25,18 +24,7 @@ def test_the_list_of_tutorials_is_complete():
     assert [p.name for p in TUTORIALS if f"({p.name})" not in text] == []
 
 
-@pytest.mark.parametrize(
-    ("shown", "printed", "same"),
-    [
-        ("boom 39.3 deg", "boom  39.31 deg\n", True),
-        ("boom 39.3 deg", "boom 44.1 deg", False),
-        ("wall ... s\nend", "wall 0.19 s, 222 times\nreal s\nend", True),
-        ("1.0e-05", "1.3e-05", False),
-        ("0.000", "0.0004", True),
-        ("a 1\n...", "b 1\nc", False),
-        ("pass", "pass or not", False),
-    ],
-)
+@table(__file__, "outputs", "shown, printed, same")
 def test_shown_output_is_compared(shown, printed, same):
     """Words must be equal, numbers near, and only `...` stands for anything."""
     assert (not tutorial.difference(shown, printed)) == same

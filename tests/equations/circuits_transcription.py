@@ -189,12 +189,8 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     y = {"supply_flow": 0.0, "return_flow": 0.0}
     loads = []
     for axis in ("boom", "stick"):
-        own, at, s, v = (
-            part(p_, f"{axis}_"),
-            part(x, f"{axis}_"),
-            u[f"{axis}_position"],
-            u[f"{axis}_velocity"],
-        )
+        own, at = part(p_, f"{axis}_"), part(x, f"{axis}_")
+        s, v = u[f"{axis}_position"], u[f"{axis}_velocity"]
         head, rod = pi / 4 * own.bore**2, pi / 4 * (own.bore**2 - own.rod**2)
         lines, chambers = (at.head_valve_pressure, at.rod_valve_pressure), (at.head_pressure, at.rod_pressure)
         openings = at.head_counterbalance_opening, at.rod_counterbalance_opening

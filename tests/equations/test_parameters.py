@@ -1,7 +1,5 @@
 """Numbers: files are complete, consistent, sourced, and mistakes are told in one line."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

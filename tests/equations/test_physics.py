@@ -3,8 +3,6 @@
 All at random states and parameters of the declared subsystems, without simulating.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

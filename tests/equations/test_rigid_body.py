@@ -1,7 +1,5 @@
 """The mechanics of the manipulator's variants against Pinocchio, pendulums, conservation laws, geometry."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -1,21 +1,28 @@
-"""Unit strings mean what the SI says."""
+"""Unit strings mean what the SI says; other units are converted, or refused by name."""
+
+from __future__ import annotations
 
 import math
+import tomllib
+from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit.mistakes import table
+from kit.mistakes import problem, table
 
 from fmus.export.model_description import base_unit
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import (
     DISPLAY,
+    convert,
     display_conversion,
     factor_and_offset,
     normalised,
     parse_unit,
     per_second,
+    reader_unit,
     si_unit,
 )
 
@@ -54,10 +61,7 @@ def test_derivative_unit_is_the_unit_per_second(unit):
     assert parse_unit(per_second(unit)).exponents == parse_unit(unit).times(parse_unit("s"), -1).exponents
 
 
-@pytest.mark.parametrize(
-    ("unit", "word"),
-    [("Pascal", "Pascal"), ("N/m.s", "N/m.s"), ("m^2", 'm\\^2": expected "m2"'), ("", '"": expected "1"')],
-)
+@table(__file__, "wrong", "unit, word")
 def test_wrong_unit_is_refused_by_name(unit, word):
     """A unit outside the grammar is an error that shows it."""
     with pytest.raises(Problem, match=word):
@@ -107,3 +111,47 @@ def test_temperatures_convert_by_both_zeros(source, target):
     factor, offset = factor_and_offset(source, target, "here")
     # a few roundings of 373.15
     assert factor * boils[source] + offset == pytest.approx(boils[target], rel=1e-12)
+
+
+# ---- samples and mistakes
+
+
+@table(__file__, "samples", "unit, value, si, name")
+def test_known_samples(unit: str, value: float, si: float, name: str) -> None:
+    """A known sample comes out right in SI and back again."""
+    # exact definitions; the digits printed in the table
+    assert convert(np.array([value]), unit, name, "x")[0] == pytest.approx(si, rel=1e-8)
+    assert convert(np.array([si]), name, unit, "x")[0] == pytest.approx(value, rel=1e-8)
+
+
+POWERS = ["km999", "km-999", "m100", "m" + "9" * 5000, "km99.km99", "(" * 5000 + "m" + ")" * 5000]
+
+
+UNKNOWN = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["unknown"]
+
+
+@pytest.mark.parametrize("unit", [*UNKNOWN, *POWERS])
+def test_unknown_unit_is_refused(unit: str) -> None:
+    """A unit that is not known, or can be read in two ways, is named, not guessed."""
+    expected = f"file: unit '{unit}' is unknown, expected one like bar"
+    assert problem(lambda: parse_unit(unit, "file")).startswith(expected[:1000])  # a long message is cut
+
+
+def test_wrong_quantity_is_refused() -> None:
+    """Units of different quantities cannot be converted, a frequency is no angular speed."""
+    with pytest.raises(Problem, match="boom: unit 'bar' cannot be converted, expected a unit like 'rad'"):
+        factor_and_offset("bar", "rad", "boom")
+    with pytest.raises(Problem, match="'Hz' cannot be converted"):
+        factor_and_offset("Hz", "rad/s", "x")
+
+
+def test_same_unit_needs_no_table() -> None:
+    """A unit that stays the same may be unknown."""
+    assert factor_and_offset("furlong", "furlong", "x") == (1.0, 0.0)
+
+
+def test_display_units() -> None:
+    """Readers see bar, L/min, deg, deg/s and kN; other units stay as they are."""
+    seen = {"Pa": "bar", "m3/s": "L/min", "rad": "deg", "rad/s": "deg/s", "N": "kN"}
+    same = {unit: unit for unit in ("V", "m", "odd", "")}
+    assert {unit: reader_unit(unit) for unit in seen | same} == seen | same

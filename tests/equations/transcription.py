@@ -166,11 +166,8 @@ def cylinder(p: Group, x: Floats, s: float, v: float, a: Port, b: Port) -> list[
 
 def motor(p: Group, p_a: float, p_b: float, tank: float, speed: float) -> tuple[float, float]:
     """Pressures (P_1, P_2) [Pa] of the motor's ports: the 2x2 system of section 4 by Cramer's rule."""
-    g, g_in, g_ex = (
-        1 / p.line_resistance,
-        1 / p.internal_leakage_resistance,
-        1 / p.external_leakage_resistance,
-    )
+    g = 1 / p.line_resistance
+    g_in, g_ex = 1 / p.internal_leakage_resistance, 1 / p.external_leakage_resistance
     own, d = g + g_in + g_ex, p.motor_displacement * p.gear_ratio
     r_1, r_2 = g * p_a + g_ex * tank - d * speed, g * p_b + g_ex * tank + d * speed
     determinant = (own - g_in) * (own + g_in)

@@ -1,12 +1,10 @@
 """Builds: the same bytes anywhere, whole files or none, no work done twice; the command."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 from kit import shards
-from kit.mistakes import refused
+from kit.mistakes import refused, table
 
 from fmus.export.build import build
 from fmus.export.compile import FLAGS, PLATFORMS, host
@@ -91,13 +89,7 @@ def test_a_build_that_fails_leaves_what_was_there(toys, tmp_path, monkeypatch, b
 # ---- the command -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("option", "told"),
-    [
-        (["--platform", "linux64"], "platform 'linux64' is unknown, expected host, all or x86_64-linux, "),
-        (["--fmi", "1"], "--fmi 1: expected 2, 3, both"),
-    ],
-)
+@table(__file__, "mistakes", "option, told")
 def test_command_tells_what_it_expects(tmp_path, capsys, option, told):
     """One line and exit status 2; no folder is made."""
     assert refused(capsys, ["build", "--out", tmp_path / "new", *option]).startswith(f"harvester: {told}")

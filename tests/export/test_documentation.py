@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from kit.fmu import Fmu
+from kit.mistakes import table
 from lxml import etree, html
 from markdown_it import MarkdownIt
 
@@ -215,13 +216,7 @@ def axis_angle(path, axis, voltage):
     return after - before
 
 
-@pytest.mark.parametrize(
-    ("document", "rows"),
-    [
-        ("rate-ports.md", {"Ecos, rate ports connected": "0.0086 %", "Ecos, rate ports open": "0.072 %"}),
-        ("other-tools.md", {"FMPy|2.0, 3.0 CS|1 ms": "0.34", "FMPy|2.0, 3.0 CS|10 ms": "3.2"}),
-    ],
-)
+@table(__file__, "held", "document, rows")
 def test_cost_of_held_inputs_is_that_of_the_measurement(page, document, rows):
     """The numbers in the pages are those of the tables that the named commands write."""
     lines = (ROOT / "docs" / document).read_text(encoding="utf-8").splitlines()
@@ -291,10 +286,7 @@ def test_numbers_travel_with_the_fmu(content):
         assert all(len(table[n]["value"]) == POINTS for n in listed)
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(1.6e9, "1.6·10⁹"), (-4e-05, "−4·10⁻⁵"), (20684000.0, "2.0684·10⁷"), (0.0, "0"), (16000.0, "16000")],  # noqa: RUF001 (the page shows a minus sign)
-)
+@table(__file__, "numbers", "value, text")
 def test_numbers_read_as_in_a_data_sheet(value, text):
     """Exponents are not padded, and the minus sign is that of typesetting."""
     assert printed(value) == text
@@ -310,10 +302,8 @@ def test_slugs_are_those_of_forges():
 
 def parsed(document: Path) -> tuple[html.HtmlElement, list[str]]:
     """A document with its formulas in MathML and without code; the formulas with their dollar signs."""
-    page, source = (
-        MarkdownIt("commonmark").enable("table").use(formulas),
-        document.read_text(encoding="utf-8"),
-    )
+    page = MarkdownIt("commonmark").enable("table").use(formulas)
+    source = document.read_text(encoding="utf-8")
     tree = html.fromstring(f"<div>{page.render(source, {'file': document.name})}</div>")
     for code in tree.xpath("//code"):
         code.text = ""
@@ -335,20 +325,11 @@ def test_every_formula_becomes_mathml(document):
     assert [formula for formula in found if formula not in text] == []
 
 
-@pytest.mark.parametrize(
-    ("latex", "elements"),
-    [
-        (r"\frac{a_1}{b^2}", {"mfrac", "msub", "msup"}),
-        (r"\begin{bmatrix}a&b\cr c&d\end{bmatrix}", {"mtable", "mtr", "mtd"}),
-        (r"\begin{aligned}a&=b\\c&=d\end{aligned}", {"mtable", "mtr", "mtd"}),
-        (r"\begin{cases}a&b\cr c&d\end{cases}", {"mtable", "mtr", "mtd"}),
-        (r"\dot P_h\sqrt{x}", {"msub", "mover", "msqrt"}),
-    ],
-)
+@table(__file__, "formulas", "latex, elements")
 def test_parts_of_a_formula_are_those_of_mathml(latex, elements):
     """Fractions, indices, matrices, cases and aligned lines become elements of MathML."""
     made = html.fromstring(mathml(latex, display=True))
-    assert elements <= {element.tag for element in made.iter()}
+    assert set(elements) <= {element.tag for element in made.iter()}
     assert made.get("display") == "block"
 
 

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from kit.mistakes import table
 
 from fmus.export.elimination import eliminate, nonzeros, pivot_order
 
@@ -56,15 +57,7 @@ def test_units_of_the_states_do_not_matter():
         )
 
 
-@pytest.mark.parametrize(
-    "j",
-    [
-        [[4.0, 1.0], [1.0, 0.0]],  # the pivot is zero
-        [[4.0 - 1e-12, 1.0], [1.0, 3.0]],  # small: what else stood on the diagonal is lost
-        [[0.0, 4.0], [4.0 + 1e-10, 0.0]],  # the second pivot is the difference of equal numbers
-        [[np.nan, 1.0], [1.0, 0.0]],
-    ],
-)
+@table(__file__, "inaccurate", "j")
 def test_inaccurate_factors_are_not_trusted(j):
     """At diagonal 4 the factors are inaccurate; a larger diagonal, as of a shorter step, helps."""
     trusted, _ = system([[True, True], [True, True]])(4.0, np.array(j), np.ones(2))

@@ -167,10 +167,18 @@ def test_event_mode_is_entered_where_the_caller_uses_it(open_fmu):
     assert fmu["level"] == pytest.approx(expected, abs=1e-5)  # tolerance of the solver
 
 
-def test_event_mode_is_refused_where_it_was_not_announced(open_fmu):
-    """Without eventModeUsed co-simulation goes from initialisation straight to steps."""
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: f.fmu.enterEventMode(), "without event mode"),
+        (lambda f: f.fmu.getFloat64([f.references["level"]], nValues=2), "2 values for 1 scalar"),
+        (lambda f: f.set(time=1.0), "the time cannot be set"),
+    ],
+)
+def test_a_call_that_does_not_fit_is_refused(open_fmu, call, message):
+    """Event mode that was not announced, more values than scalars, the independent variable."""
     fmu = open_fmu("decay", fmi=3).start().step(0.1)
-    fmu.refuses(lambda: fmu.fmu.enterEventMode(), "without event mode")
+    fmu.refuses(lambda: call(fmu), message)
 
 
 def test_scheduled_execution_is_refused_with_a_reason(open_fmu):
@@ -197,12 +205,6 @@ def test_types_that_the_model_lacks_are_refused(open_fmu, kind):
         assert function(fmu.fmu.component, reference, 0, value, 0) == 0
         assert function(fmu.fmu.component, reference, 1, value, 1) == ERROR
         assert "expected Float64" in fmu.errors()[-1]
-
-
-def test_number_of_values_must_be_that_of_the_variables(open_fmu):
-    """All variables are scalars, so another number of values is an error."""
-    fmu = open_fmu("gain", fmi=3).start()
-    fmu.refuses(lambda: fmu.fmu.getFloat64([fmu.references["product"]], nValues=2), "2 values for 1 scalar")
 
 
 # ---- values and derivatives --------------------------------------------------------------------------
@@ -258,9 +260,3 @@ def test_output_derivatives_follow_the_solution(open_fmu):
     fmu = open_fmu("decay", fmi=3).start().step(0.1)
     (slope,) = fmu.output_slopes("level")
     assert slope == pytest.approx(-2.0 * fmu["level"], rel=1e-14)
-
-
-def test_time_is_no_variable_to_set(open_fmu):
-    """Setting the independent variable is an error."""
-    fmu = open_fmu("decay", fmi=3).start()
-    fmu.refuses(lambda: fmu.set(time=1.0), "the time cannot be set")

@@ -1,7 +1,5 @@
 """The diagram of a system: wires end at their connectors, run straight where they can, cross no component."""
 
-from __future__ import annotations
-
 from itertools import combinations, pairwise
 
 import pytest

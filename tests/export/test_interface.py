@@ -2,6 +2,7 @@
 
 import casadi as ca
 import pytest
+from kit.mistakes import table
 
 from fmus.contract import Quantity
 from fmus.export.interface import dependencies, interface_of
@@ -36,28 +37,10 @@ def test_stepwise_dependency_has_no_factor(make_toy):
     assert (kinds["straight"], kinds["scaled"]) == ([("u", "constant")], [("u", "fixed")])
 
 
-@pytest.mark.parametrize(
-    ("more", "start", "words"),
-    [
-        ({"nominal": 0.0}, 1.0, "nominal of u is 0, expected a finite number above 0"),
-        ({"nominal": float("inf")}, 1.0, "nominal of u is inf, expected a finite number above 0"),
-        ({"maximum": 2.0}, 3.0, "u starts at 3, expected -inf to 2"),
-        ({}, float("nan"), "u starts at nan"),
-    ],
-)
-def test_impossible_numbers_of_a_variable_are_refused(make_toy, more, start, words):
-    """A nominal value that is not positive and a start value out of bounds are refused."""
+@table(__file__, "refused", "name, more, start, words")
+def test_what_a_description_cannot_have_is_refused(make_toy, name, more, start, words):
+    """Nominal values that are not positive, starts out of bounds; a name that is none of a file and in C."""
     u = q(**more)
-    sub = make_toy("odd", {}, {}, {"u": u}, {"y": q()}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
+    sub = make_toy(name, {}, {}, {"u": u}, {"y": q()}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
     with pytest.raises(Problem, match=words):
         interface_of(sub, Values({}, {"u": start}, {}))
-
-
-def test_name_of_the_model_must_be_an_identifier(make_toy):
-    """The model name must be an identifier, because it is a file name and a prefix of C functions."""
-    one = q()
-    sub = make_toy("two words", {}, {}, {"u": one}, {"y": one}, lambda *_: {}, lambda _x, u, _p: {"y": u.u})
-    with pytest.raises(
-        Problem, match='"two words" is not an identifier, expected a letter, then letters, digits or _'
-    ):
-        interface_of(sub, Values({}, {"u": 0.0}, {}))

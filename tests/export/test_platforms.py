@@ -13,6 +13,7 @@ from pathlib import Path
 import lief
 import pytest
 from kit import shards
+from kit.mistakes import table
 
 from fmus.export.build import build
 from fmus.export.compile import HEADERS, PLATFORMS, host, select, universal
@@ -74,16 +75,7 @@ def mach(path: Path) -> list[lief.MachO.Binary]:
 # ---- choice of platforms ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("system", "processor", "name"),
-    [
-        ("Linux", "x86_64", "x86_64-linux"),
-        ("Linux", "aarch64", "aarch64-linux"),
-        ("Windows", "AMD64", "x86_64-windows"),
-        ("Darwin", "x86_64", "x86_64-darwin"),
-        ("Darwin", "arm64", "aarch64-darwin"),
-    ],
-)
+@table(__file__, "hosts", "system, processor, name")
 def test_host_has_the_name_of_the_standard(monkeypatch, system, processor, name):
     """Python's names of system and processor become FMI's platform tuple."""
     monkeypatch.setattr(platform, "system", lambda: system)

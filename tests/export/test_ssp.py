@@ -127,14 +127,7 @@ def test_unit_with_an_offset_keeps_it(toy_dir, tmp_path):
     assert root.find(".//{*}Unit/{*}BaseUnit").attrib == {"K": "1", "offset": "273.15"}
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"sets": {"odd": {"first.nothing": 1.0}}}, "set odd: unknown variable 'first.nothing'"),
-        ({"sets": {"one": {}}, "bound": ("two",)}, "bound set two: expected one of the sets one"),
-        ({"version": "3.0"}, "SSP version: expected one of 1.0, 2.0, got '3.0'"),
-    ],
-)
+@table(__file__, "sets", "options, words")
 def test_impossible_sets_are_refused_by_name(fmus, tmp_path, options, words):
     """Values of an unknown variable, a binding to an unknown set, an unknown version."""
     assert words in problem(lambda: write_ssp(assemble(fmus, WIRES), tmp_path / "x.ssp", **options))

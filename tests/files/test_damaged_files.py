@@ -73,12 +73,6 @@ def good_system(gain: Path) -> Good:
 
 
 @pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    """Small FMUs with a library."""
-    return Workshop(tmp_path_factory.mktemp("any_fmu"))
-
-
-@pytest.fixture(scope="module")
 def good(fmus: Workshop) -> Mapping[str, Good]:
     """Suffix and content of good files: FMUs of both versions, and an SSP with all that the reader reads."""
     icon, library = b"\x89PNG\r\n\x1a\n", fmus.library

@@ -45,9 +45,9 @@ BOMB = 800_000_000  # bytes; above the size up to which any ratio is accepted
 
 
 @pytest.fixture(scope="module")
-def gain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def gain(fmus: Workshop) -> Path:
     """A good FMU."""
-    return Workshop(tmp_path_factory.mktemp("any_fmu"))["gain"]
+    return fmus["gain"]
 
 
 def fmu(path: Path, *changes: tuple[str, str], more: Members | None = None) -> Path:

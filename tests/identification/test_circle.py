@@ -1,7 +1,5 @@
 """Identification of a machine that differs from the model: record, identify, predict a held-out cycle."""
 
-from __future__ import annotations
-
 from kit import shards
 
 from fmus.identification.outcome import explanation, prediction, worst_signals

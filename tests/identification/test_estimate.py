@@ -1,7 +1,5 @@
 """Confidence intervals: width, shape and bounds."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

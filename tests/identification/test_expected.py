@@ -3,8 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from fmus.identification.machine import signal_names
 from fmus.identification.pipeline import PROCEDURES, identify
@@ -24,15 +23,7 @@ def remarks(recordings):
 
 
 # each mistake once: both procedures have the signals of the machine
-@pytest.mark.parametrize(
-    ("procedure", "wrong", "right"),
-    [
-        ("machine", "manipulator.boom_angel", "manipulator.boom_angle"),
-        ("damping", "swing_pressure_a", "swing.swing_pressure_a"),
-        ("machine", "Manipulator.Swing_Angle", "manipulator.swing_angle"),
-        ("damping", "boom_stick.suply_pressure", "boom_stick.supply_pressure"),
-    ],
-)
+@table(__file__, "signals", "procedure, wrong, right")
 def test_a_misspelt_signal_of_the_machine_is_refused(procedure, wrong, right):
     """One line with the file, the signal and a similar name, before the identification starts."""
     message = problem(lambda: identify([recording(procedure, [*signal_names().values(), wrong])]))
@@ -55,10 +46,7 @@ def test_all_signals_of_the_machine_may_be_recorded():
     assert remarks([recording("valve", valve.SIGNALS, edge="P-A", length=4.0, note="warm")]) == []
 
 
-@pytest.mark.parametrize(
-    ("procedure", "wrong", "right"),
-    [("valve", "Edge", "edge"), ("hose_resistance", "lenght", "length"), ("damping", "Joint", "joint")],
-)
+@table(__file__, "conditions", "procedure, wrong, right")
 def test_a_misspelt_condition_is_refused(procedure, wrong, right):
     """A key of [experiment] that differs by case or a letter from one that is read."""
     message = problem(lambda: remarks([recording(procedure, [], **{wrong: "x"})]))

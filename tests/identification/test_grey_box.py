@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import scipy.io
+from kit.mistakes import table
 
 from fmus.contract import quantities, symbolic
 from fmus.identification.recordings.reading import read_series
@@ -140,20 +141,7 @@ def test_a_model_that_does_not_fit_says_so(folder, told):
     assert "open" not in told
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "expected"),
-    [
-        ("words.txt", "1 2\n3 x\n", "line 2: column '1': expected a number, got 'x'"),
-        ("empty.txt", "", "expected two or more rows of numbers, got an empty file"),
-        (
-            "names.csv",
-            "Stellsignal;Druck\n1;2\n3;4\n",
-            "line 1: expected numbers, got names: select columns by name, such as 'Stellsignal', "
-            "not by index",
-        ),
-        ("still.txt", "0 1\n0 2\n0 3\n", "command: expected a varying signal, got only zeros and gaps"),
-    ],
-)
+@table(__file__, "files", "name, content, expected")
 def test_bad_file_is_told_in_one_line(folder, name, content, expected):
     """The script ends with file, line, what was expected and what was read, without a traceback."""
     (folder / name).write_text(content)

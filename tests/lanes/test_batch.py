@@ -1,7 +1,5 @@
 """`batch`: results in lanes equal those of single runs, whatever the other machines do; mistakes."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -188,21 +186,21 @@ def test_without_a_compiler_the_machines_run_one_by_one(system, monkeypatch):
 # ---- other FMUs, one by one
 
 
-def test_other_fmus_run_one_by_one(foreign):
+def test_other_fmus_run_one_by_one(fmus):
     """Any FMU, with a note why."""
     values = {"gain.factor": [1.0, 2.0, 3.0], "gain.u": [1.0, 2.0, 4.0]}
-    result = batch(foreign["gain"], values, stop=0.1, step=0.01)
+    result = batch(fmus["gain"], values, stop=0.1, step=0.01)
     np.testing.assert_array_equal(result["gain.y"], [[1.0] * 11, [4.0] * 11, [12.0] * 11])
     assert any("one by one: gain" in note and "no C sources" in note for note in result.notes)
     with pytest.raises(NotInLanes, match="no C sources"):
-        batch(foreign["gain"], {"gain.factor": [1.0]}, stop=0.1, step=0.01, lanes=True)
+        batch(fmus["gain"], {"gain.factor": [1.0]}, stop=0.1, step=0.01, lanes=True)
 
 
 @table(__file__, "crashes", "how, status, told")
-def test_a_crash_ends_only_its_machine(foreign, how, status, told):
+def test_a_crash_ends_only_its_machine(fmus, how, status, told):
     """An error status, an FMU that asks for the end, a crash of its process: the others run on."""
     values = {"fails.how": [0, how, 0], "fails.when": [0.05] * 3}
-    result = batch(foreign["fails"], values, stop=0.1, step=0.01, record=["fails.y"])
+    result = batch(fmus["fails"], values, stop=0.1, step=0.01, record=["fails.y"])
     assert list(result.status) == ["ok", status, "ok"]
     assert told in result.reasons[1]
     assert np.isfinite(result["fails.y"][[0, 2]]).all()

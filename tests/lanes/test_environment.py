@@ -1,7 +1,5 @@
 """`MachinesEnv`: what Gymnasium asks of an environment, and the physics of `run`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from kit.mistakes import problem

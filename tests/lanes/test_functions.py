@@ -1,7 +1,5 @@
 """Elementary functions of vectors (orchestrator/lanes/native/lanes.h) against those of NumPy."""
 
-from __future__ import annotations
-
 import ctypes
 from pathlib import Path
 

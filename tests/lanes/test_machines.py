@@ -1,7 +1,5 @@
 """`Machines`: steps with commands for each machine equal single runs, and machines start again one by one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -96,9 +94,9 @@ def test_a_mistake_is_told_in_one_line(machines, call, told):
         call(machines)
 
 
-def test_other_fmus_are_refused(foreign, system):
+def test_other_fmus_are_refused(fmus, system):
     """Their machines cannot be stepped in lanes; and a machine needs a command."""
     with pytest.raises(NotInLanes, match="no C sources"):
-        Machines(foreign["gain"], 2, ["gain.u"], ["gain.y"])
+        Machines(fmus["gain"], 2, ["gain.u"], ["gain.y"])
     with pytest.raises(Problem, match="at least one machine, command and signal, got 2 machines, 0 commands"):
         Machines(system, 2, [], SIGNALS)

@@ -1,7 +1,5 @@
 """Studies in lanes: results and failures as of single runs, also after an interruption."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

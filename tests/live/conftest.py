@@ -24,12 +24,6 @@ def u(station: RealTimeMachine) -> float:
 
 
 @pytest.fixture(scope="session")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    """The plain FMU of each model by name."""
-    return Workshop(tmp_path_factory.mktemp("live_fmu"))
-
-
-@pytest.fixture(scope="session")
 def drift(fmus: Workshop) -> Setup:
     """y' = u, commands live for longer than any test."""
     return Setup(str(fmus["drift"]), (Axis("u", limit=2.0, rate=10.0),), ("drift.y", "drift.u"), timeout=LONG)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem
 
-from orchestrator import Coupling, Problem, Trace, load, run
+from orchestrator import Coupling, Problem, Trace, run
 from orchestrator.realtime import stepping
 from orchestrator.realtime.setup import Axis, Setup
 from orchestrator.realtime.stepping import FrameStepper
@@ -77,9 +77,9 @@ MASTERS = {
 
 
 @pytest.mark.parametrize("label", MASTERS)
-def test_masters_that_a_system_suggests(fmu_dir, monkeypatch, label):
+def test_masters_that_a_system_suggests(system, monkeypatch, label):
     """A quarter of a second under each of them, steps of their own choice included."""
-    suggested = load(fmu_dir / "harvester.ssp").coupled(MASTERS[label])
+    suggested = system.coupled(MASTERS[label])
     monkeypatch.setattr(stepping, "load", lambda _: suggested)
     setup = Setup("suggested", COMMANDS, SHOWN, step=2e-3)
     live = played(setup, 25, random_walk(2, 3))

@@ -81,9 +81,8 @@ def test_it_rests_when_nobody_commands(opened, drift):
     assert until(lambda: u(station) == 0.0 and station.trace()["u"].max() > 0)
     moves = np.diff(station.trace()["u"])
     assert moves.min() >= -0.1 - 1e-15  # rounding
-    assert until(
-        lambda: station.latest().state == "running"
-    )  # one that halts for long has failed until it goes on
+    # one that halts for long has failed until it goes on
+    assert until(lambda: station.latest().state == "running")
 
 
 def test_an_axis_that_lingers_does_so_without_anybody(opened, drift):
@@ -161,9 +160,8 @@ def test_commands_from_many_threads(opened, drift):
         thread.join()
     station.command({"u": 0.5})
     assert until(lambda: u(station) == 0.5)
-    assert until(
-        lambda: station.latest().state == "running"
-    )  # one that halts for long has failed until it goes on
+    # one that halts for long has failed until it goes on
+    assert until(lambda: station.latest().state == "running")
 
 
 def test_the_timing_counts_every_frame(opened, drift):

@@ -1,7 +1,5 @@
 """However the process of a machine ends: it is told, leaves nothing behind, and another can be started."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

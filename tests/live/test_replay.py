@@ -1,7 +1,5 @@
 """A result file with the interface of a live machine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

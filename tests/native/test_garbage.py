@@ -1,7 +1,5 @@
 """Garbage in: random sequences of calls with random arguments, through the C interface."""
 
-from __future__ import annotations
-
 import os
 import re
 

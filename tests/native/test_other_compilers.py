@@ -1,7 +1,5 @@
 """The C inside the FMUs means the same to every compiler, however it optimises."""
 
-from __future__ import annotations
-
 import pytest
 from kit import shards
 from native.bench import STANDARD, assert_same, cycle, drive, needs_gcc, numbers, run

@@ -1,7 +1,5 @@
 """A saved state is bytes: written by one process, it continues in another one."""
 
-from __future__ import annotations
-
 import pytest
 from native.bench import begin, drive, look, moves, push
 

@@ -25,12 +25,6 @@ def pytest_make_parametrize_id(val: object) -> str | None:
 
 
 @pytest.fixture(scope="session")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    """The plain FMU of each model by name, and a way to make others."""
-    return Workshop(tmp_path_factory.mktemp("any_fmu"))
-
-
-@pytest.fixture(scope="session")
 def fmus3(fmus: Workshop) -> Workshop:
     """The same with FMI 3.0."""
     return fmus.other(3)

@@ -1,7 +1,5 @@
 """Runs of an accuracy that is asked for: against closed forms and the monolithic solution."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 from kit import shards
 from kit.mistakes import problem, table
 
-from orchestrator import Coupling, Problem, Result, Trace, load, reference, run
+from orchestrator import Coupling, Problem, Result, Trace, reference, run
 from orchestrator.base.coupling import Suggestion
 from orchestrator.engine import accuracy as accuracy_search
 from orchestrator.engine.result import Card, SignalError
@@ -127,10 +125,10 @@ def test_decisive_outputs_are_recorded(open_oscillator):
 
 
 @table(__file__, "default", "suggested, choices, note")
-def test_the_default_accuracy(fmu_dir, tmp_path, monkeypatch, suggested, choices, note):
+def test_the_default_accuracy(fmu_dir, system, tmp_path, monkeypatch, suggested, choices, note):
     """A default applies only if neither the user nor the system chooses; an accuracy overrides the system."""
     suggestion = Suggestion(Coupling("gauss-seidel"), 1e-3) if suggested else Suggestion()
-    system = replace(load(fmu_dir / "harvester.ssp"), suggestion=suggestion)
+    system = replace(system, suggestion=suggestion)
     monkeypatch.setattr("orchestrator.engine.run.load", lambda _: system)
     out = tmp_path / "trace.csv"
     options = {"stop": 0.2, "default_accuracy": 1e-3, "isolate": False} | choices

@@ -36,24 +36,7 @@ TOKENS = (  # what a text file gets in the place of a piece
 )
 SIZES = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 36, 1 << 62, (1 << 64) - 1)
 
-STUDY = """
-title = "a study"
-system = "none.ssp"
-method = "sobol"
-runs = 16
-seed = 3
-stop = 0.2
-step = 0.01
-[factors."gain.factor"]
-distribution = "uniform"
-minimum = 1
-maximum = 3
-[fixed]
-"gain.u" = 2
-[outputs.end]
-signal = "gain.y"
-measure = "final"
-"""
+STUDY = Path(__file__).parents[1] / "sweep" / "gain.toml"
 
 
 def damaged(draw: random.Random, data: bytes, text: bool) -> bytes:
@@ -115,7 +98,7 @@ def good(tmp_path_factory) -> dict[str, tuple[bytes, str, Callable[[Path], Any]]
         "MAT 5, compressed": ((folder / "mat5True.mat").read_bytes(), ".mat", mat),
         "MAT 7.3": ((folder / "mat73.mat").read_bytes(), ".mat", mat),
         "description": ((folder / "described.toml").read_bytes(), ".toml", described),
-        "study": (STUDY.encode(), ".toml", read_study),
+        "study": (STUDY.read_bytes(), ".toml", read_study),
         "parameters": (shipped.read_bytes(), ".toml", parameters.read),
     }
 
@@ -263,20 +246,33 @@ def test_a_file_beyond_any_memory_is_refused_by_its_size(tmp_path):
     refused(path, "a.csv: expected at most 8590 MB, got 79457 MB")
 
 
+CELLS = [  # the csv module refuses more than 131 072 characters by an exception of its own
+    ("time,x\n0," + "1" * 200_000 + "\n1,2\n", "line 2: column 'x': expected a finite number, got inf"),
+    ('time,x\n0,"' + "y" * 200_000 + '"\n1,2\n', "column 'x': expected a number, got 'yyyyyyyyyy"),
+    ('time,"' + "y" * 200_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, \"yyyyyyyyyy"),
+    ("time," + '"' * 5_000_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, "),
+]
+TOML = [
+    ("x = " + "[" * 100_000, "nested too deeply"),
+    ("signals." + ".".join("a" * 20_000) + " = 1", "nested too deeply"),
+    ("\n".join(f"a{i}.{'.'.join('b' * 999)} = 1" for i in range(999)), "nested too deeply"),
+    ("x = " + "9" * 5000, "expected TOML, got Exceeds the limit"),
+    ("[signals.x]\nunit = 'm'\nfactor = " + "9" * 400, "signals.x: factor: expected a number, got 9999"),
+    ("[signals.x]\nunit = " + "[" * 200 + "]" * 200, "signals.x: unit: expected a text, got [[[[["),
+    ("[signals.x]\nunit = 'm'\n[file]\ncsv = 'a/b.csv'", "file: csv: expected the name of a file in"),
+    ("#" * (5 << 20), "expected at most 4 MiB of TOML, got 5 MiB"),
+]
+
+
 @pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("time,x\n0," + "1" * 200_000 + "\n1,2\n", "line 2: column 'x': expected a finite number, got inf"),
-        ('time,x\n0,"' + "y" * 200_000 + '"\n1,2\n', "column 'x': expected a number, got 'yyyyyyyyyy"),
-        ('time,"' + "y" * 200_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, \"yyyyyyyyyy"),
-        ("time," + '"' * 5_000_000 + "\n0,1\n1,2\n", "expected a column 'x', got time, "),
-    ],
+    ("name", "text", "message"),
+    [*(("a.csv", *row) for row in CELLS), *(("a.toml", *row) for row in TOML)],
 )
-def test_long_cells_are_shortened_in_messages(tmp_path, text, message):
-    """The csv module refuses cells with more than 131 072 characters by an exception of its own."""
-    path = tmp_path / "a.csv"
+def test_hostile_text_is_refused(tmp_path, name, text, message):
+    """Long cells, shortened in the message; nesting, thousands of digits, other folders, sheer size."""
+    path = tmp_path / name
     path.write_text(text, encoding="utf-8")
-    refused(path, message)
+    refused(path, message, read_recording if name == "a.toml" else None)
 
 
 def test_many_columns_are_read(tmp_path):
@@ -286,26 +282,6 @@ def test_many_columns_are_read(tmp_path):
     path.write_text(f"time,{names}\n" + "".join(f"{k}{',1.5' * count}\n" for k in range(2)), encoding="utf-8")
     assert check(read_trace, path) is None
     refused(path, "expected a column 'x', got time, c0, c1")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("x = " + "[" * 100_000, "nested too deeply"),
-        ("signals." + ".".join("a" * 20_000) + " = 1", "nested too deeply"),
-        ("\n".join(f"a{i}.{'.'.join('b' * 999)} = 1" for i in range(999)), "nested too deeply"),
-        ("x = " + "9" * 5000, "expected TOML, got Exceeds the limit"),
-        ("[signals.x]\nunit = 'm'\nfactor = " + "9" * 400, "signals.x: factor: expected a number, got 9999"),
-        ("[signals.x]\nunit = " + "[" * 200 + "]" * 200, "signals.x: unit: expected a text, got [[[[["),
-        ("[signals.x]\nunit = 'm'\n[file]\ncsv = 'a/b.csv'", "file: csv: expected the name of a file in"),
-        ("#" * (5 << 20), "expected at most 4 MiB of TOML, got 5 MiB"),
-    ],
-)
-def test_hostile_toml_is_refused(tmp_path, text, message):
-    """Nesting, numbers of thousands of digits, paths to other folders, sheer size."""
-    path = tmp_path / "a.toml"
-    path.write_text(text, encoding="utf-8")
-    refused(path, message, read_recording)
 
 
 def test_a_long_description_is_read(tmp_path):

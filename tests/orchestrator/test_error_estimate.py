@@ -1,7 +1,5 @@
 """The error estimate of a run, by propagation of the input errors: against closed forms and true errors."""
 
-from __future__ import annotations
-
 from ctypes import byref, c_double
 
 import numpy as np

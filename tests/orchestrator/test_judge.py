@@ -86,9 +86,8 @@ def test_another_file_of_that_name_does_no_harm(fmus, text):
     assert [(p.name, p.source) for p in parameters(load(fmu))] == [("factor", ""), ("offset", "")]
 
 
-def test_the_machine_is_described_by_its_files(fmu_dir):
+def test_the_machine_is_described_by_its_files(system):
     """Every parameter has its source and note; of each component the place in the SSP, and its GUID."""
-    system = load(fmu_dir / "harvester.ssp")
     found = list(parameters(system))
     assert {p.component for p in found} == {"swing", "boom_stick", "manipulator", "supply", "operator_input"}
     assert all(p.source and p.note and p.text for p in found)

@@ -228,9 +228,8 @@ def test_a_scenario_may_jump(body, tmp_path):
     ramps = {"time": [0.0, 0.499999, 0.5, 0.5000001, 0.5000002, 1.0], "force": jumps["force"][1:]}
     by_hand, *others = (run(body, s, stop=1.0) for s in (ramps, jumps, tmp_path / "s.csv"))
     for other in others:
-        np.testing.assert_allclose(
-            other["body.x"], by_hand["body.x"], rtol=0, atol=1e-9
-        )  # rounding of 0.499999
+        # rounding of 0.499999
+        np.testing.assert_allclose(other["body.x"], by_hand["body.x"], rtol=0, atol=1e-9)
     problem(lambda: read_trace(tmp_path / "s.csv"), "line 3: expected a time after 0.0 s, got 0.0")
 
 

@@ -54,17 +54,11 @@ def test_the_settings_are_those_with_an_effect():
     }
 
 
-@pytest.mark.parametrize(
-    "coupling",
-    [
-        Coupling("jacobi", 2, correct=True, factors={"a": 2}),
-        Coupling("hermite", passes=2, adaptive=1e-2),
-        Coupling("hermite", 1, passes=1, correct=True),
-        Coupling("interface-jacobian", lag=3),
-    ],
-)
-def test_the_settings_make_the_same_coupling(coupling):
+@table(__file__, "couplings", "choices, order")
+def test_the_settings_make_the_same_coupling(choices, order):
     """The coupling in the metadata of a trace can be used for another run."""
+    coupling = Coupling(**choices)
+    assert (choices | {"order": order}).items() <= coupling.settings.items()
     again = Coupling(**coupling.settings)
     assert again.settings == coupling.settings
 

@@ -22,13 +22,7 @@ def gained(fmus, source_unit, target_unit, *linear):
     return run(system, step=0.1, stop=0.2)
 
 
-@pytest.mark.parametrize(
-    ("source", "target", "linear", "expected"),
-    [
-        *(("bar", "Pa", (), 2e5), ("Pa", "bar", (), 2e-5), ("bar", "Pa", (3.0, 1.0), 600001.0)),
-        *(("degC", "K", (), 275.15), ("K", "degC", (), -271.15), ("odd", "odd", (), 2.0)),
-    ],
-)
+@table(__file__, "units", "source, target, linear, expected")
 def test_units_are_converted_at_connections(fmus, source, target, linear, expected):
     """Factor and offset of BaseUnit are used in both directions, then those of the connection."""
     trace = gained(fmus, source, target, *linear).trace

@@ -1,7 +1,5 @@
 """FMUs in Python in the machine: whole parts, and the example's model by hand."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -19,12 +17,6 @@ from python_fmu.test_states import ACTUATOR
 
 
 @pytest.fixture(scope="module")
-def machine(fmu_dir):
-    """The system of native FMUs."""
-    return load(fmu_dir / "harvester.ssp")
-
-
-@pytest.fixture(scope="module")
 def actuator(tmp_path_factory):
     """The FMU of the example's model."""
     return build_user(ACTUATOR, tmp_path_factory.mktemp("actuator"))
@@ -35,11 +27,11 @@ EACH = [part if part == "swing" else pytest.param(part, marks=shards.machine) fo
 
 
 @pytest.mark.parametrize("part", EACH)
-def test_the_machine_does_not_notice(machine, tmp_path, part):
+def test_the_machine_does_not_notice(system, tmp_path, part):
     """With one part in Python every signal of the machine is that of the native FMUs, to 1e-9 of its size."""
     swap = {part: str(build_python(SUBSYSTEMS[part], tmp_path))}
-    native = run(machine, stop=2.0).trace
-    python = run(machine, stop=2.0, swap=swap).trace
+    native = run(system, stop=2.0).trace
+    python = run(system, stop=2.0, swap=swap).trace
     assert set(native.signals) == set(python.signals)
     for name in native.signals:
         # the bar of the issue; signals that do not move are rounding
@@ -48,10 +40,10 @@ def test_the_machine_does_not_notice(machine, tmp_path, part):
 
 
 @shards.machine
-def test_the_example_stands_in_for_boom_and_stick(machine, actuator):
+def test_the_example_stands_in_for_boom_and_stick(system, actuator):
     """The look-up table moves the machine through the start of the work cycle as the lumped drives do."""
-    lumped = run(machine, stop=5.0).trace
-    table = run(machine, stop=5.0, swap={"boom_stick": str(actuator)}).trace
+    lumped = run(system, stop=5.0).trace
+    table = run(system, stop=5.0, swap={"boom_stick": str(actuator)}).trace
     for angle in ("manipulator.boom_angle", "manipulator.stick_angle"):
         moved = np.ptp(lumped[angle])
         assert moved > 0.2  # rad
@@ -59,15 +51,15 @@ def test_the_example_stands_in_for_boom_and_stick(machine, actuator):
         assert np.abs(table[angle] - lumped[angle]).max() < 0.2 * moved
 
 
-def test_an_fmu_without_load_pressure_runs_and_says_so(machine, actuator, tmp_path):
+def test_an_fmu_without_load_pressure_runs_and_says_so(system, actuator, tmp_path):
     """Its wire is left out with a note, with a warning only if the supply needs the load; also in an SSP."""
     line = f"{actuator} has no boom_stick_load_pressure: the load of boom_stick is not sensed"
-    usual = run(machine, stop=0.1, swap={"boom_stick": str(actuator)})
+    usual = run(system, stop=0.1, swap={"boom_stick": str(actuator)})
     assert line in usual.card.notes
     assert usual.card.warnings == ()
     assert (usual.trace["supply.boom_stick_load_pressure"] == 0.0).all()
     swap = {"boom_stick": str(actuator), "supply": "load_sensing"}
-    needed = run(machine, stop=0.1, swap=swap)
+    needed = run(system, stop=0.1, swap=swap)
     assert f"{line}; supply (supply_load_sensing) could use this signal" in needed.card.warnings
     assert not any("load_pressure" in note for note in needed.card.notes)
     written = load(write_ssp(needed.system, tmp_path / "mine.ssp"))
@@ -76,7 +68,7 @@ def test_an_fmu_without_load_pressure_runs_and_says_so(machine, actuator, tmp_pa
     assert not any("boom_stick_load_pressure" in wire for wire in wires)
 
 
-def test_an_fmu_of_the_version_before_fits(fmu_dir, machine, tmp_path):
+def test_an_fmu_of_the_version_before_fits(fmu_dir, system, tmp_path):
     """Each part without the new ports: one line for each lost signal, none for its rate."""
     new = re.compile("load_pressure|load_sensing|payload_mass")
     notes = {
@@ -87,16 +79,16 @@ def test_an_fmu_of_the_version_before_fits(fmu_dir, machine, tmp_path):
     }
     for part, expected in notes.items():
         fmu = fmu_dir / f"{part}.fmu"
-        names = [n for n in machine.components[part].interface.variables if new.search(n)]
+        names = [n for n in system.components[part].interface.variables if new.search(n)]
         changes = [(f'name="{n}" valueReference', f'name="other_{n}" valueReference') for n in names]
         old = edited(
             fmu, tmp_path / f"{part}.fmu", *changes, ("<VendorAnnotations>.*</VendorAnnotations>", "")
         )
-        system = with_swaps(machine, {part: old})
-        said = [note for note in system.notes if note.startswith(f"{old} has no ")]
+        swapped = with_swaps(system, {part: old})
+        said = [note for note in swapped.notes if note.startswith(f"{old} has no ")]
         assert all(len([note for note in said if text in note]) == 1 for text in expected), said
         assert not any(f"{name}_rate" in note for note in said for name in names)
-        assert system.warnings == ()
+        assert swapped.warnings == ()
 
 
 def test_check_finds_no_error_in_the_example(actuator):

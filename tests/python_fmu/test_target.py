@@ -18,6 +18,7 @@ from fmpy import read_model_description
 from kit import shards
 from kit.compile import WARNINGS, compiled
 from kit.fmu import Fmu, in_new_process
+from kit.mistakes import table
 
 from fmus.export.compile import PLATFORMS, host
 from fmus.export.python.build import build_python, library
@@ -60,22 +61,7 @@ def test_a_missing_package_is_told(boom_stick):
     assert re.search(r"ERROR.*boom_stick needs the package harvester-cosim \S+ in the Python in \S+: ", out)
 
 
-CANNOT = "cannot be imported by the Python in "
-CARDS = [
-    ("version", "0.0.9", "boom_stick: built with harvester-cosim 0.0.9, the one in "),
-    (
-        "fingerprint",
-        "0" * 64,
-        "has other equations or variables than at the time of the build: build the FMU",
-    ),
-    ("origin", "fmus.boom_stick:VARIANTS.old", f"fmus.boom_stick:VARIANTS.old {CANNOT}"),
-    ("origin", "fmus.no_stick:VARIANTS.lumped", f"fmus.no_stick:VARIANTS.lumped {CANNOT}"),
-    ("origin", "fmus.contract:Subsystem", "fmus.contract:Subsystem is of type type, expected Subsystem"),
-    ("guid", "{0}", 'the GUID differs, expected "{0}" (files of different builds)'),
-]
-
-
-@pytest.mark.parametrize(("key", "value", "message"), CARDS)
+@table(__file__, "cards", "key, value, message")
 def test_an_fmu_that_does_not_fit_the_installation_is_refused(
     boom_stick, tmp_path, capsys, key, value, message
 ):

@@ -1,9 +1,7 @@
 """harvester rig: what it writes, and what it refuses in one line."""
 
-from __future__ import annotations
-
 import pytest
-from kit.mistakes import refused
+from kit.mistakes import refused, table
 
 from fmus.rig import recordings
 from orchestrator.__main__ import main
@@ -58,14 +56,7 @@ def test_writes_over_its_own_files_only(tmp_path, capsys):
     assert [path.name for path in other.iterdir()] == ["my.csv"]
 
 
-@pytest.mark.parametrize(
-    ("out", "options", "told"),
-    [
-        ("rig", ["--machine", "fast"], "--machine fast: expected lumped or detailed"),
-        ("rig", ["--seed=-1"], "--seed -1: expected 0 or more"),
-        ("file/rig", [], "expected a folder"),
-    ],
-)
+@table(__file__, "mistakes", "out, options, told")
 def test_mistakes_are_told_in_one_line(out, options, told, tmp_path, capsys):
     """A wrong option, a path that cannot be a folder: one line, and nothing is written."""
     (tmp_path / "file").write_text("")

@@ -1,7 +1,5 @@
 """The files of the rig: reproducible, readable, and without true parameter values."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 

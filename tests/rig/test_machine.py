@@ -1,7 +1,5 @@
 """The experiments on the whole machine: what moves, and that nothing happens that the lumped model lacks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Fixtures: small FMUs in one folder, the study of one of them, and a Dask cluster that all tests share."""
+"""Fixtures: small FMUs, the study of one of them, and a Dask cluster that all tests share."""
 
 from __future__ import annotations
 
@@ -14,21 +14,15 @@ from orchestrator.studies import pool
 
 
 @pytest.fixture(scope="session")
-def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    """The plain FMU of each model by name, and a way to make others."""
-    return Workshop(tmp_path_factory.mktemp("studies"))
-
-
-@pytest.fixture(scope="session")
-def gain(workshop: Workshop) -> Path:
+def gain(fmus: Workshop) -> Path:
     """y = factor u + offset."""
-    return workshop["gain"]
+    return fmus["gain"]
 
 
 @pytest.fixture(scope="session")
-def fails(workshop: Workshop) -> Path:
+def fails(fmus: Workshop) -> Path:
     """y' = u; fails in the way `how` from the time `when` on."""
-    return workshop["fails"]
+    return fmus["fails"]
 
 
 @pytest.fixture(scope="session")

@@ -14,49 +14,8 @@ from orchestrator.studies.single_run import RunOutcome
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Study, read
 
-FACTOR = """[factors."gain.factor"]
-distribution = "uniform"
-minimum = 1
-maximum = 3
-"""
-GAIN = f"""
-title = "A gain"
-system = "gain.fmu"
-method = "latin"
-runs = 12
-seed = 3
-stop = 0.2
-step = 0.01
-
-{FACTOR}
-[fixed]
-"gain.u" = 2
-
-[outputs.end]
-signal = "gain.y"
-measure = "final"
-band = true
-"""
-
-FAILS = """
-system = "fails.fmu"
-method = "grid"
-stop = 0.2
-step = 0.01
-
-[factors."fails.how"]
-distribution = "values"
-values = [0, 3, 5, 6, 10]
-
-[fixed]
-"fails.when" = 0.105
-"fails.u" = 1
-
-[outputs.end]
-signal = "fails.y"
-measure = "final"
-band = true
-"""
+GAIN, FAILS = (Path(__file__).with_name(f"{fmu}.toml").read_text("utf-8") for fmu in ("gain", "fails"))
+FACTOR = GAIN[GAIN.index("[factors") : GAIN.index("\n[fixed]")]
 
 MACHINE = """
 system = "{system}"

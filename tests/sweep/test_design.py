@@ -1,7 +1,5 @@
 """Designs: marginals, bounds, balance, determinism, and the order of the runs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -66,14 +66,7 @@ def test_fixed_values_are_checked_and_scale_relative_factors(bounded: Path, tmp_
     assert line.endswith("maximum: expected at most 0.02 m, got 0.03 m (3 times 0.01)")
 
 
-@pytest.mark.parametrize(
-    ("name", "numbers", "expected"),
-    [
-        ("manipulator.head_mass", uniform(-900, 400, ', unit = "kg"'), "at least 0.001 kg, got -900 kg"),
-        ("operator_input.swing_1_rise", uniform(-1, 0.5), "minimum: expected at least 0 s, got -1 s"),
-    ],
-    ids=["mass", "time"],
-)
+@table(__file__, "impossible", "name, numbers, expected")
 def test_the_machine_refuses_what_cannot_be(
     fmu_dir: Path, tmp_path: Path, name: str, numbers: str, expected: str
 ) -> None:

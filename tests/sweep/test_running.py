@@ -1,7 +1,5 @@
 """Runs become rows: numbers, bands, and what is told of runs that go wrong."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The folder of a study: the same content however it came about, nothing run twice, nothing mixed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -10,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
@@ -116,16 +114,7 @@ def test_an_interrupt_keeps_what_is_finished(file, finished, monkeypatch, capsys
     assert pd.read_csv(out / "log.csv")["run"].tolist()[: len(kept)] == kept
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ("seed = 3", "seed = 4", "seed was 3, is 4"),
-        ("runs = 12", "runs = 13", "runs was 12, is 13"),
-        ("maximum = 3", "maximum = 2", 'factors."gain.factor".maximum was 3, is 2'),
-        ('"gain.u" = 2', '"gain.u" = 1', 'fixed."gain.u" was 2, is 1'),
-        ("stop = 0.2", "stop = 0.3", "stop was 0.2, is 0.3"),
-    ],
-)
+@table(__file__, "changes", "old, new, told")
 def test_a_changed_study_is_refused(done, one, old, new, told):
     """The line says what changed and that --fresh deletes what is there."""
     done.write_text(GAIN.replace(old, new), encoding="utf-8")
@@ -133,12 +122,12 @@ def test_a_changed_study_is_refused(done, one, old, new, told):
     assert line == f"{done.parent / 'out'}: holds runs of another study: {told}; --fresh deletes them"
 
 
-def test_a_changed_fmu_is_refused(done, one, workshop):
+def test_a_changed_fmu_is_refused(done, one, fmus):
     """It is its content that counts, not its name or its date."""
     fmu = done.parent / "gain.fmu"
     os.utime(fmu, (0, 0))
     assert run(done, one)[1] == []
-    fmu.write_bytes(workshop.make("gain", "other_gain", more="<!-- another -->").read_bytes())
+    fmu.write_bytes(fmus.make("gain", "other_gain", more="<!-- another -->").read_bytes())
     with pytest.raises(Problem, match=r"another study: the FMU of gain changed; --fresh deletes them$"):
         run(done, one)
 
@@ -151,9 +140,7 @@ def test_a_folder_that_is_not_understood_is_refused(done, one, text):
     assert "study.json: is not the study.json of a parameter study; --fresh" in line
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new"), [("study.toml", "seed = 3", "seed = 4"), ("out/study.json", "{", "")]
-)
+@table(__file__, "refused", "name, old, new")
 def test_fresh_deletes_what_is_refused(done, one, name, old, new):
     """Another study, and a folder that is not understood: all runs take place."""
     path = done.parent / name

@@ -18,11 +18,11 @@ BENT = '[choices]\ngain = ["gain.fmu", "bent.fmu"]\n'
 
 
 @pytest.fixture
-def offset(workshop, tmp_path):
+def offset(fmus, tmp_path):
     """The text of a study that varies the offset of the gain, and the file of it; bent.fmu is beside it."""
-    (tmp_path / "bent.fmu").write_bytes(workshop["bent"].read_bytes())
+    (tmp_path / "bent.fmu").write_bytes(fmus["bent"].read_bytes())
     text = GAIN.replace("gain.factor", "gain.offset")
-    return text, study(tmp_path, text, workshop["gain"])
+    return text, study(tmp_path, text, fmus["gain"])
 
 
 def test_a_file_is_understood(file):
@@ -205,14 +205,7 @@ def test_mistakes_name_the_study(in_python, changed, expected):
     assert expected in line
 
 
-@pytest.mark.parametrize(
-    ("distribution", "numbers", "expected"),
-    [
-        ("even", {"minimum": 1, "maximum": 3}, "distribution: expected one of uniform, normal"),
-        ("normal", {"mean": 1, "sd": 0}, "sd: expected a positive number, got 0"),
-        ("values", {"values": [1, 1]}, "values: expected different numbers, got [1, 1]"),
-    ],
-)
+@table(__file__, "factors", "distribution, numbers, expected")
 def test_a_factor_refuses_impossible_numbers(distribution, numbers, expected):
     """When it is made."""
     line = problem(lambda: Factor("gain.factor", distribution, numbers))

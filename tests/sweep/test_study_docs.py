@@ -1,13 +1,18 @@
-"""The studies in docs/sweep.md."""
+"""The studies in docs/sweep.md and in examples/swing_peaks: they are valid, and small ones run."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
+from kit import shards
 from sweep.studies import resolved, run
 
+from orchestrator.studies.cases import resolve
+from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.report import study_page
+from orchestrator.studies.study import read
 
 DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"
 
@@ -17,15 +22,18 @@ def _block(language: str, place: int) -> str:
     return DOCS.read_text(encoding="utf-8").split(f"```{language}\n")[1 + place].split("```")[0]
 
 
-def _small(fmus: Path, folder: Path, more: str = "") -> Path:
-    """The study at the top of the page, with few runs."""
-    text = _block("toml", 0)
-    for old, new in (("build/harvester.ssp", f"{fmus.as_posix()}/harvester.ssp"), ("runs = 200", "runs = 4")):
+def _placed(text: str, file: Path, fmus: Path, *changes: tuple[str, str]) -> Path:
+    """The file of a study of FMUs in another folder, with some lines changed."""
+    for old, new in (("build/harvester.ssp", f"{fmus.as_posix()}/harvester.ssp"), *changes):
         assert old in text
         text = text.replace(old, new)
-    file = folder / "peak.toml"
-    file.write_text(text + more, encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
     return file
+
+
+def _small(fmus: Path, folder: Path, more: str = "") -> Path:
+    """The study at the top of the page, with few runs."""
+    return _placed(_block("toml", 0) + more, folder / "peak.toml", fmus, ("runs = 200", "runs = 4"))
 
 
 def test_the_small_study_runs_as_it_stands(fmu_dir, tmp_path, one):
@@ -63,16 +71,53 @@ def test_the_example_of_the_documentation_is_a_study(fmu_dir, tmp_path):
 
 def test_the_ramp_of_a_lever_is_varied_as_the_page_says(fmu_dir, tmp_path, one):
     """Unchanged: one lever makes one stroke up to 3.6 V in all runs, with another peak in each."""
-    text = _block("toml", 2)
-    assert "build/harvester.ssp" in text
     more = """lever = { signal = "operator_input.swing_command", measure = "maximum" }
 boom = { signal = "operator_input.boom_command", measure = "range" }
 """
-    file = tmp_path / "ramp.toml"
-    file.write_text(text.replace("build", fmu_dir.as_posix()) + more, encoding="utf-8")
-    table = run(file, one)[0].table
+    table = run(_placed(_block("toml", 2) + more, tmp_path / "ramp.toml", fmu_dir), one)[0].table
     assert table["status"].tolist() == ["ok"] * 8
     assert table["start:operator_input.swing_1_rise"].between(0.1, 0.7).all()
     assert table["output:lever"].to_numpy() == pytest.approx(3.6, rel=1e-12)  # V; rounding only
     assert (table["output:boom"] == 0).all()
     assert table["output:peak"].nunique() == 8
+
+
+# ---- the example examples/swing_peaks
+
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "swing_peaks"
+
+
+def _example(name: str, fmus: Path, folder: Path, *changes: tuple[str, str]) -> Path:
+    """A study of the example."""
+    return _placed((EXAMPLE / name).read_text("utf-8").replace("../../", ""), folder / name, fmus, *changes)
+
+
+@pytest.mark.parametrize("name", ["study.toml", "small.toml"])
+def test_names_and_units_of_the_studies_are_right(name: str, fmu_dir: Path, tmp_path: Path) -> None:
+    """Every factor and signal is in the machine, and peaks are in Pa."""
+    study = resolve(read(_example(name, fmu_dir, tmp_path)))[0]
+    assert {output.unit for output in study.outputs} == {"Pa"}
+    # the levers play nothing but the strokes of the study
+    played = {n for n, value in study.fixed.items() if n.endswith("_command") and value}
+    assert played <= {"operator_input.swing_1_command", "operator_input.swing_2_command"}
+
+
+@shards.machine
+def test_the_small_study_runs_to_its_report(fmu_dir: Path, tmp_path: Path) -> None:
+    """All runs end, and at a start the pressure of the driving line is between preload and supply."""
+    short = (
+        ("runs = 64", "runs = 1"),
+        ("stop = 7.0", "stop = 2.0"),
+        ("start = 0.5, stop = 2.8", "start = 0.5"),
+        ("start = 2.8, stop = 6.9", "start = 1.0"),
+    )
+    file = _example("small.toml", fmu_dir, tmp_path, *short)
+    results = sweep(file, tmp_path / "out", workers=1)
+    assert (results.table["status"] == "ok").all()
+    assert results.table["output:start_left"].between(1e6, 2.07e7).all()
+    assert study_page.report(tmp_path / "out").exists()
+    numbers = json.loads((tmp_path / "out" / study_page.NUMBERS).read_text("utf-8"))
+    assert numbers["sentences"]["start_left"][0].startswith(
+        "The sensitivities of start_left cannot be estimated"
+    )

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-import pytest
+from kit.mistakes import table
 from sweep.pages import with_reasons
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
@@ -55,15 +55,7 @@ def test_other_kinds_are_counted() -> None:
     assert lines[-6] == "2 failed, such as: part a broke at 0 s"
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "same"),
-    [
-        ("x is 1.5e-3 m at 0.4 s", "x is -2 m at 12 s", True),
-        ("swing_1_rise is 3", "swing_2_rise is 3", False),
-        ("x is inf", "x is nan", False),
-        ("in [0.5, 2]", "in [3, 1e9]", True),
-    ],
-)
+@table(__file__, "causes", "one, other, same")
 def test_names_are_no_numbers(one: str, other: str, same: bool) -> None:
     """Digits in a name tell of what it is the name."""
     assert (without_numbers(pd.Series([one, other])).nunique() == 1) is same

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from kit.mistakes import table
 from sweep.pages import UNIT, shown
 from sweep.synthetic import finding, results, uniform
 
@@ -15,14 +16,7 @@ from orchestrator.studies.report.study_figures import scatter
 from orchestrator.studies.report.study_page import distribution_text
 
 
-@pytest.mark.parametrize(
-    ("unit", "largest", "shown", "scale"),
-    [
-        *(("m", 0.00492, "mm", 1e3), ("m", -0.05, "mm", 1e3), ("m", 0.5, "m", 1.0)),
-        *(("m/s", 0.02, "mm/s", 1e3), ("", 0.01, "", 1.0)),
-        *(("Pa", 1.2631e7, "bar", 1e-5), ("Pa", 0.01, "bar", 1e-5)),
-    ],
-)
+@table(__file__, "units", "unit, largest, shown, scale")
 def test_the_unit_follows_from_the_largest_number(
     unit: str, largest: float, shown: str, scale: float
 ) -> None:

@@ -14,21 +14,6 @@ from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
 from orchestrator.results.validation import Validation, validate
 
-META = """
-[reference]
-title = "Shaft test"
-[tolerances]
-angle = { metric = "nrmse", limit = 0.01 }
-pressure = { metric = "maximum", limit = 2.0 }
-[signals."shaft.angle"]
-unit = "deg"
-group = "angle"
-label = "Shaft <angle>"
-[signals."pump.pressure"]
-unit = "bar"
-group = "pressure"
-"""
-
 
 @pytest.fixture(scope="session")
 def trace() -> Trace:
@@ -49,7 +34,7 @@ def written(tmp_path_factory: pytest.TempPathFactory, trace: Trace) -> Path:
     angle, pressure = np.degrees(trace["shaft.angle"][::10]), trace["pump.pressure"][::10] / 1e5 - 1.0
     table = pd.DataFrame({"time": trace.time[::10], "shaft.angle": angle, "pump.pressure": pressure})
     table.to_csv(folder / "ref.csv", float_format="%.12g", index=False)
-    (folder / "ref.toml").write_text(META, encoding="utf-8")
+    shutil.copy(Path(__file__).with_name("shaft.toml"), folder / "ref.toml")
     return folder
 
 

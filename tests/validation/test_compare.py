@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from kit.mistakes import table
 
 from orchestrator.base.errors import Problem
 from orchestrator.data.description import Tolerance
@@ -91,10 +92,8 @@ def test_window_narrows_the_comparison() -> None:
 
 def test_rounded_times_do_not_cut_the_last_sample() -> None:
     """A last time of 0.3 in the CSV and 0.30000000000000004 in the run are the same instant."""
-    run, reference = (
-        metres(np.arange(4) * 0.1, np.arange(4.0)),
-        made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0)),
-    )
+    run = metres(np.arange(4) * 0.1, np.arange(4.0))
+    reference = made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0))
     found = validate(run, reference, rate=False)
     assert len(found["a.x"].time) == 4
     assert len(found.notes) == 1
@@ -170,13 +169,7 @@ def test_nan_in_the_run_is_refused(trace: Trace, folder: Path) -> None:
         validate(run, read_recording(folder / "ref.csv"))
 
 
-@pytest.mark.parametrize(
-    ("metric", "good", "bad"),
-    [
-        *(("nrmse", 0.03, 0.02), ("rmse", 0.06, 0.04), ("maximum", 0.06, 0.04)),
-        *(("fit", 90, 95), ("vaf", 99.9, 100.1), ("iso", 0.9, 1.01)),
-    ],
-)
+@table(__file__, "metrics", "metric, good, bad")
 def test_every_metric_can_be_a_limit(metric: str, good: float, bad: float) -> None:
     """Errors have an upper limit; fit, VAF and rating a lower one."""
     t = np.linspace(0, 6, 300)

@@ -13,24 +13,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.results.layout import FigureSpec, Layout, PanelSpec, read_layout
 
-LAYOUT = """
-title = "Shaft"
-[[figure]]
-title = "Turning"
-caption = "of the shaft"
-panels = [
-    { label = "Angle", signals = ["shaft.angle"] },
-    { label = "Pressures", signals = ["pump.pressure", "pump.command"], names = ["p", "u"] },
-]
-[motion]
-angle = "shaft.angle"
-tip = "end"
-points = [
-    { label = "foot", radius = 0, height = 0.5 },
-    { label = "end", radius = "pump.command", height = 1.0 },
-]
-lines = [["foot", "end"]]
-"""
+LAYOUT = Path(__file__).with_name("layout.toml").read_text(encoding="utf-8")
 
 
 def written(folder: Path, text: str) -> Path:

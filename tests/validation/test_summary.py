@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kit.mistakes import table
 from rich.console import Console
 
 from orchestrator.base.text import number
@@ -74,16 +75,7 @@ def test_a_failed_run_says_first_what_missed_and_by_how_much(
     assert lines[-1] == "fail: 0 of 2 signals within their limits"
 
 
-@pytest.mark.parametrize(
-    ("metric", "limit", "told"),
-    [
-        ("rmse", 0.04, "RMSE 100 mm, limit 40 mm (2.5 times)"),
-        ("rmse", 0.09999, "RMSE 100 mm, limit 100 mm (1.00010001 times)"),
-        ("fit", 90, "fit 86.05 %, limit 90.00 % (3.94 % short)"),
-        ("maximum_relative", 0.1, "no max. relative error, limit 10 %"),
-        ("iso", 0.9, "no ISO rating, limit 0.9 (not requested)"),
-    ],
-)
+@table(__file__, "misses", "metric, limit, told")
 def test_a_miss_in_the_words_of_its_metric(metric: str, limit: float, told: str) -> None:
     """Errors are multiples of the limit, ratings are differences from it, undefined metrics have a reason."""
     lines = shown(made(a__x=Tolerance(metric, limit)))

@@ -1,7 +1,5 @@
 """Compensated drives and load-sensing pump obey docs/equations.md: a second writing of its sections."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from equations import circuits_transcription as printed

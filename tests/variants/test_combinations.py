@@ -1,7 +1,5 @@
 """The registry and what it prints; every combination of variants in the machine; Python FMUs among them."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import shutil
@@ -71,9 +69,8 @@ SOME = ALL_COMBINATIONS[::26]
 
 
 @pytest.mark.parametrize("chosen", SOME, ids=lambda c: "-".join(c.values()))
-def test_a_combination_starts_and_moves(fmu_dir, chosen):
+def test_a_combination_starts_and_moves(system, chosen):
     """Every 26th combination, every variant among them, over two seconds: boom and swing have started."""
-    system = load(fmu_dir / "harvester.ssp")
     one = {part: [variant] for part, variant in chosen.items()}
     (row,) = combinations(system, one, WATCH, step=1e-3, stop=2.0, record_step=0.02)
     assert row.failure == ""
@@ -87,9 +84,8 @@ def test_the_sample_has_every_variant():
 
 
 @shards.machine
-def test_every_combination_runs_the_work_cycle(fmu_dir):
+def test_every_combination_runs_the_work_cycle(system):
     """42 s at 1 ms with the default master, and the coupling makes up no energy to speak of."""
-    system = load(fmu_dir / "harvester.ssp")
     found = list(combinations(system, VARIANTS, WATCH, step=1e-3, record_step=0.02))
     assert [dict(row.variants) for row in found] == ALL_COMBINATIONS
     for row in found:
@@ -159,9 +155,8 @@ SAMPLE = [
 
 @shards.machine
 @pytest.mark.parametrize("chosen", SAMPLE, ids=lambda c: "-".join(itertools.chain(*c.items())))
-def test_python_fmus_take_the_place_of_native_ones(fmu_dir, tmp_path, chosen):
+def test_python_fmus_take_the_place_of_native_ones(system, tmp_path, chosen):
     """The machine moves the same with Python FMUs of the same variants: to 1e-9 of each signal's range."""
-    system = load(fmu_dir / "harvester.ssp")
     files = {part: python(f"{part}_{variant}", tmp_path) for part, variant in chosen.items()}
     native = run(system, swap=chosen, step=1e-3, stop=2.0, record_step=0.02).trace
     mixed = run(system, swap=files, step=1e-3, stop=2.0, record_step=0.02).trace

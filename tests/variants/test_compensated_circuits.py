@@ -4,8 +4,6 @@ The formulas below are written out here, with the numbers of parameters.toml. Pi
 holds its pressure: the test bench gives the velocity that keeps a chamber at the wanted pressure.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compensator: bounds and monotony; brake: test_balances.py, equations: test_circuits_transcription.py."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """The compensated drives in the machine: stability of load holding, a failed supply, stopped strokes."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -153,9 +153,8 @@ def test_the_floor_falls_with_the_square_of_the_hose_length(part):
         for k in (1.0, 0.5, 0.25)
     ]
     ratios = np.array(floors[:-1]) / floors[1:]
-    assert ratios == pytest.approx(
-        4.0, rel=0.15
-    )  # the terms in l^3 are a tenth of those in l^2 at full length
+    # the terms in l^3 are a tenth of those in l^2 at full length
+    assert ratios == pytest.approx(4.0, rel=0.15)
 
 
 @pytest.mark.parametrize("part", LUMPED)

@@ -1,7 +1,5 @@
 """Every variant of every part, in a machine at work with a stem: power in is out, stored, or heat."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import casadi as ca

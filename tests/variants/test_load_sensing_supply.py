@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kit.mistakes import table
 from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
@@ -236,15 +237,7 @@ def test_limits_hold_for_any_row_of_loads(rows, hold):
     assert y["dissipated_power"].min() > 0
 
 
-@pytest.mark.parametrize(
-    ("changes", "fails"),
-    [
-        ({}, []),
-        ({"margin": 5e5}, "margin exceeds margin_band, load_sensing_relief_difference is not above margin"),
-        ({"pressure_cut_off": 2.4e7}, "relief_pressure exceeds pressure_cut_off"),
-        ({"torque_limit": 410.0}, "engine_rated_torque exceeds torque_limit with the friction of the pump"),
-    ],
-)
+@table(__file__, "settings", "changes, fails")
 def test_settings_out_of_order_are_told_in_words(changes, fails):
     """Each requirement has its sentence."""
     found = BENCH.violated(BENCH.constants(**changes))

@@ -1,7 +1,5 @@
 """Variants of the manipulator: swinging head, dry friction, and what all of them keep."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

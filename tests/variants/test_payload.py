@@ -3,8 +3,6 @@
 Its weight and inertia: tests/equations/test_rigid_body.py and test_transcription.py.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

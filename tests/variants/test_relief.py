@@ -1,7 +1,5 @@
 """What relief and anti-cavitation valves do to the drives; their flow: test_circuits_transcription.py."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from kit.equations import corners, machine, played

@@ -1,7 +1,5 @@
 """Every variant in its machine: started at a pose with the levers at rest, it stands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from kit import shards

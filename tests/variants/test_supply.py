@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import cavity
+from kit.mistakes import table
 from kit.properties import examples
 from kit.supply_bench import L_MIN, Bench, Load
 from scipy.optimize import brentq
@@ -283,14 +284,7 @@ def test_rest_stays_at_rest(setting, apart, band, leakage, tank):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "fails"),
-    [
-        ("engine_rated_torque", 1.0, ["engine_rated_torque exceeds what turns both pumps without flow"]),
-        ("engine_no_load_speed", 2800.0, []),  # a governor so soft that its line is left
-        ("engine_rated_torque", 433.0, []),
-    ],
-)
+@table(__file__, "engines", "name, value, fails")
 def test_an_engine_too_weak_for_its_pumps_is_told_in_words(name, value, fails):
     """The start is finite for any engine; one that does not turn the pumps says so."""
     p = ENGINE_PUMP.constants(**{name: value})

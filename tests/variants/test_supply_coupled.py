@@ -1,26 +1,20 @@
 """The supply in the machine: its lines fit, power is counted at them, and the coupling is accurate."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
 import pytest
 from kit import shards
 from kit.equations import JOINTS, Part, machine, played, work_cycle
+from kit.mistakes import table
 
 from fmus.contract import quantities
 from fmus.machine.parts import DRIVES, FAMILIES, SUPPLY_WIRES
 from fmus.parameters import values
-from orchestrator import Trace, load, run
+from orchestrator import Trace, run
 from orchestrator.ssp.power_bonds import find_bonds
 
 STOP = 6.0  # s of the work cycle: lift, swing and stick overlap
-
-
-@pytest.fixture(scope="module")
-def system(fmu_dir):
-    return load(fmu_dir / "harvester.ssp")
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +57,7 @@ def test_both_drives_have_their_bonds(system):
 
 
 # each pair of a master, a cut and a supply once
-@pytest.mark.parametrize(
-    ("variant", "cut", "master"),
-    [
-        ("engine_pump", (), "gauss-seidel"),
-        ("engine_pump", ("supply_pressure_rate",), "jacobi"),
-        ("load_sensing", (), "jacobi"),
-        ("load_sensing", ("supply_pressure_rate",), "gauss-seidel"),
-    ],
-)
+@table(__file__, "runs", "variant, cut, master")
 def test_co_simulation_at_1_ms_agrees_with_the_monolith(system, reference, master, cut, variant):
     """Speeds to 2e-4 or 5e-4 and supply pressure to 1e-3 of range, with that rate port or without."""
     true = reference(variant)

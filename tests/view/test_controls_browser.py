@@ -174,6 +174,7 @@ LET_GO = {
     "hidden": "document.dispatchEvent(new Event('visibilitychange'))",
     "menu": "document.dispatchEvent(new Event('contextmenu'))",
     "field": "document.querySelector('input').focus()",
+    "pressed twice": "window.dispatchEvent(new KeyboardEvent('keydown', { code: 'KeyA' }))",
 }
 
 
@@ -191,13 +192,6 @@ def stays_at_rest(address: str) -> None:
     before = state(address)["heard"]
     assert until(lambda: state(address)["heard"] >= before + 10 or state(address)["role"] == "free")
     assert command(address) == {}
-
-
-def test_lost_release(page: Any, address: str) -> None:
-    """A key that is pressed twice without a release between lets go of everything."""
-    hold(page, address, keys(page, "Space", "KeyA"), lambda: swings(address))
-    page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', { code: 'KeyA' }))")
-    assert until(lambda: command(address) == {})
 
 
 def hang(page: Any, milliseconds: int) -> None:

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 from view.standin import DESCRIPTION
 
 from orchestrator.data.trace import Trace
@@ -276,16 +276,7 @@ def test_cells() -> None:
     assert cells(frame(state="failed", message="it broke"), None, drives=True)[-1][1:] == ("it broke", "bad")
 
 
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ((1.0, 1.0, 0.5, 0.5), ""),
-        ((0.0, 0.1, 9.0, 0.5), ""),  # off
-        ((1.0, 0.1, 9.0, 1.2), "at the end of a stroke"),
-        ((1.0, 0.7, 0.5, 1.4), "at a speed limit"),
-        ((1.0, 0.5, 0.5, 0.9), "waits for the machine"),
-    ],
-)
+@table(__file__, "limits", "values, told")
 def test_what_holds_the_tip(values: tuple[float, ...], told: str) -> None:
     """The limit that is used most has a cell of its own while the controller is on, else the wait has."""
     machine = SimpleNamespace(signals=NAMES, axes=())

@@ -7,6 +7,7 @@ import json
 import os
 import socket
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import httpx
@@ -78,15 +79,6 @@ WRONG = {
 
 
 @pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
-def test_wrong_message_of_the_driver(server: Server, raw: str | bytes) -> None:
-    """Any wrong message is rest, whether the connection survives it or not."""
-    with page(server) as (socket, station):
-        drive(server, socket, station)
-        socket.send(raw)
-        assert until(lambda: not server.machine.moving)
-
-
-@pytest.mark.parametrize("raw", WRONG.values(), ids=WRONG.keys())
 def test_wrong_message_of_a_watcher(server: Server, raw: str | bytes) -> None:
     """A watcher sends what it likes: the driver goes on driving."""
     with page(server) as (socket, station), page(server) as (other, _):
@@ -143,12 +135,13 @@ ENDS: dict[str, Callable[[ClientConnection], object]] = {
     "the page is closed": lambda opened: opened.close(),
     "bytes that are no frame": lambda opened: opened.socket.sendall(os.urandom(1000)),
     "the cable is cut": cut_cable,
+    **{name: partial(ClientConnection.send, message=raw) for name, raw in WRONG.items()},
 }
 
 
 @pytest.mark.parametrize("how", ENDS)
 def test_connection_that_ends(server: Server, how: str) -> None:
-    """However a connection ends, it is rest."""
+    """However a connection ends, and after any wrong message, whether it survives that or not, it is rest."""
     with page(server) as (opened, station):
         drive(server, opened, station)
         ENDS[how](opened)

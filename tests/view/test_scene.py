@@ -120,9 +120,9 @@ def test_rod_pins_on_their_links(found: Any) -> None:
             assert drawn(pose, link, (pin[0], 0.0, pin[1])) == pytest.approx(rod, abs=ROUNDING)
 
 
-def test_geometry_of_a_system(fmu_dir: Path) -> None:
+def test_geometry_of_a_system(fmu_dir: Path, system: System) -> None:
     """Sizes are those that the FMU declares; of a head that does not swing the length is a usual one."""
-    rigid = geometry(load(fmu_dir / "harvester.ssp"))
+    rigid = geometry(system)
     own = values(MANIPULATOR).p
     for name in Geometry.__dataclass_fields__:
         assert getattr(rigid, name) == own.get(name, 1.0)
@@ -132,10 +132,9 @@ def test_geometry_of_a_system(fmu_dir: Path) -> None:
     assert (swung.start.boom, swung.start.stick) == (0.05, -0.65)  # of fmus.machine.poses
 
 
-def test_no_arm(fmu_dir: Path) -> None:
+def test_no_arm(system: System) -> None:
     """A system without an arm is refused in one line that names what was looked for."""
-    parts = load(fmu_dir / "harvester.ssp")
-    rest = {name: c for name, c in parts.components.items() if name != "manipulator"}
+    rest = {name: c for name, c in system.components.items() if name != "manipulator"}
     with pytest.raises(Problem, match="boom_pivot_x to stick_stroke, found none in supply, boom_stick"):
         geometry(System("no arm", rest))
 

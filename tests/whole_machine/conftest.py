@@ -1,4 +1,4 @@
-"""The machine, read once; the example examples/hydraulic_manipulator: its modules, its systems built once."""
+"""The example examples/hydraulic_manipulator: its modules, its systems built once."""
 
 from __future__ import annotations
 
@@ -7,16 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator import System, load
-
 # the example is a script, not an installed package
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "hydraulic_manipulator"))
-
-
-@pytest.fixture(scope="session")
-def system(fmu_dir: Path) -> System:
-    """The machine as built."""
-    return load(fmu_dir / "harvester.ssp")
 
 
 @pytest.fixture(scope="session")

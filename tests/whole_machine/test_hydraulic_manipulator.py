@@ -19,6 +19,7 @@ from hydraulics import HYDRAULICS, model
 from hypothesis import given
 from hypothesis import strategies as st
 from kit.equations import Part
+from kit.mistakes import table
 from machine import SUBSYSTEMS, solve
 
 from fmus.components import orifice
@@ -249,14 +250,7 @@ def by_hermite(manipulator_systems, step=None, **choices):
     return result, float(np.max(np.abs(result.trace["arm.s1"] - truth["arm.s1"])))
 
 
-@pytest.mark.parametrize(
-    ("step", "bar"),
-    [
-        (20e-3, 5e-4),  # measured 3.1e-4 m: the command's ramps of 1 ms and 2 ms are smeared over a step
-        (40e-3, 1e-3),  # 6.4e-4 m; the authors' last stable step
-        (100e-3, 3e-3),  # 1.6e-3 m: in proportion to the step, as the smearing is
-    ],
-)
+@table(__file__, "steps", "step, bar")
 def test_hermite_is_stable_at_large_steps(manipulator_systems, step, bar):
     """The authors' schemes end at 40 ms."""
     result, error = by_hermite(manipulator_systems, step)

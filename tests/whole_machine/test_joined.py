@@ -122,20 +122,10 @@ def chain(first: tuple[Subsystem, Any], second: tuple[Subsystem, Any], **more: A
     return compose("chain", "Chain", parts, wires, inputs, tables, folder=Path("none"), **more)
 
 
-@pytest.mark.parametrize(
-    ("second", "expected"),
-    [
-        (part("b"), ["gain"]),
-        (part("b", group="Lag"), ["gain"]),
-        (part("b", gain=3.0), ["a_gain", "b_gain"]),
-        (part("b", text="Gain of something else"), ["a_gain", "b_gain"]),
-        (part("b", minimum=0.0), ["a_gain", "b_gain"]),
-        (part("b", tunable=True), ["a_gain", "b_gain"]),
-    ],
-)
-def test_parameters_are_one_if_declared_alike_and_equal(second, expected):
+@mistakes.table(__file__, "shared", "changes, expected")
+def test_parameters_are_one_if_declared_alike_and_equal(changes, expected):
     """Same description, unit, bounds and value; otherwise each component has its own parameter."""
-    whole = chain(part("a"), second)
+    whole = chain(part("a"), part("b", **changes))
     assert list(quantities(whole.parameters)) == expected
     assert list(values(whole).p) == expected
     # one requirement for one parameter, two for two

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.any_fmu.outcome import OPENERS
+from kit.mistakes import table
 from machine import solve  # of the example, see conftest.py
 
 from fmus.machine.build import data
@@ -114,15 +115,7 @@ def manoeuvre(ramp: float) -> tuple[Trace, np.ndarray]:
     return given, solve(given, np.arange(1001) * 1e-2)["arm.s1"]
 
 
-@pytest.mark.parametrize(
-    ("ramp", "step", "limit"),
-    [
-        *((0.2, 1e-2, 1e-7), (0.2, 2e-2, 5e-7), (0.2, 1e-1, 3e-6)),  # measured 5.1e-8, 2.4e-7, 1.3e-6 m
-        # as published; a ramp that lasts 100 ms instead of 2 ms comes 49 ms late at 0.06 m/s: 3e-3 m;
-        # measured 1.6e-3 m
-        (2e-3, 1e-1, 3e-3),
-    ],
-)
+@table(__file__, "ramps", "ramp, step, limit")
 def test_benchmark_is_stable_at_large_steps(benchmark, ramp, step, limit):
     """Ramps of 0.2 s: micrometres at 100 ms, where the authors' schemes stop at 40 ms."""
     given, truth = manoeuvre(ramp)

@@ -3,17 +3,16 @@
 Energy: tests/variants/test_balances.py, test_manipulator.py, over the work cycle test_energy.py.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from kit.equations import machine, piston_areas
+from kit.mistakes import table
 
 from fmus.machine.parts import SUBSYSTEMS
 from fmus.machine.poses import WORK_SPACE, parameter, pose_grid
 from fmus.machine.work_cycle import COMMANDS, WORK_CYCLE
 from fmus.parameters import values
-from orchestrator import Problem, load, run
+from orchestrator import Problem, run
 
 BOOM_STICK, MANIPULATOR = (values(SUBSYSTEMS[n]).p for n in ("boom_stick", "manipulator"))
 SUPPLY = values(SUBSYSTEMS["swing"]).u["supply_pressure"]
@@ -23,12 +22,11 @@ PISTONS = ("boom", "stick")
 
 
 @pytest.fixture(scope="module")
-def driven(fmu_dir):
+def driven(system):
     """driven(stop, numbers, input=...): the trace of a run with inputs that are constant, or over `time`.
 
     Commands that are not given are zero.
     """
-    system = load(fmu_dir / "harvester.ssp")
 
     def trace(stop, numbers=None, record_step=0.01, time=None, **inputs):
         time = [0.0, stop] if time is None else time
@@ -134,14 +132,7 @@ def test_without_supply_the_closed_valves_still_hold(driven):
 # ---- moved
 
 
-@pytest.mark.parametrize(
-    ("command", "signs"),
-    [
-        ("swing_command", {"swing_speed": 1}),
-        ("boom_command", {"boom_speed": 1, "boom_velocity": 1}),
-        ("stick_command", {"stick_velocity": 1, "stick_speed": -1}),
-    ],
-)
+@table(__file__, "signs", "command, signs")
 def test_positive_commands_move_the_stated_way_and_negative_ones_back(driven, command, signs):
     """Signs of every port: positive swings left, raises the boom, extends (and so folds) the stick."""
     for direction in (1, -1):

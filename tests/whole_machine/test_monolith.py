@@ -1,7 +1,5 @@
 """The monolithic solution: corners of its inputs, times of two grids, its tolerance, the stored reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from kit import shards

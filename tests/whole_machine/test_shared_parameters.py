@@ -1,7 +1,5 @@
 """Values that parts share, and bounds of values: one line before the run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -22,12 +20,6 @@ SSV = """<ParameterSet xmlns="http://ssp-standard.org/SSP1/SystemStructureParame
  name="p"><Parameters><Parameter name="{}"><Real value="{}"/></Parameter></Parameters></ParameterSet>"""
 
 
-@pytest.fixture(scope="module")
-def machine(fmu_dir):
-    """The machine as built."""
-    return load(fmu_dir / "harvester.ssp")
-
-
 def test_shared_parameters_are_declared_with_one_value():
     """By a variant of each part that shares it."""
     for name, parts in SHARED.items():
@@ -38,60 +30,60 @@ def test_shared_parameters_are_declared_with_one_value():
 
 
 @pytest.mark.parametrize("part", ["boom_stick", "manipulator"])
-def test_one_of_two_shared_values_is_refused(machine, part):
+def test_one_of_two_shared_values_is_refused(system, part):
     """The line names both and the name that sets both."""
     first, second = (0.6, 0.61) if part == "boom_stick" else (0.61, 0.6)
-    assert mistakes.problem(lambda: machine.with_start({f"{part}.boom_stroke": 0.6})) == (
+    assert mistakes.problem(lambda: system.with_start({f"{part}.boom_stroke": 0.6})) == (
         f"boom_stick.boom_stroke is {first} and manipulator.boom_stroke is {second} m: expected one value of"
         " one physical quantity; set both at once by the name boom_stroke"
     )
 
 
-def test_the_name_of_a_shared_value_sets_all_parts(machine):
+def test_the_name_of_a_shared_value_sets_all_parts(system):
     """As do both names together."""
     both = {"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.6}
     for given in ({"boom_stroke": 0.6}, both):
-        system = machine.with_start(given)
-        assert [system.components[p].value("boom_stroke") for p in SHARED["boom_stroke"]] == [0.6, 0.6]
+        changed = system.with_start(given)
+        assert [changed.components[p].value("boom_stroke") for p in SHARED["boom_stroke"]] == [0.6, 0.6]
 
 
-def test_a_parameter_set_with_one_shared_value_is_refused(machine, tmp_path):
+def test_a_parameter_set_with_one_shared_value_is_refused(system, tmp_path):
     """At the run, because another set may set the other value."""
     file = tmp_path / "longer.ssv"
     file.write_text(SSV.format("boom_stick.boom_stroke", 0.6))
     with pytest.raises(Problem, match=r"boom_stick.boom_stroke is 0.6 and manipulator.boom_stroke is 0.61 m"):
-        run(machine, parameters=[file], stop=0.01)
-    with_sets(machine, [file]).with_start({"boom_stroke": 0.6})
+        run(system, parameters=[file], stop=0.01)
+    with_sets(system, [file]).with_start({"boom_stroke": 0.6})
 
 
-def test_an_ssp_keeps_what_its_parts_share(machine, tmp_path):
+def test_an_ssp_keeps_what_its_parts_share(system, tmp_path):
     """Written, read, and without a part whose FMU lacks the parameter."""
-    again = load(write_ssp(machine, tmp_path / "again.ssp"))
-    assert dict(again.shared) == dict(machine.shared) == SHARED
+    again = load(write_ssp(system, tmp_path / "again.ssp"))
+    assert dict(again.shared) == dict(system.shared) == SHARED
     both = ["boom_stick.boom_stroke", "manipulator.boom_stroke"]
     assert [str(port) for port in again.sharing("boom_stroke")] == both
     assert again.sharing("boom_bore") == []
 
 
-def test_a_swapped_part_may_use_a_shared_name_for_something_else(machine):
+def test_a_swapped_part_may_use_a_shared_name_for_something_else(system):
     """An output, or a parameter of another dimension, is no shared parameter."""
-    part = machine.components["manipulator"]
+    part = system.components["manipulator"]
     declared = part.interface.variables["boom_stroke"]
     mass = replace(declared.unit, name="kg", exponents=(1, *[0] * (len(declared.unit.exponents) - 1)))
     for change in ({"causality": "output", "variability": "continuous"}, {"unit": mass}):
         variables = {**part.interface.variables, "boom_stroke": replace(declared, **change)}
         interface = replace(part.interface, variables=variables)
         swapped = replace(part, interface=interface, replaced=part.interface)
-        other = replace(machine, components={**machine.components, "manipulator": swapped})
+        other = replace(system, components={**system.components, "manipulator": swapped})
         assert [str(port) for port in other.sharing("boom_stroke")] == ["boom_stick.boom_stroke"]
         other.with_start({"boom_stick.boom_stroke": 0.6})
 
 
-def test_shared_values_of_few_digits_are_equal(machine):
+def test_shared_values_of_few_digits_are_equal(system):
     """Other tools write 6 to 9 digits; a message about other values shows the difference."""
-    machine.with_start({"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.6 + 1e-7})
+    system.with_start({"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.6 + 1e-7})
     with pytest.raises(Problem, match=r"is 0\.6 and manipulator.boom_stroke is 0\.600002 m"):
-        machine.with_start({"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.600002})
+        system.with_start({"boom_stick.boom_stroke": 0.6, "manipulator.boom_stroke": 0.600002})
 
 
 def test_an_assembled_system_shares_what_it_is_told(fmu_dir):
@@ -155,9 +147,9 @@ def test_values_out_of_bounds_are_refused_before_the_first_step(fmu_dir, tmp_pat
     assert not out.exists()
 
 
-def test_a_parameter_set_out_of_bounds_names_its_file(machine, tmp_path):
+def test_a_parameter_set_out_of_bounds_names_its_file(system, tmp_path):
     """Selected by the user."""
     file = tmp_path / "bad.ssv"
     file.write_text(SSV.format("boom_stick.boom_bore", 0))
     with pytest.raises(Problem, match=r"bad.ssv: boom_stick.boom_bore: expected at least 0.001 m, got 0 m"):
-        with_sets(machine, [file])
+        with_sets(system, [file])

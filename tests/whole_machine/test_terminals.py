@@ -1,7 +1,5 @@
 """The ports of the subsystems: two terminals that fit carry exactly the wires of the machine."""
 
-from __future__ import annotations
-
 import zipfile
 from dataclasses import replace
 from itertools import combinations

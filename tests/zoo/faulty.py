@@ -84,6 +84,17 @@ class Faulty:
         simulation = "CoSimulation" if (self.phase, self.major) == ("instantiate", 3) else ""
         return f"fmi{self.major}{CALLS[self.phase]}{simulation}"
 
+    def assert_told(self, message: str, component: str, cause: str = "") -> None:
+        """One line has what happened, the call and the FMU; `cause` is of what does not end the process."""
+        assert "\n" not in message
+        if self.fault == "nan":
+            assert message.removeprefix("harvester: ").startswith(f"{component}.y: expected a ")
+            assert " got nan" in message
+            return
+        assert (cause or CAUSES[self.fault]) in message
+        assert f" in {self.call} " in message
+        assert f" of {component} ({self.fmu})" in message
+
 
 def faulty(
     folder: Path, fault: str = "none", phase: str = "step", major: int = 2, name: str = "lag"

@@ -73,14 +73,8 @@ def test_a_fault_ends_the_run_in_one_line(
         return
     assert ended.status == 2
     assert len(ended.lines) == 1
-    line = ended.lines[0]
-    if fault == "nan":
-        assert line.startswith(f"harvester: {component}.y: expected a ")
-        assert " got nan" in line
-        return
-    assert CAUSES.get(fault, f"not done within {LIMIT:g} s") in line
-    assert f" in {fmu.call} " in line
-    assert f" of {component} ({fmu.fmu})" in line
+    assert ended.lines[0].startswith("harvester: ")
+    fmu.assert_told(ended.lines[0], component, CAUSES.get(fault, f"not done within {LIMIT:g} s"))
 
 
 HANGING = [("spin", "step"), ("sleep", "step"), ("spin", "instantiate")]

@@ -3,8 +3,6 @@
 They use neither a solver nor the rig: flows follow from chosen drops, or pressures from chosen flows.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The lumped machine moved joint by joint, integrated tightly, and what instruments make of it."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Momentum balance: the equation, its filters, the effect of noise and of known parameters."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

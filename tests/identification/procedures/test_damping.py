@@ -1,7 +1,5 @@
 """Damping, eq. (13): true values come back, intervals hold them, doubts and faults are told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import pytest
 from identification.procedures.bench import changed
 from identification.procedures.lumped_machine import ENCODER, KNOWN, P, recording
 from kit import shards
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from fmus.identification.procedures.damping import CONTACTS, as_printed, identify
 from fmus.identification.procedures.momentum_balance import smoothed_recording
@@ -162,15 +160,7 @@ def test_noise_that_is_not_described_is_estimated():
     assert seen == pytest.approx(told, rel=0.15)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"conditions": {"joint": "elbow"}}, "joint: expected swing, boom, stick, got 'elbow'"),
-        ({"conditions": {}}, "joint: expected a text, got nothing"),
-        ({"procedure": "valve"}, "expected a recording of this procedure"),
-        ({"use": "test"}, "expected a recording of this procedure"),
-    ],
-)
+@table(__file__, "mistakes", "change, message")
 def test_wrong_data_are_refused_in_one_line(change, message):
     """A wrong joint, none, no recording at all, only one that is held out."""
     assert message in problem(lambda: identify([replace(recording("boom"), **change)], KNOWN))

@@ -1,7 +1,5 @@
 """Inertial parameters: the regressor against Pinocchio, base parameters, true values come back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

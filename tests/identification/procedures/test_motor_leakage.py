@@ -1,7 +1,5 @@
 """Motor leakage procedure, eqs. (11), (12): estimates, coverage of the intervals, remarks on other flows."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +8,7 @@ import numpy as np
 import pytest
 from identification.procedures.bench import assert_coverage, changed, measured, named
 from identification.procedures.lumped_machine import KNOWN
-from kit.mistakes import problem
+from kit.mistakes import problem, table
 
 from fmus.identification.procedures.motor_leakage import identify
 from orchestrator.data.recording import Recording, Sensor
@@ -82,13 +80,7 @@ def test_intervals_have_their_coverage():
     assert sum(not any("linear:" in text for text in r.remarks) for r in results) < 2
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"square": 1e-21}, "quadratic part of the internal"),
-        ({"zero": 3e-6 / 60}, "a flow in the drain of"),
-    ],
-)
+@table(__file__, "flows", "change, message")
 def test_a_flow_that_the_laminar_law_neglects_is_reported(change, message):
     """A quadratic part of 3 % at full pressure, a zero of 3 mL/min."""
     remarks = identify(recordings(1, **change), KNOWN).remarks
@@ -144,15 +136,7 @@ def test_ripple_of_the_pump_does_not_hide_a_step():
     assert waved == plain
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"conditions": {"shaft": "free"}}, "shaft: expected locked, got 'free'"),
-        ({"procedure": "valve"}, "expected a recording of this procedure"),
-        ({"signals": {}}, "expected the signal pressure_a"),
-        ({"units": {"pressure_a": "m3/s"}}, "pressure_a is in m3/s, expected Pa"),
-    ],
-)
+@table(__file__, "mistakes", "change, message")
 def test_wrong_data_are_refused_in_one_line(change, message):
     """A free shaft, no recording, no signal, another quantity."""
     assert message in problem(lambda: identify([replace(r, **change) for r in recordings()], KNOWN))

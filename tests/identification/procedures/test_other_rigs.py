@@ -1,7 +1,5 @@
 """Data of other test benches: irregular clocks, gaps, wrong signs, offsets. Right, or refused in one line."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Payload from pressures: recordings by equations of the test, and those of both rigs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from identification.recordings.conftest import GAUGE, RATE, SIZE, T, rounded
+from kit.mistakes import table
 
 from fmus.identification.recordings.masks import clipped, noise, step, stuck
 from fmus.identification.recordings.quality import examine
@@ -192,16 +193,7 @@ def test_step_is_estimated_exactly_and_only_if_there_is_one():
     assert step(np.repeat(np.arange(10.0), 400)) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("unit", "factor", "limits"),
-    [
-        ("Pa", 1.0, "0.1 bar to 1000 bar"),  # bar declared as Pa
-        ("Pa", 1e7, "0.1 bar to 1000 bar"),  # kPa declared as bar, nearly
-        ("V", 1e-5, "0.1 V to 100 V"),
-        ("rad", 1.0, "up to 720 deg"),  # degrees declared as rad
-        ("m3/s", 1.0, "up to 3000 L/min"),
-    ],
-)
+@table(__file__, "units", "unit, factor, limits")
 def test_an_implausible_unit_has_a_remark(clean, unit, factor, limits):
     """A remark on 150 of a quantity that is never that large or small; none on the right unit and on zero."""
     made = replace(clean, units={**clean.units, "pressure": unit})

@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+from kit.mistakes import table
 
 from fmus.identification.recordings.reading import read_series
 from orchestrator.base.errors import Problem
@@ -46,19 +47,7 @@ def test_matlab_variables_by_name(tmp_path):
         np.testing.assert_array_equal(found["row"], VALUES[:, 1])
 
 
-@pytest.mark.parametrize(
-    ("columns", "options", "message"),
-    [
-        ({"u": 2}, {}, "expected a column '2', got 0, 1"),
-        ({"u": 0}, {"rate": 0}, "expected a rate above 0, got 0 Hz"),
-        ({}, {}, "expected at least one column, got none"),
-        ({"u": 0}, {"units": {"v": "bar"}}, "a unit is given for v, which is not among the columns"),
-        ({"u": 0}, {"units": {"u": "bat"}}, "u: unit 'bat'"),
-        ({"u": 0, "v": "p"}, {}, "expected all columns by name, got index 0"),
-        ({"u": "x"}, {}, "expected a column 'x', got 1, 2"),
-        ({"u": 1}, {}, "line 3: column '1': expected a number, got 'x'"),
-    ],
-)
+@table(__file__, "mistakes", "columns, options, message")
 def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
     """A message of one line for each error of the file or the call."""
     path = tmp_path / "plain.txt"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kit.mistakes import table
 from kit.toy import toy
 
 from fmus.identification.refinement.compiled_model import CompiledModel
@@ -161,14 +162,7 @@ def test_failure_tells_the_time_and_the_reason() -> None:
         assert failed.value.time == 0.0
 
 
-@pytest.mark.parametrize(
-    ("outputs", "free", "message"),
-    [
-        (["speed"], [], "toy: speed is not an output; expected one of lag, total, square"),
-        (["lag"], ["mass"], "toy: mass is not a parameter; expected one of delay, gain, "),
-        (["lag"], ["gain", "gain"], "toy: parameter gain: expected once, got 2 times"),
-    ],
-)
+@table(__file__, "names", "outputs, free, message")
 def test_names_are_checked(outputs: list[str], free: list[str], message: str) -> None:
     """An unknown name is refused with a message that lists the declared ones."""
     with pytest.raises(Problem, match=message):

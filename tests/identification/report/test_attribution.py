@@ -1,7 +1,5 @@
 """Attribution of a residual to physical effects."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Figures of procedures, of comparisons and of correlations."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from pathlib import Path

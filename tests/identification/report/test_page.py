@@ -1,7 +1,5 @@
 """The HTML page and the JSON file of an identification."""
 
-from __future__ import annotations
-
 import json
 import re
 

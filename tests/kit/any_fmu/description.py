@@ -10,24 +10,7 @@ from pathlib import Path
 
 import fmpy
 
-BASE = {  # unit -> BaseUnit attributes
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "N/s": {"kg": 1, "m": 1, "s": -3},
-    "Pa": {"kg": 1, "m": -1, "s": -2},
-    "bar": {"kg": 1, "m": -1, "s": -2, "factor": 1e5},
-    "m": {"m": 1},
-    "m/s": {"m": 1, "s": -1},
-    "m/s2": {"m": 1, "s": -2},
-    "kg": {"kg": 1},
-    "N/m": {"kg": 1, "s": -2},
-    "rad": {"rad": 1},
-    "rad/s": {"rad": 1, "s": -1},
-    "Hz": {"s": -1},
-    "s": {"s": 1},
-    "K": {"K": 1},
-    "degC": {"K": 1, "offset": 273.15},
-    "odd": None,  # a unit without definition
-}
+BASE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 ITEMS = '<Item name="red" value="1"/><Item name="green" value="2"/>'
 COLOUR = {
     2: f'<SimpleType name="Colour"><Enumeration>{ITEMS}</Enumeration></SimpleType>',
@@ -228,5 +211,5 @@ def _scalar3(v: V, place: Mapping[str, int], alias: str | None) -> str:
 
 
 def _unit(name: str) -> str:
-    base = BASE[name]
-    return f'<Unit name="{name}">{"" if base is None else f"<BaseUnit{_attributes(base)}/>"}</Unit>'
+    base = BASE[name] and f"<BaseUnit{_attributes(BASE[name])}/>"
+    return f'<Unit name="{name}">{base or ""}</Unit>'
