@@ -32,6 +32,7 @@ from orchestrator.base.xml import package_version
 PACKAGE = Path(__file__).parent
 BUILT = PACKAGE / "built.tar.xz"  # what `harvester build --platform all` makes; only in the wheel
 ZIPS = (".fmu", ".ssp")
+NAMED = ("data/scenarios", "data/reference", "examples/swing_peaks")  # folders of files that have names
 OF_FMI3 = f"{FMI3}/"  # prefix of the last members of the archive
 
 
@@ -48,12 +49,21 @@ def data(name: str) -> Path:
     return path
 
 
-def shipped(name: str) -> Path | None:
-    """A built FMU or system that the package contains, such as harvester.ssp; None in a checkout."""
-    if not BUILT.is_file():
-        return None
-    path = shipped_folder(fmi3=name.startswith(OF_FMI3)) / name
-    return path if path.is_file() else None
+def files(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """The files that a user may name, by their paths in a checkout; built FMUs and systems only in the wheel.
+
+    name   that is looked for, as FMUs of FMI 3.0 are unpacked only if it has their folder
+    """
+    found = {
+        path.relative_to(root).as_posix(): path
+        for root in (PACKAGE, PACKAGE.parent)
+        for folder in NAMED
+        for path in sorted((root / folder).glob("*"))
+    }
+    if BUILT.is_file() and set(suffixes) & set(ZIPS):
+        built = shipped_folder(fmi3=OF_FMI3 in name)
+        found |= {f"build/{p.relative_to(built).as_posix()}": p for p in sorted(built.rglob("*"))}
+    return {key: path for key, path in found.items() if path.suffix in suffixes}
 
 
 def shipped_folder(fmi3: bool = True) -> Path:

@@ -14,8 +14,13 @@ an operating point, `reference` solves a system as one ODE.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from orchestrator.base import SHIPPED
+from orchestrator.base.errors import suggest
 
 if TYPE_CHECKING:
     from orchestrator.base.coupling import Coupling
@@ -74,5 +79,15 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a name on first use, so that the command line starts fast."""
     if name not in _MODULE_OF:
-        raise AttributeError(f"module 'orchestrator' has no attribute {name!r}")
+        hint = "" if name.startswith("_") else suggest(name, __all__)
+        raise AttributeError(f"module 'orchestrator' has no attribute {name!r}{hint}")
     return getattr(import_module(f"orchestrator.{_MODULE_OF[name]}"), name)
+
+
+def _files_of_the_models(name: str, suffixes: tuple[str, ...]) -> Mapping[str, Path]:
+    from fmus.package_files import files
+
+    return files(name, suffixes)
+
+
+SHIPPED.append(_files_of_the_models)

@@ -17,7 +17,7 @@ from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER
 from fmus.machine.parts import ALL, FAMILIES, SUBSYSTEMS
 from fmus.parameters import SOURCES, Number, complete, numbers, padded, read, row_text, row_value, rows
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import VARIANTS, Location
 from orchestrator.fmi.description import read_interface
 
@@ -53,32 +53,47 @@ def variant_lines(costs: Costs) -> Iterator[str]:
 def print_parameters(name: str | None = None, source: str | None = None, folder: Path | None = None) -> None:
     """Print the parameters of a subsystem (default: all of the machine), optionally of one source only.
 
+    Another name, such as `hose`, selects the parameters of all subsystems whose names contain it.
+
     The program of the operator is not part of the machine; its table is that of `operator_input`.
 
     folder   of built FMUs; values that were built into them are printed, with the shipped ones
     """
     variants = [sub for family in FAMILIES.values() for sub in family.values()]
     by_name = {**ALL, CONTROLLER.name: CONTROLLER, **{sub.name: sub for sub in variants}}
-    if name is not None and name not in by_name:
-        raise Problem(f"unknown subsystem {name!r}, expected one of {', '.join(by_name)}")
     if source is not None and source not in SOURCES:
-        raise Problem(f"unknown source {source!r}, expected one of {', '.join(SOURCES)}")
-    subs = [by_name[name]] if name else list(SUBSYSTEMS.values())
+        hint = suggest(source, SOURCES) or f", expected one of {', '.join(SOURCES)}"
+        raise Problem(f"unknown source {source!r}{hint}")
+    word = "" if name is None or name in by_name else name
+    subs = [by_name[name]] if name and not word else list((by_name if word else SUBSYSTEMS).values())
+    known = {p for sub in subs for section in complete(sub).values() for p in section} if word else {""}
+    if not any(word in parameter for parameter in known):
+        words = sorted(known | {part for p in known for part in p.split("_") if len(part) > 3})
+        hint = suggest(word, [*by_name, *words]) or f", expected one of {', '.join(by_name)}"
+        raise Problem(f"unknown subsystem or parameter {name!r}{hint}")
     if folder is not None:
         subs = [_as_built(sub, folder) for sub in subs]
-    for table in filter(None, ("\n".join(_parameter_lines(sub, source)) for sub in subs)):
+    told = set[tuple[str, str]]()  # by part, as variants of a part share parameters
+    for table in filter(None, ("\n".join(_parameter_lines(sub, source, word, told)) for sub in subs)):
         print(f"{table}\n")
-    print(f"{LEGEND}\n\n{_count(subs, source)}")
+    print(LEGEND if word else f"{LEGEND}\n\n{_count(subs, source)}")
 
 
-def _parameter_lines(sub: Subsystem, source: str | None) -> Iterator[str]:
-    """Table of parameter and start values of one subsystem, optionally of one source only."""
+def _parameter_lines(
+    sub: Subsystem, source: str | None, word: str, told: set[tuple[str, str]]
+) -> Iterator[str]:
+    """Table of parameter and start values of one subsystem, optionally of one source.
+
+    word, told   only parameters with this word, and not those of its part that were told already
+    """
+    part = next((p for p in FAMILIES if sub.name.startswith(p)), sub.name)
     shown = [
         (f"{name} (start)" if section == "start" else name, name, row)
         for section, entries in complete(sub).items()
         for name, row in rows(entries).items()
-        if source in (None, row[0].source)
+        if source in (None, row[0].source) and word in name and not (word and (part, name) in told)
     ]
+    told.update((part, name) for _, name, _ in shown)
     if not shown:
         return
     declared = quantities(sub.parameters) | quantities(sub.inputs) | quantities(sub.states)

@@ -6,18 +6,21 @@ import errno
 import os
 import re
 import shutil
+import sys
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
+from orchestrator.base import SHIPPED
 from orchestrator.base.errors import Problem
 
 if TYPE_CHECKING:
@@ -351,15 +354,60 @@ def _normalised(path: PurePosixPath) -> str:
     return "/".join(parts)
 
 
+# ---- what a user names -------------------------------------------------------------------------------------
+
 DEFAULT_SYSTEM, BUILD_COMMAND = Path("build/harvester.ssp"), "harvester build"
+SYSTEMS, FMUS = (".ssp", ".ssd", ".fmu"), (".fmu",)
+_told = set[str]()  # paths whose replacement was told
 
 
-def require_system(system: Path) -> Path:
+def find(given: str | Path, suffixes: tuple[str, ...], folder: str | Path = "") -> Path:
+    """The file that a user names, or else the given path, which does not exist.
+
+    Taken is a path that exists, then a file in the folder build by its name, such as `swing`, then one that
+    comes with a package, by its name or by its path in a checkout, such as data/scenarios/boom_up.csv.
+
+    folder   that a relative path refers to
+    """
+    path = Path(folder, given)
+    if path.exists() or not str(given):
+        return path
+    name = re.sub(r"^(\.\./)+", "", Path(given).as_posix())
+    names = [name] if name.endswith(suffixes) else [f"{name}{suffix}" for suffix in suffixes]
+    built = [DEFAULT_SYSTEM.parent / sub / n for n in names for sub in ("", VARIANTS)]
+    if "/" not in name and (file := next((p for p in built if p.is_file()), None)):
+        return file
+    shipped = _shipped(name, suffixes)
+    found = (p for n in names for key, p in shipped.items() if n in (key, PurePosixPath(key).name))
+    if file := next(found, None):
+        if path.suffix and str(path) not in _told:
+            _told.add(str(path))
+            print(f"{path} does not exist; using the one in the package: {file}", file=sys.stderr)
+        return file
+    return path
+
+
+def _shipped(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    return {key: path for files in SHIPPED for key, path in files(name, suffixes).items()}
+
+
+def require(given: str | Path, suffixes: tuple[str, ...], context: str = "") -> Path:
+    """The file that a user names, see `find`; raises Problem with similar names if there is none."""
+    path = find(given, suffixes)
+    if path.exists():
+        return path
+    known = {PurePosixPath(key).stem: PurePosixPath(key).stem for key in _shipped(path.name, suffixes)}
+    for folder in (DEFAULT_SYSTEM.parent, path.parent):
+        known |= {p.stem: str(p) for p in sorted(folder.glob("*")) if p.suffix in suffixes}
+    similar = [known[stem] for stem in get_close_matches(path.stem, known)]
+    build = f"; build it with: {BUILD_COMMAND}" if path == DEFAULT_SYSTEM else ""
+    hint = f"; did you mean {', '.join(similar)}?" if similar else ""
+    raise Problem(f"{context or path}: no such file{build or hint}")
+
+
+def require_system(system: str | Path) -> Path:
     """The path of a system file, which must exist."""
-    if not system.exists():
-        hint = f"; build it with: {BUILD_COMMAND}" if system == DEFAULT_SYSTEM else ""
-        raise Problem(f"{system}: no such file{hint}")
-    return system
+    return require(system, SYSTEMS)
 
 
 def make_folder(path: Path) -> None:

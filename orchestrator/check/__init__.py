@@ -34,6 +34,7 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
     run    also load and run the FMU in child processes
     """
     from orchestrator.base.errors import Problem
+    from orchestrator.base.files import FMUS, require
     from orchestrator.check.probe_process import probe_threads
     from orchestrator.check.report import ANY, TOOLS, CheckReport
     from orchestrator.check.rules import STATIC
@@ -42,8 +43,8 @@ def check(path: Path, tool: str = "any", run: bool = True) -> CheckReport:
 
     if tool != ANY and tool not in TOOLS:
         raise Problem(f"--for {tool}: expected {', '.join(TOOLS)} or any")
-    if not path.is_file():
-        raise Problem(f"{path}: {'expected an .fmu file, got a folder' if path.is_dir() else 'no such file'}")
+    if (path := require(path, FMUS)).is_dir():
+        raise Problem(f"{path}: expected an .fmu file, got a folder")
     with probe_threads(run) as pool, open_subject(path) as subject:
         rules = all_rules() if run else STATIC
         if subject.version.startswith("1."):

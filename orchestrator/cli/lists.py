@@ -52,7 +52,8 @@ def parameters(
     subsystem: Annotated[
         str | None,
         typer.Argument(
-            help="A part or a variant of a part, such as swing or swing_detailed; default: the whole machine."
+            help="A part or a variant of a part, such as swing or swing_detailed, or a part of the names of"
+            " parameters, such as hose; default: the whole machine."
         ),
     ] = None,
     source: Annotated[

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
@@ -159,18 +158,11 @@ System = Annotated[
 def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
     """The system that the user names, else build/NAME, else the one in the package, with a line about that.
 
-    If there is none, build/NAME, which the caller then reports as missing.
+    If there is none, the path, which the caller then reports as missing.
     """
-    file = BUILD / name
-    if chosen is not None or file.exists():
-        return chosen or file
-    from fmus.package_files import shipped
+    from orchestrator.base.files import SYSTEMS, find
 
-    found = shipped(name)
-    if found is None:
-        return file
-    print(f"{file} does not exist; using the one in the package: {found}", file=sys.stderr)
-    return found
+    return find(chosen or BUILD / name, SYSTEMS)
 
 
 Swap = Annotated[

@@ -54,7 +54,7 @@ def sweep(
     from orchestrator.studies.parameter_study import run
 
     chosen = read_study(study)
-    tell_built(Path(chosen.folder) / chosen.system, {})
+    tell_built(chosen.system_file, {})
     if workers and scheduler:
         raise Problem(
             "--workers: expected none with --scheduler, whose cluster determines the number of workers"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import write_columns
+from orchestrator.base.files import require, write_columns
 from orchestrator.base.units import parse_unit, si_unit
 from orchestrator.data.description import (
     Condition,
@@ -176,10 +176,9 @@ def read_recording(path: Path | str, data: Path | str | None = None) -> Recordin
     path   the samples, whose description has the same name with .toml, or the description
     data   the samples, if one description is used for many files
     """
-    path = Path(path)
-    if not path.is_file():
-        got = "a folder" if path.is_dir() else "no such file"
-        raise Problem(f"{path}: expected a .csv, .parquet, .mat or .toml file, got {got}")
+    path = require(path, (".toml", *SUFFIXES))
+    if path.is_dir():
+        raise Problem(f"{path}: expected a .csv, .parquet, .mat or .toml file, got a folder")
     description_file = path if path.suffix == ".toml" else path.with_suffix(".toml")
     description = read_description(description_file)
     file = Path(data) if data else path if path != description_file else _data_file(path, description)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, require
 from orchestrator.base.text import first_names
 from orchestrator.data.table import SUFFIXES, Columns, read_columns
 
@@ -162,7 +162,7 @@ def read_trace(path: str | Path | Location, jumps: bool = False) -> Trace:
     jumps   two rows may have the same time, as in a scenario: the first one is moved 1 us back, or to the
             middle of a shorter interval, and left out at the beginning
     """
-    file = path if isinstance(path, Location) else Location(Path(path))
+    file = path if isinstance(path, Location) else Location(require(path, SUFFIXES))
     check_suffix(str(file))
     columns = read_columns(file, None)
     first = next(iter(columns.values))

@@ -17,8 +17,9 @@ from typing import Any, TypeAlias
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, Stopped
-from orchestrator.base.files import Location, make_folder, require_system
+from orchestrator.base.files import Location, find, make_folder, require_system
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
@@ -46,7 +47,8 @@ from orchestrator.engine.time_grid import (
 )
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
-from orchestrator.ssp.parameter_sets import SUFFIX, with_sets
+from orchestrator.ssp.parameter_sets import SUFFIX as SSV
+from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
@@ -179,6 +181,8 @@ def prepare(
     system = replace(system, notes=system.notes + system.suggestion.notes(step is not None))
     system = with_sets(system, parameters).with_start(set or {})
     system = replace(system, notes=system.notes + built_notes(system))
+    if isinstance(scenario, str | Path):
+        scenario = find(scenario, SUFFIXES)
     trace, driving = _scenario(system, scenario)
     if driving:
         system = driving.released(system)
@@ -192,7 +196,7 @@ def prepare(
     else:
         corners = driving.table.corners() if driving else ()
         times = free_grid(system, trace, step, start, stop, record.step, corners)
-    ssv = [s for s in parameters if str(s).endswith(SUFFIX)]
+    ssv = [s for s in parameters if str(s).endswith(SSV)]
     files = [*ssv, *([scenario] if isinstance(scenario, str | Path | Location) else [])]
     return Job(system, driving, coupling, record, execution, provenance(system, files)), times
 

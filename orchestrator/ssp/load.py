@@ -12,7 +12,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, require_system
 from orchestrator.base.units import IDENTITY, LinearTransformation
 from orchestrator.fmi.description import read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
@@ -32,12 +32,11 @@ from orchestrator.ssp.system_structure import (
 def load(path: str | Path, exchange: bool = False) -> System:
     """The system in an .ssp, .ssd or .fmu file, or in a folder with an unpacked SSP or FMU.
 
+    path       or the name of a system or FMU in the folder build or in the package, such as harvester
     exchange   read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
     """
-    file = Location(Path(path))
+    file = Location(require_system(path))
     suffix = file.path.suffix.lower()
-    if not file.path.exists():
-        raise Problem(f"{file}: no such file")
     if suffix == ".fmu" or (file.path / "modelDescription.xml").is_file():
         return _single_fmu(file, exchange)
     if suffix == ".ssp" or file.is_folder:

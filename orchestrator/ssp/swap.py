@@ -22,7 +22,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from orchestrator.base.errors import NotExchangeable, Problem, suggest
-from orchestrator.base.files import VARIANTS, Location
+from orchestrator.base.files import FMUS, VARIANTS, Location, require
 from orchestrator.base.text import first_names
 from orchestrator.base.units import IDENTITY, DeclaredUnit, LinearTransformation, conversion
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
@@ -68,9 +68,7 @@ def find_fmu(system_file: Location | None, component: str, chosen: str | Path) -
     """
     context, path = f"swap {component}={chosen}", Path(chosen)
     if path.suffix.lower() == SUFFIX or (path / "modelDescription.xml").is_file():
-        if not path.exists():
-            raise Problem(f"{context}: no such file")
-        return Location(path)
+        return Location(require(path, FMUS, context))
     if path.suffix.lower() == ".py":
         raise Problem(f"{context}: expected an {SUFFIX} file, got a Python file; {MAKE} {chosen} makes one")
     if any(mark in str(chosen) for mark in "/\\,"):

@@ -9,13 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import find
 from orchestrator.base.toml import quote_key
 from orchestrator.base.units import factor_and_offset
+from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
 from orchestrator.engine.run import chooses_freely, run
@@ -92,14 +93,14 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
 
 def opened(study: Study) -> dict[Options, StudyCase]:
     """A case for every combination of options, with the master of the study, but without its fixed values."""
-    system = load(Path(study.folder) / study.system)
+    system = load(study.system_file)
     system = system if study.master is None else system.coupled(Coupling(study.master))
     return {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
 
 
 def _case(study: Study, system: System, options: Options) -> StudyCase:
     chosen: dict[str, Any] = {
-        c.name: Path(study.folder) / option
+        c.name: find(option, (*SUFFIXES, ".ssv", ".fmu"), study.folder)
         if c.name == SCENARIO or option.lower().endswith((".ssv", ".fmu"))
         else option
         for c, option in zip(study.choices, options, strict=True)

@@ -47,8 +47,6 @@ def track(
 
     Returns True if all runs came to the end, within the limit.
     """
-    if not system.exists():
-        raise Problem(f"{system}: no such file; build it with: harvester build")
     loaded = load(system)
     if not loaded.has(FEEDBACK):
         example = "a machine with the controller, such as build/harvester_control.ssp"

@@ -22,6 +22,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import SYSTEMS, find, require
 from orchestrator.base.toml import Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
 
@@ -202,6 +203,11 @@ class Study:
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
+    def system_file(self) -> Path:
+        """The file of the system; if there is none, its path."""
+        return find(self.system, SYSTEMS, self.folder)
+
+    @property
     def dimensions(self) -> tuple[Factor | Choice, ...]:
         """The dimensions of the samples: the factors, then the sampled choices."""
         return (*self.factors, *(c for c in self.compared if c.sampled))
@@ -308,7 +314,7 @@ KEYS = (
 
 def read(file: str | Path) -> Study:
     """The study in a TOML file; paths in it are relative to the file."""
-    file = Path(file)
+    file = require(file, (".toml",))
     try:
         data = file.read_bytes()
     except OSError as error:

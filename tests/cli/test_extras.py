@@ -13,9 +13,11 @@ from pathlib import Path
 import pytest
 from kit import shards
 
+import orchestrator
 from fmus import package_files
+from orchestrator import read_recording, read_study, run
 from orchestrator.__main__ import main
-from orchestrator.base import compiler
+from orchestrator.base import compiler, files
 from orchestrator.base.extras import EXTRAS
 
 ROOT = Path(__file__).parents[2]
@@ -216,7 +218,28 @@ def test_without_a_built_system_commands_take_the_one_in_the_package(wheel, caps
     assert told in capsys.readouterr().err
     assert Path("build/trace.csv").is_file()
     assert main(["run", "none/harvester.ssp"]) == 2  # a system that the user names is never replaced
-    assert capsys.readouterr().err == f"harvester: {Path('none/harvester.ssp')}: no such file\n"
+    assert capsys.readouterr().err.startswith(f"harvester: {Path('none/harvester.ssp')}: no such file; did")
+
+
+@pytest.mark.usefixtures("wheel")
+def test_what_is_shipped_has_names(capsys, monkeypatch):
+    """In commands and in Python, from an empty folder; a path of a checkout does, too, and is told once."""
+    monkeypatch.setattr(files, "_told", set())
+    heavy = run("harvester", "boom_up", stop=0.01, record=["swing.swing_pressure_a"])
+    assert capsys.readouterr().err == ""
+    for _ in range(2):
+        same = run(
+            "build/harvester.ssp", "data/scenarios/boom_up.csv", stop=0.01, record=["swing.swing_pressure_a"]
+        )
+    assert same.provenance.files == heavy.provenance.files
+    told = "build/harvester.ssp does not exist", "data/scenarios/boom_up.csv does not exist"
+    assert [line[: line.index(";")] for line in capsys.readouterr().err.splitlines()] == list(told)
+    assert main(["check", "swing", "--static"]) == 0
+    assert main(["check", "build/variants/swing_detailed.fmu", "--static"]) == 0
+    assert read_study("examples/swing_peaks/small.toml").system_file.name == "harvester.ssp"
+    assert read_recording("data/reference/work_cycle.csv").heading == read_recording("work_cycle").heading
+    with pytest.raises(AttributeError, match=r"no attribute 'runn'; did you mean run"):
+        orchestrator.runn  # noqa: B018
 
 
 @pytest.mark.usefixtures("wheel")
