@@ -17,7 +17,7 @@ RELEASING := .venv/.have-release
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
-  docs clean release constraints test-lowest test-newest audit
+  docs clean release constraints extras test-lowest test-newest audit
 
 # FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
 demo: $(INSTALLED)
@@ -84,10 +84,17 @@ clean:
 release: $(RELEASING)
 	$(BIN)/python tools/release.py
 
-# writes constraints.txt anew: the newest versions that pyproject.toml allows, for all platforms and extras
+# writes constraints.txt anew: the newest versions that pyproject.toml allows, for all platforms and extras; and
+# lock.txt, the same with hashes
 constraints: $(RELEASING)
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-emit-package harvester-cosim \
 	  --no-annotate --no-header --upgrade pyproject.toml -o constraints.txt
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-emit-package harvester-cosim \
+	  --no-annotate --no-header --generate-hashes -c constraints.txt pyproject.toml -o lock.txt
+
+# the table of extras in README.md, with sizes on this computer
+extras: $(RELEASING)
+	$(BIN)/python tools/extras.py
 
 # the lowest and the newest versions that pyproject.toml allows, each in an environment of its own; a fast part
 # of the tests. With old versions warnings are no errors

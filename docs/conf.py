@@ -20,7 +20,7 @@ language = "en"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "extension"]
 root_doc = "docs/index"
 include_patterns = [
-    *("README.md", "CONTRIBUTING.md", "CHANGELOG.md"),
+    *("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "NOTICES.md"),
     *("docs/**.md", "fmus/**/README.md", "fmus/README.md", "orchestrator/README.md", "examples/*/README.md"),
 ]
 exclude_patterns = ["build", ".*"]
@@ -118,5 +118,5 @@ NAVIGATION = {
         "docs/reference/check-rules.md",
         *sorted(f"docs/reference/api/{p.name}" for p in (DOCS / "reference" / "api").glob("*.md")),
     ],
-    "Development": ["docs/design.md", "CONTRIBUTING.md"],
+    "Development": ["docs/design.md", "CONTRIBUTING.md", "NOTICES.md"],
 }

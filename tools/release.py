@@ -162,6 +162,7 @@ def read_me(release: str) -> str:
 def _members(release: str) -> Iterator[tuple[str, bytes]]:
     yield "README.txt", read_me(release).encode()
     yield "LICENSE.txt", (STAGE / "LICENSE").read_bytes()
+    yield "NOTICES.md", (STAGE / "NOTICES.md").read_bytes()
     for path in sorted(p for p in BUILT.rglob("*") if p.is_file()):
         relative = path.relative_to(BUILT)
         folder = "" if relative.parts[0] == "fmi3" else "fmi2/"

@@ -78,16 +78,17 @@ def guid_of(drafts: Iterable[Mapping[str, str]]) -> str:
 def common_files(
     sub: Subsystem, interface: Interface, fmi: int, step: float, stop: float
 ) -> dict[str, bytes]:
-    """Documentation, icon, licence, parameter values with sources, view.toml, reference experiment."""
-    icon_file, licence, view = sub.folder / "icon.png", project_file("LICENSE"), sub.folder / "view.toml"
+    """Documentation, icon, licences, parameter values with sources, view.toml, reference experiment."""
+    icon_file, view = sub.folder / "icon.png", sub.folder / "view.toml"
     icon = icon_file.read_bytes() if icon_file.is_file() else None
     content = {"documentation/index.html": page(sub, interface, fmi, step, stop, icon).encode()}
     if icon is not None:
         content["terminalsAndIcons/icon.png"] = icon
         if fmi == 2:
             content["model.png"] = icon
-    if licence is not None:
-        content["documentation/licenses/license.txt"] = licence.read_bytes()
+    for name, file in (("license.txt", "LICENSE"), ("notices.md", "NOTICES.md")):
+        if (path := project_file(file)) is not None:
+            content[f"documentation/licenses/{name}"] = path.read_bytes()
     if view.is_file():
         content["resources/view.toml"] = view.read_bytes()
     if sub.numbers is not None or sub.values is None or sub.values.is_file():

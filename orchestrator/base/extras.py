@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping
 from importlib.util import find_spec
 
@@ -18,6 +19,19 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "reference": ("sksundae",),
     "learn": ("gymnasium",),
 }
+# extra -> what needs it, for the table in README.md
+NEEDED_BY: Mapping[str, str] = {
+    "build": "`harvester build`, `fmus.build`; `batch` and `sweep` run several machines at once on each core",
+    "view": "`harvester view`",
+    "sweep": "`harvester sweep`",
+    "identify": "`harvester identify`",
+    "files": "Parquet files, MATLAB files of version 7.3, `to_pandas()`",
+    "control": "`to_control()`: linear models for python-control",
+    "reference": "`harvester reference`, `harvester validate --monolithic`",
+    "learn": "`MachinesEnv`: machines for reinforcement learning; needs `[build]`, too",
+}
+# module -> systems and processors without a wheel, which pyproject.toml excludes
+NO_WHEEL: Mapping[str, tuple[tuple[str, str], ...]] = {"sksundae": (("Linux", "aarch64"),)}
 
 
 class MissingExtra(Problem):
@@ -36,6 +50,10 @@ def require(extra: str, purpose: str, *modules: str, advice: str = "") -> None:
     advice    end of the message, such as what works without them
     """
     missing = [name for name in modules or EXTRAS[extra] if not _installed(name)]
+    here = platform.system(), platform.machine()
+    if any(here in NO_WHEEL.get(name, ()) for name in missing):
+        where = f"no wheel for {' on '.join(here)}: build it from source, or use another computer"
+        raise MissingExtra(f"{purpose} needs {_listed(missing)}, which has {where}{advice}")
     if missing:
         raise MissingExtra(f"{purpose} needs {_listed(missing)}; install with: {install(extra)}{advice}")
 
