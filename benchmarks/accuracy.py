@@ -44,16 +44,16 @@ class Measured:
         scenario, stop = SCENARIOS[case.scenario]
         self._system, self._scenario = system, scenario
         self._options = {"stop": stop, "swap": case.swaps(folder), "record": SPEEDS, "isolate": False}
-        true = self(TRUTH, 2.5e-4, record_step=1e-3, tolerance=1e-9).trace
+        true = self(master=TRUTH, step=2.5e-4, record_step=1e-3, tolerance=1e-9).trace
         self._truth: Truth = {
             name: (CubicSpline(true.time, true[name]), float(np.ptp(true[name])))
             for name in SPEEDS
             if np.ptp(true[name]) > STANDING
         }
 
-    def __call__(self, *coupling: Any, **options: Any) -> Result:
+    def __call__(self, **options: Any) -> Result:
         """Run the scenario."""
-        return run(self._system, self._scenario, *coupling, **self._options, **options)
+        return run(self._system, self._scenario, **self._options, **options)
 
     def error(self, trace: Trace) -> float:
         """The largest true error of a joint speed."""
@@ -70,7 +70,7 @@ class Measured:
         for coupling in MASTERS.values():
             for step in STEPS:
                 try:
-                    results = [self(coupling, step) for _ in range(REPEATS)]
+                    results = [self(master=coupling, step=step) for _ in range(REPEATS)]
                 except Problem:
                     continue
                 found.append((self.error(results[0].trace), min(r.card.wall for r in results)))

@@ -90,7 +90,7 @@ def simulated(
     """A run of the scenario of a case with its variants."""
     scenario, stop = SCENARIOS[case.scenario]
     fixed = {"stop": stop, "record_step": RECORD_STEP, "isolate": False}
-    return run(system, scenario, coupling, step, swap=case.swaps(folder), **fixed, **options)
+    return run(system, scenario, master=coupling, step=step, swap=case.swaps(folder), **fixed, **options)
 
 
 def errors(trace: Trace, truth: Trace) -> dict[str, float]:

@@ -80,7 +80,9 @@ def by_fmus(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Re
 def by_hermite(system: Path, variants: Mapping[str, str], stop: float = STOP) -> Result:
     """The co-simulation; its card has the change of each signal when the step is halved, and the order."""
     options = {"swap": variants, "stop": stop, "record_step": RECORD, "tolerance": TOLERANCE}
-    runs = [run(system, STROKES, master(h / STEP), h, **options) for h in (2 * STEP, STEP, STEP / 2)]
+    runs = [
+        run(system, STROKES, master=master(h / STEP), step=h, **options) for h in (2 * STEP, STEP, STEP / 2)
+    ]
     return replace(runs[1], card=replace(runs[1].card, errors=changes(runs)))
 
 

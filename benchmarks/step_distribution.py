@@ -62,8 +62,10 @@ def main() -> None:
             }
         )
         fine = {"record_step": SAMPLING, "tolerance": 1e-11, "isolate": False}
-        true = run(system, WORK_CYCLE, TRUTH, 2.5e-4, record=[*sources, *SPEEDS], **fine).trace
-        equal = run(system, WORK_CYCLE, "hermite", STEP, record=SPEEDS, tolerance=1e-9, isolate=False).trace
+        true = run(system, WORK_CYCLE, master=TRUTH, step=2.5e-4, record=[*sources, *SPEEDS], **fine).trace
+        equal = run(
+            system, WORK_CYCLE, master="hermite", step=STEP, record=SPEEDS, tolerance=1e-9, isolate=False
+        ).trace
     print("least number of steps over that of equal steps, same error")
     print(f"{'source of an input':<36}" + "".join(f"{k * SAMPLING * 1e3:>8g} ms" for k in SPACINGS))
     for source in sources:

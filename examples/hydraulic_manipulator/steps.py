@@ -61,7 +61,7 @@ def beside_the_published(systems: dict[str, Path], path: Path) -> Path:
     """Draw errors of s1 over time, of some runs and of the co-simulations of the benchmark's authors."""
     ode = solve(read_trace(M1), np.linspace(0, 10, 10001))
     runs = {
-        label: run(systems[ports], M1, coupling, step).trace
+        label: run(systems[ports], M1, master=coupling, step=step).trace
         for label, (ports, coupling, step) in DRAWN.items()
     }
     published = {label: read_recording(REFERENCE.with_name(name)) for label, name in PUBLISHED.items()}

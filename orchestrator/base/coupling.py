@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 from orchestrator.base.errors import Problem, suggest
 
-MASTERS = ("jacobi", "gauss-seidel", "hermite", "interface-jacobian")
+Master = Literal["jacobi", "gauss-seidel", "hermite", "interface-jacobian"]
+Control = Literal["error", "energy"]
+MASTERS: tuple[Master, ...] = get_args(Master)
 DEFAULT_ORDERS = {"jacobi": 0, "gauss-seidel": 0, "hermite": 3, "interface-jacobian": 3}  # of extrapolation
-CONTROLS = ("error", "energy")
+CONTROLS: tuple[Control, ...] = get_args(Control)
 
 MAX_PASSES = 8  # default of hermite
 # Default tolerance of the passes. The work cycle at 5 ms has an error of 2.0e-5 in 1.1 passes with 1e-4, and
@@ -30,26 +32,9 @@ SMALLEST_STEP, LARGEST_STEP = 1e-7, 0.1  # [s], defaults of adaptive runs
 
 @dataclass(frozen=True)
 class Coupling:
-    """Coupling settings of a run. A setting that would have no effect raises a Problem.
+    """Coupling settings of a run, by the names of the options of `run`; `tolerance` is `coupling_tolerance`.
 
-    Relative errors are fractions of a signal's magnitude: its nominal value, or the largest value so far.
-
-    master      one of MASTERS
-    order       of the extrapolation of outputs over a step: 0, 1, 2 or 3; default: DEFAULT_ORDERS
-    passes      hermite: largest number of passes over a step; default: 8
-    tolerance   hermite: a step is repeated while the end value of an extrapolated signal, or its time
-                derivative times the step, differs from the output by more than this relative error;
-                default: 1e-5, in adaptive runs 0.3 of their tolerance
-    correct     inputs are corrected by the extrapolation error of the step before
-    lag         interface-jacobian: number of steps between two linearisations
-    factors     component -> number of its steps in one communication step
-    adaptive    None: equal steps; else the tolerance of the estimated relative error of an adaptive step
-    control     meaning of that tolerance: "error" of the signals (default), or "energy" of the power bonds
-    guard       equal steps: a step is divided if its estimated relative error is larger, and if a corner of
-                a scenario is inside it, provided that all components can restore their states; 0: never;
-                default: 0.01 for hermite and interface-jacobian, else 0
-    smallest    smallest adaptive step [s], which is accepted with any error; default: 1e-7
-    largest     largest adaptive step [s]; default: 0.1
+    A setting that would have no effect raises a Problem.
     """
 
     master: str = "gauss-seidel"

@@ -2,84 +2,43 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
-
-import typer
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.cli.options import BUILD, app
+from orchestrator.base.options import Kind, Patterns
+from orchestrator.cli.options import BUILD, File, Folder, command
 
 
-@app.command()
+@command
 def build(
-    model: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="MODEL",
-            help="Build only this model, as an FMU whose code is Python: a file with your own model, such as"
-            " my_actuator.py, or a subsystem, such as fmus.boom_stick:VARIANTS.lumped; default: the machine.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar="DIR",
-            help=(
-                "Folder of the FMUs; those of FMI 3.0 go to the subfolder fmi3, FMUs whose code is "
-                "Python to the subfolder python."
-            ),
-        ),
-    ] = BUILD,
-    fmi: Annotated[
-        str,
-        typer.Option(
-            metavar="VERSION", help="FMI version: 2, 3 or both; an FMU of MODEL always has version 2."
-        ),
-    ] = "both",
-    platform: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help=(
-                "Platform of the binaries: host (this computer, the default), x86_64-linux, "
-                "aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin, all (these five), or "
-                "wasm (adds a WebAssembly module for browsers; harvester.fmu of FMI 3.0 always has "
-                "one); repeatable."
-            ),
-        ),
-    ] = None,
-    parameters: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Parameter values that replace those of the parts (.toml), as written by identify; default:"
-            " none.",
-        ),
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Build only the FMUs whose names match, such as 'swing*'; repeatable; default: all.",
-        ),
-    ] = None,
-    shipped: Annotated[
-        bool,
-        typer.Option(
-            "--shipped",
-            help=(
-                "Copy the FMUs and systems from the installed package instead of building them; "
-                "they are for all platforms, and no compiler is needed."
-            ),
-        ),
-    ] = False,
+    model: Annotated[str | None, Kind("MODEL", positional=True)] = None,
+    out: Folder = BUILD,
+    fmi: Annotated[str, Kind("VERSION")] = "both",
+    platform: Annotated[list[str] | None, Kind("NAME")] = None,
+    parameters: File | None = None,
+    only: Patterns = None,
+    shipped: bool = False,
 ) -> None:
     """Build the FMUs of the machine, or one FMU from a model in Python.
 
     The machine: all variants of its parts, the whole machine as one FMU, the controller, and the systems that
     connect them.
+
+    model        Build only this model, as an FMU whose code is Python: a file with your own model, such as
+                 my_actuator.py, or a subsystem, such as fmus.boom_stick:VARIANTS.lumped; default: the
+                 machine.
+    out          Folder of the FMUs; those of FMI 3.0 go to the subfolder fmi3, FMUs whose code is Python to
+                 the subfolder python.
+    fmi          FMI version: 2, 3 or both; an FMU of MODEL always has version 2.
+    platform     Platform of the binaries: host (this computer, the default), x86_64-linux, aarch64-linux,
+                 x86_64-windows, x86_64-darwin, aarch64-darwin, all (these five), or wasm (adds a WebAssembly
+                 module for browsers; harvester.fmu of FMI 3.0 always has one).
+    parameters   Parameter values that replace those of the parts (.toml), as written by identify; default:
+                 none.
+    only         Build only the FMUs whose names match, such as 'swing*'; default: all.
+    shipped      Copy the FMUs and systems from the installed package instead of building them; they are for
+                 all platforms, and no compiler is needed.
     """
     from fmus.export.compile import select
     from fmus.package_files import BUILT
@@ -110,8 +69,7 @@ def build(
     if shipped:
         paths = copy_shipped(out, versions[fmi])
     else:
-        chosen = only or ("*",)
         with doing("building FMUs") as line:
-            paths = build_machine(out, versions[fmi], platforms, parameters, chosen, line.update)
+            paths = build_machine(out, versions[fmi], platforms, parameters, only or ("*",), line.update)
     for path in paths:
         print(f"{path}  {path.stat().st_size / 1e3:.0f} kB")

@@ -8,43 +8,30 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import app
+from orchestrator.base.options import Kind
+from orchestrator.cli.options import command
 
 
-@app.command()
+@command
 def check(
-    fmu: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="Any .fmu file; not needed with --rules.")
-    ] = None,
-    for_: Annotated[
-        str,
-        typer.Option(
-            "--for",
-            metavar="TOOL",
-            help="Only findings that affect this tool: simulink, dymola, openmodelica, amesim, fmpy, fmusim,"
-            " pyfmi, omsimulator, ecos or libcosim; any: all findings.",
-        ),
-    ] = "any",
-    json: Annotated[
-        Path | None,
-        typer.Option(metavar="OUT", help="Also write the findings to this file (.json); default: none."),
-    ] = None,
-    static: Annotated[
-        bool, typer.Option("--static", help="Only inspect the file; run no code of the FMU.")
-    ] = False,
-    timeout: Annotated[
-        float,
-        typer.Option(
-            metavar="SECONDS", help="Time [s], above 0; a call to the FMU that takes longer counts as a hang."
-        ),
-    ] = 10.0,
-    rules: Annotated[
-        bool, typer.Option("--rules", help="Print the table of rules and check nothing.")
-    ] = False,
+    fmu: Annotated[Path | None, Kind("FILE", positional=True)] = None,
+    for_: Annotated[str, Kind("TOOL")] = "any",
+    json: Annotated[Path | None, Kind("OUT")] = None,
+    static: bool = False,
+    timeout: Annotated[float, Kind("T", "s")] = 10.0,
+    rules: bool = False,
 ) -> None:
     """Find what is wrong with an FMU, and which tools that affects.
 
     The exit status is 1 if there are errors.
+
+    fmu       Any .fmu file; not needed with `rules`.
+    for       Only findings that affect this tool: simulink, dymola, openmodelica, amesim, fmpy, fmusim,
+              pyfmi, omsimulator, ecos or libcosim; any: all findings.
+    json      Also write the findings to this file (.json); default: none.
+    static    Only inspect the file; run no code of the FMU.
+    timeout   Time [s], above 0; a call to the FMU that takes longer counts as a hang.
+    rules     Print the table of rules and check nothing.
     """
     from orchestrator.check import all_rules
     from orchestrator.check import check as run_check

@@ -5,50 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from orchestrator.base.options import Kind, Patterns
+from orchestrator.cli.options import BUILD, File, Folder, Time, command
 
-from orchestrator.cli.options import BUILD, app, seconds
 
-
-@app.command()
+@command
 def compare(
-    traces: Annotated[
-        list[Path], typer.Argument(metavar="TRACE...", help="Two or more traces (.csv, .parquet, .mat).")
-    ],
-    against: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Trace to compare with; default: the first TRACE."),
-    ] = None,
-    signals: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Signals to show, such as '*_pressure*'; repeatable; default: speeds, pressures and angles."
-            " The summary covers all signals.",
-        ),
-    ] = None,
-    start: Annotated[
-        float | None,
-        typer.Option(
-            metavar="T",
-            help="Start of the time window [s]; default: start of the overlap.",
-            parser=seconds,
-        ),
-    ] = None,
-    stop: Annotated[
-        float | None,
-        typer.Option(
-            metavar="T", help="End of the time window [s]; default: end of the overlap.", parser=seconds
-        ),
-    ] = None,
-    out: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="Folder of comparison.html, .png and .json."),
-    ] = BUILD,
+    traces: Annotated[list[Path], Kind("TRACE...", positional=True)],
+    against: File | None = None,
+    signals: Patterns = None,
+    start: Time = None,
+    stop: Time = None,
+    out: Folder = BUILD,
 ) -> None:
     """Compare traces of runs.
 
     Prints the difference of each signal and the cost of each run, and draws the signals.
+
+    traces    Two or more traces (.csv, .parquet, .mat).
+    against   Trace to compare with; default: the first TRACE.
+    signals   Signals to show, such as '*_pressure*'; default: speeds, pressures and angles. The summary
+              covers all signals.
+    start     Start of the time window [s]; default: start of the overlap.
+    stop      End of the time window [s]; default: end of the overlap.
+    out       Folder of comparison.html, .png and .json.
     """
     from orchestrator.base.files import make_folder
     from orchestrator.results.comparison import compare as compare_traces

@@ -1,20 +1,53 @@
-"""The application `harvester`, the options that several commands share, and the parsing of values."""
+"""The application `harvester`, commands from the declarations of their options, and the default system."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
-from functools import wraps
+import re
+from collections.abc import Mapping
+from functools import partial, wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeAlias, get_args, get_type_hints
 
 import typer
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.options import (
+    CaseArguments,
+    Declared,
+    F,
+    Kind,
+    declarations,
+    declared,
+    option_texts,
+    text_and_rows,
+)
 
 BUILD = Path("build")
 SYSTEM = BUILD / "harvester.ssp"
+
+File: TypeAlias = Annotated[Path, Kind("FILE")]
+Folder: TypeAlias = Annotated[Path, Kind("DIR")]
+Time: TypeAlias = Annotated[float | None, Kind("T", "s")]
+Text: TypeAlias = Annotated[str, Kind("NAME")]
+System: TypeAlias = Annotated[
+    Path | None,
+    Kind(
+        "SYSTEM",
+        positional=True,
+        text="An .ssp, .ssd or .fmu file; default: build/harvester.ssp, else the one in the installed"
+        " package.",
+    ),
+]
+Scenario: TypeAlias = Annotated[
+    Path | None,
+    Kind(
+        "FILE",
+        text="Inputs over time (.csv, .parquet, .mat); default: the inputs in the system, such as the work"
+        " cycle in harvester.ssp; for validate `reference`: the commands of the reference.",
+    ),
+]
+
 
 app = typer.Typer(
     add_completion=False,
@@ -44,97 +77,99 @@ def _main(
     """An electrohydraulic harvester as FMUs: build, co-simulate, validate."""
 
 
-def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorator: replace each parameter that is a dataclass (a group of options) by its fields."""
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
-    parameters: dict[str, Parameter] = {}
-    for name, parameter in signature(command).parameters.items():
-        if name in groups:
-            types = get_type_hints(groups[name], include_extras=True)
-            for f in fields(groups[name]):
-                parameters[f.name] = _parameter(f.name, f.default, types[f.name])
+def command(function: F) -> F:
+    """Decorator: a command of `harvester`.
+
+    Its options are the parameters and the groups of a function. Their help is in the docstrings.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    (text, rows), options, defaults = text_and_rows(function), dict[str, Declared](), dict[str, Any]()
+    texts = {**option_texts(CaseArguments), **rows}
+    for name, parameter in signature(function).parameters.items():
+        if parameter.kind is Parameter.VAR_KEYWORD:
+            (group,) = get_args(hints[name])
+            options |= declarations(group)
+            texts |= {**option_texts(group), **rows}
         else:
-            parameters[name] = _parameter(name, parameter.default, hints[name])
+            options[name], defaults[name] = declared(hints[name]), parameter.default
+    parameters = []
+    for name, option in options.items():
+        default = defaults.get(name, False if bool in option.types else None)
+        text_of_option = _help(option, texts.get(name.strip("_")) or texts.get(name), options)
+        annotation = _annotation(name, option, default, text_of_option)
+        parameters.append(Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation))
 
-    @wraps(command)
+    @wraps(function)
     def flat_command(**values: Any) -> None:
-        for name, group in groups.items():
-            values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
-        command(**values)
+        given = {name: _value(name, option, values[name]) for name, option in options.items()}
+        function(**{n: v for n, v in given.items() if n in defaults or v or (v == 0 and v is not False)})
 
-    flat_command.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
-    flat_command.__annotations__ = {name: p.annotation for name, p in parameters.items()}
-    return flat_command
-
-
-def _parameter(name: str, default: Any, annotation: Any) -> Parameter:
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+    flat_command.__doc__ = text
+    flat_command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    flat_command.__annotations__ = {p.name: p.annotation for p in parameters}
+    app.command()(flat_command)
+    return function
 
 
-T = TypeVar("T")
+def _flags(name: str, option: Declared) -> tuple[str, ...]:
+    return option.kind.flags or (f"--{name.strip('_').replace('_', '-')}",)
 
 
-def seconds(text: str) -> float:
-    """Parse a time [s]."""
-    return _read(text, float, "a number of seconds")
+def _help(option: Declared, text: str | None, options: Mapping[str, Declared]) -> str:
+    """The text of an option with the flags of the options that it names."""
+    text = re.sub(
+        r"`(\w+)`",
+        lambda found: _flags(found[1], options[found[1]])[0] if found[1] in options else found[0],
+        text or option.kind.text,
+    )
+    return f"{text} Repeatable." if text and option.repeatable and not option.kind.positional else text
 
 
-def number(text: str) -> float:
-    """Parse a number."""
-    return _read(text, float, "a number")
+def _annotation(name: str, option: Declared, default: Any, text: str) -> Any:
+    """The parameter of the command-line library."""
+    kind, flags = option.kind, _flags(name, option)
+    settings: dict[str, Any] = {"help": text, "metavar": kind.word or None}
+    if bool in option.types:
+        both = f"{flags[0]}/--no-{flags[0][2:]}" if default else flags[0]
+        return Annotated[bool, typer.Option(both, help=text)]
+    if option.repeatable:
+        type_: Any = list[Path] if any(Path in get_args(t) for t in option.types if t != Any) else list[str]
+    else:
+        type_ = option.numeric or (Path if Path in option.types else str)
+    if option.numeric or option.choices:
+        settings["parser"] = partial(_read, option)
+    made = typer.Argument(**settings) if kind.positional else typer.Option(*flags, **settings)
+    return Annotated[type_ | None if default is None else type_, made]
 
 
-def integer(text: str) -> int:
-    """Parse an integer."""
-    return _read(text, int, "a whole number")
-
-
-def positive_integer(text: str) -> int:
-    """Parse an integer above zero."""
-    value = _read(text, int, "a whole number above 0")
-    if value < 1:
-        raise typer.BadParameter(f"expected a whole number above 0, got {text!r}")
-    return value
-
-
-def _read(text: str, convert: Callable[[str], T], expected: str) -> T:
+def _read(option: Declared, text: str) -> Any:
+    """Parse a text; the command-line library puts the name of the option before the message."""
     try:
-        return convert(text)
-    except ValueError:
+        return option.read(text)
+    except ValueError as expected:
         raise typer.BadParameter(f"expected {expected}, got {text!r}") from None
 
 
-def swaps(texts: Iterable[str]) -> dict[str, str]:
-    """{component: variant or path} from the texts 'component=variant'."""
-    return assignments(texts, "--swap", "component=variant or component=file.fmu")
-
-
-def substeps(texts: Iterable[str]) -> dict[str, int]:
-    """{component: number of its own steps per communication step} from the texts 'component=N'."""
-    expected = "component=N, the number of internal steps per communication step"
-    counts = assignments(texts, "--factor", expected)
-    for name, text in counts.items():
-        if not text.isdecimal():
-            raise Problem(f"--factor {name}={text}: expected {expected}")
-    return {name: int(text) for name, text in counts.items()}
-
-
-def assignments(
-    texts: Iterable[str], option: str = "--set", expected: str = "component.variable=value or input=value"
-) -> dict[str, str]:
-    """{name: value} from the texts 'name=value' of an option."""
+def _value(name: str, option: Declared, value: Any) -> Any:
+    """The value of an option: texts NAME=VALUE as a mapping, several values as a tuple."""
+    if option.mapping is None:
+        return tuple(value or ()) if option.repeatable else value
+    (flag, *_), form = _flags(name, option), option.kind.form
+    convert = option.mapping if option.mapping in (int, float) else str
     values = dict[str, str]()
-    for text in texts:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not name:
-            raise Problem(f"{option} {text}: expected {expected}")
-        if values.setdefault(name, value) != value:
-            raise Problem(f"{option} {text}: {name} already has the value {values[name]}")
-    return values
+    for text in value or ():
+        key, equals, word = (part.strip() for part in text.partition("="))
+        if not equals or not key:
+            raise Problem(f"{flag} {text}: expected {form}")
+        if values.setdefault(key, word) != word:
+            raise Problem(f"{flag} {text}: {key} already has the value {values[key]}")
+    try:
+        return {key: convert(word) for key, word in values.items()}
+    except ValueError:
+        raise Problem(f"{flag} {', '.join(f'{k}={v}' for k, v in values.items())}: expected {form}") from None
 
 
-def tell_built(system: Path, swapped: Mapping[str, str]) -> None:
+def tell_built(system: Path, swapped: Mapping[str, str | Path]) -> None:
     """Print which file of parameters the FMUs of a system were built with, if they were."""
     from orchestrator.base.files import require_system
     from orchestrator.ssp.load import load
@@ -145,16 +180,6 @@ def tell_built(system: Path, swapped: Mapping[str, str]) -> None:
         print(note, flush=True)
 
 
-System = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="SYSTEM",
-        help="An .ssp, .ssd or .fmu file; default: build/harvester.ssp, else the one in the"
-        " installed package.",
-    ),
-]
-
-
 def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
     """The system that the user names, else build/NAME, else the one in the package, with a line about that.
 
@@ -163,271 +188,3 @@ def system_file(chosen: Path | None, name: str = SYSTEM.name) -> Path:
     from orchestrator.base.files import SYSTEMS, find
 
     return find(chosen or BUILD / name, SYSTEMS)
-
-
-Swap = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="COMPONENT=FMU",
-        help=(
-            "Replace the FMU of a component by a variant, such as boom_stick=detailed, or by a "
-            "file, boom_stick=FILE.fmu; repeatable; default: the FMUs in the system (in "
-            "`track` also the detailed machine)."
-        ),
-    ),
-]
-
-Parameters = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--parameters",
-        "--pose",
-        metavar="SET",
-        help="Parameter set of the system, such as reach, or a file FILE.ssv; repeatable, later ones"
-        " override; default: the values in the system.",
-    ),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help=(
-            "Start value of COMPONENT.VARIABLE, such as manipulator.head_mass=600. A name without a "
-            "component sets all inputs of this name (supply_pressure) or a parameter that components "
-            "share (boom_stroke). Unit: that of `harvester signals`, or given, such as "
-            "supply.pressure_setting=180bar; repeatable."
-        ),
-    ),
-]
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """What is run: scenario, time span, variants, parameters, connections."""
-
-    scenario: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help=(
-                "Inputs over time (.csv, .parquet, .mat); default: the inputs in the system, such "
-                "as the work cycle in harvester.ssp; for validate --reference: the commands of the "
-                "reference."
-            ),
-        ),
-    ] = None
-    start: Annotated[
-        float | None,
-        typer.Option(
-            metavar="T", help="Start time [s]; default: the start time in the system, else 0.", parser=seconds
-        ),
-    ] = None
-    stop: Annotated[
-        float | None,
-        typer.Option(
-            metavar="T",
-            help=(
-                "Stop time [s]; default: the end of the scenario, else the stop time in the "
-                "system or its FMUs."
-            ),
-            parser=seconds,
-        ),
-    ] = None
-    swap: Swap = None
-    parameters: Parameters = None
-    set_: Set = None
-    cut: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Remove the connections to the inputs COMPONENT.VARIABLE that match, such as '*_rate';"
-            " repeatable; default: none.",
-        ),
-    ] = None
-
-    def options(self) -> dict[str, Any]:
-        """Keyword arguments of the functions that the commands call, without the scenario."""
-        return {
-            "start": self.start,
-            "stop": self.stop,
-            "swap": swaps(self.swap or []),
-            "parameters": self.parameters or (),
-            "set": assignments(self.set_ or []),
-            "cut": self.cut or (),
-        }
-
-
-@dataclass(frozen=True)
-class StepOptions:
-    """Communication step, and time between recorded points."""
-
-    step: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S",
-            help=(
-                "Communication step [s], with --adaptive the first one; default: the step in the "
-                "system or its FMUs, 1e-3 for the harvester."
-            ),
-            parser=seconds,
-        ),
-    ] = None
-    record_step: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S",
-            help=(
-                "Time between recorded points [s], a multiple of the step; default: the largest "
-                "multiple up to 0.005, or the step itself. With --adaptive: any time; default: every "
-                "step (validate: 0.005)."
-            ),
-            parser=seconds,
-        ),
-    ] = None
-
-    def options(self) -> dict[str, Any]:
-        """Keyword arguments of the functions that the commands call."""
-        return {"step": self.step, "record_step": self.record_step}
-
-
-@dataclass(frozen=True)
-class AccuracyOptions:
-    """How accurate a run is to be, in place of coupling, step and tolerance."""
-
-    accuracy: Annotated[
-        float | None,
-        typer.Option(
-            metavar="ERROR",
-            help="Largest RMS error over the range of a signal, such as 1e-3: master, step and FMU tolerance"
-            " follow from it. Default, if neither options nor the system choose master or step, and all"
-            " FMUs have directional derivatives: 1e-3, validate: 1e-4.",
-            parser=number,
-        ),
-    ] = None
-    accuracy_of: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="With --accuracy: the outputs COMPONENT.VARIABLE that it applies to, such as '*_speed';"
-            " repeatable; default: the velocities of power bonds, else all outputs.",
-        ),
-    ] = None
-
-    def options(self) -> dict[str, Any]:
-        """Keyword arguments of the functions that the commands call."""
-        return {"accuracy": self.accuracy, "accuracy_of": tuple(self.accuracy_of or ())}
-
-
-@dataclass(frozen=True)
-class CouplingOptions:
-    """How the components are coupled: the choices of `Coupling`."""
-
-    master: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=(
-                "jacobi, gauss-seidel, hermite or interface-jacobian; default: the master in the "
-                "system, else gauss-seidel."
-            ),
-        ),
-    ] = None
-    order: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Order of the extrapolation of outputs over a step: 0 (held), 1, 2 or 3; default: 0 for"
-            " jacobi and gauss-seidel, else 3.",
-            parser=integer,
-        ),
-    ] = None
-    passes: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="hermite: largest number of passes over a step, at least 1; default: 8.",
-            parser=integer,
-        ),
-    ] = None
-    coupling_tolerance: Annotated[
-        float | None,
-        typer.Option(
-            metavar="TOL",
-            help="hermite: repeat a step while a signal changes by more than TOL times its magnitude (the"
-            " nominal value, or the largest value so far); default: 1e-5, with --adaptive 0.3 of its TOL.",
-            parser=number,
-        ),
-    ] = None
-    correct: Annotated[
-        bool,
-        typer.Option("--correct", help="Correct the inputs by the extrapolation error of the previous step."),
-    ] = False
-    lag: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="interface-jacobian: linearise the components every N steps; default: 1.",
-            parser=integer,
-        ),
-    ] = None
-    factor: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="COMPONENT=N",
-            help="Number of internal steps of the component per communication step; repeatable; default: 1.",
-        ),
-    ] = None
-    adaptive: Annotated[
-        float | None,
-        typer.Option(
-            metavar="TOL",
-            help="Adapt the step so that the estimated error of each signal stays below TOL times its"
-            " magnitude (the nominal value, or the largest value so far), such as 1e-3; default: equal"
-            " steps.",
-            parser=number,
-        ),
-    ] = None
-    control: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WHAT",
-            help=(
-                "With --adaptive: what TOL limits: error (of the signals) or energy (the power "
-                "error of the power bonds); default: error."
-            ),
-        ),
-    ] = None
-    guard: Annotated[
-        float | None,
-        typer.Option(
-            metavar="TOL",
-            help=(
-                "Without --adaptive: divide a step if the estimated error of a signal exceeds TOL "
-                "times its magnitude, or if the scenario has a corner inside the step; all "
-                "components must be able to restore their states; 0: never; default: 0.01 for "
-                "hermite and interface-jacobian, else 0."
-            ),
-            parser=number,
-        ),
-    ] = None
-    smallest: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S",
-            help="With --adaptive: shortest step [s], accepted with any error; default: 1e-7.",
-            parser=seconds,
-        ),
-    ] = None
-    largest: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="With --adaptive: longest step [s]; default: 0.1.", parser=seconds),
-    ] = None
-
-    def given(self) -> dict[str, Any]:
-        """The options that were given, by the field names of `Coupling`."""
-        options = {f.name: getattr(self, f.name) for f in fields(self)}
-        options["tolerance"] = options.pop("coupling_tolerance")
-        options["factors"] = substeps(options.pop("factor") or []) or None
-        options["correct"] = self.correct or None
-        return {name: value for name, value in options.items() if value is not None}

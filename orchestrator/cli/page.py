@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
-import typer
+from orchestrator.base.options import Kind
+from orchestrator.cli.options import BUILD, File, System, command, system_file
 
-from orchestrator.cli.options import BUILD, System, app, system_file
 
-
-@app.command()
+@command
 def page(
     system: System = None,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="HTML file to write.")] = BUILD / "machine.html",
-    title: Annotated[str, typer.Option(metavar="TEXT", help="Title of the page.")] = "Drive the harvester",
+    out: File = BUILD / "machine.html",
+    title: Annotated[str, Kind("TEXT")] = "Drive the harvester",
 ) -> None:
     """Write an HTML page on which you can drive the machine, without a server.
 
     The page contains the whole machine (build/fmi3/harvester.fmu) as WebAssembly. Open the file in a browser.
+
+    out     HTML file to write.
+    title   Title of the page.
     """
     from orchestrator.base.files import require_system
     from orchestrator.scene.live_page import write_page

@@ -5,51 +5,32 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import BUILD, app, seconds
+from orchestrator.base.options import Kind, Patterns
+from orchestrator.cli.options import BUILD, File, Time, command
 
 FORMATS = (".png", ".svg")
 
 
-@app.command()
+@command
 def plot(
-    files: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="FILE...",
-            help="Traces (.csv, .parquet, .mat) of one or several runs, or measurements with a .toml;"
-            " default: the newest trace in build.",
-        ),
-    ] = None,
-    signals: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Signals to draw, such as '*_pressure' or boom_angle; repeatable; default: up to six signals"
-            " of each of four quantities.",
-        ),
-    ] = None,
-    start: Annotated[
-        float | None,
-        typer.Option(metavar="T", help="Start of the time window [s]; default: all.", parser=seconds),
-    ] = None,
-    stop: Annotated[
-        float | None,
-        typer.Option(metavar="T", help="End of the time window [s]; default: all.", parser=seconds),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="File of the picture (.png, .svg); default: a window, or build/plot.png without a display.",
-        ),
-    ] = None,
+    files: Annotated[list[Path] | None, Kind("FILE...", positional=True)] = None,
+    signals: Patterns = None,
+    start: Time = None,
+    stop: Time = None,
+    out: File | None = None,
 ) -> None:
     """Draw signals of a run over time, one panel per unit.
 
     With several files their runs are drawn over each other, with different line styles.
+
+    files     Traces (.csv, .parquet, .mat) of one or several runs, or measurements with a .toml; default: the
+              newest trace in build.
+    signals   Signals to draw, such as '*_pressure' or boom_angle; default: up to six signals of each of four
+              quantities.
+    start     Start of the time window [s]; default: all.
+    stop      End of the time window [s]; default: all.
+    out       File of the picture (.png, .svg); default: a window, or build/plot.png without a display.
     """
     from orchestrator.base.files import make_folder
     from orchestrator.base.plotting import png, show, svg

@@ -2,44 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+from typing import Unpack
 
-import typer
-
-from orchestrator.cli.options import (
-    BUILD,
-    RunOptions,
-    System,
-    app,
-    number,
-    seconds,
-    system_file,
-    with_option_groups,
-)
+from orchestrator.base.options import ReferenceArguments
+from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
 
 
-@app.command()
-@with_option_groups
+@command
 def reference(
-    *,
     system: System = None,
-    case: RunOptions,
-    record_step: Annotated[
-        float, typer.Option(metavar="H", help="Time between recorded points [s].", parser=seconds)
-    ] = 5e-3,
-    tolerance: Annotated[
-        float,
-        typer.Option(metavar="TOL", help="Relative tolerance of the solver, 1e-14 to 1e-2.", parser=number),
-    ] = 2e-14,
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="File for the trace (.csv, .parquet, .mat).")
-    ] = BUILD / "reference.csv",
+    scenario: Scenario = None,
+    out: File = BUILD / "reference.csv",
+    **options: Unpack[ReferenceArguments],
 ) -> None:
     """Solve a system as one ODE, to which co-simulations converge.
 
     With an FMU without Model Exchange the result is a co-simulation with a small step, and says so, with an
     estimate of its error. `harvester compare` compares a run with the result.
+
+    out   File for the trace (.csv, .parquet, .mat).
     """
     from orchestrator.base.files import make_folder
     from orchestrator.data.trace import check_suffix
@@ -47,7 +28,5 @@ def reference(
 
     check_suffix(out)
     make_folder(out.parent)
-    options = case.options()
-    options |= {"record_step": record_step, "tolerance": tolerance}
-    result = solve(system_file(system), case.scenario, **options, progress=True)
+    result = solve(system_file(system), scenario, progress=True, **options)
     print(f"{result.card.text()}\n\n{result.write(out)}")

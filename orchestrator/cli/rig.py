@@ -2,36 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
-import typer
+from orchestrator.base.options import Kind
+from orchestrator.cli.options import Folder, Text, command
 
-from orchestrator.cli.options import app
 
-
-@app.command()
-def rig(
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar="DIR",
-            help="Folder for the recordings; it may contain earlier recordings, but no other files.",
-        ),
-    ],
-    machine: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", help="Variants of the simulated machine: lumped (as in the paper) or detailed."
-        ),
-    ] = "detailed",
-    seed: Annotated[
-        int, typer.Option(metavar="N", help="Seed of the noise, 0 or more; equal seeds give equal files.")
-    ] = 0,
-) -> None:
+@command
+def rig(out: Folder, machine: Text = "detailed", seed: Annotated[int, Kind("N")] = 0) -> None:
     """Record the paper's experiments on a virtual test rig.
 
     Writes CSV files like those of a real test rig, from simulations.
+
+    out       Folder for the recordings; it may contain earlier recordings, but no other files.
+    machine   Variants of the simulated machine: lumped (as in the paper) or detailed.
+    seed      Seed of the noise, 0 or more; equal seeds give equal files.
     """
     import os
 

@@ -9,45 +9,29 @@ import typer
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.cli.options import app, positive_integer, tell_built
+from orchestrator.base.options import Kind
+from orchestrator.cli.options import Folder, command, tell_built
 
 
-@app.command()
+@command
 def sweep(
-    study: Annotated[
-        Path,
-        typer.Argument(
-            metavar="STUDY.toml",
-            help="Description of the study: what is varied, what is run, and which results are kept.",
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the results; default: build/sweeps/STUDY."),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of runs at the same time on this computer; default: one per core.",
-            parser=positive_integer,
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL",
-            help="Run on this Dask cluster instead, such as tcp://host:8786; default: this computer.",
-        ),
-    ] = None,
-    fresh: Annotated[
-        bool, typer.Option("--fresh", help="Delete earlier results in DIR and start again.")
-    ] = False,
-    no_report: Annotated[bool, typer.Option("--no-report", help="Leave out the page report.html.")] = False,
+    study: Annotated[Path, Kind("STUDY.toml", positional=True)],
+    out: Folder | None = None,
+    workers: Annotated[int | None, Kind("N", least=1)] = None,
+    scheduler: Annotated[str | None, Kind("URL")] = None,
+    fresh: bool = False,
+    no_report: bool = False,
 ) -> None:
     """Run a parameter study on all cores.
 
     An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
+
+    study       Description of the study: what is varied, what is run, and which results are kept.
+    out         Folder of the results; default: build/sweeps/STUDY.
+    workers     Number of runs at the same time on this computer; default: one per core.
+    scheduler   Run on this Dask cluster instead, such as tcp://host:8786; default: this computer.
+    fresh       Delete earlier results in DIR and start again.
+    no_report   Leave out the page report.html.
     """
     require("sweep", "harvester sweep")
     from orchestrator.studies import read_study

@@ -9,17 +9,8 @@ from typing import Annotated
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.cli.options import (
-    BUILD,
-    Set,
-    Swap,
-    app,
-    assignments,
-    number,
-    swaps,
-    system_file,
-    tell_built,
-)
+from orchestrator.base.options import Kind, Swaps, Values
+from orchestrator.cli.options import BUILD, Folder, System, command, system_file, tell_built
 
 MACHINES = {
     "lumped": dict[str, str](),
@@ -33,66 +24,34 @@ MACHINES = {
 PATHS = ("line", "square")
 
 
-@app.command()
+@command
 def track(
-    system: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="SYSTEM",
-            help=(
-                "The machine with its controller (.ssp); default: build/harvester_control.ssp, else "
-                "the one in the installed package."
-            ),
-        ),
-    ] = None,
-    path: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="line, square, or a table (.csv) of time, path_radius, path_height, path_angle; repeatable;"
-            " default: line and square.",
-        ),
-    ] = None,
-    through: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="X,Y,Z",
-            help=(
-                "Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; "
-                "replaces --path; repeat for two points or more."
-            ),
-        ),
-    ] = None,
-    speed: Annotated[
-        float,
-        typer.Option(
-            metavar="V",
-            help="With --through: speed along the path [m/s], if the path is long enough to reach it.",
-            parser=number,
-        ),
-    ] = 0.5,
-    swap: Swap = None,
-    set_: Set = None,
-    compare: Annotated[
-        bool, typer.Option("--compare/--no-compare", help="Also run without the controller's feedback.")
-    ] = True,
-    limit: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MM",
-            help="Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.",
-            parser=number,
-        ),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of tracking.png and tracking.json.")
-    ] = BUILD,
+    system: System = None,
+    path: Annotated[list[str] | None, Kind("NAME")] = None,
+    through: Annotated[list[str] | None, Kind("X,Y,Z")] = None,
+    speed: Annotated[float, Kind("V")] = 0.5,
+    swap: Swaps = None,
+    set_: Values = None,
+    compare: bool = True,
+    limit: Annotated[float | None, Kind("MM")] = None,
+    out: Folder = BUILD,
 ) -> None:
     """Move the tip along paths and measure the tracking error, with and without the controller's feedback.
 
     Runs the machine as built and the detailed one; with --swap only the machine with these variants. A
     variable of --set must exist in each machine, so --set supply.pressure_setting=15e6 needs
     --swap supply=ideal.
+
+    system    The machine with its controller (.ssp); default: build/harvester_control.ssp, else the one in
+              the installed package.
+    path      line, square, or a table (.csv) of time, path_radius, path_height, path_angle; default: line and
+              square.
+    through   Point (forward, left, up [m]) of a path of straight lines, such as 3.6,-2,1; replaces `path`;
+              two points or more.
+    speed     With `through`: speed along the path [m/s], if the path is long enough to reach it.
+    compare   Also run without the controller's feedback.
+    limit     Largest tracking error allowed [mm]; above it the exit status is 1; default: no limit.
+    out       Folder of tracking.png and tracking.json.
     """
     from fmus.controller.paths import route_start_angles, start_angles, write_route
     from orchestrator.studies.path_following import first_point
@@ -108,12 +67,13 @@ def track(
     else:
         files = [_file(p) for p in path or PATHS]
         paths = [(file, partial(start_angles, str(file), first_point(file))) for file in files]
-    machines = {", ".join(swap): swaps(swap)} if swap else MACHINES
+    swapped = {component: str(file) for component, file in (swap or {}).items()}
+    machines = {", ".join(map("=".join, swapped.items())): swapped} if swapped else MACHINES
     modes = (True, False) if compare else (True,)
-    system = system_file(system, "harvester_control.ssp")
-    tell_built(system, {})
+    machine = system_file(system, "harvester_control.ssp")
+    tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
-    if not run_study(system, paths, machines, out, modes, allowed, set=assignments(set_ or [])):
+    if not run_study(machine, paths, machines, out, modes, allowed, set=set_ or {}):
         raise typer.Exit(1)
 
 

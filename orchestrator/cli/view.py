@@ -6,18 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
+from orchestrator.base.options import Kind, Swaps, Values
 from orchestrator.cli.options import (
     BUILD,
     SYSTEM,
-    Set,
-    Swap,
-    app,
-    assignments,
-    swaps,
+    File,
+    Folder,
+    System,
+    Text,
+    command,
     system_file,
     tell_built,
 )
@@ -25,66 +24,37 @@ from orchestrator.cli.options import (
 CONTROL = BUILD / "harvester_control.ssp"
 
 
-@app.command()
+@command
 def view(
-    system: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="SYSTEM",
-            help=(
-                "An .ssp or .fmu file; default: build/harvester_control.ssp, in which the joysticks "
-                "can also move the tip; else build/harvester.ssp, else the one in the installed package."
-            ),
-        ),
-    ] = None,
-    replay: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Start with the replay of this result file (.csv, .parquet, .mat); default: none.",
-        ),
-    ] = None,
-    pose: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Parameter set with the initial pose, such as reach; default: the pose in the system.",
-        ),
-    ] = "",
-    swap: Swap = None,
-    set_: Set = None,
-    port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="TCP port; 0 selects a free one.")
-    ] = 8080,
-    host: Annotated[
-        str,
-        typer.Option(
-            metavar="HOST",
-            help="Name or address to listen on, such as 0.0.0.0 for all; any other than a loopback address"
-            " requires a token.",
-        ),
-    ] = "127.0.0.1",
-    token: Annotated[
-        str,
-        typer.Option(
-            metavar="TEXT",
-            help="Token that the page requires, at least 16 characters; default: none for a loopback"
-            " address, else a random one.",
-        ),
-    ] = "",
-    open_: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser.")] = True,
-    results: Annotated[
-        Path,
-        typer.Option(
-            metavar="DIR", help="Folder of the results that can be replayed, and of recorded sessions."
-        ),
-    ] = BUILD,
+    system: System = None,
+    replay: File | None = None,
+    pose: Text = "",
+    swap: Swaps = None,
+    set_: Values = None,
+    port: Annotated[int, Kind("N", least=0)] = 8080,
+    host: Annotated[str, Kind("HOST")] = "127.0.0.1",
+    token: Annotated[str, Kind("TEXT")] = "",
+    open_: bool = True,
+    results: Folder = BUILD,
 ) -> None:
-    """Watch and drive the machine in a browser, in real time, or replay a result file."""
+    """Watch and drive the machine in a browser, in real time, or replay a result file.
+
+    system    An .ssp or .fmu file; default: build/harvester_control.ssp, in which the joysticks can also move
+              the tip; else build/harvester.ssp, else the one in the installed package.
+    replay    Start with the replay of this result file (.csv, .parquet, .mat); default: none.
+    pose      Parameter set with the initial pose, such as reach; default: the pose in the system.
+    port      TCP port; 0 selects a free one.
+    host      Name or address to listen on, such as 0.0.0.0 for all; any other than a loopback address
+              requires a token.
+    token     Token that the page requires, at least 16 characters; default: none for a loopback address, else
+              a random one.
+    open      Open the page in a browser.
+    results   Folder of the results that can be replayed, and of recorded sessions.
+    """
     require("view", "harvester view")
     from orchestrator.view.server import serve
 
-    swapped = swaps(swap or [])
+    swapped = {name: str(file) for name, file in (swap or {}).items()}
     chosen = system or _default_system(swapped)
     tell_built(chosen, swapped)
     serve(
@@ -92,7 +62,7 @@ def view(
         replay,
         pose,
         swapped,
-        assignments(set_ or []),
+        {name: str(value) for name, value in (set_ or {}).items()},
         host=host,
         port=port,
         token=token,

@@ -128,7 +128,7 @@ class _Supervision:
     ) -> None:
         execution = job.execution
         self._worker, self._times, self._sink, self._between = worker, times, sink, between
-        memory = min(execution.memory_limit, machine_memory())
+        memory = min(1e9 * execution.memory_limit, machine_memory())
         self._limits = WorkerLimits(total_time=execution.time_limit, memory=memory)
         self._layout: RowLayout | None = None
         self._outcome: RunEnd | None = None

@@ -83,7 +83,7 @@ class Execution:
     progress         show a progress bar if the run takes longer than a second
     isolate          run in a process of its own, so that an FMU that crashes ends only that process
     time_limit       longest wall time of the run [s], in a process of its own
-    memory_limit     largest memory of the process [bytes]; default: that of this machine
+    memory_limit     largest memory of the process [GB]; default: that of this machine
     open             opens a component: returns an FMU, or any object with the methods of
                      `orchestrator.fmi.calls.Slave`; a function other than `open_slave` needs this process
     """

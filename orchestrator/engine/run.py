@@ -13,12 +13,20 @@ from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, Unpack
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.options import (
+    FIELDS,
+    CouplingArguments,
+    RunArguments,
+    chosen,
+    declarations,
+    documented,
+)
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
@@ -60,19 +68,14 @@ __all__ = [
 ]  # what a caller of `run` needs  # fmt: skip
 
 
+@documented(RunArguments)
 def run(
     system: System | str | Path,
     scenario: ScenarioSource = None,
-    master: str | Coupling | None = None,
-    step: float | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    parameters: Sequence[str | Path] = (),
-    set: Mapping[str, Value | str] | None = None,
-    record: Record | Sequence[str] | None = None,
+    *,
+    record: Record | str | Sequence[str] | None = None,
     execution: Execution | None = None,
-    **options: Any,
+    **options: Unpack[RunArguments],
 ) -> Result:
     """Co-simulate a system.
 
@@ -81,32 +84,22 @@ def run(
                  such as {"time": [0, 1, 1.3], "boom_command": [0, 0, 5]}; a column has the name of an input
                  of the system, of component.variable, or of all component inputs with this name; it replaces
                  the connection to its input
-    master       a name, such as "hermite", or a Coupling, such as Coupling("hermite", passes=2); default:
-                 what the system suggests, see `System.coupling`, else "gauss-seidel"
-    step         communication step [s], of an adaptive run the first to try; default: without `master` the
-                 suggestion of the system, else the smallest step that an FMU suggests, else 1e-3
-    start, stop  [s]; default stop: end of the scenario, else the suggestion of the system or the FMUs
-    swap         replaced FMUs {component: name of a variant, or path of an .fmu file}; ports are checked
-    parameters   parameter sets: names of sets in the SSP's resources, or .ssv files; later ones override
-    set          start values {name: value}, such as 600.0 in the unit of the FMU before a swap, or "600 kg";
-                 names as in a scenario
     record       names of the signals to record, or a `Record`, also with step and power bonds
     execution    tolerance of the FMUs, error estimate, progress bar, other component classes: see
                  `Execution`
-    options      fields of `Record` and `Execution` as single arguments: record_step, bonds, tolerance,
-                 error_estimate, accuracy, accuracy_of, progress, isolate, time_limit, memory_limit, open
+
+    Quantities may have a unit: stop=2.0 is stop="2000 ms". Values of `swap`, `set` and `factors` are
+    mappings, such as set={"boom_stick.oil_density": "870 kg/m3"}. `master` may be a `Coupling`.
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
-    record, execution = _with_options(record, execution, options)
-    system = with_swaps(system if isinstance(system, System) else load(system), swap or {})
-    search = accuracy_search(system, execution, {"master": master, "step": step})
-    rest: dict[str, Any] = {"start": start, "stop": stop, "parameters": parameters, "set": set}
+    given = chosen(RunArguments, options, "run")
+    record, execution = _take_execution(given, record, execution)
+    coupling, system = take_coupling(given), opened(system, given)
+    search = accuracy_search(system, execution, {"step": given.get("step"), **coupling})
+    system = system.coupled(coupling) if coupling else system
     while True:
-        if search:
-            job, times = prepare_trial(search, system, scenario, record, execution, **rest)
-        else:
-            job, times = prepare(system, scenario, master, step, record=record, execution=execution, **rest)
+        job, times = _trial(search, system, scenario, record, execution, given)
         sink = TraceInMemory()
         try:
             result = finished(job, times, simulate(job, times, sink), sink, sink.trace)
@@ -118,6 +111,32 @@ def run(
             return with_error_estimate(job, times, result) if execution.error_estimate else result
         if accurate := search.judge(result):
             return accurate
+
+
+def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
+    """The options of the coupling, by the names of the fields of `Coupling`, taken out of those of a run."""
+    names = [name for name in declarations(CouplingArguments) if name in given]
+    choices = {FIELDS.get(name, name): given.pop(name) for name in names}
+    whole = choices.get("master")
+    return {**vars(whole), **choices, "master": whole.master} if isinstance(whole, Coupling) else choices
+
+
+def opened(system: System | str | Path, given: dict[str, Any], exchange: bool = False) -> System:
+    """The system with the connections and FMUs of the options, which are taken out of those of a run."""
+    system = system if isinstance(system, System) else load(system, exchange)
+    return with_swaps(system.without(*given.pop("cut", ())), given.pop("swap", {}), exchange)
+
+
+def _take_execution(
+    given: dict[str, Any], record: Record | str | Sequence[str] | None, execution: Execution | None
+) -> tuple[Record, Execution]:
+    """The record and the execution, with single options, which are taken out of those of a run."""
+    if not isinstance(record, Record):
+        record = Record((record,) if isinstance(record, str) else record and tuple(record))
+    of_record = {"record_step": "step", "bonds": "bonds"}
+    record = replace(record, **{of_record[name]: given.pop(name) for name in of_record.keys() & given.keys()})
+    names = {f.name for f in fields(Execution)} & given.keys()
+    return record, replace(execution or Execution(), **{name: given.pop(name) for name in names})
 
 
 def accuracy_search(
@@ -138,46 +157,54 @@ def accuracy_search(
     return AccuracySearch(system, execution.accuracy, execution.accuracy_of, execution.tolerance)
 
 
-def prepare_trial(
-    search: AccuracySearch,
+def _trial(
+    search: AccuracySearch | None,
     system: System,
     scenario: ScenarioSource,
     record: Record,
     execution: Execution,
-    **options: Any,
+    given: Mapping[str, Any],
 ) -> tuple[Job, Grid]:
-    """The job of the next run of a search, and its communication points."""
+    """The job of the next run of a search, or of the only run without one, and its communication points."""
+    if search is None:
+        return _job(system, scenario, record, execution, **given)
     settings = search.settings
     if record.signals is not None:
         record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
     execution = replace(execution, tolerance=settings.tolerance, error_estimate="fast")
-    return prepare(
-        system, scenario, settings.coupling, settings.step, record=record, execution=execution, **options
-    )
+    system = system.coupled(settings.coupling)
+    return _job(system, scenario, record, execution, **{**given, "step": settings.step})
 
 
 def prepare(
     system: System | str | Path,
     scenario: ScenarioSource = None,
-    master: str | Coupling | None = None,
+    record: Record | str | Sequence[str] | None = None,
+    execution: Execution | None = None,
+    **options: Unpack[RunArguments],
+) -> tuple[Job, Grid]:
+    """The job of a run and its communication points; arguments of `run`."""
+    given = chosen(RunArguments, options, "run")
+    record, execution = _take_execution(given, record, execution)
+    coupling, system = take_coupling(given), opened(system, given)
+    return _job(system.coupled(coupling) if coupling else system, scenario, record, execution, **given)
+
+
+def _job(
+    system: System,
+    scenario: ScenarioSource,
+    record: Record,
+    execution: Execution,
     step: float | None = None,
     start: float | None = None,
     stop: float | None = None,
-    swap: Mapping[str, str | Path] | None = None,
     parameters: Sequence[str | Path] = (),
     set: Mapping[str, Value | str] | None = None,
-    record: Record | Sequence[str] | None = None,
-    execution: Execution | None = None,
-    **options: Any,
 ) -> tuple[Job, Grid]:
-    """The job of a run and its communication points; arguments of `run`."""
-    record, execution = _with_options(record, execution, options)
+    """The job of a run of a system with its connections and coupling."""
     execution.check()
     if execution.isolated:
         start_process()
-    system = with_swaps(system if isinstance(system, System) else load(system), swap or {})
-    if master is not None:
-        system = system.coupled(master if isinstance(master, Coupling) else Coupling(master))
     system = replace(system, notes=system.notes + system.suggestion.notes(step is not None))
     system = with_sets(system, parameters).with_start(set or {})
     system = replace(system, notes=system.notes + built_notes(system))
@@ -232,21 +259,6 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
         problem = Problem(f"{outcome.problem}; {cause}") if cause else outcome.problem
         raise RunFailed(problem, result) from outcome.problem
     return result
-
-
-def _with_options(
-    record: Record | Sequence[str] | None, execution: Execution | None, options: Mapping[str, Any]
-) -> tuple[Record, Execution]:
-    """The record and the execution, changed by single options."""
-    of_record = {"record_step": "step", "bonds": "bonds"}
-    allowed = {*of_record, "native", *(f.name for f in fields(Execution))}
-    if unknown := sorted(options.keys() - allowed):
-        raise TypeError(f"run() got an unexpected keyword argument {unknown[0]!r}")
-    if not isinstance(record, Record):
-        record = Record(None if record is None else tuple(record))
-    record_options = {of_record[name]: value for name, value in options.items() if name in of_record}
-    others = {name: value for name, value in options.items() if name not in (*of_record, "native")}
-    return replace(record, **record_options), replace(execution or Execution(), **others)
 
 
 def _scenario(system: System, scenario: ScenarioSource) -> tuple[Trace | None, Scenario | None]:
@@ -346,69 +358,47 @@ def run_to_file(
     system: Path,
     scenario: Path | Trace | None,
     out: Path,
-    step: float | None = None,
-    record_step: float | None = None,
-    coupling: Mapping[str, Any] | None = None,
     every_point: bool = True,
     default_accuracy: float | None = None,
-    cut: Sequence[str] = (),
-    swap: Mapping[str, str] | None = None,
     accept: Callable[[System, Grid, RowLayout], None] | None = None,
-    **options: Any,
+    **options: Unpack[RunArguments],
 ) -> tuple[Result, str]:
     """Co-simulate with a progress bar, and write the rows to the file `out` while they are made.
 
     The file gets its name at the end of a complete run, together with its metadata. The rows of a run that
     ends early stay in a partial file, see `trace_writer`. Returns the result and a line about the file.
 
-    record_step   [s]; default: the largest multiple of the step up to 5 ms, at least one step
-    coupling      the user's choices, with the names of the fields of `Coupling`
-    every_point   without a record step an adaptive run records every communication point, else every 5 ms
+    every_point   without a record step an adaptive run records every communication point, else every 5 ms;
+                  equal steps: every point of the largest multiple of the step up to 5 ms, at least one step
     default_accuracy   of a run without an accuracy, if neither the user nor the system chooses step or
                        coupling, and the FMUs declare what the estimate of errors needs
-    cut           patterns of inputs whose connections are removed before anything else
-    swap          replaced FMUs: component -> name of a variant, or path
     accept        called before the first step with the system, the times and the signals that the file will
                   have; a Problem that it raises ends the run
     """
     start_process()
-    choices = {name: options.pop(name) for name in {f.name for f in fields(Execution)} & options.keys()}
-    execution = replace(Execution(progress=True), **choices)
-    loaded = with_swaps(load(require_system(system)).without(*cut), swap or {})
+    given = chosen(RunArguments, options, "run")
+    noted = {**given, "scenario": None if isinstance(scenario, Trace) else scenario}
+    record, execution = _take_execution(given, None, Execution(progress=True))
+    coupling, loaded, step = take_coupling(given), opened(require_system(system), given), given.get("step")
     if execution.accuracy is None and default_accuracy and chooses_freely(loaded, step, coupling):
         execution = replace(execution, accuracy=default_accuracy)
-    search = accuracy_search(loaded, execution, {"step": step, **(coupling or {})})
+    search = accuracy_search(loaded, execution, {"step": step, **coupling})
     loaded = loaded.coupled(coupling) if coupling else loaded
-    interval = record_step
-    if record_step is None and (search or (loaded.coupling and loaded.coupling.adaptive is not None)):
-        interval = None if every_point else RECORD_STEP
-    elif record_step is None:
-        interval = record_interval(step_length(loaded, step))
+    if record.step is None and (search or (loaded.coupling and loaded.coupling.adaptive is not None)):
+        record = replace(record, step=None if every_point else RECORD_STEP)
+    elif record.step is None:
+        record = replace(record, step=record_interval(step_length(loaded, step)))
     make_folder(out.parent)
-    given = {
-        "step": step,
-        "record_step": record_step,
-        "cut": cut,
-        "swap": swap,
-        **options,
-        **choices,
-        **(coupling or {}),
-    }
-    given["scenario"] = None if isinstance(scenario, Trace) else scenario
-    options["record"] = Record(step=interval)
     while True:
         file = TraceFile(out)
-        if search:
-            job, times = prepare_trial(search, loaded, scenario, execution=execution, **options)
-        else:
-            job, times = prepare(loaded, scenario, step=step, execution=execution, **options)
+        job, times = _trial(search, loaded, scenario, record, execution, given)
         if accept is not None:
             file.accept = partial(accept, job.system, times)
         result, summary = None, ""
         try:
             outcome = simulate(job, times, file)
             with DeferredInterrupts(second_at_once=False) as interrupts:
-                result, summary = _published(job, times, outcome, file, given, interrupts.check, search)
+                result, summary = _published(job, times, outcome, file, noted, interrupts.check, search)
             if result is None:
                 continue
             estimate = execution.error_estimate and not search

@@ -11,19 +11,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.interrupts import in_threads
+from orchestrator.base.options import BatchArguments, chosen, documented
 from orchestrator.base.processes import available_cores
 from orchestrator.data.trace import Trace
-from orchestrator.engine.job import Job
+from orchestrator.engine.job import Execution, Job
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
-from orchestrator.fmi.description import Value
 from orchestrator.lanes.compiled import NotInLanes, lane_count
 from orchestrator.lanes.group import OK, Ended, Group
 from orchestrator.lanes.one_by_one import run_one_by_one
@@ -73,35 +73,25 @@ class BatchResult:
         return Trace(self.time[:points], {n: v[:points] for n, v in values.items()}, self.units)
 
 
+@documented(BatchArguments)
 def batch(
     system: System | str | Path,
-    parameters: Mapping[str, ArrayLike],
+    values: Mapping[str, ArrayLike],
     scenario: ScenarioSource = None,
     *,
-    master: str | Coupling | None = None,
-    step: float | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    sets: Sequence[str | Path] = (),
-    set: Mapping[str, Value | str] | None = None,
-    record: Sequence[str] | None = None,
-    record_step: float | None = None,
-    tolerance: float | None = None,
-    workers: int | None = None,
+    record: str | Sequence[str] | None = None,
     lanes: bool | None = None,
+    **options: Unpack[BatchArguments],
 ) -> BatchResult:
     """Co-simulate n machines that differ in parameters or start values.
 
-    parameters   name -> n values in the unit of the FMU; names as in `set` of `run`
-    sets         parameter sets of all machines, as `parameters` of `run`
+    values       name -> n values in the unit of the FMU; names as in `set`
     record       recorded signals; default: all outputs
-    workers      number of cores to use; default: all
     lanes        True: only in the vector lanes, else NotInLanes; False: one by one; default: in lanes if the
                  FMUs are native FMUs of this project, and the compiler is installed
 
-    The other arguments are those of `run`, and hold for all machines. A machine that fails does not stop the
-    others. Raises Problem for a mistake.
+    The options hold for all machines. A machine that fails does not stop the others. Raises Problem for a
+    mistake.
 
         from orchestrator import batch
 
@@ -109,20 +99,19 @@ def batch(
         result = batch("build/harvester.ssp", masses, stop=10.0, record=["manipulator.swing_angle"])
         print(result["manipulator.swing_angle"][:, -1])  # [rad], of each machine
     """
-    job, times = prepare(
-        system, scenario, master, step, start, stop, swap, sets, set, record,
-        record_step=record_step, tolerance=tolerance, isolate=False,
-    )  # fmt: skip
+    given = chosen(BatchArguments, options, "batch")
+    workers = given.pop("workers", None)
+    job, times = prepare(system, scenario, record, Execution(isolate=False), **given)
     if times.free:
         raise Problem(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
         )
-    values, count = machine_values(job, parameters)
-    signals = recorded(job.system, record)
+    arrays_in, count = machine_values(job, values)
+    signals = recorded(job.system, job.record.signals)
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
     ended, notes = _simulate(
-        job, times, values, count, [*signals.values()], rows, workers or available_cores(), lanes
+        job, times, arrays_in, count, [*signals.values()], rows, workers or available_cores(), lanes
     )
     wall = time.perf_counter() - began
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
@@ -166,7 +155,7 @@ def machine_values(
     count   number of machines, if it is known
     """
     if not parameters and count is None:
-        raise Problem("parameters: expected a name with a value for each machine, got none")
+        raise Problem("values: expected a name with a value for each machine, got none")
     driven = job.scenario.columns if job.scenario else {}
     connected = {c.target: c for c in job.system.connections}
     values: dict[Port, Array] = {}
@@ -178,18 +167,18 @@ def machine_values(
         count = len(array) if count is None else count
         if len(array) != count:
             expected = f"{count} values" + (f", as {first} has" if name != first else "")
-            raise Problem(f"parameters: {name}: expected {expected}, got {len(array)}")
+            raise Problem(f"values: {name}: expected {expected}, got {len(array)}")
         for port, linear in job.system.targets(name):
             if port in connected:
-                raise Problem(f"parameters: {name}: the input is connected ({connected[port]})")
+                raise Problem(f"values: {name}: the input is connected ({connected[port]})")
             if port in driven:
-                raise Problem(f"parameters: {name}: the scenario drives {port}")
+                raise Problem(f"values: {name}: the scenario drives {port}")
             if port in names:
-                raise Problem(f"parameters: {port} is set twice, by {names[port]} and {name}")
+                raise Problem(f"values: {port} is set twice, by {names[port]} and {name}")
             check_settable(port, job.system.components[port.component].interface)
             names[port], values[port] = name, linear.factor * array + linear.offset
             for value in (values[port].min(), values[port].max()):
-                check_bounds(f"parameters: {name}", job.system.variable(port), float(value))
+                check_bounds(f"values: {name}", job.system.variable(port), float(value))
         _check_shared(job.system, name)
     return values, count or 0
 
@@ -198,12 +187,12 @@ def _numbers(name: str, given: ArrayLike) -> Array:
     try:
         array = np.asarray(given, np.float64)
     except (TypeError, ValueError):
-        raise Problem(f"parameters: {name}: expected numbers, got {given!r}"[:200]) from None
+        raise Problem(f"values: {name}: expected numbers, got {given!r}"[:200]) from None
     if array.ndim != 1 or not len(array):
-        raise Problem(f"parameters: {name}: expected one value for each machine, got the shape {array.shape}")
+        raise Problem(f"values: {name}: expected one value for each machine, got the shape {array.shape}")
     if not np.isfinite(array).all():
         i = int(np.argmin(np.isfinite(array)))
-        raise Problem(f"parameters: {name}: expected finite numbers, got {array[i]} for machine {i}")
+        raise Problem(f"values: {name}: expected finite numbers, got {array[i]} for machine {i}")
     return array
 
 
@@ -214,7 +203,7 @@ def _check_shared(system: System, name: str) -> None:
         shared = system.sharing(common)
         if ports & {*shared} and not ports >= {*shared}:
             parts = " and ".join(port.component for port in shared)
-            raise Problem(f"parameters: expected {common}, one value for {parts}, got {name}")
+            raise Problem(f"values: expected {common}, one value for {parts}, got {name}")
 
 
 def recorded(system: System, record: Sequence[str] | None) -> dict[str, Port]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
+from orchestrator.base.options import MachinesArguments, chosen
 from orchestrator.lanes.machines import Machines
 from orchestrator.ssp.system import System
 
@@ -63,24 +64,24 @@ class MachinesEnv(VectorEnv):  # type: ignore[misc]  # the package may be missin
         interval: float = 0.05,
         duration: float = 20.0,
         vary: Limits | None = None,
-        step: float = STEP,
-        **options: Any,
+        **options: Unpack[MachinesArguments],
     ) -> None:
         """Raises NotInLanes if the system has other than native FMUs, or the compiler is missing.
 
         actions        inputs with their limits; names alone: the limits that the FMUs declare
         observations   signals, `component.variable`, with the limits that the FMUs declare, if any
-        interval       control interval, a multiple of the communication step `step` [s]
+        interval       control interval, a multiple of the communication step, whose default is 1e-3 [s]
         duration       of an episode [s]
         vary           parameters or start values that are drawn at each start of a machine, uniformly
-        options        arguments of `Machines`: master, swap, parameters, set, tolerance, workers
+        options        those of `batch`, without a time span
         """
+        step = options["step"] = float(chosen(MachinesArguments, options, "MachinesEnv").get("step", STEP))
         self._per_action, self._last = round(interval / step), round(duration / interval)
         if self._per_action < 1 or abs(self._per_action * step - interval) > 1e-9 * interval:
             raise Problem(f"interval: expected a multiple of the step of {step:g} s, got {interval:g} s")
         if self._last < 1:
             raise Problem(f"duration: expected at least one interval of {interval:g} s, got {duration:g} s")
-        self._machines = Machines(system, num_envs, [*actions], observations, step=step, **options)
+        self._machines = Machines(system, num_envs, [*actions], observations, **options)
         self._reward, self._ends, self._vary = reward, ends, dict(vary or {})
         limits = actions if isinstance(actions, Mapping) else {}
         self.num_envs, self.spec = num_envs, None

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.options import MachinesArguments, chosen
 from orchestrator.base.processes import available_cores
+from orchestrator.engine.job import Execution
 from orchestrator.engine.run import prepare
 from orchestrator.lanes.batch import machine_values
 from orchestrator.lanes.compiled import lane_count
@@ -39,22 +41,21 @@ class Machines:
         count: int,
         commands: Sequence[str],
         signals: Sequence[str],
-        *,
-        workers: int | None = None,
-        **options: Any,
+        **options: Unpack[MachinesArguments],
     ) -> None:
         """Raises NotInLanes if the system has other than native FMUs, or the compiler is missing.
 
         commands   inputs, with names as the columns of a scenario
         signals    variables, `component.variable`
-        workers    number of cores to use; default: all
-        options    arguments of `run`: master, step, swap, parameters, set, tolerance
+        options    those of `batch`, without a time span
         """
         if count < 1 or not commands or not signals:
             got = f"{count} machines, {len(commands)} commands and {len(signals)} signals"
             raise Problem(f"machines: expected at least one machine, command and signal, got {got}")
         held = {"time": [0.0, FOREVER], **{name: [0.0, 0.0] for name in commands}}
-        self._job, times = prepare(system, held, record=signals, isolate=False, stop=FOREVER, **options)
+        given = chosen(MachinesArguments, options, "Machines")
+        workers = given.pop("workers", None)
+        self._job, times = prepare(system, held, signals, Execution(isolate=False), stop=FOREVER, **given)
         self.system = self._job.system
         lanes = Lanes(self._job, times, [self._job.system.port(name) for name in signals])
         self.count, self.step, self.commands, self.signals = (

@@ -5,27 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace import Trace
-from orchestrator.engine.run import run
+from orchestrator.base.options import LinearArguments, chosen, documented
+from orchestrator.engine.run import ScenarioSource, opened, run
 from orchestrator.fmi.description import Value
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
 from orchestrator.linear.steady_state import find_steady_state
 from orchestrator.monolithic.plant import Array
-from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.provenance import built_notes
-from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System
 
 
 def settle_at_time(
-    plant: CutPlant, system: System, scenario: Trace | str | Path | None, time: float, step: float | None
+    plant: CutPlant, system: System, scenario: ScenarioSource, time: float, step: float | None
 ) -> tuple[str, ...]:
     """Set the plant to states and inputs of a run of the system at `time` [s]; return notes.
 
@@ -99,43 +98,36 @@ def _open_loops(plant: CutPlant) -> Iterator[Port]:
 EXPERIMENT_LENGTH = 1.0  # [s], for the set-up of the FMUs; no result depends on it
 
 
+@documented(LinearArguments)
 def linearize(
     system: System | str | Path,
-    parameters: Sequence[str | Path] = (),
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
-    steady: bool = False,
-    speeds: Mapping[str, float] | None = None,
-    time: float | None = None,
-    scenario: Trace | str | Path | None = None,
-    step: float | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    set: Mapping[str, Value | str] | None = None,
+    scenario: ScenarioSource = None,
+    **options: Unpack[LinearArguments],
 ) -> LinearModel:
     """A, B, C, D of a system, from the directional derivatives of its FMUs in model exchange.
 
     system       a System, or the path of an .ssp, .ssd or .fmu file
-    parameters   parameter sets, such as the pose "reach"; as for `run`
-    inputs       names as in a scenario; connections to them are removed; default: all inputs of the system,
-                 and the inputs connected to components without inputs, such as an operator
-    outputs      patterns of component.variable; default: all outputs
-    steady       find a steady state near the start or `time`, with `speeds` of joints by name, see
-                 `steady_state.py`
-    time         [s]; the operating point is the state of a co-simulation with `scenario` and `step` at this
-                 time; default: the start
-    swap, set    as for `run`; `set` can also contain inputs of the linear model that are connected in a run
+    scenario     with `time`: inputs of that run over time, as for `run`
+
+    `set` can also contain inputs of the linear model that are connected in a run.
 
     Raises Problem for a mistake, and for an FMU without Model Exchange.
     """
-    full = with_swaps(system if isinstance(system, System) else load(system), swap or {})
-    full = with_sets(full, parameters)
+    given = chosen(LinearArguments, options, "linearize")
+    time, steady, speeds = given.get("time"), given.get("steady", False), given.get("speeds")
+    step, start_values = given.get("step"), given.get("set", {})
+    full = with_sets(opened(system, given), given.get("parameters", ()))
+    if time is None and (scenario is not None or step is not None):
+        raise Problem(
+            "--scenario, --step: expected --time as well; without --time the operating point is the start"
+        )
     if speeds and not steady:
         raise Problem("--speed: expected --steady as well, got --speed alone")
-    cut = cut_at_inputs(full, inputs, steady)
+    cut = cut_at_inputs(full, given.get("inputs", ()), steady)
     if time is not None:
-        _refuse_connected(full, set or {}, "--scenario sets the input in the run")
-    cut = replace(cut, system=_with_start_values(cut.system, full, set or {}))
-    ports = matching_outputs(cut.system, outputs)
+        _refuse_connected(full, start_values, "--scenario sets the input in the run")
+    cut = replace(cut, system=_with_start_values(cut.system, full, start_values))
+    ports = matching_outputs(cut.system, given.get("outputs", ()))
     start = full.start or 0.0
     plant = CutPlant(cut)
     try:
@@ -144,7 +136,7 @@ def linearize(
         if time is None:
             plant.settle(plant.x.copy(), plant.u)
         else:
-            notes += settle_at_time(plant, full.with_start(set or {}), scenario, time, step)
+            notes += settle_at_time(plant, full.with_start(start_values), scenario, time, step)
         if steady:
             notes += find_steady_state(plant, speeds)
         return _result(plant, ports, start if time is None else time, notes)

@@ -19,11 +19,11 @@ from __future__ import annotations
 
 import time as wall_time
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,17 +32,15 @@ from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.options import ReferenceArguments, chosen, documented
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import Card, Result
-from orchestrator.engine.run import ProgressBar, ScenarioSource, prepare, run
+from orchestrator.engine.run import ProgressBar, ScenarioSource, opened, prepare, run
 from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
-from orchestrator.fmi.description import Value
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.monolithic.plant import Plant
 from orchestrator.monolithic.tight import FMU_TOLERANCE, first_step, tightened
-from orchestrator.ssp.load import load
-from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Inlet, System
 
 Array = NDArray[np.float64]
@@ -55,32 +53,24 @@ SAME_TIME = 1e-12  # times closer than this fraction of the span are equal
 CORNER = 1e-9  # relative change of a slope that restarts the solver
 
 
+@documented(ReferenceArguments)
 def reference(
     system: System | str | Path,
     scenario: ScenarioSource = None,
-    start: float | None = None,
-    stop: float | None = None,
-    swap: Mapping[str, str | Path] | None = None,
-    parameters: Sequence[str | Path] = (),
-    set: Mapping[str, Value | str] | None = None,
-    cut: Sequence[str] = (),
-    record_step: float = RECORD_STEP,
-    tolerance: float = TOLERANCE,
+    *,
     progress: bool = False,
+    **options: Unpack[ReferenceArguments],
 ) -> Result:
     """Solve a system as one ODE, for comparison with co-simulations.
 
         from orchestrator import compare, reference, run
 
         truth = reference("build/harvester.ssp", "data/scenarios/boom_up.csv")
-        fast = run("build/harvester.ssp", "data/scenarios/boom_up.csv", "jacobi", 5e-3)
+        fast = run("build/harvester.ssp", "data/scenarios/boom_up.csv", master="jacobi", step=5e-3)
         print(compare({"truth": truth, "jacobi": fast}).worst("jacobi", "speed").signal)
 
-    system, scenario, start, stop, swap, parameters, set   as for `run`
-    cut           patterns of inputs whose connections are removed before anything else
-    record_step   interval of the trace [s]
-    tolerance     of the solver: relative; absolute, times the magnitude that the FMU gives for each state
-    progress      show a progress bar if it takes longer than a second
+    system, scenario   as for `run`
+    progress           show a progress bar if it takes longer than a second
 
     The trace has all outputs, connected inputs and states. At the time of an event it has the values after
     the event.
@@ -92,27 +82,25 @@ def reference(
 
     Raises Problem for a mistake and if the solver fails.
     """
+    given = chosen(ReferenceArguments, options, "reference")
+    record_step, tolerance = given.pop("record_step", RECORD_STEP), given.pop("tolerance", TOLERANCE)
     if not 1e-14 <= tolerance <= 1e-2:
         raise Problem(f"tolerance {tolerance:g}: expected 1e-14 to 1e-2")
     if not 0 < record_step < np.inf:
         raise Problem(f"record step: expected a positive time, got {record_step:g} s")
     require("reference", "the reference solution", "sksundae")
 
-    def ready(exchange: bool) -> System:
-        loaded = system if isinstance(system, System) else load(system, exchange)
-        return with_swaps(loaded.without(*cut), swap or {}, exchange)
-
-    options: dict[str, Any] = {"start": start, "stop": stop, "parameters": parameters, "set": set}
-    options |= {"progress": progress}
+    rest = {name: value for name, value in given.items() if name not in ("cut", "swap")}
+    rest |= {"progress": progress}
     try:
-        return _solve(ready(exchange=True), scenario, record_step, tolerance, options)
+        return _solve(opened(system, dict(given), exchange=True), scenario, record_step, tolerance, rest)
     except NotExchangeable as problem:
         reason = str(problem)
     try:
-        other = ready(exchange=False)
+        other = opened(system, given)
     except Problem as problem:
         raise Problem(f"neither a monolithic solution ({reason}) nor a co-simulation ({problem})") from None
-    return _co_simulate(other, scenario, record_step, tolerance, options, reason)
+    return _co_simulate(other, scenario, record_step, tolerance, rest, reason)
 
 
 def _solve(
@@ -141,7 +129,7 @@ def _co_simulate(
     options |= {"record_step": record_step, "tolerance": FMU_TOLERANCE}
 
     def co_simulated(step: float, master: Coupling) -> Result:
-        return run(system, scenario, master, step, **options)
+        return run(system, scenario, master=master, step=step, **options)
 
     return tightened(co_simulated, first_step(record_step, step_length(system, None)), bound, reason)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.text import first_names
 from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
@@ -144,9 +145,9 @@ class Comparison:
 def compare(
     sources: Sequence[str | Path] | Mapping[str, Source],
     against: str | Path | None = None,
-    signals: Iterable[str] = (),
-    start: float | None = None,
-    stop: float | None = None,
+    signals: str | Iterable[str] = (),
+    start: Seconds = None,
+    stop: Seconds = None,
 ) -> Comparison:
     """Compare runs with one of them.
 
@@ -155,6 +156,7 @@ def compare(
     signals      patterns of the signals to show; default: speeds, pressures and angles that are outputs
     start, stop  time window [s]; default: the common time of both runs
     """
+    signals = (signals,) if isinstance(signals, str) else signals
     runs = gather(sources, against)
     requested = str(against) if isinstance(sources, Mapping) else str(Path(against or ""))
     reference = (
@@ -163,7 +165,7 @@ def compare(
     if reference is None:
         raise Problem(f"compare: against {against}: expected one of {', '.join(r.label for r in runs)}")
     common = _common(runs, reference)
-    recording = _as_recording(reference, common, start, stop)
+    recording = _as_recording(reference, common, seconds(start, "start"), seconds(stop, "stop"))
     validations = {run.label: _validate(recording, run) for run in runs if run is not reference}
     return Comparison(
         tuple(runs), reference, validations, _chosen(runs, common, signals), _notes(runs, common)

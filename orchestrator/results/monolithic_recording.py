@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.base.options import SystemArguments, declarations
 from orchestrator.base.progress import doing
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
@@ -21,13 +22,11 @@ LIMIT = 0.01  # of NRMSE, as for pressures, flows and forces of the machine
 
 def solve_as_run(system: Path, scenario: Path | None, run: Result, options: Mapping[str, Any]) -> Result:
     """The monolithic solution over the times of a run, which had these options."""
-    same: dict[str, Any] = {name: options.get(name) or () for name in ("parameters", "cut")}
-    same |= {name: options.get(name) or {} for name in ("swap", "set")}
+    same = {name: value for name, value in options.items() if name in declarations(SystemArguments)}
     start, stop = (float(run.trace.time[k]) for k in (0, -1))
+    record_step = run.card.record_step or run.card.step
     with doing("computing the monolithic solution"):
-        return reference(
-            system, scenario, start, stop, record_step=run.card.record_step or run.card.step, **same
-        )
+        return reference(system, scenario, start=start, stop=stop, record_step=record_step, **same)
 
 
 def monolithic_recording(

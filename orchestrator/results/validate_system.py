@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from markupsafe import Markup
@@ -19,6 +19,7 @@ from rich.console import Console
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
+from orchestrator.base.options import RunArguments
 from orchestrator.base.progress import doing
 from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, fill_gaps, read_recording
@@ -277,7 +278,8 @@ def validate_system(
     default_system: Path = DEFAULT_SYSTEM,
     monolithic: bool = False,
     limit: float | None = None,
-    **options: Any,
+    default_accuracy: float | None = None,
+    **options: Unpack[RunArguments],
 ) -> bool:
     """Co-simulate, compare, write the trace and the report, print the table; True if no limit is exceeded.
 
@@ -288,6 +290,7 @@ def validate_system(
     default_system   system to which the default layout belongs, also with another reference
     monolithic       compare with the monolithic solution of the same FMUs
     limit            of the NRMSE of each signal of the monolithic solution, see `monolithic_recording`
+    default_accuracy, options   as for `run_to_file`
     """
     _refuse_contradictions(scenario, reference, play, monolithic, limit)
     against = read_recording(reference or default[0])
@@ -310,7 +313,13 @@ def validate_system(
     if other := other_numbers(system, shipped, options):
         print(f"{other}\n", flush=True)
     result, file = run_to_file(
-        system, scenario or commands, trace, **options, every_point=False, accept=accept
+        system,
+        scenario or commands,
+        trace,
+        every_point=False,
+        accept=accept,
+        default_accuracy=default_accuracy,
+        **options,
     )
     of_reference: list[str] = []
     if monolithic:
@@ -336,7 +345,7 @@ def validate_system(
         default_title = page.title if reference is None and scenario is None and not monolithic else ""
         title = default_title or f"{(scenario or system).stem} against {against.heading}"
         page = replace(page.within(recorded), title=title)
-    facts = _facts(system, scenario, against.heading, card, **options)
+    facts = _facts(system, scenario, against.heading, card, options)
     machine, reason = _machine(system, result, against)
     if reason:
         result = replace(result, card=replace(result.card, notes=(*result.card.notes, reason)))
@@ -410,7 +419,9 @@ def _default_reference_note(scenario: Path, against: Recording) -> str:
     return f"no --reference given: judged against {against.heading}, {other}"
 
 
-def _facts(system: Path, scenario: Path | None, reference: str, card: Card, **options: Any) -> dict[str, Any]:
+def _facts(
+    system: Path, scenario: Path | None, reference: str, card: Card, options: Mapping[str, Any]
+) -> dict[str, Any]:
     """Settings of the run, in the order of the report."""
     facts = {
         "system": str(system),

@@ -25,7 +25,7 @@ def slewed(machine, time, wanted, **more):
 def damping(machine, **gains):
     """Of the swing's least damped slow mode while it turns at 0.4 rad/s."""
     given = {"engaged": 1.0, "swing_velocity": 0.4} | {f"controller.swing_{n}": v for n, v in gains.items()}
-    linear = linearize(machine, STRETCHED, set=given, time=4.0)
+    linear = linearize(machine, parameters=STRETCHED, set=given, time=4.0)
     return min(
         m.damping for m in linear.modes if m.name.startswith("oscillation of swing") and m.frequency < 2
     )

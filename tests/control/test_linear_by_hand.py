@@ -74,7 +74,7 @@ def by_hand(ssp, folder, linear):
 @pytest.mark.parametrize("speeds", [{}, {"swing": 0.2, "boom": 0.1, "stick": -0.2}])
 def test_the_matrices_are_those_made_by_hand(fmu_dir, tmp_path, speeds):
     """At rest and with every valve open, each entry of A, B, C and D."""
-    linear = linearize(fmu_dir / "harvester.ssp", ["folded"], steady=True, speeds=speeds)
+    linear = linearize(fmu_dir / "harvester.ssp", parameters=["folded"], steady=True, speeds=speeds)
     (a, b, c, d), x, y = by_hand(fmu_dir / "harvester.ssp", tmp_path, linear)
     i, j = [x.index(s.name) for s in linear.states], [y.index(s.name) for s in linear.outputs]
     assert len(i) == len(x)

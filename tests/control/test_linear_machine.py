@@ -75,7 +75,7 @@ def found(fmu_dir):
     @cache
     def at(machine, pose, speeds):
         system = fmu_dir / "harvester.ssp"
-        return linearize(system, [pose], steady=True, speeds=dict(speeds), swap=MACHINES[machine])
+        return linearize(system, parameters=[pose], steady=True, speeds=dict(speeds), swap=MACHINES[machine])
 
     return at
 
@@ -90,7 +90,7 @@ CASES = [
 @pytest.mark.parametrize("pose", POSES)
 def test_eigenvalues_at_the_poses_are_the_monolithic_ones(fmu_dir, pose):
     """The lumped machine as it starts in each pose: every eigenvalue to 1e-6 of itself."""
-    linear = linearize(fmu_dir / "harvester.ssp", [pose])
+    linear = linearize(fmu_dir / "harvester.ssp", parameters=[pose])
     a, b = truth(linear)
     matched(linear, a)
     np.testing.assert_allclose(linear.b, b, rtol=1e-12)  # the same products in another order
@@ -177,7 +177,7 @@ def test_a_slower_load_sensing_line_damps_the_lifted_boom(fmu_dir):
 def test_a_steady_machine_stays_where_it_is(fmu_dir):
     """The commands of a steady state, held for 2 s from the start in the pose, move no joint."""
     system = fmu_dir / "harvester.ssp"
-    linear = linearize(system, ["raised"], steady=True)
+    linear = linearize(system, parameters=["raised"], steady=True)
     held = Trace(np.array([0.0, 2.0]), {n: np.full(2, v) for n, v in told(linear)})
     angles = [f"manipulator.{j}_angle" for j in ("swing", "boom", "stick")]
     trace = run(system, held, parameters=["raised"], record=angles).trace

@@ -30,7 +30,7 @@ def stiffness(name, position):
 @pytest.mark.parametrize("pose", ["reach", "close"])
 def test_frequencies_are_hydraulic_stiffness_over_inertia(fmu_dir, pose):
     """Valves closed: swing by 2 (D_m N)^2/(C J), boom and stick by eig(M^-1 K) at their pistons."""
-    linear = linearize(fmu_dir / "harvester.ssp", [pose], steady=True)
+    linear = linearize(fmu_dir / "harvester.ssp", parameters=[pose], steady=True)
     at = {s.name: v for s, v in zip(linear.states, linear.x0, strict=True)}
     y = {s.name: v for s, v in zip(linear.outputs, linear.y0, strict=True)}
     angles = {f"initial_{j}_angle": at[f"manipulator.{j}_angle"] for j in ("boom", "stick")}
@@ -50,7 +50,12 @@ def test_the_gain_from_command_to_speed_is_the_slope_of_the_valve(fmu_dir, pose)
     """-C A^-1 B, angles fixed, is dv/du of v = sqrt((A_h P_s - F)/(C_R (A_h^3 + A_r^3))), written by hand."""
     names = ["manipulator.boom_velocity", "boom_stick.boom_force"]
     linear = linearize(
-        fmu_dir / "harvester.ssp", [pose], ["boom_command"], names, steady=True, speeds={"boom": 0.2}
+        fmu_dir / "harvester.ssp",
+        parameters=pose,
+        inputs="boom_command",
+        outputs=names,
+        steady=True,
+        speeds={"boom": 0.2},
     )
     quick = [i for i, s in enumerate(linear.states) if not s.name.endswith("_angle")]
     steady = np.linalg.solve(linear.a[np.ix_(quick, quick)], linear.b[quick])
@@ -115,7 +120,7 @@ def resolvent_trace(a, value):
 @pytest.mark.parametrize(("pose", "swap"), [("folded", {}), ("reach", {"swing": "detailed"})])
 def test_eigenvalues_of_the_machine_are_those_of_80_digits(fmu_dir, pose, swap):
     """|s - s_k| <= n |p(s)/p'(s)| for some eigenvalue s_k (Laguerre): each s found, to 1e-6 of itself."""
-    linear = linearize(fmu_dir / "harvester.ssp", [pose], steady=True, swap=swap)
+    linear = linearize(fmu_dir / "harvester.ssp", parameters=[pose], steady=True, swap=swap)
     size = np.array([s.nominal for s in linear.states])
     with localcontext() as context:
         context.prec = DIGITS

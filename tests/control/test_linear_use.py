@@ -12,7 +12,7 @@ from orchestrator import Problem, linearize
 
 def test_modes_are_named_by_their_states(fmu_dir):
     """Joints on their oil, a swing that stays where it is; unique names; the text tells what stays."""
-    linear = linearize(fmu_dir / "harvester.ssp", ["reach"], steady=True)
+    linear = linearize(fmu_dir / "harvester.ssp", parameters=["reach"], steady=True)
     named = {m.name: m for m in linear.modes}
     assert len(named) == len(linear.modes)
     assert named["integrator of swing"].value == 0.0
@@ -25,8 +25,8 @@ def test_modes_are_named_by_their_states(fmu_dir):
 def test_a_steady_state_holds_the_joints_whatever_the_inputs_are(fmu_dir):
     """With the supply pressure alone as input the commands are found all the same, as with all inputs."""
     system = fmu_dir / "harvester.ssp"
-    one = linearize(system, ["reach"], ["supply_pressure"], steady=True)
-    every = linearize(system, ["reach"], steady=True)
+    one = linearize(system, parameters=["reach"], inputs=["supply_pressure"], steady=True)
+    every = linearize(system, parameters=["reach"], steady=True)
     assert [i.name for i in one.inputs] == ["supply_pressure"]
     assert one.b.shape == (len(one.states), 1)
     assert one.d.shape == (len(one.outputs), 1)
@@ -37,9 +37,9 @@ def test_a_steady_state_holds_the_joints_whatever_the_inputs_are(fmu_dir):
 def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
     """A swing at rest is in its dead band, which opens its loop; with all joints moving all are closed."""
     system = fmu_dir / "harvester_control.ssp"
-    rest = linearize(system, ["reach"], set={"engaged": 1.0}, time=3.0)
+    rest = linearize(system, parameters=["reach"], set={"engaged": 1.0}, time=3.0)
     moving = {"engaged": 1.0, "radial_velocity": -0.3, "swing_velocity": 0.3}
-    moves = linearize(system, ["reach"], set=moving, time=2.0)
+    moves = linearize(system, parameters=["reach"], set=moving, time=2.0)
     told = "at this operating point loops are open at controller.swing_command"
     assert any(told in note for note in rest.notes)
     assert not any("loops are open" in note for note in moves.notes)
@@ -47,14 +47,16 @@ def test_a_loop_that_is_open_at_the_point_is_told(fmu_dir):
 
 def test_a_command_beyond_its_range_is_told(fmu_dir):
     """At 99 V the valve is wide open, so no state depends on the command; the note names both reasons."""
-    linear = linearize(fmu_dir / "harvester.ssp", ["reach"], ["boom_command"], set={"boom_command": 99.0})
+    linear = linearize(
+        fmu_dir / "harvester.ssp", parameters=["reach"], inputs=["boom_command"], set={"boom_command": 99.0}
+    )
     told = "at this operating point no state depends on boom_command (possible causes: dead band, command "
     assert any(note.startswith(told) for note in linear.notes)
 
 
 def test_a_flow_that_settles_at_once_is_not_told_as_moving(fmu_dir):
     """At the start flows are 0.03 % of their size off and settle in microseconds; pressures do move."""
-    linear = linearize(fmu_dir / "harvester.ssp", ["reach"])
+    linear = linearize(fmu_dir / "harvester.ssp", parameters=["reach"])
     rates = {state.name: abs(rate) for state, rate in zip(linear.states, linear.f0, strict=True)}
     assert rates["swing.swing_flow_b"] > 1.0  # m3/s2: what is not told is not zero
     line = next(line for line in linear.text().splitlines() if line.startswith("not a steady state: "))

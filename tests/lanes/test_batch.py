@@ -237,7 +237,8 @@ def test_what_lanes_lack_is_told(system):
 def test_the_documented_example_runs(fmu_dir, monkeypatch, capsys):
     """The lines in the docstring of `batch`."""
     monkeypatch.chdir(fmu_dir.parent)
-    lines = [line.strip() for line in batch.__doc__.split("mistake.\n")[1].splitlines() if line.strip()]
+    example = batch.__doc__.split("mistake.\n")[1].partition("Options:")[0]
+    lines = [line.strip() for line in example.splitlines() if line.strip()]
     code = "\n".join(lines).replace("build/", f"{fmu_dir.name}/").replace("stop=10.0", "stop=0.1")
     exec(code, {})
     assert len(capsys.readouterr().out.split()) == 3

@@ -84,7 +84,7 @@ def test_a_machine_that_fails_starts_again(system):
     [
         (lambda m: m.advance(np.zeros((11, 3))), r"commands: expected the shape \(11, 2\), got \(11, 3\)"),
         (lambda m: m.start(machines=[True]), r"machines: expected the shape \(11,\), got \(1,\)"),
-        (lambda m: m.start({HEAD: [300.0]}), f"parameters: {HEAD}: expected 11 values, got 1"),
+        (lambda m: m.start({HEAD: [300.0]}), f"values: {HEAD}: expected 11 values, got 1"),
         (lambda m: m.start({"boom_command": np.zeros(11)}), "the scenario drives boom_stick.boom_command"),
     ],
 )

@@ -129,7 +129,7 @@ def test_the_default_accuracy(fmu_dir, system, tmp_path, monkeypatch, suggested,
     """A default applies only if neither the user nor the system chooses; an accuracy overrides the system."""
     suggestion = Suggestion(Coupling("gauss-seidel"), 1e-3) if suggested else Suggestion()
     system = replace(system, suggestion=suggestion)
-    monkeypatch.setattr("orchestrator.engine.run.load", lambda _: system)
+    monkeypatch.setattr("orchestrator.engine.run.load", lambda *_: system)
     out = tmp_path / "trace.csv"
     options = {"stop": 0.2, "default_accuracy": 1e-3, "isolate": False} | choices
     result, _ = run_to_file(fmu_dir / "harvester.ssp", None, out, **options)
@@ -150,7 +150,7 @@ def test_failed_runs_leave_no_file(open_oscillator, tmp_path, monkeypatch):
         return judge(self, result)
 
     monkeypatch.setattr(accuracy_search.AccuracySearch, "judge", fail_once)
-    monkeypatch.setattr("orchestrator.engine.run.load", lambda _: open_oscillator)
+    monkeypatch.setattr("orchestrator.engine.run.load", lambda *_: open_oscillator)
     out = tmp_path / "trace.csv"
     result, summary = run_to_file(tmp_path, None, out, stop=1.0, accuracy=1e-2, isolate=False)
     assert "in run 1," not in result.card.notes[-1]

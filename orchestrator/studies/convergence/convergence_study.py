@@ -6,7 +6,7 @@ import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -14,18 +14,18 @@ from rich.progress import BarColumn, Progress, TextColumn
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
 from orchestrator.base.html_page import json_values, write_json
+from orchestrator.base.options import CaseArguments, chosen, seconds
 from orchestrator.base.plotting import png
 from orchestrator.data.recording import read_recording
+from orchestrator.engine.run import opened
 from orchestrator.results.validate_system import another_model
-from orchestrator.ssp.load import load
-from orchestrator.ssp.swap import with_swaps
 from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
 from orchestrator.studies.convergence.reference_solution import default_signals, finest_run, from_recording
 from orchestrator.studies.convergence.runs import ConvergenceStudy, SettingRun, run_settings
 from orchestrator.studies.convergence.settings import applicable, choose, rate_inputs
 from orchestrator.studies.convergence.tables import failures, milliseconds, tables
 
-OTHER_RUN = ("scenario", "parameters", "set", "swap")  # options with which the default reference does not fit
+OTHER_RUN = ("parameters", "set", "swap")  # options with which the default reference does not fit
 DPI = 110
 
 
@@ -38,9 +38,8 @@ def convergence(
     signals: Sequence[str],
     repeats: int,
     default_reference: Path,
-    cut: Sequence[str] = (),
-    swap: Mapping[str, str] | None = None,
-    **options: Any,
+    scenario: Path | None = None,
+    **options: Unpack[CaseArguments],
 ) -> ConvergenceStudy:
     """Run, print and write a study; after an interrupt the finished runs are printed and written.
 
@@ -52,12 +51,14 @@ def convergence(
     if repeats < 1:
         raise Problem(f"repeats: expected at least 1, got {repeats}")
     settings, step_list = choose(_items(masters)), read_steps(steps)
-    coupled = with_swaps(load(require_system(system)).without(*cut), swap or {})
+    given = chosen(CaseArguments, options, "convergence")
+    other_run = any(given.get(name) for name in OTHER_RUN) or scenario is not None
+    coupled = opened(require_system(system), given)
     if not coupled.connections:
         raise Problem(f"{system}: expected connected FMUs, got no connection: there is nothing to couple")
     make_folder(out)
-    given = {name: value for name, value in options.items() if value not in (None, (), {})}
-    if reference is None and not swap and not given.keys() & set(OTHER_RUN):
+    given = {name: value for name, value in given.items() if value} | {"scenario": scenario}
+    if reference is None and not other_run:
         names = from_recording(read_recording(default_reference)).names
         reference = default_reference if set(names) <= set(coupled.names()) else None
     if reference:
@@ -67,12 +68,12 @@ def convergence(
         solution = finest_run(coupled, default_signals(coupled, signals), step_list, **given)
         note = f"no reference for this run: {solution.title}, half the smallest step, is used instead"
     rates, runs = rate_inputs(coupled), list[SettingRun]()
-    chosen = applicable(settings, rates)
+    fitting = applicable(settings, rates)
     plain_note = f"plain: without the connections of rate ports: {', '.join(rates)}"
-    notes = [note, *solution.notes, plain_note if any(s.without_rates for s in chosen) else ""]
+    notes = [note, *solution.notes, plain_note if any(s.without_rates for s in fitting) else ""]
     try:
-        running = run_settings(coupled, solution, chosen, step_list, repeats, rates, **given)
-        for setting_run in with_progress(running, sum(len(s.cases) or len(step_list) for s in chosen)):
+        running = run_settings(coupled, solution, fitting, step_list, repeats, rates, **given)
+        for setting_run in with_progress(running, sum(len(s.cases) or len(step_list) for s in fitting)):
             runs.append(setting_run)
     finally:
         study = ConvergenceStudy(solution, tuple(runs), tuple(filter(None, notes)))
@@ -85,10 +86,7 @@ def read_steps(text: str) -> list[float]:
     """Steps [s] from a list with commas, the smallest first."""
     steps = []
     for item in _items(text):
-        try:
-            steps.append(float(item))
-        except ValueError:
-            raise Problem(f"steps {text}: expected numbers of seconds with commas, got {item!r}") from None
+        steps.append(seconds(item, f"steps {text}") or 0.0)
         if not (steps[-1] > 0 and isfinite(steps[-1])):
             raise Problem(f"steps {text}: expected positive times, got {item}")
     if not steps:

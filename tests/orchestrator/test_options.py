@@ -1,0 +1,106 @@
+"""Options have one declaration: Python, the command line, study files and SSP annotations read them alike."""
+
+import subprocess
+import sys
+from dataclasses import fields
+
+import pytest
+import typer
+from kit.mistakes import problem
+
+from orchestrator import Coupling, batch, linearize, reference, run
+from orchestrator.__main__ import main
+from orchestrator.base.options import (
+    FIELDS,
+    BatchArguments,
+    CouplingArguments,
+    LinearArguments,
+    ReferenceArguments,
+    RunArguments,
+    option_texts,
+)
+from orchestrator.cli import app
+
+GROUPS = {run: RunArguments, batch: BatchArguments, reference: ReferenceArguments, linearize: LinearArguments}
+COMMANDS = typer.main.get_command(app).commands
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_of_a_command_has_a_text(name):
+    """An option without one is missing in the docstring of its declaration."""
+    assert [p.name for p in COMMANDS[name].params if not p.help] == []
+
+
+@pytest.mark.parametrize("function", GROUPS, ids=lambda function: function.__name__)
+def test_the_docstring_of_a_function_has_its_options(function):
+    """Each with the text that is the help of the command line."""
+    for name, text in option_texts(GROUPS[function]).items():
+        assert text
+        assert f"    {name} " in function.__doc__
+        assert text in function.__doc__
+
+
+def test_the_options_of_a_coupling_are_its_fields():
+    """In the same order, by the same names but one."""
+    assert [FIELDS.get(name, name) for name in CouplingArguments.__annotations__] == [
+        field.name for field in fields(Coupling)
+    ]
+
+
+@pytest.mark.parametrize("function", GROUPS, ids=lambda function: function.__name__)
+def test_an_unknown_option_is_a_type_error_with_the_nearest_name(function):
+    """Before anything is read: the system does not exist."""
+    arguments = ({"a.b": [1.0]},) if function is batch else ()
+    with pytest.raises(
+        TypeError, match=rf"^{function.__name__}\(\) has no option 'parametrs'; did you mean par"
+    ):
+        function("none.ssp", *arguments, parametrs="reach")
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"master": "jakobi"}, "master: expected one of jacobi, gauss-seidel, hermite, interface-jacobian"),
+        ({"error_estimate": "slow"}, "error_estimate: expected one of fast, True, False, got 'slow'"),
+        ({"stop": "2 kg"}, "stop: expected a number of seconds, got '2 kg'"),
+        ({"order": 1.5}, "order: expected a whole number, got 1.5"),
+        ({"isolate": "no"}, "isolate: expected True or False, got 'no'"),
+        ({"set": "a.b=1"}, "set: expected a mapping from name to value, got 'a.b=1'"),
+    ],
+)
+def test_a_wrong_value_is_refused_in_one_line(option, message):
+    """With what is expected, before the system is read."""
+    assert problem(lambda: run("none.ssp", **option)).startswith(message)
+    with pytest.raises(TypeError, match=r"^run\(\) has no option 'native'"):  # was accepted without effect
+        run("none.ssp", native="banana")
+
+
+def test_quantities_have_units_in_python_and_on_the_command_line(fmus, tmp_path, capsys):
+    """A text with a unit is the number of seconds; None is the default; one name is a list of one."""
+    options = {"record": "gain.y", "time_limit": None, "parameters": None, "isolate": False}
+    told = run(fmus["gain"], step="50ms", stop="0.2 s", **options)
+    same = run(fmus["gain"], step=0.05, stop=0.2, **options)
+    assert list(told.trace.signals) == ["gain.y"]
+    assert told.trace.time.tolist() == same.trace.time.tolist()
+    out = str(tmp_path / "o.csv")
+    assert main(["run", str(fmus["gain"]), "--step", "50ms", "--stop", "200 ms", "--out", out]) == 0
+    assert "4 steps" in capsys.readouterr().out
+
+
+def test_a_name_of_a_parameter_set_is_no_list_of_letters(fmus):
+    """The message is about the set, not about its first letter."""
+    assert "reach" in problem(lambda: run(fmus["gain"], parameters="reach", isolate=False))
+
+
+def test_cut_removes_connections_in_a_run(oscillator):
+    """As `--cut`; a pattern that matches nothing is refused."""
+    cut = run(oscillator, step=0.01, stop=0.1, cut="a.*", isolate=False)
+    assert not any(connection.target.component == "a" for connection in cut.system.connections)
+    assert "no connected input matches" in problem(lambda: run(oscillator, cut="*_jerk"))
+
+
+def test_options_work_without_docstrings():
+    """python -OO drops them: the help has no texts, and nothing fails."""
+    code = "from orchestrator.__main__ import main; main(['run', '--help'])"
+    told = subprocess.run([sys.executable, "-OO", "-c", code], capture_output=True, text=True, check=True)
+    assert "--coupling-tolerance TOL" in told.stdout
