@@ -72,9 +72,11 @@ bench-peers: $(PEERS)
 coverage: $(EVERYTHING)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
 
-# the site, as build/site/index.html
+# the site, as build/site/index.html; its home page has the machine
+PARTS := swing boom_stick manipulator supply operator_input
 docs: $(DOCUMENTING)
-	test -f build/fmi3/harvester.fmu || $(BIN)/harvester build
+	test -f build/harvester.ssp || $(BIN)/harvester build --fmi 2 $(PARTS:%=--only %)
+	test -f build/fmi3/harvester.fmu || $(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/sphinx-build -q -W --keep-going -c docs . build/site
 
 clean:

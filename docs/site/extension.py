@@ -66,7 +66,9 @@ def documented(path: str) -> str:
     try:
         importlib.import_module(path)
         kind, heading = "module", f"## `{path}`\n\n"
-    except ImportError:
+    except ModuleNotFoundError as missing:
+        if missing.name != path:  # a package that the module needs
+            raise
         module, name = path.rsplit(".", 1)
         found = getattr(importlib.import_module(module), name)
         kind, heading = "class" if inspect.isclass(found) else "function" if callable(found) else "data", ""
@@ -86,7 +88,9 @@ def insert_machine(app: Sphinx, page: str, _template: str, context: dict[str, An
     system = ROOT / app.config.machine_system
     if not system.is_file():
         raise ExtensionError(f"{page}: {system} does not exist; run harvester build first")
-    context["body"] = context["body"].replace(MACHINE, fragment(system, autostart=True))
+    if not (section := fragment(system, autostart=True)):
+        raise ExtensionError(f"{page}: expected FMI 3.0 FMUs beside {system}, which a page can run")
+    context["body"] = context["body"].replace(MACHINE, section)
 
 
 # what the theme leaves out for screen readers and for the keyboard

@@ -48,6 +48,10 @@ def run(
     qualities = [quality(r) for r in recordings]
     seconds = sum(float(r.time[-1] - r.time[0]) for r in recordings)
     print(f"{folder}: {len(recordings)} recordings, {seconds:.0f} s")
+    work = [r for r in recordings if r.procedure == MACHINE and r.use == "train"]
+    if joint and work:
+        fitted = sum(float(r.time[-1] - r.time[0]) for r in work)
+        print(f"  takes about {fitted:.0f} s, thrice that if the data show effects that the model lacks")
     for line in (*faults(qualities), *unused_files(folder, recordings)):
         print(f"  {line}")
     recordings = [resample_uniformly(r) for r in recordings]

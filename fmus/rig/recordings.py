@@ -39,6 +39,7 @@ CHANGE = "first version"  # reason of that change
 LIMITS = {"angle": 0.01, "pressure": 0.1}  # NRMSE by group, for `harvester validate` on test recordings
 # signal -> other signals with the same sensor: one line supplies both drives
 SHARED = {"swing.supply_pressure": ("boom_stick.supply_pressure",)}
+SECONDS = {"lumped": 30, "detailed": 180}  # machine -> computing time of all experiments [s], roughly
 MANY = 4  # experiments that are worth the start of a process
 README = "README.md"
 HEADING = "# Recordings of the virtual test rig"
@@ -91,9 +92,13 @@ def write_all(
         raise Problem(f"--seed {seed}: expected 0 or more")
     _check_folder(out)
     start = perf_counter()
-    report(f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}")
+    processes = min(processes, len(EXPERIMENTS) // MANY)
+    seconds = SECONDS[machine] / max(1, processes)
+    report(
+        f"virtual test rig, {machine} machine ({MACHINES[machine]}), seed {seed}; takes about {seconds:.0f} s"
+    )
     (out / README).write_text(readme(machine, seed), encoding="utf-8", newline="\n")
-    with mapping(min(processes, len(EXPERIMENTS) // MANY)) as each:
+    with mapping(processes) as each:
         for line in each(partial(_write_named, out, machine, seed), EXPERIMENTS):
             report(line)
     report(f"{len(EXPERIMENTS)} recordings with their descriptions in {out}, {perf_counter() - start:.0f} s")

@@ -168,7 +168,7 @@ def explain(
     """
     noise, small = noise or {}, small or {}
     size = {name: rms(values) for name, values in residual.items()}
-    used = [n for n in residual if size[n] > max(ABOVE_NOISE * noise.get(n, 0.0), small.get(n, 0.0))]
+    used = unexplained(residual, noise, small)
     quiet = tuple(n for n in residual if n not in used)
     if not used:
         only_small = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
@@ -207,6 +207,12 @@ def explain(
     noise_share = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
     text = verdict(ordered, float(explained[-1]), parameters, noise_share)
     return Explanation(ordered, float(explained[-1]), parameters, noise_share, tuple(used), quiet, text)
+
+
+def unexplained(residual: Signals, noise: Mapping[str, float], small: Mapping[str, float]) -> list[str]:
+    """Signals whose residual is above the noise of their sensor, and not small; arguments as in `explain`."""
+    least = {n: max(ABOVE_NOISE * noise.get(n, 0.0), small.get(n, 0.0)) for n in residual}
+    return [n for n, values in residual.items() if rms(values) > least[n]]
 
 
 def rms(values: Array) -> float:

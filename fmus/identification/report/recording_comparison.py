@@ -22,6 +22,7 @@ from fmus.identification.report.attribution import (
     explain,
     rms,
     sensitivities,
+    unexplained,
 )
 from fmus.identification.report.prediction import Signals, excitation, predict
 from fmus.identification.report.report_texts import counterpart, footer, origin
@@ -131,18 +132,17 @@ def attribute(
     identified   names of the fitted parameters, whose errors may look like an effect
     processes    number of processes that simulate the machine
     """
-    recording, measured = comparison.recording, comparison.measured
-    inputs = excitation(recording)
-    default = predict(inputs, parameters)
+    recording, measured, residual = comparison.recording, comparison.measured, comparison.residual()
+    inputs, effects, absorbed = excitation(recording), {}, {}
     ranges = {n: float(np.nanmax(y) - np.nanmin(y)) for n, y in measured.items() if np.isfinite(y).any()}
-    return explain(
-        comparison.residual(),
-        effect_changes(inputs, parameters, default, processes),
-        step=float(np.median(np.diff(inputs.time))),
-        noise={name: recording.sensor(name).sd for name in recording.signals},
-        small={name: SMALL * span for name, span in ranges.items()},
-        absorbed=sensitivities(inputs, parameters, identified, default, processes),
-    )
+    small = {name: SMALL * span for name, span in ranges.items()}
+    noise = {name: recording.sensor(name).sd for name in recording.signals}
+    if unexplained(residual, noise, small):  # else the simulations, most of the time, would tell nothing
+        default = predict(inputs, parameters)
+        effects = effect_changes(inputs, parameters, default, processes)
+        absorbed = sensitivities(inputs, parameters, identified, default, processes)
+    step = float(np.median(np.diff(inputs.time)))
+    return explain(residual, effects, step=step, noise=noise, small=small, absorbed=absorbed)
 
 
 def figure(comparison: RecordingComparison, joint: str) -> TraceFigure:

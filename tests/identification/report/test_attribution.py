@@ -1,5 +1,7 @@
 """Attribution of a residual to physical effects."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from kit import shards
 from kit.properties import examples
 
 from fmus.identification.machine import COMMANDS
+from fmus.identification.report import recording_comparison
 from fmus.identification.report.attribution import (
     EFFECTS,
     LEAST,
@@ -20,6 +23,7 @@ from fmus.identification.report.attribution import (
 )
 from fmus.identification.report.prediction import Excitation
 from fmus.machine.work_cycle import Move
+from orchestrator.data.recording import Recording
 
 STEP = 0.01  # s
 # every joint moves and stops again: each effect shows in a few seconds
@@ -95,6 +99,17 @@ def test_a_small_residual_is_left_out(effects, why):
     assert (
         ("0.1 % of its range" in explanation.verdict) == ("range" in explanation.verdict) == (why == "small")
     )
+
+
+def test_without_an_unexplained_residual_no_effect_is_simulated(excitation, monkeypatch):
+    """The simulations of effects and parameters, most of the time of `identify`, are left out."""
+    name = "manipulator.boom_angle"
+    recording = Recording(Path("a.csv"), excitation.time, {name: excitation.time}, {name: "rad"})
+    monkeypatch.setattr(recording_comparison, "excitation", lambda _: excitation)
+    for simulating in ("predict", "effect_changes", "sensitivities"):
+        monkeypatch.delattr(recording_comparison, simulating)
+    same = recording_comparison.compare(recording, dict(recording.signals))
+    assert recording_comparison.attribute(same, {}, [DAMPING]).shares == ()
 
 
 @pytest.fixture(scope="module")
