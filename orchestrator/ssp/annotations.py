@@ -45,6 +45,7 @@ from typing import Any, NamedTuple
 
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.options import FIELDS, CouplingArguments, declarations
 from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
 from orchestrator.ssp.common_elements import add
 
@@ -121,10 +122,13 @@ _TEXT, _WHOLE, _NUMBER = (
 ATTRIBUTES: Mapping[str, Attribute] = {
     "master": _TEXT,
     "step": _NUMBER,
-    **dict.fromkeys(("order", "passes", "lag"), _WHOLE),
-    **dict.fromkeys(("tolerance", "adaptive", "guard", "smallest", "largest"), _NUMBER),
-    "correct": Attribute("true or false", boolean),
-    "control": _TEXT,
+    **{
+        FIELDS.get(name, name): Attribute("true or false", boolean)
+        if bool in option.types
+        else {int: _WHOLE, float: _NUMBER}.get(option.numeric, _TEXT)
+        for name, option in declarations(CouplingArguments).items()
+        if option.mapping is None
+    },
 }
 FACTOR: Mapping[str, Attribute] = {"component": _TEXT, "steps": _WHOLE}
 

@@ -19,11 +19,11 @@ from orchestrator.base.units import factor_and_offset
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.accuracy import decisive_signals, fmu_tolerance
-from orchestrator.engine.run import chooses_freely, run
+from orchestrator.engine.run import chooses_freely, run, take_coupling
+from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
-from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
@@ -93,8 +93,8 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
 
 def opened(study: Study) -> dict[Options, StudyCase]:
     """A case for every combination of options, with the master of the study, but without its fixed values."""
-    system = load(study.system_file)
-    system = system if study.master is None else system.coupled(Coupling(study.master))
+    system = open_system(study.system_file, {"cut": study.options.get("cut", ())})
+    system = system.coupled(take_coupling(study.coupling)) if study.coupling else system
     return {o: _case(study, system, o) for o in product(*(c.options for c in study.choices))}
 
 
@@ -305,7 +305,7 @@ def _check_inside(system: System, name: str, where: str, value: float, remark: s
 def _accurate(study: Study, case: StudyCase) -> StudyCase:
     """The case with coupling, step and tolerance that are accurate enough for the signals of the study."""
     system, accuracy = case.system, study.accuracy
-    if accuracy is None and study.master is None and chooses_freely(system, study.step, None):
+    if accuracy is None and chooses_freely(system, study.step, study.coupling):
         accuracy = ACCURACY
     if accuracy is None:
         return case

@@ -328,6 +328,8 @@ def to_json(study: Study) -> dict[str, Any]:
     fields = asdict(study)
     for name in ("folder", "source", "title", "time_limit", "memory_limit"):
         del fields[name]
+    if not fields["options"]:
+        del fields["options"]  # as written by versions without them
     json_types: dict[str, Any] = json.loads(json.dumps(fields))
     return json_types
 

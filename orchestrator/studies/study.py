@@ -16,13 +16,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import log2, prod
+from math import isfinite, log2, prod
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
+from orchestrator.base.coupling import Master
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import SYSTEMS, find, require
+from orchestrator.base.options import (
+    CoupledArguments,
+    CouplingArguments,
+    RunArguments,
+    chosen,
+    declarations,
+    seconds,
+)
 from orchestrator.base.toml import Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
 
@@ -164,12 +173,11 @@ class Study:
     system       path of an .ssp, .ssd or .fmu file
     runs         number of samples; 0 for a grid, where it follows from the values; N of the N (k + 2) runs of
                  saltelli; trajectories of morris, with N (k + 1) runs
-    stop, step   stop time and communication step of each run [s]; defaults, also of `master`, as of `run`
+    stop, step, master, record_step, options   as of `run`; `options`: those of the coupling, and `cut`
     accuracy     RMS error of the outputs' signals over their range; master and step of all runs follow
                  from it at the start values; default, if nothing chooses master or step: 1e-3
     fixed        start values of all runs: a value in the unit of the FMU, or (value, unit)
-    band_step    interval at which signals are stored [s]
-    record_step  sampling interval of the signals for the measures [s]; default: every communication point
+    band_step    interval at which signals are stored [s]; measures use the points of `record_step`
     time_limit   wall time after which a run is stopped and counts as failed [s]
     memory_limit memory at which it is stopped and counts as failed [GB]; default: a quarter of the machine's
     folder       paths are relative to this folder
@@ -185,7 +193,7 @@ class Study:
     seed: int = 0
     stop: float | None = None
     step: float | None = None
-    master: str | None = None
+    master: Master | None = None
     factors: tuple[Factor, ...] = ()
     choices: tuple[Choice, ...] = ()
     outputs: tuple[Output, ...] = ()
@@ -193,6 +201,7 @@ class Study:
     band_step: float = 0.05
     record_step: float | None = None
     accuracy: float | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
     time_limit: float = field(default=TIME_LIMIT, compare=False)
     memory_limit: float | None = field(default=None, compare=False)
     folder: str = field(default=".", compare=False)
@@ -201,6 +210,13 @@ class Study:
     def __post_init__(self) -> None:
         for name in ("factors", "choices", "outputs"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+        object.__setattr__(self, "options", chosen(CoupledArguments, self.options, "Study"))
+        given = chosen(RunArguments, {name: getattr(self, name) for name in RUN}, "Study")
+        for name, value in (given | {"band_step": seconds(self.band_step, "band_step")}).items():
+            expected = "finite" if name == "stop" else "positive"
+            if name != "master" and not (isfinite(value) and (value > 0 or name == "stop")):
+                raise Problem(f"{name}: expected a {expected} number, got {value:g}")
+            object.__setattr__(self, name, value)
 
     @property
     def system_file(self) -> Path:
@@ -211,6 +227,13 @@ class Study:
     def dimensions(self) -> tuple[Factor | Choice, ...]:
         """The dimensions of the samples: the factors, then the sampled choices."""
         return (*self.factors, *(c for c in self.compared if c.sampled))
+
+    @property
+    def coupling(self) -> dict[str, Any]:
+        """The options of the coupling."""
+        names = declarations(CouplingArguments)
+        given = {"master": self.master, **self.options}
+        return {name: value for name, value in given.items() if name in names and value is not None}
 
     @property
     def compared(self) -> tuple[Choice, ...]:
@@ -253,7 +276,7 @@ class Study:
         """Raise a Problem if the study contradicts itself; its system is not opened."""
         if self.method not in METHODS:
             raise Problem(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        if self.accuracy is not None and (self.step is not None or self.master is not None):
+        if self.accuracy is not None and (self.step is not None or self.coupling):
             raise Problem(f"accuracy {self.accuracy:g}: expected no step and no master, which follow from it")
         if not self.outputs:
             raise Problem("outputs: expected at least one, got none")
@@ -305,11 +328,10 @@ def measure_unit(measure: str, unit: str) -> str:
 # ---- the file
 
 
-KEYS = (
-    *("title", "system", "method", "runs", "seed", "stop", "step", "master", "accuracy"),
-    *("record_step", "band_step"),
-    *("time_limit", "memory_limit", "factors", "choices", "outputs", "fixed"),
-)
+RUN = ("stop", "step", "master", "record_step", "accuracy", "time_limit", "memory_limit")  # options of `run`
+OPTIONS = tuple(sorted({"cut", *declarations(CouplingArguments)} - {"master", "factors"}))
+TABLES = ("factors", "choices", "outputs", "fixed")
+KEYS = ("title", "system", "method", "runs", "seed", *RUN, "band_step", *OPTIONS, *TABLES)
 
 
 def read(file: str | Path) -> Study:
@@ -331,18 +353,12 @@ def read(file: str | Path) -> Study:
             method=method,
             runs=table.integer("runs", 1) or 0,
             seed=table.integer("seed", 0) or 0,
-            stop=table.number("stop"),
-            step=table.number("step", positive=True),
-            master=table.text("master"),
-            accuracy=table.number("accuracy", positive=True),
+            **{name: table.data[name] for name in (*RUN, "band_step") if name in table.data},
+            options={name: table.data[name] for name in OPTIONS if name in table.data},
             factors=tuple(_factor(name, t) for name, t in table.tables("factors").items()),
             choices=tuple(_choice(table.table("choices"), name) for name in table.table("choices").data),
             outputs=tuple(_output(name, t) for name, t in table.tables("outputs").items()),
             fixed={name: _start(table.table("fixed"), name) for name in table.table("fixed").data},
-            band_step=table.number("band_step", positive=True) or Study.band_step,
-            record_step=table.number("record_step", positive=True),
-            time_limit=table.number("time_limit", positive=True) or TIME_LIMIT,
-            memory_limit=table.number("memory_limit", positive=True),
             folder=str(file.parent),
             source=str(file),
         )
@@ -395,7 +411,7 @@ def _output(name: str, table: Table) -> Output:
         name,
         table.text("signal") or "",
         table.one_of("measure", MEASURES),
-        table.number("start"),
-        table.number("stop"),
+        seconds(table.data.get("start"), f"{table.where}: start"),
+        seconds(table.data.get("stop"), f"{table.where}: stop"),
         table.boolean("band"),
     )
