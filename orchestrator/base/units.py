@@ -13,7 +13,7 @@ tools omit the radian from base units. `conversion` therefore accepts a differen
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite, pi
 from types import MappingProxyType
@@ -203,6 +203,50 @@ def quantity(unit: str) -> str:
     if name == "power" and not unit.endswith("W"):
         name = ""  # N.m/s is the rate of a torque
     return name or (f"[{unit}]" if unit else "without unit")
+
+
+# ---- doubtful magnitudes: a value in another unit than its name says ---------------------------------------
+
+# A value FAR times above or below its usual magnitude is doubtful, or LIKELY times if it would be usual in
+# another common unit. NEAR: factor between usual magnitudes of one quantity.
+FAR, NEAR = 1000.0, 5.0
+LIKELY = FAR / NEAR**2
+COMMON = (
+    *("bar", "MPa", "kPa", "GPa", "psi", "Pa", "mm", "cm", "m", "km", "mm2", "cm2", "L", "cm3", "L/min"),
+    *("cm3/rev", "g", "kg", "t", "kg/L", "ms", "s", "deg", "mrad", "deg/s", "rpm", "kN", "N", "kN.m"),
+    *("mV", "V", "mm/s"),
+)  # fmt: skip
+
+
+def doubt(name: str, value: float, unit: str, usual: Iterable[float]) -> str:
+    """Why a value is doubtful, with the unit that may be meant; empty if it is not. Zero never is.
+
+    usual   magnitudes such as nominal value and default, in the same unit; without them nothing is doubtful
+    """
+    sizes, size = [abs(u) for u in usual if u and isfinite(u)], abs(value)
+    if not sizes or not size or not isfinite(size):
+        return ""
+    low, high = min(sizes), max(sizes)
+    ratio = max(size / high, low / size) * (1 + 1e-9)  # a factor of 1000 may be rounded
+    meant = _meant(size, unit, low, high) if ratio >= LIKELY else ""
+    if ratio < FAR and not meant:
+        return ""
+    unit = "" if unit in ("1", "-") else f" {unit}"
+    hint = f"did you mean {value:.6g} {meant}?" if meant else "is the unit right?"
+    return f"{name} = {value:.6g}{unit}, usually about {high if size > high else low:.3g}{unit}; {hint}"
+
+
+def _meant(size: float, unit: str, low: float, high: float) -> str:
+    """The unit in which a magnitude is the nearest to the usual ones; empty if it is near in none."""
+    distances: dict[str, float] = {}
+    for other in dict.fromkeys([reader_unit(unit), *COMMON]):
+        try:
+            there = size * factor_and_offset(other, unit, "")[0]
+        except Problem:
+            continue
+        if other != unit and low / NEAR <= there <= high * NEAR:
+            distances[other] = max(1.0, there / high, low / there)
+    return min(distances, key=distances.__getitem__, default="")
 
 
 def pretty(unit: str) -> str:

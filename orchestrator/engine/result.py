@@ -356,6 +356,7 @@ class RunMetadata:
     given                                the user's options that differ from the defaults
     units                                units of the signals; `inputs`: signals that are inputs of components
     provenance                           files with checksums, values that differ from the shipped ones
+    warnings                             those of the card
     """
 
     system: str
@@ -376,6 +377,7 @@ class RunMetadata:
     repeated: int = 0
     lengths: tuple[float, float] = (0.0, 0.0)
     provenance: Provenance = field(default_factory=Provenance)
+    warnings: tuple[str, ...] = ()
 
     @property
     def adaptive(self) -> bool:
@@ -408,6 +410,7 @@ def metadata(
         repeated=card.repeated,
         lengths=card.lengths,
         provenance=result.provenance,
+        warnings=card.warnings,
     )
 
 

@@ -57,6 +57,7 @@ from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.plausible import doubtful_columns, doubtful_starts, with_doubts
 from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
@@ -214,6 +215,10 @@ def _job(
     if driving:
         system = driving.released(system)
         system = replace(system, notes=system.notes + driving.overruled(system, set or {}))
+    system = with_doubts(system, doubtful_starts(system))
+    if driving and trace is not None:
+        label = "scenario" if isinstance(scenario, Trace | Mapping) else str(scenario)
+        system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
     coupling = system.coupling or Coupling()
     coupling.check(system.components)
     if coupling.adaptive is None:

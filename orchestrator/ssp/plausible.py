@@ -1,0 +1,79 @@
+"""Doubtful values: start values, columns and times of a user, a factor 1000 from what a system expects.
+
+What is usual follows from the nominal value and the start value that an FMU declares. If it declares no
+nominal value at all, a start value of 0 or 1 is regarded as a placeholder, and nothing is doubtful.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orchestrator.base.units import LinearTransformation, doubt
+from orchestrator.data.trace import Trace
+from orchestrator.ssp.system import Port, System, coerce
+
+LONG = 1000.0  # [s]; a shorter scenario is not doubtful
+LONGER = 20.0  # times the experiment of the system
+
+
+def usual(system: System, port: Port) -> list[float]:
+    """Usual magnitudes of a variable, in the unit of the FMU; none if the FMU says nothing about it."""
+    interface, variable = system.components[port.component].interface, system.variable(port)
+    nominal, start = variable.nominal, 0.0
+    if variable.start is not None and variable.is_real:
+        start = float(coerce(str(port), variable, variable.start))
+    default = 1.0 if any(v.nominal for v in interface.variables.values()) else 0.0  # of FMI: 1
+    if start == 1.0 and not default:
+        return []
+    if variable.causality == "parameter":
+        return [start or nominal or default]
+    return [start, nominal or default]
+
+
+def doubtful(system: System, port: Port, values: ArrayLike, name: str = "", peak: bool = False) -> str:
+    """Why values of a port, in the unit of the FMU, are doubtful; empty if they are not.
+
+    peak   only the largest magnitude counts, as for a signal over time
+    """
+    variable, sizes = system.variable(port), np.atleast_1d(np.asarray(values, float))
+    if not variable.is_real or not len(sizes):
+        return ""
+    unit, scale = variable.unit.name if variable.unit else "1", usual(system, port)
+    largest = sizes[np.argmax(np.abs(sizes))]
+    told = (doubt(name or str(port), float(v), unit, scale) for v in ([largest] if peak else sizes))
+    return next(filter(None, told), "")
+
+
+def doubtful_starts(system: System) -> Iterator[str]:
+    """The doubtful ones of the start values that a user chose, by --set or in a parameter set."""
+    told = set[tuple[str, float]]()  # components may share a parameter
+    for component in system.components.values():
+        for variable in component.origins:
+            value = component.start.get(variable)
+            if isinstance(value, float) and (variable, value) not in told:
+                told.add((variable, value))
+                yield doubtful(system, Port(component.name, variable), value)
+
+
+def doubtful_columns(
+    system: System, trace: Trace, columns: Mapping[Port, tuple[int, LinearTransformation]], label: str
+) -> Iterator[str]:
+    """The doubtful columns and times of a scenario; columns: input -> column and linear map."""
+    names = list(trace.signals)
+    for port, (k, linear) in columns.items():
+        values = linear.factor * trace.signals[names[k]] + linear.offset
+        yield doubtful(system, port, values, f"{label}: column {names[k]}", peak=True)
+    stops = [t for t in (system.stop, *(c.interface.stop for c in system.components.values())) if t]
+    end, usual_end = float(trace.time[-1]), max(stops, default=0.0)
+    if usual_end and end >= max(LONG, LONGER * usual_end):
+        yield f"{label}: time = {end:.6g} s, usually about {usual_end:g} s; did you mean ms?"
+
+
+def with_doubts(system: System, doubts: Iterable[str]) -> System:
+    """The system with further warnings, each once."""
+    new = (d for d in dict.fromkeys(doubts) if d and d not in system.warnings)
+    return replace(system, warnings=(*system.warnings, *new))
