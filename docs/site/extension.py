@@ -11,6 +11,7 @@ from typing import Any
 import tables
 from docutils import nodes
 from pygments.lexers import TextLexer
+from sphinx.addnodes import desc_signature
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.osutil import relative_uri
@@ -28,6 +29,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_lexer("csv", TextLexer)
     app.connect("source-read", read_source)
     app.connect("autodoc-process-docstring", process_docstring)
+    app.connect("doctree-read", share_anchors)
     app.add_config_value("machine_system", "build/harvester.ssp", "html")
     app.connect("html-page-context", insert_machine)
     app.connect("build-finished", finish_pages)
@@ -63,17 +65,34 @@ def toctree(caption: str, pages: list[str]) -> str:
 
 def documented(path: str) -> str:
     """The directive that documents a Python module, class or function from its docstrings."""
+    options = ""
     try:
-        importlib.import_module(path)
-        kind, heading = "module", f"## `{path}`\n\n"
+        lazy = hasattr(importlib.import_module(path), "__getattr__")  # its names are on other pages
+        kind, heading, options = "module", f"## `{path}`\n\n", "   :no-members:\n" * lazy
     except ModuleNotFoundError as missing:
         if missing.name != path:  # a package that the module needs
             raise
         module, name = path.rsplit(".", 1)
         found = getattr(importlib.import_module(module), name)
-        kind, heading = "class" if inspect.isclass(found) else "function" if callable(found) else "data", ""
+        heading = ""
+        kind = "class" if inspect.isclass(found) else "function" if inspect.isroutine(found) else "data"
         kind = "exception" if inspect.isclass(found) and issubclass(found, BaseException) else kind
-    return f"{heading}```{{eval-rst}}\n.. auto{kind}:: {path}\n```\n"
+        if kind == "data" or found.__module__ == "typing":  # its text is on the page
+            return f"```{{eval-rst}}\n.. py:data:: {name}\n   :module: {module}\n```\n"
+    return f"{heading}```{{eval-rst}}\n.. auto{kind}:: {path}\n{options}```\n"
+
+
+def share_anchors(_app: Sphinx, page: nodes.document) -> None:
+    """Links to an object, and to its members, have its public name, as running.html#orchestrator.run."""
+    for node in page.findall(desc_signature):
+        for place in [*node["ids"]]:
+            names = [
+                n + place[len(p) :]
+                for p, of in tables.public_names().items()
+                for n in of
+                if f"{place}.".startswith(f"{p}.")
+            ]
+            node["ids"] = [*(name for name in names if name not in node["ids"]), *node["ids"]]
 
 
 MACHINE = '<div id="machine"></div>'

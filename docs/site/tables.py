@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 Row = Iterable[object]
+ROOT = Path(__file__).parents[2]
 
 
 def filled(markdown: str) -> str:
@@ -161,6 +165,23 @@ def rules() -> str:
     from orchestrator.check.report import table as rule_table
 
     return rule_table(all_rules())
+
+
+@cache
+def public_names() -> dict[str, list[str]]:
+    """Where an object is defined -> its names in the packages that have `__all__`, as orchestrator.run."""
+    names: dict[str, list[str]] = {}
+    for file in sorted([*ROOT.glob("fmus/**/__init__.py"), *ROOT.glob("orchestrator/**/__init__.py")]):
+        package = ".".join(file.relative_to(ROOT).parent.parts)
+        if "\n__all__ = " in file.read_text(encoding="utf-8") and package != "orchestrator.cli":
+            module = importlib.import_module(package)
+            for name in module.__all__:
+                found, public = getattr(module, name), f"{package}.{name}"
+                inside = inspect.isclass(found) or inspect.isroutine(found)
+                inside = inside and found.__module__ != "typing"
+                place = f"{found.__module__}.{found.__qualname__}" if inside else public
+                names.setdefault(place, []).append(public)
+    return names
 
 
 TABLES: dict[str, Callable[[], str]] = {

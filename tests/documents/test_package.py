@@ -1,0 +1,203 @@
+"""The package as others see it: metadata, platforms, licences, and the reference of its public names."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from email import message_from_string
+from functools import cache
+from pathlib import Path
+
+import pytest
+import yaml
+from hatchling.builders.wheel import WheelBuilder
+from hatchling.metadata.core import ProjectMetadata
+from hatchling.metadata.spec import get_core_metadata_constructors
+from hatchling.plugin.manager import PluginManager
+from kit import shards
+from markdown_it import MarkdownIt
+from packaging.markers import default_environment
+from packaging.requirements import Requirement
+
+from orchestrator.base import extras
+from orchestrator.base.extras import EXTRAS, NO_WHEEL
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+# platform of uv: system and processor as Python names them
+PLATFORMS = {
+    "x86_64-manylinux_2_28": ("Linux", "x86_64"),
+    "aarch64-manylinux_2_28": ("Linux", "aarch64"),
+    "x86_64-pc-windows-msvc": ("Windows", "AMD64"),
+    "aarch64-apple-darwin": ("Darwin", "arm64"),
+    "x86_64-apple-darwin": ("Darwin", "x86_64"),
+}
+
+
+def text(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def loaded(path: str):
+    """A module outside the packages."""
+    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# ---- platforms
+
+
+@cache
+def without_index(command: tuple[str, ...], index: tuple[str, ...]) -> str:
+    """Why no package index can be asked, "" if one can."""
+    done = subprocess.run([*command, *index, "-"], input="packaging", capture_output=True, text=True)
+    return done.stderr.strip()[:300] if done.returncode else ""
+
+
+@shards.platforms
+@pytest.mark.parametrize("versions", ["tested", "newest"])
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("where", PLATFORMS)
+def test_all_extras_together_resolve_to_wheels(where, python, versions):
+    """So each of them does, too: with the versions of constraints.txt, and with the newest ones."""
+    pytest.importorskip("uv")
+    settings = [sys.executable, "-m", "pip", "config", "list"]
+    settings = subprocess.run(settings, capture_output=True, text=True, check=True).stdout
+    url = re.search(r"\.index-url='(.+)'", settings)  # uv reads its own settings, not those of pip
+    index = (
+        ("--default-index", url[1])
+        if url and not {"UV_DEFAULT_INDEX", "UV_INDEX_URL"} & {*os.environ}
+        else ()
+    )
+    command = (sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--no-header")
+    if reason := without_index(command, index):
+        pytest.skip(f"no package index: {reason}")
+    asked = ["--only-binary", ":all:", "--python-platform", where, "--python-version", python]
+    asked += ["-c", "constraints.txt"] if versions == "tested" else ["--prerelease", "disallow"]
+    command = [*command, *index, "--all-extras", *asked, "pyproject.toml"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("where", PLATFORMS.values(), ids="-".join)
+def test_a_command_knows_what_its_platform_lacks(where, monkeypatch):
+    """pyproject.toml excludes what NO_WHEEL has, and a command says so instead of what to install."""
+    system, machine = where
+    names = {"Linux": "linux", "Windows": "win32", "Darwin": "darwin"}
+    here = default_environment() | {"platform_system": system, "sys_platform": names[system]}
+    here |= {"platform_machine": machine}
+    for extra, modules in EXTRAS.items():
+        wanted = [Requirement(line) for line in PROJECT["optional-dependencies"][extra]]
+        lacking = [module for module in modules if where in NO_WHEEL.get(module, ())]
+        assert len([r for r in wanted if r.marker and not r.marker.evaluate(here)]) == len(lacking)
+        monkeypatch.setattr(platform, "system", lambda: system)
+        monkeypatch.setattr(platform, "machine", lambda: machine)
+        monkeypatch.setattr(extras, "_installed", lambda _: False)
+        says = f"no wheel for {system} on {machine}" if lacking else "install with: pip install"
+        with pytest.raises(extras.MissingExtra, match=f"it needs the packages? {modules[0]}.*{says}"):
+            extras.require(extra, "it")
+
+
+def test_the_table_of_extras_in_the_readme():
+    """It has each extra with what needs it, as tools/extras.py prints it; sizes are those of one computer."""
+    rows = re.findall(r"^\| (none|`\[\w+\]`) \|.*\| (\d+) \|$", text("README.md"), re.MULTILINE)
+    sizes = {name.strip("`[]"): float(size) for name, size in rows}
+    assert loaded("tools/extras.py").table(sizes.pop("none"), sizes) in text("README.md")
+    assert [*sizes] == [*EXTRAS, "all"]
+
+
+def test_the_lock_has_the_tested_versions_with_hashes():
+    """`make constraints` writes both files; each package of lock.txt has the SHA-256 of its files."""
+    locked = text("lock.txt").replace("\\\n", "").splitlines()
+    assert all(re.search(r"--hash=sha256:[0-9a-f]{64}", line) for line in locked)
+    assert [re.split(r"\s+--hash", line)[0].strip() for line in locked] == text(
+        "constraints.txt"
+    ).splitlines()
+
+
+# ---- metadata
+
+
+@pytest.fixture(scope="module")
+def metadata():
+    """The metadata of the wheel."""
+    project = ProjectMetadata(str(ROOT), PluginManager())
+    return message_from_string(get_core_metadata_constructors()["2.4"](project))
+
+
+def test_the_metadata_is_complete(metadata):
+    """Authors, licence as SPDX expression with its files, and the versions of Python that are resolved."""
+    assert metadata["Author"] == "harvester-cosim contributors"
+    assert metadata["License-Expression"] == "MIT"
+    assert {"LICENSE", "NOTICES.md"} <= {*metadata.get_all("License-File")}
+    classifiers = metadata.get_all("Classifier")  # hatchling has checked that each exists
+    found = [c.rpartition(" ")[2] for c in classifiers if re.fullmatch(r"Programming .*:: 3\.\d+", c)]
+    assert found == [*PYTHONS]
+    assert not [c for c in classifiers if c.startswith("License")]
+    assert metadata["Project-URL"] is None, "CONTRIBUTING.md says that there is no public address"
+
+
+def test_the_description_has_no_link_into_the_repository(metadata):
+    """In a package index such links and pictures lead nowhere; the text around them stays."""
+    description = metadata.get_payload()
+    tokens = [
+        t
+        for token in MarkdownIt("gfm-like", {"linkify": False}).parse(description)
+        for t in token.children or ()
+    ]
+    links = [t.attrs.get("href") or t.attrs["src"] for t in tokens if t.type in ("link_open", "image")]
+    assert [link for link in links if not str(link).startswith("https://")] == []
+    assert "measured results by tool (`docs/other-tools.md`)" in description
+
+
+def test_the_citation_file():
+    """It has the keys that the format requires (CFF 1.2.0), version and date of the release, the paper."""
+    cited = yaml.safe_load(text("CITATION.cff"))
+    assert {"cff-version", "message", "title", "authors"} <= {*cited}
+    assert cited["version"] == PROJECT["version"]
+    assert f"\n## {cited['version']} - {cited['date-released']}\n" in text("CHANGELOG.md")
+    (paper,) = cited["references"]
+    assert {"type", "title", "authors", "year"} <= {*paper}
+    assert paper["title"] in text("README.md")
+    assert all(f"{a['given-names']} {a['family-names']}" in text("README.md") for a in paper["authors"])
+
+
+@shards.documents
+def test_notices_are_in_the_wheel(tmp_path):
+    """NOTICES.md names the folder of each file with a licence of its own, and is in the wheel."""
+    list(WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"]))
+    with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
+        names = wheel.namelist()
+    assert (
+        len([name for name in names if name.endswith("/NOTICES.md")]) == 2
+    )  # with the code, and as a licence
+    licences = [
+        n for n in names if re.search(r"licen[cs]e[^/]*$", n, re.IGNORECASE) and ".dist-info" not in n
+    ]
+    for name in {*licences} - {"fmus/LICENSE"}:
+        assert name.rpartition("/")[0] in text("NOTICES.md"), name
+
+
+# ---- reference
+
+
+def test_every_public_name_is_in_the_reference():
+    """What `__all__` of a package has, itself or with its module, and each component."""
+    pages = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs" / "reference" / "api").glob("*.md"))
+    shown = {*re.findall(r"^::: (\S+)$", pages, re.MULTILINE)}
+    lacking = []
+    for place, names in loaded("docs/site/tables.py").public_names().items():
+        for name in names:  # `fmus` is shown without its names, which are on several pages
+            folders = {path.rpartition(".")[0] for path in (place, name)} - {"fmus"}
+            lacking += [name] * (not {place, name, *folders} & shown)
+    assert lacking == []
+    assert {f"fmus.components.{p.stem}" for p in (ROOT / "fmus" / "components").glob("[!_]*.py")} <= shown
