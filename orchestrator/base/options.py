@@ -338,7 +338,7 @@ class Declared:
 
         number, unit = number_and_unit(text)
         factor, offset = factor_and_offset(unit, self.kind.unit, "unit")
-        return factor * float(number) + offset
+        return float(f"{factor * float(number) + offset:.15g}")  # 0.3 ms is 0.0003 s
 
 
 UNITS = {"s": "seconds"}

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind
 from orchestrator.cli.options import BUILD, File, Folder, command
@@ -21,7 +19,7 @@ def identify(
     inertia: bool = False,
     free: Annotated[list[str] | None, Kind("NAME")] = None,
     starts: Annotated[int, Kind("N")] = 4,
-) -> None:
+) -> bool:
     """Estimate the machine's parameters from recordings.
 
     First with each procedure of the paper, then all parameters together. Exit status 0: estimates without a
@@ -46,5 +44,4 @@ def identify(
     make_folder(out.parent)
     make_folder(report)
     names = tuple(free or FREE)
-    if not run_identify(folder, out, report, joint=joint, inertial=inertia, names=names, starts=starts):
-        raise typer.Exit(1)
+    return run_identify(folder, out, report, joint=joint, inertial=inertia, names=names, starts=starts)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from orchestrator.base.options import Kind, Swaps
 from orchestrator.cli.options import BUILD, File, System, command, system_file
 
@@ -13,7 +11,7 @@ from orchestrator.cli.options import BUILD, File, System, command, system_file
 @command
 def variants(
     system: System = None, combinations: bool = False, out: File = BUILD / "combinations.csv"
-) -> None:
+) -> bool:
     """List the variants of each part, with numbers of states and inputs, and the range of validity.
 
     Also measures the simulation time of each variant on this computer.
@@ -30,12 +28,11 @@ def variants(
     file = system_file(system)
     if combinations:
         joints = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
-        if not table(file, {part: list(family) for part, family in FAMILIES.items()}, joints, out):
-            raise typer.Exit(1)
-        return
+        return table(file, {part: list(family) for part, family in FAMILIES.items()}, joints, out)
     print("\n".join(variant_lines(costs(file, variant_names()) if file.exists() else {})))
     if not file.exists():
         print(f"{file} does not exist, so no cost was measured; build it with: harvester build")
+    return True
 
 
 @command

@@ -80,7 +80,8 @@ def _main(
 def command(function: F) -> F:
     """Decorator: a command of `harvester`.
 
-    Its options are the parameters and the groups of a function. Their help is in the docstrings.
+    Its options are the parameters and the groups of a function. Their help is in the docstrings. The exit
+    status is 1 if the function returns False.
     """
     hints = get_type_hints(function, include_extras=True)
     (text, rows), options, defaults = text_and_rows(function), dict[str, Declared](), dict[str, Any]()
@@ -102,7 +103,11 @@ def command(function: F) -> F:
     @wraps(function)
     def flat_command(**values: Any) -> None:
         given = {name: _value(name, option, values[name]) for name, option in options.items()}
-        function(**{n: v for n, v in given.items() if n in defaults or v or (v == 0 and v is not False)})
+        status = function(
+            **{n: v for n, v in given.items() if n in defaults or v or (v == 0 and v is not False)}
+        )
+        if status is False:
+            raise typer.Exit(1)
 
     flat_command.__doc__ = text
     flat_command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind
@@ -21,7 +19,7 @@ def sweep(
     scheduler: Annotated[str | None, Kind("URL")] = None,
     fresh: bool = False,
     no_report: bool = False,
-) -> None:
+) -> bool:
     """Run a parameter study on all cores.
 
     An interrupted study continues when it is started again. The exit status is 1 if no run succeeded.
@@ -43,5 +41,4 @@ def sweep(
         raise Problem(
             "--workers: expected none with --scheduler, whose cluster determines the number of workers"
         )
-    if not run(study, out, workers, scheduler, fresh, report=not no_report):
-        raise typer.Exit(1)
+    return run(study, out, workers, scheduler, fresh, report=not no_report)

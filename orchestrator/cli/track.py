@@ -6,8 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import Kind, Swaps, Values
 from orchestrator.cli.options import BUILD, Folder, System, command, system_file, tell_built
@@ -35,7 +33,7 @@ def track(
     compare: bool = True,
     limit: Annotated[float | None, Kind("MM")] = None,
     out: Folder = BUILD,
-) -> None:
+) -> bool:
     """Move the tip along paths and measure the tracking error, with and without the controller's feedback.
 
     Runs the machine as built and the detailed one; with --swap only the machine with these variants. A
@@ -73,8 +71,7 @@ def track(
     machine = system_file(system, "harvester_control.ssp")
     tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
-    if not run_study(machine, paths, machines, out, modes, allowed, set=set_ or {}):
-        raise typer.Exit(1)
+    return run_study(machine, paths, machines, out, modes, allowed, set=set_ or {})
 
 
 def _file(name: str) -> Path:

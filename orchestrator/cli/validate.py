@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Unpack
 
-import typer
-
 from orchestrator.base.options import CoupledArguments, Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, command, system_file
 
@@ -21,7 +19,7 @@ def validate(
     play: Patterns = None,
     out: Folder = BUILD,
     **options: Unpack[CoupledArguments],
-) -> None:
+) -> bool:
     """Co-simulate a system and compare it with a reference.
 
     Writes a report. The exit status is 1 if a limit is exceeded.
@@ -43,7 +41,7 @@ def validate(
     from orchestrator.results.validate_system import validate_system
 
     file = system_file(system)
-    if not validate_system(
+    return validate_system(
         file,
         scenario,
         reference,
@@ -56,5 +54,4 @@ def validate(
         limit=limit,
         default_accuracy=1e-4,
         **options,
-    ):
-        raise typer.Exit(1)
+    )

@@ -68,24 +68,12 @@ class Record:
 
 @dataclass(frozen=True)
 class Execution:
-    """Options of a run that do not change the system.
+    """Options of `run` that do not change the system, by the same names.
 
-    tolerance        relative tolerance for the solvers of the FMUs
-    error_estimate   estimate the error of each output that the coupling causes: during the run if all FMUs
-                     with connected inputs have directional derivatives; else by further runs, at half and at
-                     twice the step, or, for adaptive steps, at a tenth of the tolerance.
-                     "fast": without a measurement that needs two steps of each FMU by `hermite` and
+    error_estimate   "fast": without a measurement that needs two steps of each FMU by `hermite` and
                      `interface-jacobian`
-    accuracy         largest RMS error over the range of a signal, such as 1e-3; master, step and tolerance of
-                     the FMUs follow from it, if necessary after several runs, see `AccuracySearch`
-    accuracy_of      patterns of the outputs that it applies to, which are recorded; default: the velocities
-                     of power bonds, else all outputs
-    progress         show a progress bar if the run takes longer than a second
-    isolate          run in a process of its own, so that an FMU that crashes ends only that process
-    time_limit       longest wall time of the run [s], in a process of its own
-    memory_limit     largest memory of the process [GB]; default: that of this machine
-    open             opens a component: returns an FMU, or any object with the methods of
-                     `orchestrator.fmi.calls.Slave`; a function other than `open_slave` needs this process
+    memory_limit     [GB]
+    open             a function other than `open_slave` needs this process
     """
 
     tolerance: float | None = None
