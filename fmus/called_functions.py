@@ -5,8 +5,6 @@ calls, too: fwd1_NAME with a seed for each input, adj1_NAME with a seed for each
 notice that such a call gives zero because all its seeds are zero. `without_zero_calls` removes these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import accumulate
 

@@ -15,8 +15,6 @@ as one FMU without coupling error. Names in it:
   `component_variable`.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The equations are those of `fmus.composition`: no signal is held or extrapolated
 the exact Jacobian between the breakpoints of a piecewise linear scenario, and restarts at each breakpoint.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -140,11 +138,7 @@ def _farthest_from_the_line(time: Array, samples: Array, allowed: Array) -> int:
 
 
 def simulate(
-    model: Monolith,
-    time: Array,
-    inputs: Array,
-    p: Array | None = None,
-    tolerance: float = 1e-12,
+    model: Monolith, time: Array, inputs: Array, p: Array | None = None, tolerance: float = 1e-12
 ) -> tuple[Array, Array]:
     """States (n, nx) and outputs (n, ny) at `time` (n,), inputs (n, nu) linear between the samples.
 

@@ -7,8 +7,6 @@ of an FMU or SSP, as FILE/MEMBER. A link stands for a copy: FMUs in an SSP, and 
 On first use the files are restored, with the same bytes, in the user's cache.
 """
 
-from __future__ import annotations
-
 import hashlib
 import lzma
 import platform

@@ -22,8 +22,6 @@ parameter, because for example the valves are identical; `[parameters."swing.ini
 part.
 """
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import json

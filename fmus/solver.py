@@ -228,12 +228,7 @@ class _Attempt:
 
 
 def _solve(
-    system: OdeSystem,
-    x: Array,
-    motion: InputPolynomials,
-    length: float,
-    tolerance: float,
-    memory: StepMemory,
+    system: OdeSystem, x: Array, motion: InputPolynomials, length: float, tolerance: float, memory: StepMemory
 ) -> Array:
     smallest = max(1e-14 * length, sys.float_info.min)  # smaller steps do not change the time
     tau, rejected, count, proposal = 0.0, False, 0, memory.step or length

@@ -16,8 +16,6 @@ The meter-out edges are so small that the counterbalance valves are fully open w
 counterbalance valve that meters the load behind a compensated section is unstable (docs/equations.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial

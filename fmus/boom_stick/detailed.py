@@ -13,8 +13,6 @@ valve; the same for other sides. The arguments of `detailed` change the number o
 and frequency-dependent friction. Signs as in `fmus.boom_stick.variables`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -14,8 +14,6 @@ C_R Q): 10 ms for 3 m of 3/4 in hose at 40 L/min through an edge of 40 mm2, less
 Signs: line flows are positive into the cylinder; x from the closed end; x' and F extend.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ The equations are those of `fmus.boom_stick.drive` for the boom and for the stic
 and the oil in common and are otherwise independent.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

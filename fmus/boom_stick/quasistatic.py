@@ -5,8 +5,6 @@ without inertance. The hoses are volumes, and resistances in series with the ope
 states but follow from the pressures.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Signs: flows are positive into the cylinder; positions are measured from the clo
 are positive if they extend the rod; a positive command extends the rod.
 """
 
-from __future__ import annotations
-
 from fmus.components import chamber
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.cylinder import Cylinder

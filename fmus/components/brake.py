@@ -20,8 +20,6 @@ so q stays within 0 ... 1. Validity: static and sliding torque alike, no wear, n
 body is that of viscoplasticity, P. Perzyna, Advances in Applied Mechanics 9 (1966) 243.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from fmus.components.smooth import ramp, s_curve

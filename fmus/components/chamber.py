@@ -28,8 +28,6 @@ finite for a trial pressure below vacuum; the cavity dominates there.
 The energy of a volume V at P is V e(P), e(P) = int_0^P P' kappa(P') dP'.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 
 from fmus.contract import Group, Quantity, Scalar

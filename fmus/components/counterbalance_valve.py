@@ -30,8 +30,6 @@ pressure, reseat above 85 %, back pressure counts 1 + R times); M. B. Kjelland a
 Experimental Study of Motion Control Using Pressure Feedback, SICFP 2013 (stability behind compensated flow).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from fmus.components import spool_valve

@@ -4,8 +4,6 @@ Signs: piston position x from the closed end, positive velocity and force extend
 Rigid walls, no piston leakage (paper section 3(d)).
 """
 
-from __future__ import annotations
-
 import math
 
 from fmus.components.smooth import positive, ramp

@@ -49,8 +49,6 @@ Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9
 Valid for mean flows: no piston ripple, no flow to the control piston, no cavitation at the inlet.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -25,8 +25,6 @@ s1 vd <= 4 sqrt(2 e) Fc (e = 2.718); a constant s1 is not passive at high speed.
 Validity: friction independent of load, pressure, temperature and time at rest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

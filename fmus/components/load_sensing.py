@@ -25,8 +25,6 @@ for a line whose own volume is negligible; its lag belongs to the supply.
 Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

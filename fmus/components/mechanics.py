@@ -29,8 +29,6 @@ Mass that is picked up comes from rest: m' > 0, c = 0. Mass that is let go keeps
 On the left is the power that enters with the mass, on the right the heat of an inelastic impact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

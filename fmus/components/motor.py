@@ -7,8 +7,6 @@
 Signs: flow is positive into port 1; D = D_m N [m3/rad]; speed w of the gear's output shaft.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from fmus.contract import Scalar

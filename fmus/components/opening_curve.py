@@ -28,8 +28,6 @@ there is no table, and the curve is a straight line with a rounded start (`Line`
 pieces: a quartic, the line, and 1 from full command on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -15,8 +15,6 @@ its line minus that of the return line; an anti-cavitation valve has the opposit
 (faster than 5 ms) and hysteresis are neglected.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 
 from fmus.components.smooth import ramp

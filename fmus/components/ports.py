@@ -4,8 +4,6 @@ drives: True for the terminal of a hydraulic drive, False for that of the mechan
 of the drive and into the mechanics.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 from fmus.contract import Member, Terminal

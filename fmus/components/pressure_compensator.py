@@ -32,8 +32,6 @@ Dynamics of the compensator (5 to 20 ms) are neglected. References: H. E. Merrit
 data sheets of proportional valves with pre-compensated sections (Danfoss PVG 32).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Smooth approximations of max, min, sign and limits, used by the empirical laws of the components."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from fmus.contract import Scalar

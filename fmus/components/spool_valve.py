@@ -29,8 +29,6 @@ true as well. Each edge has its own overlap.
 Reference: the second-order model of data sheets; B. Petrovic and J. Mattila 2022 give 30 Hz and 0.707.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -17,8 +17,6 @@ The pressure feedback damps oscillations of the force at the rate g for any iner
 subtracted, so the feedback does not act on it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

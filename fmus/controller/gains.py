@@ -1,7 +1,5 @@
 """Gains, limits and time constants of the controller; values, sources and notes are in parameters.toml."""
 
-from __future__ import annotations
-
 from fmus.contract import Group, Quantity, Scalar
 
 
@@ -81,10 +79,7 @@ class Gains(Group):
         "1", "Valve opening below which the step over the dead band is rounded", 1e-3, minimum=1e-5
     )
     follow_gain: Scalar = Quantity(
-        "1/s",
-        "Speed of the reference towards the path, per distance",
-        minimum=0.0,
-        group="Reference",
+        "1/s", "Speed of the reference towards the path, per distance", minimum=0.0, group="Reference"
     )
     follow_speed: Scalar = Quantity("m/s", "Largest speed of the reference towards the path", minimum=1e-3)
     lever_time: Scalar = Quantity(

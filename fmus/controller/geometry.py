@@ -13,8 +13,6 @@ Inverse position kinematics by the law of cosines, in the triangle of boom pivot
 above the line from the boom pivot to the tip; the stick cylinder cannot reach the other solution.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

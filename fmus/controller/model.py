@@ -12,8 +12,6 @@ the levers: a positive one turns left, raises the boom, extends the stick cylind
 Errors are reference minus machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any

@@ -7,8 +7,6 @@ the command line.
 `python -m fmus.controller.paths` writes line.csv and square.csv to data/scenarios.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Mapping, Sequence

@@ -19,8 +19,6 @@ the reference goes on: a g below 1 would make the feedforward push an oscillatin
 sustain the oscillation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parameter and start values of the controller, collected from the subsystems of its machine."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

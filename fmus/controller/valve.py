@@ -20,8 +20,6 @@ with the mean flow Q of both ports, a is larger by the factor ((Q^2 + Q_t^2)/Q^2
 `spool_valve.turbulent_drop`. `opening_for` bounds this factor at small Q.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -4,8 +4,6 @@ The controller declares its gains (gains.py). Geometry and hydraulics are declar
 machine; here their parameters are selected by name. Their values are collected in values.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from fmus.boom_stick.variables import BoomStickParameters

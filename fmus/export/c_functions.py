@@ -7,8 +7,6 @@ derivatives. A call takes its vectors by pointer if their entries are consecutiv
 code in native/opening_curve.h, because only one of its pieces must be evaluated.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence

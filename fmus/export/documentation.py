@@ -5,8 +5,6 @@ contain the variables. Formulas, LaTeX between dollar signs as on git servers, b
 neither JavaScript nor a server.
 """
 
-from __future__ import annotations
-
 import re
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence

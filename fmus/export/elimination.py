@@ -10,8 +10,6 @@ the step, which makes the diagonal larger. Each entry is checked separately. The
 several moderately small entries cause together; the error estimate of the step detects that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 

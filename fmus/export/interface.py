@@ -4,8 +4,6 @@ Value references are consecutive: parameters, inputs, states, derivatives, outpu
 this order. An output that is a state is one variable, with the value reference of the state.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence

@@ -5,8 +5,6 @@ Any tool can run the experiment and compare the result. The data are files next 
 parameter values that the FMU is built with, because the experiment sets all parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path

@@ -4,8 +4,6 @@ These are sources/buildDescription.xml and terminalsAndIcons/terminalsAndIcons.x
 terminals of a subsystem and the size of its icon.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from lxml import etree

@@ -1,7 +1,5 @@
 """Content of an FMU with C code, except its binaries; and the files that FMUs in Python have as well."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The command `harvester identify`: writes parameters.toml and a report from a folder of recordings."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Parameters are addressed by `part.name`. Their values are those of the parameter
 A parameter file uses the bare `name` if the parts do not differ. A recording calls a signal `part.name`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches

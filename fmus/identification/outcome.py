@@ -1,7 +1,5 @@
 """Content of the report on an identification: parameters, a predicted recording, causes of its residual."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,11 +19,7 @@ from fmus.identification.machine import (
 from fmus.identification.pipeline import Identified
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.identification_page import (
-    IdentificationPage,
-    IdentifiedParameter,
-    refinement,
-)
+from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter, refinement
 from fmus.identification.report.recording_comparison import (
     CaptionedFigure,
     RecordingComparison,

@@ -3,8 +3,6 @@
 Each procedure uses the estimates of those before it. No file is written.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ Without this check a misspelt signal or condition would be ignored silently. Wro
 before the procedures run for minutes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 

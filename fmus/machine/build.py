@@ -1,7 +1,5 @@
 """`harvester build`: FMUs of all parts, operator, controller and whole machine, and the systems (SSP)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase

@@ -3,8 +3,6 @@
 Inputs are commands, supply and payload. Only differences from the declarations of the parts are listed here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which ports of the machine's FMUs belong together: for the page of each FMU and for the release."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Structure of the machine: subsystems, their variants, and their connections."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TypeAlias
 

@@ -1,7 +1,5 @@
 """Initial poses of the machine: joint angles, and the start values with which all FMUs are at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 

@@ -20,8 +20,6 @@ tool that sets the inputs at the communication points and holds them reproduces 
 accuracy.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping, Sequence
 from math import factorial

@@ -4,8 +4,6 @@ harvester.ssp           machine, supply and operator; parameter sets: poses, pro
 harvester_control.ssp   machine, supply and controller; parameter sets: poses, starts of paths
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

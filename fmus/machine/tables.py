@@ -4,8 +4,6 @@ Variants: size, range of validity and cost of each variant of each part. Paramet
 each parameter and start value.
 """
 
-from __future__ import annotations
-
 import shutil
 import textwrap
 from collections import Counter

@@ -5,8 +5,6 @@ scenario is a list of moves, sampled at 200 Hz (the rate of the paper). All corn
 interpolation between the samples is exact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

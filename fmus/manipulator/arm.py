@@ -5,8 +5,6 @@ boom, upwards positive; it is negative for a folded stick. The swing angle is co
 above. Extending the boom cylinder raises the boom; extending the stick cylinder folds the stick in (J < 0).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 

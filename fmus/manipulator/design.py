@@ -3,8 +3,6 @@
 `fmus.manipulator.model` builds the subsystem from them; the arm is the same in all variants.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -10,8 +10,6 @@ coefficients are those of `rigid`, which represent all losses, so dry and viscou
 be too high.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from fmus.components.friction import Bristles, Resistance, lugre

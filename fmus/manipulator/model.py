@@ -18,8 +18,6 @@ The pick-up is inelastic: max(m_h', 0) v^2/2 is heat, v the speed of the payload
 m_h' g z + min(m_h', 0) v^2/2 enters, z its height (`payload_power`). Derivation: `fmus.components.mechanics`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial

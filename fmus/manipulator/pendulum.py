@@ -28,8 +28,6 @@ Validity: |b| below 1.4 rad (80 degrees). Not modelled: stops on the pin, slewin
 joint, a load that swings relative to the head.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

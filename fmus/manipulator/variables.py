@@ -4,8 +4,6 @@ The elbow is the stick pivot, the tip the end of the stick, to which the process
 docs/rate-ports.md.
 """
 
-from __future__ import annotations
-
 from fmus.components.mechanics import Point
 from fmus.contract import Group, Quantity, Scalar
 

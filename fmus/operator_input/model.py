@@ -13,8 +13,6 @@ follows the ramps exactly if their corners are communication points.
 Signs: a positive command turns left, raises the boom, extends the stick cylinder.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

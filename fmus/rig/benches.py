@@ -33,8 +33,6 @@ machine this is the volume of the motor, and the meter is between throttle and m
 is that of the line, and the meter is between line and motor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -106,10 +104,7 @@ def throttle(drop: Scalar, resistance: float, transition_flow: Scalar) -> Scalar
 
 
 def run(
-    states: Mapping[str, tuple[Scalar, float]],
-    equations: Equations,
-    time: Array,
-    inputs: Mapping[str, Array],
+    states: Mapping[str, tuple[Scalar, float]], equations: Equations, time: Array, inputs: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Simulate a bench; returns its outputs over time, each of shape (n,).
 

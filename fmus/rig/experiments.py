@@ -6,8 +6,6 @@ experiments; the test is the work cycle. Training covers the work space, small a
 pairs of axes, and contains no part of the work cycle. All corners of commands are on the 200 Hz grid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from typing import Literal, TypeAlias
@@ -206,12 +204,7 @@ def _edge(edge: str, machine: str) -> Experiment:
 
 
 def _hose(
-    machine: str,
-    name: str,
-    title: str,
-    procedure: str,
-    signals: dict[str, Array],
-    time: Array,
+    machine: str, name: str, title: str, procedure: str, signals: dict[str, Array], time: Array
 ) -> Experiment:
     p = detailed()
     conditions = {

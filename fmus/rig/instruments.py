@@ -8,8 +8,6 @@ them for zero, so the highest value is one code below the end of the range. Ther
 rate is 200 Hz.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ docs/recordings.md describes the format. The README contains the experiments, th
 and states that the recordings are simulated.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable
@@ -25,13 +23,7 @@ from fmus.rig.instruments import Experiment, Instrument, record
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import write_columns
 from orchestrator.base.processes import mapping
-from orchestrator.data.description import (
-    Description,
-    Origin,
-    SignalDescription,
-    Tolerance,
-    write_description,
-)
+from orchestrator.data.description import Description, Origin, SignalDescription, Tolerance, write_description
 
 DIGITS = 12  # significant digits: readings are exact to the resolution of each converter, commands to 1e-11 V
 DATE = date(2026, 11, 20)  # date of the last change of rig or model that changes recordings

@@ -17,8 +17,6 @@ the pumps, check valves and relief valve. E is the energy of compression and rot
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import casadi as ca

@@ -7,8 +7,6 @@ for every flow. There is no state. The outputs of power are valid for any flow o
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fmus.components.chamber import ATMOSPHERE

@@ -32,8 +32,6 @@ Systems, 1967; data sheets of open-circuit pumps with pressure, flow and power c
 Signs: supply flows are positive out of the supply line, return flows into the tank.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -9,8 +9,6 @@ with x, T, T_i from `fmus.components.engine_and_pump`, Q_r from `fmus.components
 `fmus.components.smooth`. Cavities in the lines as in `fmus.components.chamber`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

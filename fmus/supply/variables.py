@@ -1,7 +1,5 @@
 """Common variables of all variants of the supply: parameters, inputs, outputs; signs as in ideal.py."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 from fmus.components import ports

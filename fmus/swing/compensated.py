@@ -11,8 +11,6 @@ as the command leaves the dead band and the supply has pressure. Lines as in `qu
 columns. The torque depends only on states.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

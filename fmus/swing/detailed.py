@@ -12,8 +12,6 @@ states. `swing_flow_a` is the flow at the valve, `swing_motor_flow_a` that at th
 `detailed` change the number of states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial

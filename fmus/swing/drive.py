@@ -3,8 +3,6 @@
 torque = D (P_1 - P_2)           D = D_m N                                   eqs. (8), (11), (12)
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from fmus.components import chamber, hose, load_sensing, motor, opening_curve, ports, spool_valve

@@ -10,8 +10,6 @@ laminar (R_line), and C_R,line is zero unless it is identified from measurements
 The torque depends on the speed with 2 D^2 R_line (28 N.m.s/rad), which is required for conservation of power.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fmus.components import chamber, hose, motor, spool_valve

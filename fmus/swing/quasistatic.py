@@ -9,8 +9,6 @@ lumped drive for lines without inertance and without laminar resistance, whose d
 pressures are those of the motor ports. The torque depends only on states.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fmus.components import chamber, motor, spool_valve

@@ -4,8 +4,6 @@ Signs: flows are positive towards the motor; angle, speed and torque are positiv
 seen from above; a positive command turns in the positive direction.
 """
 
-from __future__ import annotations
-
 from fmus.components import chamber
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.hose import HoseSize, HoseWall

@@ -4,8 +4,6 @@ A library must export all functions of its interface types, also if a capability
 section 2.3). In FMI 3 it must export all functions of fmi3Functions.h (FMI 3.0.1, section 2.5).
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 The error of a signal is the root mean square of its deviation over the range of the reference (NRMSE).
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -3,8 +3,6 @@
 A child process imports what tasks need and then, on Linux, runs each of them in a fork of itself.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator, Mapping

@@ -4,8 +4,6 @@ First the FMU is loaded and its default experiment is run. If that is completed,
 follow.
 """
 
-from __future__ import annotations
-
 import threading
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence

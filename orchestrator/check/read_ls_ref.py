@@ -4,8 +4,6 @@ Supported drafts: FMI-LS-REF 1.0.0-alpha.1, and both forms of the experiments fo
 Association, with the times in the element Experiment or in its child TransientSimulation.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import os

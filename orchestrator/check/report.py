@@ -1,7 +1,5 @@
 """Report of a check as text and as JSON, with the verdicts of each tool on the rules (tools.toml)."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Iterator, Mapping

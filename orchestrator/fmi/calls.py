@@ -5,8 +5,6 @@ NumPy array, so that each execution is a single call into the FMU without memory
 Float64 and Int32 are converted.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

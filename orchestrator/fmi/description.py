@@ -3,8 +3,6 @@
 `read_interface` reads it from modelDescription.xml and refuses FMUs that cannot be run.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -313,9 +311,7 @@ def _unsupported_type(v: DeclaredVariable) -> str:
 
 
 def _check(
-    variables: Mapping[str, FmuVariable],
-    unsupported: Mapping[str, str],
-    declared: Iterable[DeclaredVariable],
+    variables: Mapping[str, FmuVariable], unsupported: Mapping[str, str], declared: Iterable[DeclaredVariable]
 ) -> None:
     """Refuse an FMU that cannot be run: with clocks, with arrays only, or with a time not in seconds."""
     for name, type_ in unsupported.items():

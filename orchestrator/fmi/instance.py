@@ -4,8 +4,6 @@ Functions have the names of FMI 3.0, without prefix. Instances run without event
 return and intermediate update unless these are requested. This module needs only the standard library.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import os
@@ -33,12 +31,7 @@ FMI2_NAMES = {  # FMI 3.0 -> FMI 2.0
     "UpdateDiscreteStates": "NewDiscreteStates",
 }
 TYPES: dict[int, dict[str, Any]] = {  # FMI version -> type in the name of a function -> type in C
-    2: {
-        "Real": ctypes.c_double,
-        "Integer": ctypes.c_int,
-        "Boolean": ctypes.c_int,
-        "String": ctypes.c_char_p,
-    },
+    2: {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int, "String": ctypes.c_char_p},
     3: {
         "Float64": ctypes.c_double,
         "Float32": ctypes.c_float,

@@ -4,8 +4,6 @@ Linearisation and monolithic solution need Model Exchange, because the states of
 cannot be set. Time derivatives of states are variables, which `RunningFmu.reader` reads.
 """
 
-from __future__ import annotations
-
 import ctypes
 
 from orchestrator.base.errors import NotExchangeable

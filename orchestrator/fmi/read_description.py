@@ -1,7 +1,5 @@
 """Reads modelDescription.xml of FMI 2.0 and 3.0 to a `ModelDescription`, without validation."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 from orchestrator.base.xml import Element, child, children, local_name
@@ -99,11 +97,7 @@ def _types(root: Element, major: int) -> Iterator[tuple[str, TypeDefinition]]:
 
 
 def _variable(
-    e: Element,
-    index: int,
-    major: int,
-    types: Mapping[str, TypeDefinition],
-    lengths: Mapping[str, int | None],
+    e: Element, index: int, major: int, types: Mapping[str, TypeDefinition], lengths: Mapping[str, int | None]
 ) -> DeclaredVariable:
     """A variable. FMI 2.0: a child of the element is the type. FMI 3.0: the element itself is the type."""
     inner = next((i for i in e if local_name(i) in TYPES), e) if major == 2 else e

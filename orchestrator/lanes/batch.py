@@ -4,8 +4,6 @@ Machines of native FMUs of this project run in the vector lanes of all cores (`l
 processes (`one_by_one`).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ A native FMU of this project contains its C sources. native/model.cpp includes t
 place of double. The libraries are compiled for the processor of this computer, and kept in the user's cache.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Mapping
 from dataclasses import dataclass

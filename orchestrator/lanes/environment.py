@@ -1,7 +1,5 @@
 """`MachinesEnv`: many machines in lanes as a vector environment of Gymnasium, for reinforcement learning."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Unpack

@@ -1,7 +1,5 @@
 """`Machines`: many machines in lanes that are stepped with commands for each of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Machines one by one, in processes of the engine, for any FMUs. A crash of an FMU ends only one machine."""
 
-from __future__ import annotations
-
 import pickle
 import threading
 from collections.abc import Mapping, Sequence

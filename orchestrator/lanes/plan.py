@@ -4,8 +4,6 @@ The machines of a group take equal steps, by the plan of the engine's master. Wh
 `NotInLanes`: other FMUs than native ones, algebraic loops, the master interface-jacobian.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Inputs and outputs of a linear model, and the system without the connections to these inputs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase

@@ -1,7 +1,5 @@
 """Linearises a system of FMUs at its start, at a time of a co-simulation, or at a steady state."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """State-space model with names and units: modes, text output, files, export to python-control."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ part of the machine. The states boom_speed and boom_rod_pressure give the name
 "hydraulic oscillation of boom".
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -18,8 +18,6 @@ D. E. Keyes 1998, SIAM J. Numer. Anal. 35(2) 508-523). The steps grow, and Newto
 steps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Modelica code of the block of one FMU: declarations, and equations that call the library of the FMU."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Modelica code of a system of FMUs: components, connections and unconnected inputs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from orchestrator.base.errors import Problem

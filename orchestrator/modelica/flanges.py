@@ -5,8 +5,6 @@ motion, NAME_acceleration [m/s2]. The signals of a shaft are NAME_torque [N.m], 
 FMU computes the motion, NAME_angle [rad] and NAME_acceleration [rad/s2].
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Writes the Modelica package: blocks, models with flanges, connected systems, and the FMUs as resources."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

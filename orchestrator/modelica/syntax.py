@@ -1,7 +1,5 @@
 """Identifiers and literals of Modelica."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -15,8 +15,6 @@ error grows from step to step. After 3 s of strokes with cavitation it is 6e-9 o
 signal, a rate with peaks, at a tolerance of 3e-14, 2e-8 at 1e-13 and 1e-7 at 1e-12.
 """
 
-from __future__ import annotations
-
 import time as wall_time
 from bisect import bisect_right
 from collections.abc import Callable, Iterator

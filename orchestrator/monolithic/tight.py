@@ -7,8 +7,6 @@ depend on the step. So the solvers of the FMUs and the passes of the master get 
 which an input jumps are divided by a guard.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from math import ceil, inf

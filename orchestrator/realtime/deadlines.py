@@ -1,7 +1,5 @@
 """Deadlines of frames, histogram of their latencies, process priority, and speed factors."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

@@ -1,7 +1,5 @@
 """Reports failures of a machine on the terminal, for users who do not look at its page."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The machine in real time, seen from the parent process: it sends commands and reads frames."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

@@ -1,7 +1,5 @@
 """Replay of a result file in real time, with the interface of a live machine."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path

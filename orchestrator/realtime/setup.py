@@ -1,7 +1,5 @@
 """Setup of a machine in real time, its frames, and the interface `Machine` that a page uses."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite

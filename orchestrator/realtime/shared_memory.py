@@ -9,8 +9,6 @@ process that dies leaves no lock. The command also has a checksum, because half 
 machine.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import secrets

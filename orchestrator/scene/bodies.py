@@ -5,8 +5,6 @@ pins. The head has a link, a rotator, a frame with knives, feed rollers and a sa
 trees have fixed dimensions.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Its lightness is monotone, so it is readable with any colour blindness. Its pale
 is hard to see on light background.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

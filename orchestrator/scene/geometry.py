@@ -8,8 +8,6 @@ positive angles) and then rolled about its own x-axis. Angles are those of the m
 horizontal, stick from the boom, head from the vertical. A head at zero angle hangs along -z of its frame.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -95,13 +93,4 @@ def _parameter_values(component: Component) -> Mapping[str, float]:
     return values
 
 
-NODES = (
-    "boom",
-    "stick",
-    "yoke",
-    "head",
-    "boom_barrel",
-    "boom_rod",
-    "stick_barrel",
-    "stick_rod",
-)
+NODES = ("boom", "stick", "yoke", "head", "boom_barrel", "boom_rod", "stick_barrel", "stick_rod")

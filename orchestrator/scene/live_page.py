@@ -14,8 +14,6 @@ row of each frame, which the page can save, gives the same motion with `harveste
     three/          three.js, which draws
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import re
@@ -204,11 +202,7 @@ def _scene(description: ViewDescription, system: System) -> dict[str, Any]:
         "joints": description.scene.joints if description.scene else (),
         "pressures": dict(description.scene.pressures) if description.scene else {},
         "gauges": [
-            {
-                "title": g.title,
-                "lines": [_gauge(line) for line in g.lines],
-            }
-            for g in description.gauges
+            {"title": g.title, "lines": [_gauge(line) for line in g.lines]} for g in description.gauges
         ],
         "charts": [asdict(chart) | {"factor": chart.factor} for chart in description.charts],
     }

@@ -1,7 +1,5 @@
 """`assemble`: makes a system from FMU files and connections; and checks of a connection."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Common elements of all file formats of SSP: namespaces, units, transformations, value mappings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 

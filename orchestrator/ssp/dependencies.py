@@ -7,8 +7,6 @@ are first copied along the connections, and the loop is solved only if they do n
 (`engine/algebraic_loop.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise

@@ -5,8 +5,6 @@ at the height of the connector at the other end if that height is free. So most 
 none crosses a component.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Tables of the variables of a system for the terminal: name, unit and description from its FMUs."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterator
 

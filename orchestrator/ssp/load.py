@@ -4,8 +4,6 @@ Nested systems, also those in other .ssd and .ssp files, are flattened: the name
 and each component input is traced back through the connectors of systems to the output that feeds it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial

@@ -3,8 +3,6 @@
 A user can select further parameter sets, such as poses: by name from the SSP, or as .ssv files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath

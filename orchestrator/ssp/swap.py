@@ -121,12 +121,7 @@ def _swap(system: System, name: str, file: Location, exchange: bool) -> tuple[Sy
         connections=tuple(connections),
         inputs={i.name: i for i in inlets},
         outputs={o.name: o for o in outlets},
-        notes=(
-            *system.notes,
-            f"{name} is swapped: {interface.identifier} ({file})",
-            *fit.notes,
-            *notes,
-        ),
+        notes=(*system.notes, f"{name} is swapped: {interface.identifier} ({file})", *fit.notes, *notes),
     )
     return swapped, fit.lost
 

@@ -5,8 +5,6 @@ outermost system is empty. `SignalPaths` are the chains of connections through n
 map over each of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -4,8 +4,6 @@ The archive contains the system structure with a diagram, the FMUs, parameter se
 outputs, and the other resources of the SSP that the system was loaded from.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ The parent can read the activity after a crash of the child. Layout of the file:
 time [s], name of the last call, last inputs as text.
 """
 
-from __future__ import annotations
-
 import mmap
 import struct
 from dataclasses import dataclass

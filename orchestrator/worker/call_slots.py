@@ -5,8 +5,6 @@ Python and the C engine write the number of the function before a call and 0 aft
 process are in a file that is mapped into its memory; those of any other process are in its own memory.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import mmap

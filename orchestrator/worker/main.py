@@ -4,8 +4,6 @@ Messages are pickled: those of the parent arrive on standard input, answers go t
 prints goes to the file of stderr. Temporary files are made in the folder of the process.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import shutil

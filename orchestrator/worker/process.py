@@ -5,8 +5,6 @@ these are `ProbeLimits` in orchestrator/check/probe_process.py and the option --
 orchestrator/cli/check.py.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -4,8 +4,6 @@ The script defines a slave class of PythonFMU; if the package is missing, its me
 library is that of this project, not of PythonFMU: see docs/design.md, "The Python back end".
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -104,21 +102,13 @@ def build_python(
     """
     values = values or parameters.values(sub, derive=False)
     interface = interface_of(sub, values)
-    model = {
-        "origin": source or origin(sub),
-        "fingerprint": fingerprint(interface),
-        "values": asdict(values),
-    }
+    model = {"origin": source or origin(sub), "fingerprint": fingerprint(interface), "values": asdict(values)}
     files = common_files(sub, interface, 2, step, stop)
     return _write(folder, interface, model, "SubsystemSlave", {}, None, step, stop, files, platforms)
 
 
 def build_user(
-    path: Path,
-    folder: Path,
-    step: float = 1e-3,
-    stop: float = 10.0,
-    platforms: Sequence[str] | None = None,
+    path: Path, folder: Path, step: float = 1e-3, stop: float = 10.0, platforms: Sequence[str] | None = None
 ) -> Path:
     """Write an FMU of the `Model` in a user's file to `folder` and return its path; see `build_python`."""
     try:

@@ -4,8 +4,6 @@ The derivatives of an input come from `fmi2SetRealInputDerivatives` if it was ca
 its rate input, the input that is its time derivative (docs/design.md, "Inputs inside a step").
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

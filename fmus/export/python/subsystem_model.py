@@ -7,8 +7,6 @@ Also the origin of a subsystem: the name under which an FMU imports it. An origi
 "module:name.key" for an entry of a mapping such as VARIANTS.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import sys

@@ -1,7 +1,5 @@
 """Loads and checks the file of a user with a `Model`: its imports, its dependencies, a few steps."""
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import importlib.util

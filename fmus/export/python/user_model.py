@@ -15,8 +15,6 @@ is the start value. `subgroup` selects fields of another group. `examples/my_sub
 instance runs a `UserModel`: the model with its FMI interface, and with checks of all that its methods return.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import sys
@@ -273,11 +271,7 @@ class UserModel:
 
     def _groups(self, x: Array, u: Array, p: Array) -> tuple[Any, Any, Any]:
         m = self.model
-        return (
-            _group(m.State, x.tolist()),
-            _group(m.Inputs, u.tolist()),
-            _group(m.Parameters, p.tolist()),
-        )
+        return (_group(m.State, x.tolist()), _group(m.Inputs, u.tolist()), _group(m.Parameters, p.tolist()))
 
     def start(self, x: Array, u: Array, p: Array) -> Array:
         """See `RunnableModel`."""

@@ -19,8 +19,6 @@ Validity: viscous friction, all other parameters known. B absorbs all other effe
 remarks quantify them, and whether dry friction is visible.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

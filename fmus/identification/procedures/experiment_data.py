@@ -1,7 +1,5 @@
 """Data of an experiment: its training recordings, known parameters, steady stretches, means over steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -13,8 +13,6 @@ drop. This offset is estimated with the law that fits best and subtracted; its e
 Validity: steady flow above the dead zone of the meter; eq. (10) for a smooth pipe and Re 3e3 to 1e5.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -132,10 +130,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(replace(steps, drop=steps.drop - laws.zero), laws),
         remarks=tuple(_remarks(steps, laws)),
         others=tuple(_others(laws, flow)),
-        warnings=(
-            *misfit_warning(laws.square.times_noise, "hose_resistance: eq. (1)"),
-            *laws.zero_warnings,
-        ),
+        warnings=(*misfit_warning(laws.square.times_noise, "hose_resistance: eq. (1)"), *laws.zero_warnings),
     )
 
 

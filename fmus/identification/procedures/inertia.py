@@ -18,8 +18,6 @@ dependent regressors (Gautier 1991, J. Robotic Systems 8, 485); their parameters
 Validity: rigid links, viscous friction, correct known parameters.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -281,8 +279,5 @@ def panels(records: Sequence[SmoothedRecording], solution: MomentumSolution) -> 
             y_unit=("kN.m", 1e3),
         )
         curves = (Curve("measured - model", t, residual, line=True),)
-        result += [
-            torque,
-            replace(torque, y_label="residual", curves=curves, title="", y_unit=("N.m", 1.0)),
-        ]
+        result += [torque, replace(torque, y_label="residual", curves=curves, title="", y_unit=("N.m", 1.0))]
     return tuple(result)

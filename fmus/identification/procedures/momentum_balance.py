@@ -306,11 +306,7 @@ def pressures(recording: Recording, needed: Collection[str]) -> Array:
 
 
 def smoothed_recording(
-    recording: Recording,
-    joints: Sequence[str],
-    p: Array,
-    window: float = WINDOW,
-    every: int = 1,
+    recording: Recording, joints: Sequence[str], p: Array, window: float = WINDOW, every: int = 1
 ) -> SmoothedRecording:
     """A recording, smoothed for the balance of these joints; window and every as in `filters`."""
     kernels = filters(uniform_rate(recording), window, every)

@@ -15,8 +15,6 @@ The residuals give another covariance, whatever their cause (Newey and West 1987
 parameters shift theta by its sensitivity.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

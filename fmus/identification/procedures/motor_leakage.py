@@ -11,8 +11,6 @@ Validity: laminar leakage, steady pressures, pressure sensors at the motor (a re
 lines).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial

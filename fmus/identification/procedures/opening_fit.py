@@ -8,8 +8,6 @@ start of the opening, and is evaluated as the machine does: a monotone cubic wit
 Validity: as in `opening_posterior`. Effective areas contain C_d and the density: A = K / (C_d sqrt(2/rho)).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace

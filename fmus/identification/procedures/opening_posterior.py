@@ -23,8 +23,6 @@ Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), sections
 rearrangement keeps bands valid: Chernozhukov, Fernandez-Val and Galichon, Biometrika 96 (2009) 559.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

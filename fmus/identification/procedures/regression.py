@@ -6,8 +6,6 @@ covariance of the estimates is (J'J)^-1 without scaling. Goodness of fit: if chi
 intervals then also cover the model error.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

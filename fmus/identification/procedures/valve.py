@@ -17,8 +17,6 @@ Validity: steady flow above the dead zone of the meter; the opening rises with t
 C_d A sqrt(2/rho) is measured: the area is valid for the known C_d and density.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Openings of all edges of a valve: a straight line if it suffices, else curves, equal or of each edge."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Panels of the valve's figure (Fig. 5): C_R, opening with its band, the paper's polynomials, residual."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import TypeVar

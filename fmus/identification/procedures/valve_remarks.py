@@ -1,7 +1,5 @@
 """Remarks on a valve's openings: masked steps, line or curve, equal edges, polynomials, calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

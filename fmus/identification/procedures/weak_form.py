@@ -16,8 +16,6 @@ noise in the regressors does not bias theta towards zero. Reference: I. Markovsk
 of total least squares methods, Signal Processing 87 (2007), section 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -21,8 +21,6 @@ Validity: slow motion that goes up and down about equally; a payload that does n
 independent of load. The payload is a point mass at or below the tip, at the tip's distance from the boom.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

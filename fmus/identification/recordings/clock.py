@@ -3,8 +3,6 @@
 A missing sample becomes a gap (NaN) of the new clock; it is not interpolated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 

@@ -8,8 +8,6 @@ because its window is symmetric.
 `delay` estimates the delay between two signals, `shift` removes it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple

@@ -12,8 +12,6 @@ A signal without visible noise (a command, an encoder at rest) may be constant a
 `steady` returns the intervals in which a command is constant, `averages` the means of good samples there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

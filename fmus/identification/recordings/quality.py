@@ -4,8 +4,6 @@
 `masks`. A magnitude that no machine reaches indicates a wrong unit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ and `split` select samples, `blank` replaces samples by gaps, `add` adds or repl
 and sensor. All return a new recording with the same conditions.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A subsystem compiled to C for output-error identification: its FMU's model and forward sensitivities."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import subprocess

@@ -3,8 +3,6 @@
 Time is in samples, and signals are relative to their peaks, so that all values are near 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import make_dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ Inputs are therefore smoothed by local parabolas [Savitzky and Golay 1964] over 
 the removed part is no larger than the noise of the sensor.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

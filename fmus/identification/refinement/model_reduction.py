@@ -1,7 +1,5 @@
 """Model reduction: the states, inputs and equations of a subsystem that some of its outputs depend on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

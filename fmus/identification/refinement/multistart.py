@@ -5,8 +5,6 @@ parameters at the end of the first part. So if the first part ends where that of
 search is taken to lead to the reference, and the second part is left out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 

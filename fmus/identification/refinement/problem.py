@@ -1,7 +1,5 @@
 """An estimation problem: a subsystem, its free parameters with priors and bounds, and measured runs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

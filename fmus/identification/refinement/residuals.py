@@ -1,7 +1,5 @@
 """Residual analysis: simulation error (NRMSE), whiteness tests, cross-correlation with the inputs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

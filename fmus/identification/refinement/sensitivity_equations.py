@@ -14,8 +14,6 @@ D needs second derivatives of f. They are constant over the step (evaluated at x
 (k_i, g_i h du) in each stage.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 

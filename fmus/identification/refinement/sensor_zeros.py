@@ -6,8 +6,6 @@ its own in the refinement, with a prior of half that error as its standard devia
 the declared error, so it cannot take the place of a force that the model lacks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -4,8 +4,6 @@ A simulator computes a segment of a trajectory and its sensitivities. That of a 
 `compiled_model.CompiledModel`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol

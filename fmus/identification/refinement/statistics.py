@@ -8,8 +8,6 @@ follow this error, and the residuals do not show it. Its effect is therefore com
 noise is added to the inputs, and the change of the estimates follows from the linearisation at the optimum.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

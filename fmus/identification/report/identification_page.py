@@ -3,8 +3,6 @@
 `refinement` and `quality` return the content for a joint refinement and for a recording.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

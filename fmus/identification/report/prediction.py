@@ -1,7 +1,5 @@
 """Prediction of a recording: the machine simulated with its commands, parameter values and variants."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

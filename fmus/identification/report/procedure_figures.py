@@ -5,8 +5,6 @@ line, masked values are hollow marks, and compared curves are dashed. Successive
 form a column and share their x axis. Other quantities get a separate column.
 """
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections import Counter
@@ -26,14 +24,7 @@ from matplotlib.ticker import MaxNLocator
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.report_texts import footer
 from orchestrator.base.figures import DASHES, DOTS, PALETTE, decimate
-from orchestrator.base.plotting import (
-    WIDTH,
-    heading,
-    legend,
-    new_figure,
-    power_ticks,
-    style_axes,
-)
+from orchestrator.base.plotting import WIDTH, heading, legend, new_figure, power_ticks, style_axes
 from orchestrator.base.text import MINUS, name_with_unit, typeset
 from orchestrator.base.units import pretty
 from orchestrator.data.table import Array

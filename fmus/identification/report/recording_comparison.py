@@ -4,8 +4,6 @@ The figures show measured and predicted signals of a joint over time, as in the 
 measurement is a solid line, the prediction a dotted one, and the strip below each panel shows the residual.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -26,14 +24,7 @@ from fmus.identification.report.attribution import (
 )
 from fmus.identification.report.prediction import Signals, excitation, predict
 from fmus.identification.report.report_texts import counterpart, footer, origin
-from orchestrator.base.figures import (
-    PALETTE,
-    REFERENCE,
-    SIMULATION,
-    TraceFigure,
-    TraceLine,
-    TracePanel,
-)
+from orchestrator.base.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
 from orchestrator.base.text import display_unit, percentage, sentences
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array

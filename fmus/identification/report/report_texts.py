@@ -1,7 +1,5 @@
 """Texts of the identification report: rounded values with intervals, warnings, captions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 

@@ -1,7 +1,5 @@
 """Rules that read the files of an FMU and do not run it."""
 
-from __future__ import annotations
-
 from orchestrator.check.rule import CheckRule
 from orchestrator.check.rules import archive, identity, libraries, structure, units, variables
 

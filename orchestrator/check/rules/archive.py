@@ -1,7 +1,5 @@
 """Rules on the zip archive and its files: names, icon, documentation, licence, local paths, sources."""
 
-from __future__ import annotations
-
 import posixpath
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Rules on modelDescription.xml: schema, FMI version, validation by FMPy, identifiers, default experiment."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Iterator

@@ -3,8 +3,6 @@
 FMUs that need an interpreter such as Python on the target machine are reported here, too.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """Rules on ModelStructure (lists of unknowns and their dependencies), and on capability flags."""
 
-from __future__ import annotations
-
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

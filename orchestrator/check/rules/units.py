@@ -1,7 +1,5 @@
 """Rules on units (defined, correct in SI) and on terminals (existing members, unique names)."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Rules on variables: attributes that the standard allows, portable names, valid start values and ranges."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import defaultdict

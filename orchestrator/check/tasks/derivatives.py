@@ -1,7 +1,5 @@
 """Tasks that compare derivatives and dependencies of an FMU with finite differences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from orchestrator.check.tasks.runner import Remark, Trial

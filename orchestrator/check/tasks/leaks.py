@@ -1,7 +1,5 @@
 """Tasks that look for leaks of memory, file handles and threads over hundreds of instances."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

@@ -1,7 +1,5 @@
 """Tasks on loading and instances: functions, token, log, resource location, several instances, threads."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Robustness checks of an FMU: invalid input values, and calls that FMI forbids or rarely sees."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Callable, Iterator

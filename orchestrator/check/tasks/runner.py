@@ -1,7 +1,5 @@
 """The FMU on which a probe works in a child process, and the function that runs one task there."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Task that simulates an experiment shipped with an FMU: parameters, inputs over time, recorded outputs."""
 
-from __future__ import annotations
-
 import ctypes
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence

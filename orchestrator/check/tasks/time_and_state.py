@@ -3,8 +3,6 @@
 Time: summed communication points, a start time other than zero, no stop time.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Tasks on intermediate updates and early return of a communication step (FMI 3)."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from dataclasses import dataclass, field

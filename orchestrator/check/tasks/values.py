@@ -1,7 +1,5 @@
 """Tasks on the outputs after initialisation and on the default experiment."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from operator import gt
