@@ -1,7 +1,5 @@
 """Fixtures shared by all tests: the machine's FMUs, and a browser per test process; what the tests take."""
 
-from __future__ import annotations
-
 import os
 
 # before NumPy is loaded: threads for small matrices only take the processor from the other test process

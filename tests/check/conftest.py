@@ -1,7 +1,5 @@
 """Fixtures of the tests of `harvester check`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import pytest

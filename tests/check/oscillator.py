@@ -1,7 +1,5 @@
 """The FMUs of oscillator.c: FMI 2 and FMI 3, good, or with one fault in the binary or in the text."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Planted faults in shared libraries: compiled in, or patched in."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Child processes of the check end whatever the FMU does, and leave no processes or files."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import tempfile

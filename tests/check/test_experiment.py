@@ -1,7 +1,5 @@
 """Experiments shipped with any FMU are run and compared; invalid files are reported."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

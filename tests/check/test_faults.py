@@ -1,7 +1,5 @@
 """Planted faults in files: each is reported by the rule for it, and by no other rule."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that are not valid FMUs give findings and never stop the check."""
 
-from __future__ import annotations
-
 import io
 import re
 import warnings
@@ -50,10 +48,7 @@ def test_nonsense_in_the_description_gives_findings(text: str, rule: str, tmp_pa
     ("members", "text"),
     [
         ([f"lag/{DESCRIPTION}"], f"lag/{DESCRIPTION}"),
-        (
-            ["SystemStructure.ssd", "resources/lag.fmu"],
-            r"^expected an FMU, got a system .SSP.*harvester run",
-        ),
+        (["SystemStructure.ssd", "resources/lag.fmu"], r"^expected an FMU, got a system .SSP.*harvester run"),
     ],
 )
 def test_an_archive_without_description_names_what_it_holds(

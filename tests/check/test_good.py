@@ -1,7 +1,5 @@
 """FMUs without faults have no findings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

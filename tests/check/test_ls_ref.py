@@ -1,7 +1,5 @@
 """The experiments shipped with the project's FMUs: solved on the equations, reproduced by each FMU."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Probes of `harvester check`: each planted fault is found by its probe; valid FMUs have no findings."""
 
-from __future__ import annotations
-
 import tomllib
 import zipfile
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """FMUs that need Python are reported."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

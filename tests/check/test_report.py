@@ -1,7 +1,5 @@
 """Report of the check: order, counts, tools, the command, and the counts in the docs."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A test that hangs is ended and named; the others run."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

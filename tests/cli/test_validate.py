@@ -1,7 +1,5 @@
 """`harvester validate` on the machine itself."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

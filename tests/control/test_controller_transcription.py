@@ -1,7 +1,5 @@
 """docs/control.md is enough to write the controller: its transcription agrees with the project."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace as Group
 
 import numpy as np

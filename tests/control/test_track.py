@@ -1,7 +1,5 @@
 """The tip on its path: what is measured, what it is measured with, and what the command prints and draws."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Nothing of `fmus` or `orchestrator` is used but the functions of `transcription`
 inputs are dictionaries by the project's names, and so are the rates and observables that come back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import pi, sqrt
 from types import SimpleNamespace as Group

@@ -5,8 +5,6 @@ systems, the command is found by bisection on the valve's curve, places are comp
 `fmus` is used; names of sections are those of docs/control.md.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace as Group
 
 import numpy as np

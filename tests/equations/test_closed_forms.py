@@ -1,7 +1,5 @@
 """Steady values and frequencies against closed forms, through the FMUs (bars: 0.5 %)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Equations of the components against closed forms and physical properties."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

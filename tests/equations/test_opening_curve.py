@@ -182,11 +182,7 @@ def test_the_c_code_is_the_expression(compiled, points, volts):
         np.testing.assert_allclose(found, second, rtol=1e-12, atol=1e-15 * scale)
 
 
-@given(
-    dead_band=st.floats(0.0, 8.0),
-    rounding=st.floats(1e-3, 4.0),
-    volts=st.floats(-12.0, 12.0),
-)
+@given(dead_band=st.floats(0.0, 8.0), rounding=st.floats(1e-3, 4.0), volts=st.floats(-12.0, 12.0))
 def test_without_a_table_the_curve_is_the_line(compiled, dead_band, rounding, volts):
     """In C: value and slope of the ramp with dead band, also if the rounding reaches beyond full command."""
     of_c, _ = compiled

@@ -1,7 +1,5 @@
 """Operator input: strokes as declared, right-hand derivatives at corners, and the program in the FMU."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import casadi as ca

@@ -11,16 +11,7 @@ from kit.mistakes import table
 from fmus import boom_stick, swing
 from fmus.contract import quantities, symbolic
 from fmus.machine.parts import SUBSYSTEMS
-from fmus.parameters import (
-    Number,
-    numbers,
-    read,
-    read_parameter_set,
-    rows,
-    values,
-    with_parameters,
-    write,
-)
+from fmus.parameters import Number, numbers, read, read_parameter_set, rows, values, with_parameters, write
 from orchestrator.base.errors import Problem
 
 BOOM_STICK, MANIPULATOR, SWING = (SUBSYSTEMS[n] for n in ("boom_stick", "manipulator", "swing"))

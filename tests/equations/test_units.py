@@ -1,7 +1,5 @@
 """Unit strings mean what the SI says; other units are converted, or refused by name."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from pathlib import Path

@@ -6,8 +6,6 @@ triangles from the law of cosines, where the project differentiates energies. Na
 states, inputs and observables are the project's; section numbers are those of the document.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from math import atan2, cos, exp, hypot, pi, sin, sqrt

@@ -2,8 +2,6 @@
 
 # ruff: noqa: ARG005  (dynamics and observe take x, u, p, whatever a toy uses)
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a person sees of an FMU: the page in documentation/, icon, licence, display units."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import struct

@@ -1,7 +1,5 @@
 """Model Exchange as importers do it: calls around the initialisation, inputs that change unseen."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

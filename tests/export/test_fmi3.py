@@ -1,7 +1,5 @@
 """FMI 3.0: what it has beyond FMI 2.0, on toys; the equations behind are tested with FMI 2.0."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Callable

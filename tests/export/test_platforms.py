@@ -1,7 +1,5 @@
 """Shared libraries for all platforms: where they lie, what is in them, what they ask of a machine."""
 
-from __future__ import annotations
-
 import hashlib
 import platform
 import re

@@ -1,7 +1,5 @@
 """The C in an FMU as its users compile it: all files in one project, and two FMUs in one program."""
 
-from __future__ import annotations
-
 import subprocess
 from itertools import product
 from pathlib import Path

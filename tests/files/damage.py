@@ -1,7 +1,5 @@
 """Damage to archives and XML files, by seed: what transfers, disks, other tools and attackers do to them."""
 
-from __future__ import annotations
-
 import io
 import random
 import struct

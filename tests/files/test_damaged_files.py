@@ -3,8 +3,6 @@
 The damage follows from a seed, so a failure can be repeated: `examine` prints the seeds that fail.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import sys

@@ -1,7 +1,5 @@
 """FMUs and SSPs that are made to harm: what each of them tries, and the line that refuses it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """From recordings to parameters by the command line: procedures, joint refinement, and mistakes of users."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import shutil

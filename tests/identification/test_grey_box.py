@@ -1,7 +1,5 @@
 """The example for a foreign file: a grey box fitted to its first half simulates the second."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

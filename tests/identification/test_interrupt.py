@@ -1,7 +1,5 @@
 """Ctrl-C during `harvester identify`: the estimates until then are written."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From edges that are no straight lines to tables that the machine reads, by the command line."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compiles the C files of tests with the project's compiler, once for all test processes and later runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

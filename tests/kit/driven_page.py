@@ -1,7 +1,5 @@
 """Drives the machine on a page in a browser, and compares its motion with that of `harvester run`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Equations by name: of one subsystem as numbers and expressions, of the joined machine over time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property
 

@@ -1,7 +1,5 @@
 """Every variant of every part as FMUs of both back ends, driven by the inputs of the machine at work."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache

@@ -1,7 +1,5 @@
 """Mistakes of users and the one line that tells each of them: tables in TOML beside the tests, one runner."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Tests of other tools compare with it, because they step like that; tests of the engine do.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How many examples a property test draws: few and the same in `make test`, ten times as many in a search."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hypothesis import HealthCheck, settings

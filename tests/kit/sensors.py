@@ -4,8 +4,6 @@ It stands where the FMU of the controller stands (`run(..., open=opener(...))`):
 master it reads its inputs and computes one step of that length; its commands come out when that is over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The controller's equations as functions of numbers, for its tests."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import casadi as ca

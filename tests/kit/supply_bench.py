@@ -1,7 +1,5 @@
 """A test bench for a supply: a load that takes oil and tells its pressure, integration, rest, by names."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple

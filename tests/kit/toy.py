@@ -1,7 +1,5 @@
 """Small subsystems from units and functions, for tests of what is done with any subsystem."""
 
-from __future__ import annotations
-
 from dataclasses import make_dataclass
 from pathlib import Path
 from typing import Annotated, Any

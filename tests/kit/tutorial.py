@@ -9,8 +9,6 @@ Indented blocks are shown, not run. Shown numbers hold to 1 %, or to one of the 
 other compilers round otherwise, and no shown number should depend on more.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

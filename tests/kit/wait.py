@@ -1,7 +1,5 @@
 """Waiting without a clock: a test ends as soon as something holds, and only a failure takes long."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The work cycle in other tools: taking them through it, and comparing what they give with the reference."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Collection, Mapping
 from importlib import import_module

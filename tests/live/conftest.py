@@ -1,7 +1,5 @@
 """Fixtures: small FMUs, a station around the one that integrates its input."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The loop in frames beside `run`: the same bits; mistakes; memory."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 from dataclasses import replace

@@ -4,8 +4,6 @@ No test measures time: it waits until something holds, and commands live for a m
 meant.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """From one session of a live machine to the next: restarts, other machines, what is kept and written."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The pieces of a live machine, each by itself and without any process."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

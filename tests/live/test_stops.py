@@ -1,7 +1,5 @@
 """What a stick that is let go at full speed does to the machine: it stops, and softly."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The models of hybrid.c as FMUs for Model Exchange."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from kit.any_fmu.description import Description, V, member, packed, tables

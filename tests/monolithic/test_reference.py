@@ -1,7 +1,5 @@
 """The monolithic solution of systems of FMUs: events, algebraic loops, mixed versions, the machine."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from itertools import product

@@ -1,7 +1,5 @@
 """FMUs driven from C: compilers, the driver in c/, and scripts for it."""
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The machine's FMUs, unpacked, the driver for each version of FMI, and a model that does not behave."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

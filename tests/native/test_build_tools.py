@@ -1,7 +1,5 @@
 """The C inside the FMUs, built by compilers and build systems that are not the project's own."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sysconfig

@@ -1,7 +1,5 @@
 """Valgrind: whatever is done with an FMU, no memory is used wrongly or lost."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 

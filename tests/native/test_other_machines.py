@@ -1,7 +1,5 @@
 """Binaries for other machines, run where an emulator is installed: the numbers of this machine."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence

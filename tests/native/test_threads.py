@@ -1,7 +1,5 @@
 """Instances in threads: they share nothing."""
 
-from __future__ import annotations
-
 import platform
 import shutil
 import subprocess

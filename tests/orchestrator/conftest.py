@@ -1,7 +1,5 @@
 """Fixtures: small FMUs, and the two-mass oscillator made of two of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from functools import cache

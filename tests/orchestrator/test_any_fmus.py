@@ -328,8 +328,7 @@ def test_adaptive_steps_need_fmus_that_vary_theirs(each):
 
 
 @pytest.mark.parametrize(
-    ("master", "how"),
-    thinned(4, ADAPTIVE, [DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH]),
+    ("master", "how"), thinned(4, ADAPTIVE, [DISCARD, FAULT, FATAL, NOT_A_NUMBER, ENOUGH])
 )
 def test_adaptive_runs_end_alike(each, both, master, how):
     """Any failure inside a step has the same messages and values, called by C and by Python."""

@@ -1,7 +1,5 @@
 """Damaged files of samples and of TOML: one line or a regular result, in bounded memory and time."""
 
-from __future__ import annotations
-
 import os
 import random
 from collections.abc import Callable
@@ -265,8 +263,7 @@ TOML = [
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [*(("a.csv", *row) for row in CELLS), *(("a.toml", *row) for row in TOML)],
+    ("name", "text", "message"), [*(("a.csv", *row) for row in CELLS), *(("a.toml", *row) for row in TOML)]
 )
 def test_hostile_text_is_refused(tmp_path, name, text, message):
     """Long cells, shortened in the message; nesting, thousands of digits, other folders, sheer size."""

@@ -1,7 +1,5 @@
 """Algebraic loops through direct feed-through are found, solved and told."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures of a run, and values and inputs as users write them: units, mappings, data frames, MATLAB files."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

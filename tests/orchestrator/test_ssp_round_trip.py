@@ -1,7 +1,5 @@
 """A system that is written as an SSP is the same system when it is read again."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Numbers, units and tables as a reader sees them."""
 
-from __future__ import annotations
-
 from io import StringIO
 
 import pytest

@@ -1,7 +1,5 @@
 """SSPs of other tools: annotations about step and master, common faults, units, and broken files."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 import zipfile

@@ -1,7 +1,5 @@
 """A user's file for the tests: a first-order lag, as text to be changed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from fmus.export.python.build import build_user

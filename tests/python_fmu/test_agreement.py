@@ -1,7 +1,5 @@
 """The same equations three times: as C, in Python, and in Python inside an FMU."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

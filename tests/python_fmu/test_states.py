@@ -1,7 +1,5 @@
 """Saved states are complete: repeated steps give the same bits, also in another instance and process."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

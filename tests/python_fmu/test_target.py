@@ -1,7 +1,5 @@
 """What an FMU in Python says where something is missing, and how it runs in programs without Python."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

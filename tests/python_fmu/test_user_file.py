@@ -1,7 +1,5 @@
 """Models by hand: what is refused at the build, and what is told while they run. Each fault in one line."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benches: steady points by closed forms, and what the recordings can tell."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

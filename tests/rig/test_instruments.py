@@ -1,7 +1,5 @@
 """Readings of the instruments: noise, quantisation, range, dead zone, and nothing else."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

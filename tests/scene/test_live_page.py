@@ -1,7 +1,5 @@
 """The machine on a page: from disk it moves as `harvester run` moves it, and asks nobody for anything."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import re

@@ -1,7 +1,5 @@
 """Fixtures: small FMUs, the study of one of them, and a Dask cluster that all tests share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

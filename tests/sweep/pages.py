@@ -1,7 +1,5 @@
 """Pages of studies of functions, each rendered once for all that is to be seen on it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Studies of small FMUs that are run in no time, and what to compare of their results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Studies of functions whose sensitivity is known in closed form: the project's designs, no FMU."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 

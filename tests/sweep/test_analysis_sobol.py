@@ -1,7 +1,5 @@
 """Sobol' indices, Morris effects and main effects against functions whose answers are known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from statistics import NormalDist

@@ -1,7 +1,5 @@
 """Plain samples, summaries, failed runs, and the sentences: only what the numbers support."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

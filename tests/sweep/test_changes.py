@@ -1,7 +1,5 @@
 """One line says what is not as it was: the first difference, as the file names it, and how many others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """On a Dask cluster that is there already: the same content, also when one of its processes dies."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

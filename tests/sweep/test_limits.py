@@ -1,7 +1,5 @@
 """Numbers outside what an FMU declares of its variables are refused before anything is run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

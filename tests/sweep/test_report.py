@@ -1,7 +1,5 @@
 """The page of a study: it stands alone, shows what is there, and is the same for the same results."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A study that is killed or interrupted: what was finished is kept, the content is the same in the end."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Studies in files and in Python: what they say is understood, mistakes are told in one line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The studies in docs/sweep.md and in examples/swing_peaks: they are valid, and small ones run."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

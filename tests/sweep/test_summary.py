@@ -1,7 +1,5 @@
 """What a study tells on the command line: its progress in a pipe, how many runs, and why some failed."""
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Units for a reader: bar and mm instead of Pa and thousandths of a metre, one unit for all of an output."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The machine as one FMU: containers that other tools build from the four FMUs, against our own master."""
 
-from __future__ import annotations
-
 import shutil
 from copy import copy
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The FMUs and their system in FMPy: single FMUs, its SSP simulation, and a loop over its classes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

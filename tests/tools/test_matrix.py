@@ -1,7 +1,5 @@
 """`make matrix` on fake tools: what it writes was measured, and what goes wrong is one cell of a table."""
 
-from __future__ import annotations
-
 import os
 import sys
 import zipfile

@@ -1,7 +1,5 @@
 """Modelica package of the machine: its code, and examples/modelica simulated by OpenModelica."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

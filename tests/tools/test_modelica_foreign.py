@@ -3,8 +3,6 @@
 decay.c is a first-order lag: dx/dt = s n (u - k x), x(0) = 1.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -3,8 +3,6 @@
 test_openmodelica.mo has the models: harvester.fmu by the tool's own import, parts by `harvester modelica`.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

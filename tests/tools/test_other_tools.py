@@ -4,8 +4,6 @@ Both are plain Jacobi masters: each FMU does a step with what the others gave at
 carry those values through the step.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What tools that are not here ask for: of the SSP, and of the scripts of examples, which get stand-ins."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

@@ -1,7 +1,5 @@
 """A small run and reference for the validation tests: one shaft that turns and one pressure that rings."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

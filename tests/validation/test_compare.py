@@ -1,7 +1,5 @@
 """A run against its reference: alignment, units, limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures: nothing lost by decimation, everything drawn that was asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

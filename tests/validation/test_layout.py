@@ -1,7 +1,5 @@
 """Layouts: what a report shows, read from a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The numbers of a comparison, against values worked out by hand and against what must always hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The monolithic solution as the reference of a run: compared signals, limits, constant outputs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

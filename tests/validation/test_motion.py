@@ -1,7 +1,5 @@
 """The machine's motion: views, frames of the animation, strobe picture."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

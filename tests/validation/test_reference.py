@@ -1,7 +1,5 @@
 """References and measurements in files of any kind: what is read and written, and what mistakes are told."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import date

@@ -1,7 +1,5 @@
 """The report: one file, complete, offline, and the same numbers as JSON."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

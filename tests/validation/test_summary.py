@@ -1,7 +1,5 @@
 """The outcome in the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from io import StringIO

@@ -1,7 +1,5 @@
 """Every drive at random states: what any variant of swing, boom and stick must keep, whatever its circuit."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """The detailed drives: rest, and the limit in which they are the lumped ones. Balances: test_balances.py."""
 
-from __future__ import annotations
-
 import math
 import re
 from functools import cache

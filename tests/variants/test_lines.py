@@ -1,7 +1,5 @@
 """Lines of T-lumps against the transmission line, and the adviser that says how many it takes."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

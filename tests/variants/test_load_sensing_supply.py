@@ -1,7 +1,5 @@
 """The load-sensing supply: margin, cut-off, power limit and times against closed forms."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Oil with air: its modulus, its energy, and the chamber of `lumped` when there is none."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

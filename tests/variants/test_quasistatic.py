@@ -1,7 +1,5 @@
 """Quasistatic drives: edges in flow form, steady speeds, and the rate of the lumped drives' limit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Spool dynamics: second order for small motions, limits of speed and stroke, overlaps of the four edges."""
 
-from __future__ import annotations
-
 import math
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """The standard suite: what every variant of every part must do, as FMU of either back end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Engine, swash plates, valves and rail are those of the load-sensing pump: test_circuits_transcription.py.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """`harvester view`, of which the first page drives at once: `python first_drives.py SYSTEM RESULTS`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A machine without physics and a server around it; the command `harvester view`."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import sys

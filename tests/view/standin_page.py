@@ -1,7 +1,5 @@
 """A page with nothing but the controls and the task, for a browser: `python standin_page.py PORT`."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

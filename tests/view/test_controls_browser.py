@@ -1,7 +1,5 @@
 """The sticks in a real browser: keys, gamepad, mouse, and everything that must let go."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """From deflections to commands: curve, patterns, modes."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The page in a real browser: it loads, shows the machine, is driven, and lets go when it is closed."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """`harvester view` as a user runs it: where it listens, what it says, how it ends."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """What the page is made of, without a browser: history, gauges, line of the state, frames to slow pages."""
 
-from __future__ import annotations
-
 import math
 import socket
 from collections.abc import Mapping, Sequence

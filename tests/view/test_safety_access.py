@@ -1,7 +1,5 @@
 """Who gets an answer from a running server: hosts, origins, tokens."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from functools import partial

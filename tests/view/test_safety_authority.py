@@ -1,7 +1,5 @@
 """Who drives, who may take the controls, and when the machine rests: with a clock that the test moves."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Names of files from a browser: what lies in the folder is found, everything else is one line."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a server bears: floods of requests and of silent connections leave the driver and the page alone."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import http.client

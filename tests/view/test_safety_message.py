@@ -1,7 +1,5 @@
 """Messages from a browser: what is believed, and that everything else is one Problem."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The websocket of a running server: what is sent never stops it, and never leaves the machine moving."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

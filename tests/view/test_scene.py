@@ -1,7 +1,5 @@
 """The machine in space: where the page draws it is where the mechanics say it is."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The training task on trajectories whose scores are known in closed form."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The example examples/hydraulic_manipulator: its modules, its systems built once."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

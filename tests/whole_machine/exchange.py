@@ -4,8 +4,6 @@ FMPy's own simulate_fmu holds inputs between output points in Model Exchange. He
 of CVode.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Co-simulation of the three FMUs against the monolithic reference: bars and orders of convergence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Co-Simulation and Model Exchange, FMI 2.0 and FMI 3.0: four ways to the same numbers."""
 
-from __future__ import annotations
-
 from contextlib import redirect_stdout
 from io import StringIO
 from itertools import pairwise, product

@@ -1,7 +1,5 @@
 """What every FMU of the machine must do: CS = ME, equations, derivatives, clear errors."""
 
-from __future__ import annotations
-
 import zipfile
 
 import fmpy

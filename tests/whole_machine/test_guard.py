@@ -1,7 +1,5 @@
 """The guard of equal steps on the machine: poses, programs, variants where voids close, pressures jump."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from kit import shards

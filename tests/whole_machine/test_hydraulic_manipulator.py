@@ -1,7 +1,5 @@
 """The published benchmark of a hydraulic manipulator: component, equations, coupled run."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Master interface-jacobian on the machine and on the published benchmark."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from functools import cache
 

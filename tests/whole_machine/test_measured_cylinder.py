@@ -1,7 +1,5 @@
 """examples/measured_cylinder on recordings of independent equations, in the format of the measured files."""
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What ran, known later: FMUs know the file of their parameters, traces their FMUs and changed values."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

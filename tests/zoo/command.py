@@ -1,7 +1,5 @@
 """Runs a command of harvester in a process of its own, and finds what it leaves behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

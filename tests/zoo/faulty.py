@@ -3,8 +3,6 @@
 The library is compiled once per version of FMI: the instantiation token of an FMU names its fault.
 """
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from itertools import product

@@ -3,8 +3,6 @@
 tests/check/test_children.py interrupts a check while an FMU hangs.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

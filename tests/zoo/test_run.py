@@ -1,7 +1,5 @@
 """Runs of FMUs with faults: one line, all rows until then, and nothing is left."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -50,10 +48,7 @@ def _check_rows(folder: Path, fmu: Faulty) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("fault", "phase", "major", "swapped"),
-    shards.few(QUICK, SWAPPED, shards.faults),
-)
+@pytest.mark.parametrize(("fault", "phase", "major", "swapped"), shards.few(QUICK, SWAPPED, shards.faults))
 def test_a_fault_ends_the_run_in_one_line(
     tmp_path: Path, fault: str, phase: str, major: int, swapped: bool
 ) -> None:

@@ -1,7 +1,5 @@
 """Studies of FMUs with faults: each failed run is a row that names the FMU and what happened."""
 
-from __future__ import annotations
-
 import sys
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A live machine of an FMU with a fault: one line on the page and the terminal, its frames are kept."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -113,8 +111,7 @@ def _check_view(folder: Path, fmu: Faulty) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "phase", "major"),
-    shards.few([("abort", "step", 3)], CASES, shards.faults),
+    ("fault", "phase", "major"), shards.few([("abort", "step", 3)], CASES, shards.faults)
 )
 def test_the_terminal_tells_the_fault(tmp_path: Path, fault: str, phase: str, major: int) -> None:
     """In one line, also while an FMU hangs; Ctrl-C ends the command and leaves nothing."""

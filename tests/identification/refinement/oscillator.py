@@ -1,7 +1,5 @@
 """A mass on a spring with a driving force: a small model with known parameters."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The condensed problem agrees with the full one, solved densely with its constraints."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fmus.identification.refinement.shooting import LinearSegment, condense, tree_qr

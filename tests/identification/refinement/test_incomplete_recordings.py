@@ -1,7 +1,5 @@
 """Incomplete recordings: they begin in motion, lack a signal, or contain too little information."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Joint refinement of a known model: convergence, bounds, and what the result does not depend on."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import pairwise

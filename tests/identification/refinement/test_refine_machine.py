@@ -1,7 +1,5 @@
 """Joint refinement of the harvester: its lumped model against its own simulation with the paper's sensors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

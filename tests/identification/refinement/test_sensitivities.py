@@ -1,7 +1,5 @@
 """The compiled model against solutions and derivatives in closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The sensitivities of the machine against methods that share no code with the compiled ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache

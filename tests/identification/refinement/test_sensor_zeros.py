@@ -1,7 +1,5 @@
 """Zeros of sensors in the joint refinement: found, bounded by what the sensor declares, and subtracted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -34,9 +32,7 @@ def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals(nam
     clean = machine_recording(seconds)
     encoders = {n: replace(clean.sensors[n], zero_error=DECLARED) for n in clean.signals if "_angle" in n}
     read = replace(
-        clean,
-        signals={**clean.signals, BOOM: clean[BOOM] + OFF},
-        sensors={**clean.sensors, **encoders},
+        clean, signals={**clean.signals, BOOM: clean[BOOM] + OFF}, sensors={**clean.sensors, **encoders}
     )
     task = machine.problem([read], nominal(), names)
     away = [

@@ -1,7 +1,5 @@
 """Uncertainty of the refinement: intervals, unidentified parameters, residual analysis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

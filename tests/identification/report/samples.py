@@ -1,7 +1,5 @@
 """Small results and pages to draw."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fmus.identification.estimate import Estimate

@@ -1,7 +1,5 @@
 """The machine with identified numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

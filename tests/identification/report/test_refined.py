@@ -1,7 +1,5 @@
 """Content of the report for a refinement, a comparison and the quality of a recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +70,7 @@ def test_a_refinement_has_the_names_of_the_report():
     assert found["names"] == ["valve_area", "boom_stick.hose"]
     assert found["correlation"][0, 1] == pytest.approx(0.5)
     assert found["unidentified"] == [
-        "boom_stick.hose and valve_area: the data show only boom_stick.hose * valve_area, not each.",
+        "boom_stick.hose and valve_area: the data show only boom_stick.hose * valve_area, not each."
     ]
     assert found["remarks"] == ["boom_stick.hose ended at its bound."]
     remark = refinement(refined(converged=False, reason="40 iterations"))["remarks"][0]

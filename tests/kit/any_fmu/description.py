@@ -1,7 +1,5 @@
 """modelDescription.xml of FMI 2.0 or 3.0 from a table of variables, and the archive around it."""
 
-from __future__ import annotations
-
 import tomllib
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence

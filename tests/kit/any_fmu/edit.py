@@ -1,7 +1,5 @@
 """Copies of FMUs with changes in their model descriptions."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from pathlib import Path

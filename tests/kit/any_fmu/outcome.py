@@ -1,7 +1,5 @@
 """Runs of test FMUs that C calls, and of the same FMUs called by Python, which have to leave the same."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
