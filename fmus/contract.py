@@ -241,7 +241,10 @@ def family(part: str, **variants: Subsystem) -> dict[str, Subsystem]:
     The default variant has the name of the part, another one is `part_variant`. All variants have the same
     inputs, and at least the outputs of the default variant, so they are interchangeable in a system.
     """
-    names = {v: _names_in_file(sub) for v, sub in variants.items()}
+    names = {  # that parameters.toml may contain
+        v: frozenset(n for g in (sub.parameters, sub.inputs, sub.states) for n in quantities(g))
+        for v, sub in variants.items()
+    }
     default = next(iter(variants.values()))
     for sub in variants.values():
         for group in ("inputs", "outputs"):
@@ -260,11 +263,6 @@ def family(part: str, **variants: Subsystem) -> dict[str, Subsystem]:
         )
         for v, sub in variants.items()
     }
-
-
-def _names_in_file(sub: Subsystem) -> frozenset[str]:
-    """Names of variables that parameters.toml may contain."""
-    return frozenset(n for g in (sub.parameters, sub.inputs, sub.states) for n in quantities(g))
 
 
 _CACHE: dict[type[Any], MappingProxyType[str, Quantity]] = {}  # type hints are slow to resolve

@@ -76,14 +76,11 @@ class Estimate:
         low, high = confidence_interval(value, sd, freedom, log=log, minimum=minimum)
         return cls(name, value, unit, sd, low, high, note)
 
-    def listed_sd(self) -> float | None:
-        """Standard deviation in a list: that of commands, which are chosen, is not written."""
-        return None if self.unit == "V" else self.sd
-
     def number(self) -> Number:
         """The entry for parameters.toml; that of a list has no interval, because its entries share a note."""
         if self.listed:
-            return Number(self.value, self.unit, "identified", self.note, self.listed_sd(), self.listed)
+            sd = None if self.unit == "V" else self.sd  # commands are chosen, not estimated
+            return Number(self.value, self.unit, "identified", self.note, sd, self.listed)
         low, high = (f"{end:.4g}" if math.isfinite(end) else "open" for end in (self.low, self.high))
         note = f"{self.note}; 95 % interval {low} to {high}"
         return Number(self.value, self.unit, "identified", note, self.sd)

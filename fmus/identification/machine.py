@@ -9,7 +9,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 
 from fmus.composition import declared, flat_names
-from fmus.contract import Subsystem, quantities
+from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.measured_runs import RecordingMap
@@ -57,14 +57,9 @@ def nominal() -> dict[str, Number]:
     return {
         f"{part}.{name}": number
         for part, sub in SUBSYSTEMS.items()
-        for name, number in _with_variants(sub).items()
+        for in_file in [read(sub.folder / "parameters.toml")["parameters"]]
+        for name, number in (in_file | dict(numbers(sub)["parameters"]) | derived(sub)).items()
     }
-
-
-def _with_variants(sub: Subsystem) -> dict[str, Number]:
-    """All parameters in the file of a part, also the derived ones."""
-    in_file = read(sub.folder / "parameters.toml")["parameters"]
-    return in_file | dict(numbers(sub)["parameters"]) | derived(sub)
 
 
 def targets_of(name: str, parameters: Parameters) -> list[str]:

@@ -79,16 +79,6 @@ def detailed() -> DetailedBoomStickParameters:
     return DetailedBoomStickParameters(**values(boom_stick.VARIANTS["detailed"]).p)
 
 
-def lumped_swing() -> SwingParameters:
-    """Parameter values of the lumped swing drive: motor and lines."""
-    return SwingParameters(**values(swing.VARIANTS["lumped"]).p)
-
-
-def detailed_swing() -> DetailedSwingParameters:
-    """Parameter values of the detailed swing drive."""
-    return DetailedSwingParameters(**values(swing.VARIANTS["detailed"]).p)
-
-
 def start_flow(leakage: Scalar) -> Scalar:
     """Initial flow [m3/s] out of a port at the pressure `RETURN`: the leakage from the supply.
 
@@ -240,7 +230,7 @@ def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[
 
 
 def _lumped_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-    p = lumped_swing()
+    p = SwingParameters(**values(swing.VARIANTS["lumped"]).p)
     lines, leaks = (p.line_resistance,) * 2, (p.internal_leakage_resistance, p.external_leakage_resistance)
     nodes = motor.nodes(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *lines, *leaks)
     rates = {}
@@ -253,7 +243,7 @@ def _lumped_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
 
 
 def _detailed_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-    p = detailed_swing()
+    p = DetailedSwingParameters(**values(swing.VARIANTS["detailed"]).p)
     of = Fluid.of(p)
     leaks = (p.internal_leakage_resistance, p.external_leakage_resistance)
     nodes = motor.nodes_at_port_pressures(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *leaks)

@@ -188,11 +188,8 @@ class FmuInstance:
         call = partial(self.library.function(name), as_parameter(self.handle), *map(as_parameter, arguments))
         if self.before:
             call = partial(self._call, name, self.handle, *arguments)
-        check = partial(self._check_bound, description)
+        check = partial(self.check_status, description=description)
         return BoundCall(call, check, self.slot, function_number(name))
-
-    def _check_bound(self, description: str, status: int) -> None:
-        self.check_status(status, description)
 
     def describe_call(self, function: str, variables: Sequence[str] = ()) -> str:
         """A call in words, for messages: fmi2GetReal of a, b, c, ..."""

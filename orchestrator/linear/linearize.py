@@ -1,6 +1,6 @@
 """Linearises a system of FMUs at its start, at a time of a co-simulation, or at a steady state."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
@@ -10,7 +10,6 @@ import numpy as np
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import LinearArguments, chosen, documented
 from orchestrator.engine.run import ScenarioSource, opened, run
-from orchestrator.fmi.description import Value
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel
 from orchestrator.linear.modes import LinearVariable
@@ -124,7 +123,10 @@ def linearize(
     cut = cut_at_inputs(full, given.get("inputs", ()), steady)
     if time is not None:
         _refuse_connected(full, start_values, "--scenario sets the input in the run")
-    cut = replace(cut, system=_with_start_values(cut.system, full, start_values))
+    _refuse_connected(cut.system, start_values, "--input with the same name removes the connection")
+    # without those of components that are only in the full system
+    values = {n: v for n, v in start_values.items() if cut.system.has(n) or not full.has(n)}
+    cut = replace(cut, system=cut.system.with_start(values))
     ports = matching_outputs(cut.system, given.get("outputs", ()))
     start = full.start or 0.0
     plant = CutPlant(cut)
@@ -140,12 +142,6 @@ def linearize(
         return _result(plant, ports, start if time is None else time, notes)
     finally:
         plant.close()
-
-
-def _with_start_values(system: System, full: System, values: Mapping[str, Value | str]) -> System:
-    """The system with start values, except those of components that are only in the full system."""
-    _refuse_connected(system, values, "--input with the same name removes the connection")
-    return system.with_start({n: v for n, v in values.items() if system.has(n) or not full.has(n)})
 
 
 def _refuse_connected(system: System, names: Iterable[str], instead: str) -> None:

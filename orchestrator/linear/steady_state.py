@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import BASES, DeclaredUnit
+from orchestrator.base.units import BASES
 from orchestrator.linear.cut_system import CutPlant
 from orchestrator.monolithic.plant import Array, Matrices
 
@@ -270,7 +270,8 @@ def _joints(plant: CutPlant, m: Matrices) -> dict[str, HeldJoint]:
     joints: dict[str, HeldJoint] = {}
     for i, j in _positions(m):
         word = _first_word(plant.states[i].variable)
-        if not _is_position_unit(plant.system.variable(plant.states[i]).unit):
+        unit = plant.system.variable(plant.states[i]).unit
+        if unit and unit.exponents not in (None, METRE, RADIAN):  # not a position; an unknown unit may be one
             continue
         candidates = [k for k, name in enumerate(inputs) if _first_word(name) == word]
         requested = [k for k in candidates if k < plant.cut.requested_count]
@@ -291,13 +292,6 @@ def _positions(m: Matrices) -> Iterator[tuple[int, int]]:
         columns = np.flatnonzero(row)
         if len(columns) == 1 and row[columns[0]] == 1.0 and columns[0] != i and not m.b[i].any():
             yield i, int(columns[0])
-
-
-def _is_position_unit(unit: DeclaredUnit | None) -> bool:
-    """True for the unit of an angle or a length, and for an unknown unit."""
-    if unit is None or unit.exponents is None:
-        return True
-    return unit.exponents in (METRE, RADIAN)
 
 
 def _first_word(name: str) -> str:

@@ -84,7 +84,9 @@ def write_package(
     loaded = [load(path, exchange=True) for path in systems]
     blocks = PackageBlocks(constant_inputs)
     parts = [{c.name: blocks.add(c) for c in system.components.values()} for system in loaded]
-    _check_constant_inputs(constant_inputs, blocks)
+    inputs = {v.name for block in blocks.blocks.values() for v in block.inputs}
+    for unknown in (n for n in constant_inputs if n not in inputs):
+        raise Problem(f"no FMU has an input {unknown!r}{suggest(unknown, sorted(inputs))}")
     text = _package(name, blocks, list(zip(loaded, parts, strict=True)))
     folder = (Path(out) / name).resolve()
     _check_unchanged(folder)
@@ -101,13 +103,6 @@ def _stem(source: Location) -> str:
     """The file name of an FMU without .fmu."""
     name = PurePosixPath(source.members[-1]).name if source.members else source.path.name
     return name.removesuffix(".fmu")
-
-
-def _check_constant_inputs(constant_inputs: Collection[str], blocks: PackageBlocks) -> None:
-    inputs = {v.name for block in blocks.blocks.values() for v in block.inputs}
-    for name in constant_inputs:
-        if name not in inputs:
-            raise Problem(f"no FMU has an input {name!r}{suggest(name, sorted(inputs))}")
 
 
 def _write(folder: Path, name: str, text: str, blocks: PackageBlocks) -> None:

@@ -90,12 +90,7 @@ def raise_priority() -> str:
     if sys.platform != "win32":
         with suppress(OSError):
             nice = os.nice(-10)
-            _favour_session()
+            with suppress(OSError):  # Linux applies nice only within a session
+                Path("/proc/self/autogroup").write_text("-10")
             return f"ordinary scheduling, nice {nice}"
     return "ordinary scheduling"
-
-
-def _favour_session() -> None:
-    """Raise the priority of the session: Linux applies nice only within a session."""
-    with suppress(OSError):
-        Path("/proc/self/autogroup").write_text("-10")

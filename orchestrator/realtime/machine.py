@@ -106,7 +106,9 @@ class MachineProcess:
         number = status.last if begun else self.first - 1
         state, message = self._state(status)
         axes, values = row[HEAD : HEAD + n], row[HEAD + n :]
-        return Frame(number, float(row[TIME]), axes, values, state, message, _timing(status))
+        median, p99 = (min(latency_quantile(status.latencies, q), status.worst) for q in (0.5, 0.99))
+        timing = Timing(status.frames, status.missed, (median, p99, status.worst), status.load)
+        return Frame(number, float(row[TIME]), axes, values, state, message, timing)
 
     def since(self, number: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Numbers (n,), times (n,), axes (n, axes), values (n, signals) of the frames after a number."""
@@ -176,11 +178,6 @@ def _details(status: MachineStatus) -> dict[str, Any]:
         return dict(json.loads(status.text or "{}"))
     except ValueError:
         return {}
-
-
-def _timing(status: MachineStatus) -> Timing:
-    median, p99 = (min(latency_quantile(status.latencies, q), status.worst) for q in (0.5, 0.99))
-    return Timing(status.frames, status.missed, (median, p99, status.worst), status.load)
 
 
 # distance of the frame numbers of two starts, because the old process may go on while the new one starts

@@ -39,7 +39,6 @@ from orchestrator.scene.view_description import (
     CAVITATION,
     DriveMode,
     Gauge,
-    SceneSignals,
     ViewDescription,
     by_bare_name,
     view_description,
@@ -247,7 +246,9 @@ def _fmu(description: ViewDescription, fmu: System, system: System) -> dict[str,
             for s in sliders
         ],
         "poses": {
-            name: dict(zip(initial, angles, strict=True)) for name, angles in _poses(scene, system).items()
+            name: dict(zip(initial, (at.swing, at.boom, at.stick), strict=True))
+            for name in pose_names(system, scene.initial)
+            for at in [start(with_sets(system, [name]), scene.initial)]
         },
         "initial": initial,
         "program": _program(fmu, inputs),
@@ -276,12 +277,6 @@ def _start(interface: FmuInterface, name: str) -> float:
 
 def _full(mode: DriveMode) -> dict[str, dict[str, float]]:
     return {function: dict(driven) for function, driven in vars(mode.full).items()}
-
-
-def _poses(scene: SceneSignals, system: System) -> dict[str, tuple[float, float, float]]:
-    """Initial angles of swing, boom and stick [rad] of each pose of the system."""
-    starts = {n: start(with_sets(system, [n]), scene.initial) for n in pose_names(system, scene.initial)}
-    return {name: (s.swing, s.boom, s.stick) for name, s in starts.items()}
 
 
 def _program(fmu: System, inputs: Iterable[str]) -> dict[str, Any] | None:

@@ -8,7 +8,7 @@ and charts.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -268,11 +268,12 @@ def of_outputs(system: System) -> ViewDescription:
         for unit, bare in by_unit.items()
     )
     ends = tuple(m * 10.0**k for k in range(-3, 7) for m in (1, 2, 5))
-    charts = tuple(
-        Chart("Outputs", unit, tuple(_curves(bare[:MOST_CURVES])), ends)
-        for unit, bare in list(by_unit.items())[:MOST_CHARTS]
-    )
-    return ViewDescription(groups, charts)
+    charts = []
+    for unit, shown in list(by_unit.items())[:MOST_CHARTS]:
+        named = zip(shown[:MOST_CURVES], COLOURS, strict=False)
+        curves = tuple(ChartCurve(name, name.replace("_", " "), colour) for name, colour in named)
+        charts.append(Chart("Outputs", unit, curves, ends))
+    return ViewDescription(groups, tuple(charts))
 
 
 def _shown_unit(unit: str) -> str:
@@ -282,11 +283,6 @@ def _shown_unit(unit: str) -> str:
     except Problem:
         return "1"
     return reader_unit(unit)
-
-
-def _curves(names: Iterable[str]) -> Iterator[ChartCurve]:
-    for name, colour in zip(names, COLOURS, strict=False):
-        yield ChartCurve(name, name.replace("_", " "), colour)
 
 
 def by_bare_name(names: Iterable[str]) -> Mapping[str, str]:

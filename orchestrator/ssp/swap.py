@@ -156,13 +156,9 @@ def used_ports(system: System, component: Component) -> dict[str, UsedPort]:
     connected = [end for c in system.connections for end in (c.source, c.target)]
     exposed = [port for inlet in system.inputs.values() for port, _ in inlet.targets]
     exposed += [outlet.source for outlet in system.outputs.values()]
-    power = _power_inputs(system)
+    power = {port for bond in find_bonds(system) for port in (bond.effort, bond.flow)}
     ports = dict.fromkeys(port for port in connected + exposed if port.component == component.name)
     return {port.variable: _used_port(system, port, port in exposed, power) for port in ports}
-
-
-def _power_inputs(system: System) -> set[Port]:
-    return {port for bond in find_bonds(system) for port in (bond.effort, bond.flow)}
 
 
 def _used_port(system: System, port: Port, exposed: bool, power: set[Port]) -> UsedPort:

@@ -164,17 +164,12 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         warnings=misfit_warning(weighed.times_noise, "the balance of the boom"),
         others=(
             *(
-                Estimate.normal(weighed.weighings[k].name, *_value_unit(weighed.payload(k)), how)
-                for k in loaded
+                Estimate.normal(weighed.weighings[k].name, value, "kg", sd, how)
+                for k, (value, sd) in ((k, weighed.payload(k)) for k in loaded)
             ),
             *(Estimate.normal(name, float(v), unit, float(sd), how) for name, unit, v, sd in friction),
         ),
     )
-
-
-def _value_unit(payload: tuple[float, float]) -> tuple[float, str, float]:
-    value, sd = payload
-    return value, "kg", sd
 
 
 def weighing(recording: Recording, p: Array) -> Weighing:

@@ -326,13 +326,9 @@ def format_(subject: Subject) -> Iterator[Finding]:
             yield finding(f"{b}: expected {FORMATS[system]} for {system}, got {b.format}")
         elif not b.is_library:
             yield finding(f"{b}: expected a shared library, got an executable")
-        elif machine and not _has_machine(b, machine, subject):
+        elif machine and all(o.machine != machine for o in subject.binaries if o.file == b.file):
+            # no part of a universal library has it, either
             yield finding(f"{b}: expected code for {machine}, got {b.machine}")
-
-
-def _has_machine(b: Binary, machine: str, subject: Subject) -> bool:
-    """True if the library, or one part of a universal library, is for this machine."""
-    return any(o.machine == machine for o in subject.binaries if o.file == b.file)
 
 
 @PLATFORMS.rule("platform.name", "Each platform has a library with the name of the model identifier")
