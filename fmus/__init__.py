@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from fmus.machine.parts import FAMILIES as PARTS
     from fmus.parameters import Number, Values, values
 
+    __version__: str
+
 _MODULES = {
     "Group": "contract",
     "HARVESTER": "machine.one_block",
@@ -70,10 +72,12 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import on first use, so that `import fmus` alone loads neither equations nor CasADi."""
+    if name == "__version__":
+        return str(import_module("importlib.metadata").version("harvester-cosim"))
     if name not in _MODULES:
         raise AttributeError(f"module 'fmus' has no attribute {name!r}")
     return getattr(import_module(f"fmus.{_MODULES[name]}"), "FAMILIES" if name == "PARTS" else name)
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*__all__, "__version__"]

@@ -224,6 +224,9 @@ class Subsystem:
     connections: tuple[tuple[str, tuple[str, ...], str], ...] = ()
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"Subsystem({self.name!r}: {self.text})"
+
     @property
     def folder(self) -> Path:
         """Folder of README.md, icon.png, view.toml and the reference experiment, as far as they exist."""

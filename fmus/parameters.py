@@ -77,6 +77,9 @@ class Values:
     u: Mapping[str, float]
     x: Mapping[str, float]
 
+    def __repr__(self) -> str:
+        return f"Values({len(self.p)} parameters, {len(self.u)} inputs, {len(self.x)} states)"
+
 
 def read(path: Path, content: bytes | None = None) -> dict[str, dict[str, Number]]:
     """Tables `parameters` and `start` of a file; keys and types of each entry are checked.

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from orchestrator.base.coupling import Coupling
     from orchestrator.base.errors import Problem
     from orchestrator.data.recording import Recording, read_recording
-    from orchestrator.data.trace import Trace, read, read_trace
-    from orchestrator.data.trace_writer import write, write_trace
+    from orchestrator.data.trace import Trace, read_trace
+    from orchestrator.data.trace_writer import write_trace
     from orchestrator.engine.job import Execution, Record
     from orchestrator.engine.result import Card, Interrupted, Result, RunFailed
     from orchestrator.engine.run import run
@@ -44,12 +44,14 @@ if TYPE_CHECKING:
     from orchestrator.ssp.write import write_ssp
     from orchestrator.studies import Study, read_study, sweep
 
+    __version__: str
+
 _MODULES = {
     "base.coupling": "Coupling",
     "base.errors": "Problem",
     "data.recording": "Recording read_recording",
-    "data.trace": "Trace read_trace read",
-    "data.trace_writer": "write_trace write",
+    "data.trace": "Trace read_trace",
+    "data.trace_writer": "write_trace",
     "engine.job": "Execution Record",
     "engine.result": "Card Interrupted Result RunFailed",
     "engine.run": "run",
@@ -71,17 +73,23 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 __all__ = [
     "BatchResult", "Card", "Coupling", "Execution", "Interrupted", "Linear", "LinearModel", "Problem",
     "Record", "Recording", "Result", "RunFailed", "Study", "System", "Trace", "Validation", "assemble",
-    "batch", "compare", "linearize", "load", "read", "read_recording", "read_study", "read_trace",
-    "reference", "run", "sweep", "validate", "with_swaps", "write", "write_ssp", "write_trace",
+    "batch", "compare", "linearize", "load", "read_recording", "read_study", "read_trace",
+    "reference", "run", "sweep", "validate", "with_swaps", "write_ssp", "write_trace",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Import a name on first use, so that the command line starts fast."""
+    if name == "__version__":
+        return str(import_module("importlib.metadata").version("harvester-cosim"))
     if name not in _MODULE_OF:
         hint = "" if name.startswith("_") else suggest(name, __all__)
         raise AttributeError(f"module 'orchestrator' has no attribute {name!r}{hint}")
     return getattr(import_module(f"orchestrator.{_MODULE_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
 
 
 def _files_of_the_models(name: str, suffixes: tuple[str, ...]) -> Mapping[str, Path]:

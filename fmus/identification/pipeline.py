@@ -27,6 +27,7 @@ from fmus.identification.refinement.multistart import SPREAD, MultistartResult, 
 from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.data.recording import Recording
 
 # in the paper's order: section 4 (a) to (e); the paper weighs nothing
@@ -69,6 +70,11 @@ class Identified:
     refined: RefinementResult | None = None
     starts: MultistartResult | None = None
     interrupted: bool = False
+
+    def __repr__(self) -> str:
+        found = [f"{name} {e.value:.4g} {e.unit}" for name, (e, _) in self.estimates.items()]
+        counts = f"{len(found)} parameters from {len(self.recordings)} recordings"
+        return f"Identified: {counts}{', interrupted' * self.interrupted}\n{first_names(found, 8)}"
 
     @property
     def estimates(self) -> dict[str, tuple[Estimate, str]]:

@@ -13,13 +13,20 @@ from fmus.supply import SUPPLY
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
 
-# variants of each part, the default one first
-FAMILIES: Mapping[str, Mapping[str, Subsystem]] = {
-    "swing": swing.VARIANTS,
-    "boom_stick": boom_stick.VARIANTS,
-    "manipulator": manipulator.VARIANTS,
-    "supply": supply.VARIANTS,
-}
+
+class Parts(dict[str, Mapping[str, Subsystem]]):
+    """Variants of each part by name, the default one first."""
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{part}: {', '.join(variants)}" for part, variants in self.items())
+
+
+FAMILIES: Mapping[str, Mapping[str, Subsystem]] = Parts(
+    swing=swing.VARIANTS,
+    boom_stick=boom_stick.VARIANTS,
+    manipulator=manipulator.VARIANTS,
+    supply=supply.VARIANTS,
+)
 # variants with another circuit than the paper's machine: differences from the others are no errors
 OTHER_CIRCUITS = ("compensated", "load_sensing")
 # default variants: of the machine, and of the machine with supply and operator

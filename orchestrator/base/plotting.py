@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import base64
 import io
+import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +36,7 @@ from orchestrator.base.figures import (
     TraceLine,
     TracePanel,
     decimate,
+    still,
 )
 from orchestrator.base.text import MINUS, typeset
 from orchestrator.base.units import convert, pretty, quantity, reader_unit, superscript
@@ -219,6 +222,7 @@ MAX_DASHES = 3  # line styles that can be told apart in curves that change fast
 FIRST_QUANTITIES = ("voltage", "angle", "speed", "pressure", "position", "velocity", "flow", "force", "power")
 SAME = 1e-3  # of its range: a curve that is closer to an earlier one cannot be seen beside it
 CONSTANT = 1e-9  # range relative to the largest value: a line without information
+SMALL = "font: 11px sans-serif; fill: currentColor; --fig-grid: #8885"  # style of a figure in a notebook
 LEGEND_ROW = 0.16  # [in] of an entry
 
 
@@ -247,13 +251,13 @@ def _informative(values: Array, others: Sequence[Array]) -> bool:
     return not any(np.nanmax(np.abs(values - other)) < SAME * span for other in others)
 
 
-def plot_signals(
+def signal_figure(
     runs: Mapping[str, tuple[Array, Mapping[str, Array]]],
     units: Mapping[str, str],
     title: str = "",
     below: str = "",
     bands: Mapping[str, Array] | None = None,
-) -> Figure:
+) -> TraceFigure:
     """Signals over time, one panel per display unit, in the order of the signals of the first run.
 
     runs    label -> times [s] and signals; the line style distinguishes several runs, and the colour if
@@ -293,8 +297,19 @@ def plot_signals(
         )
     ends = [t for time, _ in runs.values() for t in (float(time[0]), float(time[-1]))]
     colours = {} if single else {"color": PALETTE.ink}
-    key = [legend_entry(n, **{**_style(i, i), **colours}) for i, n in enumerate(runs)]
-    return draw_traces(drawn, (min(ends), max(ends)), title, below, key if len(runs) > 1 else ())
+    key = [(n, {**_style(i, i), **colours}) for i, n in enumerate(runs)] if len(runs) > 1 else []
+    return TraceFigure(drawn, (min(ends), max(ends)), title, below, key)
+
+
+def small_figure(time: Array, signals: Mapping[str, Array], units: Mapping[str, str]) -> str:
+    """Up to three signals of each of four quantities as a small SVG; empty without samples."""
+    groups = itertools.groupby(default_signals(signals, units), lambda n: reader_unit(units.get(n, "")))
+    chosen = [name for _, names in groups for name in itertools.islice(names, 3)]
+    if not len(time) or not chosen:
+        return ""
+    figure = signal_figure({"": (time, {n: signals[n] for n in chosen})}, units)
+    panels = [replace(panel, heights=(1.8, 0.0)) for panel in figure.panels]
+    return f'<div style="max-width: 60em; {SMALL}">{still(replace(figure, panels=panels), "signals")}</div>'
 
 
 def _labels(names: Sequence[str]) -> dict[str, str]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterable, Sequence, Sized
+from dataclasses import dataclass, fields
+from textwrap import shorten
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
 
@@ -61,6 +62,18 @@ def first_names(names: Iterable[str], limit: int = 4) -> str:
     unique = list(dict.fromkeys(names))
     more = f" and {len(unique) - limit} more" if len(unique) > limit else ""
     return f"{', '.join(unique[:limit])}{more}"
+
+
+def brief(record: Any) -> str:
+    """A dataclass in one line of at most 500 characters, with collections by their size: for `__repr__`."""
+    entries = ((entry.name, getattr(record, entry.name)) for entry in fields(record))
+    texts = (
+        f"{name}=<{len(v)} items>"
+        if isinstance(v, Sized) and not isinstance(v, str)
+        else f"{name}={shorten(repr(v), 60, placeholder=' ...')}"
+        for name, v in entries
+    )
+    return f"{type(record).__name__}({shorten(', '.join(texts), 480, placeholder=' ...')})"
 
 
 def sentences(*parts: str) -> str:

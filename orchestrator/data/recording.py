@@ -119,6 +119,9 @@ class Recording:
             )
         return self.signals[name]
 
+    def __repr__(self) -> str:
+        return f"Recording {self.source.name}: {Trace(self.time, self.signals, self.units).extent}"
+
     @property
     def heading(self) -> str:
         """The title in the description, or else the name of the file."""

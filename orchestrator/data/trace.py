@@ -8,30 +8,37 @@ MATLAB: a vector `time`, and vectors or structs of vectors; a run writes a struc
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from textwrap import shorten
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require
 from orchestrator.base.text import first_names
-from orchestrator.data.table import SUFFIXES, Columns, read_columns
+from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
     from matplotlib.figure import Figure
 
 TIME = "time"
+METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 JUMP = 1e-6  # s, in which a scenario goes from one row to the next one with the same time
 
 
-@dataclass(frozen=True)
-class Trace:
-    """Signals over a common, strictly increasing time axis, in SI units.
+@dataclass(frozen=True, repr=False)
+class Trace(Mapping[str, Array]):
+    """Signals over a common, strictly increasing time axis, in SI units: a mapping of names to values.
 
     time      shape (n,) [s]
     signals   name -> shape (n,); the names in a run are `component.variable`
@@ -42,10 +49,63 @@ class Trace:
     signals: Mapping[str, NDArray[np.float64]]
     units: Mapping[str, str] = field(default_factory=dict)
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        if name not in self.signals:
-            raise UnknownSignal(name, self.signals)
-        return self.signals[name]
+    @overload
+    def __getitem__(self, key: str) -> Array: ...
+    @overload
+    def __getitem__(self, key: list[str] | tuple[str, ...]) -> Trace: ...
+    def __getitem__(self, key: str | list[str] | tuple[str, ...]) -> Array | Trace:
+        """The values of a signal, shape (n,); the trace with some signals, for a list of names and patterns.
+
+        A name may lack the component if only one signal has it.
+        """
+        if not isinstance(key, str):
+            signals = {name: self.signals[name] for name in (self.chosen(key) if key else ())}
+            return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
+        if key in self.signals:
+            return self.signals[key]
+        same = [name for name in self.signals if name.rpartition(".")[2] == key]
+        if len(same) != 1:
+            raise UnknownSignal(key, same or self.signals)
+        return self.signals[same[0]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        return len(self.signals)
+
+    def __repr__(self) -> str:
+        return f"Trace: {self.extent}"
+
+    @property
+    def extent(self) -> str:
+        """Number of samples and names of signals, in two lines."""
+        times = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
+        names = shorten(first_names(self), 200, placeholder=" ...")
+        return f"{len(self)} signals at {len(self.time)} times{times}\nsignals: {names or 'none'}"
+
+    def _repr_html_(self) -> str:
+        from orchestrator.base.plotting import small_figure
+
+        return f"<pre>{escape(repr(self))}</pre>{small_figure(self.time, self.signals, self.units)}"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A data frame with a column for each signal, the time [s] as index, and `attrs["units"]`."""
+        extras.require("files", "to_pandas()", "pandas")
+        import pandas as pd
+
+        frame = pd.DataFrame(dict(self.signals), index=pd.Index(self.time, name=TIME))
+        frame.attrs["units"] = {name: self.units.get(name, "") for name in self}
+        return frame
+
+    def to_xarray(self) -> xr.Dataset:
+        """A dataset with a variable for each signal over `time`, each with its unit in `attrs["units"]`."""
+        try:
+            import xarray as xr
+        except ImportError:
+            raise Problem("to_xarray() needs the package xarray; install with: pip install xarray") from None
+        values = {name: (TIME, values, {"units": self.units.get(name, "")}) for name, values in self.items()}
+        return xr.Dataset(values, {TIME: (TIME, self.time, {"units": "s"})})
 
     def at(self, time: ArrayLike) -> Trace:
         """The signals at other times [s]: linear interpolation, constant before and after the samples."""
@@ -54,36 +114,37 @@ class Trace:
 
     def plot(
         self,
-        *patterns: str,
+        *patterns: str | Sequence[str],
         title: str = "",
         start: float | None = None,
         stop: float | None = None,
-        others: Mapping[str, Trace] | None = None,
+        others: Mapping[str, Any] | None = None,
         label: str = "",
         band: Trace | None = None,
     ) -> Figure:
         """Draw signals over time as a matplotlib figure, one panel per unit, without showing or saving it.
 
-        patterns      names of signals with or without component, or patterns such as `*.swing_pressure_*`;
-                      default: `plotting.default_signals`, up to six signals of each of four quantities
+        patterns      names of signals with or without component, or patterns such as `*.swing_pressure_*`,
+                      or lists of them; default: up to six signals of each of four quantities
         start, stop   time window [s]; default: all
-        others        label -> further traces, drawn with other line styles; `label`: that of this trace
+        others        label -> further traces or results, with other line styles; `label`: that of this one
         band          half width of a band around signals of this trace, in their units
         """
-        from orchestrator.base.plotting import plot_signals
+        from orchestrator.base.plotting import draw, signal_figure
 
-        runs = {label or "1": self, **(others or {})}
+        flat = [name for p in patterns for name in ([p] if isinstance(p, str) else p)]
+        runs = {label or "1": self} | {n: getattr(t, "trace", t) for n, t in (others or {}).items()}
         units = {n: u for trace in reversed(runs.values()) for n, u in trace.units.items()}
         windows = {name: trace.window(start, stop) for name, trace in runs.items()}
-        names = windows[label or "1"].chosen(patterns)
-        left_out = not patterns and len(names) < len(self.signals)
+        names = windows[label or "1"].chosen(flat)
+        left_out = not flat and len(names) < len(self.signals)
         below = f"{len(names)} of {len(self.signals)} signals" if left_out else ""
         curves = {
-            run: (trace.time, {n: trace[n] for n in names if n in trace.signals})
+            run: (trace.time, {n: trace.signals[n] for n in names if n in trace.signals})
             for run, trace in windows.items()
         }
         around = band.at(windows[label or "1"].time).signals if band else {}
-        return plot_signals(curves, units, title, below, around)
+        return draw(signal_figure(curves, units, title, below, around))
 
     def chosen(self, patterns: Sequence[str] = ()) -> list[str]:
         """The signals that patterns name, with or without component; default: those of a figure.
@@ -96,8 +157,11 @@ class Trace:
             return default_signals(self.signals, self.units)
         names: dict[str, None] = {}
         for pattern in patterns:
+            if pattern in self.signals:
+                names[pattern] = None
+                continue
             bare = [name for name in self.signals if fnmatch.fnmatchcase(name.rpartition(".")[2], pattern)]
-            matches = [pattern] if pattern in self.signals else fnmatch.filter(self.signals, pattern) or bare
+            matches = fnmatch.filter(self.signals, pattern) or bare
             if not matches:
                 raise UnknownSignal(pattern, self.signals)
             names |= dict.fromkeys(matches)
@@ -116,8 +180,7 @@ class Trace:
 
     def select(self, names: Iterable[str]) -> Trace:
         """The trace with only these signals, in this order."""
-        signals = {name: self[name] for name in names}
-        return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
+        return self[list(names)]
 
 
 Data: TypeAlias = "Trace | Mapping[str, ArrayLike] | pd.DataFrame"  # signals over time in memory
@@ -171,7 +234,19 @@ def read_trace(path: str | Path | Location, jumps: bool = False) -> Trace:
     if first != TIME:
         where = "line 1: " if columns.row_word == "line" else ""
         raise Problem(f"{file}: {where}expected the first column to be named {TIME!r}, got {first!r}")
-    return _checked(columns, jumps)
+    trace = _checked(columns, jumps)
+    return trace if file.members or columns.units else replace(trace, units=_units_of_run(file.path, trace))
+
+
+def _units_of_run(file: Path, trace: Trace) -> Mapping[str, str]:
+    """Units in the metadata next to the file of a trace, if they are those of this file."""
+    try:
+        metadata = json.loads(file.with_suffix(METADATA_SUFFIX).read_bytes())
+        with file.open("rb") as opened:
+            written = hashlib.file_digest(opened, "sha256").hexdigest() == metadata["sha256"]
+        return {n: str(u) for n, u in metadata["units"].items() if n in trace.signals} if written else {}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
 
 
 def _checked(columns: Columns, jumps: bool) -> Trace:
@@ -221,6 +296,3 @@ def _gap(steps: NDArray[np.float64]) -> int | None:
     if np.abs(ratio - multiple).max() > 1e-3 or np.mean(multiple == 1) < 0.98:
         return None
     return int(np.argmax(multiple > 1)) if multiple.max() > 1 else None
-
-
-read = read_trace  # name in 0.1

@@ -32,11 +32,10 @@ from orchestrator.base.extras import require
 from orchestrator.base.files import Location, csv_header
 from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
-from orchestrator.data.trace import TIME, Trace, check_suffix, read_trace
+from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, check_suffix, read_trace
 
 Array = NDArray[np.float64]
 ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a Parquet file
-METADATA_SUFFIX = ".run.json"  # of the metadata of the run next to its trace
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
 PART_TIME = 5.0  # [s] of wall time until rows are in a partial Parquet trace: what a kill may take
@@ -631,6 +630,3 @@ def write_trace(trace: Trace, path: str | Path, origin: str = "") -> Path:
         remove_partial(file.partial)
         raise
     return Path(path)
-
-
-write = write_trace  # name in 0.1

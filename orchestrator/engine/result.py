@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
-from orchestrator.base.extras import require
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import SUFFIXES
-from orchestrator.data.trace import Trace, read_trace
-from orchestrator.data.trace_writer import METADATA_SUFFIX, RowLayout, read_origin, write_trace
+from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
+from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
 from orchestrator.engine.error_propagation import EstimatedError
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
@@ -31,12 +31,13 @@ from orchestrator.ssp.system import System
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True)
-class Result:
-    """The result of a run.
+@dataclass(frozen=True, repr=False)
+class Result(Mapping[str, NDArray[np.float64]]):
+    """The result of a run, and a mapping of the names of its signals to their values, as its trace.
 
     trace      all outputs, connected inputs and inputs of the system (or the selected signals) at each
                recorded point
@@ -65,10 +66,65 @@ class Result:
         write_metadata(self, file)
         return file
 
-    def plot(self, *patterns: str, title: str = "", **options: Any) -> Figure:
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """The times of the samples, shape (n,) [s]."""
+        return self.trace.time
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Name -> unit of each recorded signal."""
+        return self.trace.units
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[np.float64]: ...
+    @overload
+    def __getitem__(self, key: list[str] | tuple[str, ...]) -> Trace: ...
+    def __getitem__(self, key: str | list[str] | tuple[str, ...]) -> NDArray[np.float64] | Trace:
+        """As `Trace`: the values of a signal, in its unit, or the trace with the signals of a list."""
+        return self.trace[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.trace)
+
+    def __len__(self) -> int:
+        return len(self.trace)
+
+    def __repr__(self) -> str:
+        end = "" if self.complete else ", ended early"
+        counts = {"warning": len(self.card.all_warnings), "note": len(self.card.notes)}
+        remarks = [f"{n} {word}{'s' * (n > 1)}" for word, n in counts.items() if n]
+        last = f"\n{' and '.join(remarks)}: print(result.card.text())" if remarks else ""
+        return f"Result of {self.system.name}{end}: {self.trace.extent}\n{self.card!r}{last}"
+
+    def _repr_html_(self) -> str:
+        shown = Trace(self.time, self.trace.signals, self.units)._repr_html_()
+        title = f"<b>{escape(self.system.name)}</b>{'' if self.complete else ', ended early'}"
+        return f"{title}{self.card._repr_html_()}{shown}"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """As `Trace.to_pandas`: a column for each signal, the time [s] as index, units in `attrs`."""
+        return self.trace.to_pandas()
+
+    def to_xarray(self) -> xr.Dataset:
+        """As `Trace.to_xarray`: a dataset of the signals with their units."""
+        return self.trace.to_xarray()
+
+    def plot(
+        self,
+        *patterns: str | Sequence[str],
+        title: str = "",
+        start: float | None = None,
+        stop: float | None = None,
+        others: Mapping[str, Trace | Result] | None = None,
+        label: str = "",
+        band: Trace | None = None,
+    ) -> Figure:
         """Recorded signals over time as a matplotlib figure, with their band; arguments of `Trace.plot`."""
-        options = {"title": title or self.system.name, "band": self.band} | options
-        return self.trace.plot(*patterns, **options)
+        title, band = title or self.system.name, band or self.band
+        return self.trace.plot(
+            *patterns, title=title, start=start, stop=stop, others=others, label=label, band=band
+        )
 
     @property
     def band(self) -> Trace | None:
@@ -86,17 +142,6 @@ class Result:
             for name, values in self.errors.signals.items()
         }
         return Trace(self.errors.time, signals, self.errors.units).at(self.trace.time)
-
-    def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        """The values of a recorded signal, in its unit, shape (n,); the times are `trace.time`."""
-        return self.trace[signal]
-
-    def to_pandas(self) -> pd.DataFrame:
-        """A data frame with one column for each recorded signal; the index is the time [s]."""
-        require("files", "to_pandas()", "pandas")
-        import pandas as pd
-
-        return pd.DataFrame(dict(self.trace.signals), index=pd.Index(self.trace.time, name="time"))
 
 
 class RunFailed(Problem):
@@ -158,7 +203,7 @@ class SignalError:
     change: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Card:
     """The accuracy card of one run: speed, energy errors, error estimates, notes and warnings. Times in [s].
 
@@ -203,6 +248,24 @@ class Card:
             if e.unit not in worst or e.change > worst[e.unit].change:
                 worst[e.unit] = e
         return list(worst.values())
+
+    @property
+    def all_warnings(self) -> list[str]:
+        """`warnings`, after those about energy errors of the coupling."""
+        return [*self._unreliable(), *self.warnings]
+
+    def __repr__(self) -> str:
+        return "\n".join(self._speed())
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.text())}</pre>"
+
+    def _speed(self) -> list[str]:
+        """Master, steps and wall time."""
+        return [
+            f"master {self.master}, {self._steps()}, {self.simulated:.6g} s simulated",
+            f"wall time {self.wall:.3g} s, {self.real_time_factor:.3g} times real time",
+        ]
 
     def _steps(self) -> str:
         """Number and length of the steps, and number of passes and rejected steps."""
@@ -261,10 +324,7 @@ class Card:
 
     def text(self) -> str:
         """The card as lines of text."""
-        lines = [
-            f"master {self.master}, {self._steps()}, {self.simulated:.6g} s simulated",
-            f"wall time {self.wall:.3g} s, {self.real_time_factor:.3g} times real time",
-        ]
+        lines = self._speed()
         if self.inside:
             times = (f"{name} {time:.2g} s" for name, time in self.inside.items())
             lines += [f"inside the FMUs {sum(self.inside.values()):.2g} s: {', '.join(times)}"]
@@ -274,8 +334,7 @@ class Card:
             lines += ["", "no power bond exchanges energy"]
         lines += self._error_lines() if self.errors else []
         lines += ["", *(f"note: {n}" for n in self.notes)] if self.notes else []
-        warnings = [*self._unreliable(), *self.warnings]
-        lines += ["", *(f"warning: {w}" for w in warnings)] if warnings else []
+        lines += ["", *(f"warning: {w}" for w in warnings)] if (warnings := self.all_warnings) else []
         return "\n".join(lines)
 
 
@@ -470,10 +529,7 @@ def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
 
 def read_run(path: Path) -> tuple[Trace, RunMetadata | None]:
     """The trace in a file, with the units of its run, and the metadata of the run if there are any."""
-    trace, run_metadata = read_trace(path), read_metadata(path)
-    stored = run_metadata.units if run_metadata else {}
-    units = {name: unit for name, unit in stored.items() if name in trace.signals}
-    return replace(trace, units={**trace.units, **units}), run_metadata
+    return read_trace(path), read_metadata(path)
 
 
 def newest_trace(folder: Path) -> Path | None:

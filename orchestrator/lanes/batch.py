@@ -18,6 +18,7 @@ from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.options import BatchArguments, chosen, documented
 from orchestrator.base.processes import available_cores
+from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Execution, Job
 from orchestrator.engine.run import ScenarioSource, prepare
@@ -54,6 +55,12 @@ class BatchResult:
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     wall: float = 0.0
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{(self.status == word).sum()} {word}" for word in np.unique(self.status))
+        size = f"{len(self.signals)} signals at {len(self.time)} times in {self.wall:.3g} s"
+        head = f"BatchResult: {len(self.status)} machines ({counts}), {size}"
+        return f"{head}\nsignals: {first_names(self.signals)}"
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.signals:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,10 @@ class LinearModel:
     f0: Array
     time: float = 0.0
     notes: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        lines = (shorten(line, 120, placeholder=" ...") for line in self.text().splitlines()[:4])
+        return "\n".join([*lines, "print(model.text())"])
 
     @cached_property
     def modes(self) -> tuple[Mode, ...]:

@@ -52,7 +52,7 @@ def tightened(run: CoSimulate, first: float, bound: float, reason: str) -> Resul
     best, error = None, inf
     for result in _runs(run, first):
         runs = [*runs[-2:], result]
-        best = best or result
+        best = result if best is None else best
         if len(runs) == 1:
             continue
         errors = changes(runs)

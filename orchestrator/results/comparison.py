@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import Seconds, seconds
-from orchestrator.base.text import first_names
+from orchestrator.base.text import brief, first_names, percentage
 from orchestrator.base.units import factor_and_offset, quantity
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
@@ -32,6 +32,8 @@ class Run:
     trace: Trace
     metadata: RunMetadata | None = None
     file: str = ""
+
+    __repr__ = brief
 
     @property
     def inputs(self) -> frozenset[str]:
@@ -109,6 +111,15 @@ class Comparison:
     against: Mapping[str, Validation]
     signals: tuple[str, ...]
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        start, stop = self.window
+        lines = [f"Comparison with {self.reference.label}, {start:g} to {stop:g} s; largest NRMSE:"]
+        for label in list(self.against)[:4]:
+            rows = {q: row for q in self.quantities() if (row := self.worst(label, q))}
+            worst = sorted(rows.values(), key=lambda row: -(row.metrics.nrmse or 0.0))[:3]
+            lines.append(f"{label}: {', '.join(f'{r.signal} {percentage(r.metrics.nrmse)}' for r in worst)}")
+        return "\n".join(lines)
 
     @property
     def window(self) -> tuple[float, float]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
+from orchestrator.base.text import brief, first_names
 from orchestrator.base.units import factor_and_offset
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
@@ -79,6 +80,8 @@ class ValidatedSignal:
     passed: bool | None
     notes: tuple[str, ...] = ()
 
+    __repr__ = brief
+
     @property
     def title(self) -> str:
         """The label, or the name if there is none."""
@@ -105,6 +108,11 @@ class Validation:
     source: str
     about: Mapping[str, str | float]
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        start, stop = self.window
+        failed = f"\nfailed: {first_names(row.signal for row in self.failed)}" if self.failed else ""
+        return f"Validation with {self.title}, {start:g} to {stop:g} s\n{self.verdict}{failed}"
 
     @property
     def groups(self) -> dict[str, list[ValidatedSignal]]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
+from orchestrator.base.text import brief, first_names
 from orchestrator.base.units import (
     IDENTITY,
     DeclaredUnit,
@@ -60,6 +61,8 @@ class Component:
     start: Mapping[str, Value] = field(default_factory=dict)
     replaced: FmuInterface | None = None
     origins: Mapping[str, Chosen] = field(default_factory=dict)
+
+    __repr__ = brief
 
     def chosen(self, values: Mapping[str, Value], origin: str) -> Component:
         """The component with other start values; origin: where they come from, if a user chose them."""
@@ -141,6 +144,11 @@ class System:
     warnings: tuple[str, ...] = ()
     suggestion: Suggestion = Suggestion()  # noqa: RUF009  frozen
     shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        components = first_names(self.components, 8)
+        ports = f"{len(self.connections)} connections, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
+        return f"System {self.name}: {components}\n{ports}"
 
     @property
     def coupling(self) -> Coupling | None:

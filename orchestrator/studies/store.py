@@ -35,6 +35,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
 from orchestrator.studies.payload import Payload, digest
 from orchestrator.studies.processes import STOPPED, limit_is_raised, run_limits
@@ -66,6 +67,9 @@ class Results:
     table: pd.DataFrame
     bands: pd.DataFrame | None
     units: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        return f"Results of {self.study.title}: {len(self.table)} runs\ntable: {first_names(self.table)}"
 
 
 def read(folder: str | Path) -> Results:

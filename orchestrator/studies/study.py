@@ -32,6 +32,7 @@ from orchestrator.base.options import (
     declarations,
     seconds,
 )
+from orchestrator.base.text import brief
 from orchestrator.base.toml import Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
 
@@ -206,6 +207,8 @@ class Study:
     memory_limit: float | None = field(default=None, compare=False)
     folder: str = field(default=".", compare=False)
     source: str = field(default="", compare=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("factors", "choices", "outputs"):

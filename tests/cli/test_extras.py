@@ -101,7 +101,7 @@ CALLS = {
     "orchestrator.read_recording('a.parquet')": ("a.parquet: a .*", "pyarrow", "files"),
     "orchestrator.read_recording('a.mat')": ("a.mat: a .*", "h5py", "files"),
     "orchestrator.Linear.to_control(None)": (".*", "control", "control"),
-    "orchestrator.Result.to_pandas(None)": (".*", "pandas", "files"),
+    "orchestrator.Trace.to_pandas(None)": (".*", "pandas", "files"),
 }
 
 

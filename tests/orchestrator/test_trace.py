@@ -56,8 +56,8 @@ def test_lines_after_a_name_with_line_breaks_are_counted_as_in_an_editor(tmp_pat
 def test_an_unknown_signal_is_told_with_what_it_could_be(trace):
     """As a KeyError, like those of a mapping, and as a Problem in plain words."""
     for kind in (KeyError, Problem):
-        with pytest.raises(kind, match=r"^no signal y in the run; did you mean a.y\?$"):
-            trace["y"]
+        with pytest.raises(kind, match=r"^no signal b.y in the run; did you mean a.y\?$"):
+            trace["b.y"]
     problem(lambda: trace.select(["pump"]), r"^no signal pump in the run; there are a.y, b.x, odd$")
 
 
