@@ -17,7 +17,7 @@ RELEASING := .venv/.have-release
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
-  docs clean release constraints extras test-lowest test-newest audit
+  docs pages clean release constraints extras test-lowest test-newest audit
 
 # FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
 demo: $(INSTALLED)
@@ -31,7 +31,7 @@ test: $(TESTING)
 	$(PYTEST)
 
 # the long tests, in shards (tests/kit/shards.py): all of them, or `make test-browser`, `make test-c`
-test-long: test-documents test-tools test-platforms test-c test-browser test-faults test-machine test-search
+test-long: test-documents test-fresh test-tools test-platforms test-c test-browser test-faults test-machine test-search
 
 # other examples in each run; with SEED=1 the same
 test-search: $(TESTING)
@@ -79,12 +79,17 @@ docs: $(DOCUMENTING)
 	test -f build/fmi3/harvester.fmu || $(BIN)/harvester build --fmi 3 --only harvester
 	$(BIN)/sphinx-build -q -W --keep-going -c docs . build/site
 
+# figures, tables and numbers that the pages take from computations; then see what has changed
+pages: $(TESTING)
+	for page in circuits icons opening_curve pictures machine rate_ports convergence identification fidelity; do \
+	  echo "docs/$$page.py"; $(BIN)/python docs/$$page.py || exit 1; done
+
 clean:
 	rm -rf build .venv
 
 # wheel, sdist, and a zip of FMUs and their documentation, in dist/; two runs give the same bytes
 release: $(RELEASING)
-	$(BIN)/python tools/release.py
+	$(BIN)/python tools/release.py $(PLATFORMS)
 
 # writes constraints.txt anew: the newest versions that pyproject.toml allows, for all platforms and extras; and
 # lock.txt, the same with hashes

@@ -1,4 +1,4 @@
-"""Draws the icons of the FMUs, fmus/*/icon.png: `python docs/icons.py`.
+"""Draws the icons of the FMUs, fmus/**/icon.png: `python docs/icons.py`.
 
 All in one style, on a square of 100 by 100: the machine dark, what the FMU is about in orange.
 """
@@ -183,7 +183,8 @@ def draw(icon: Callable[[Axes], None], path: Path) -> None:
 def main() -> None:
     """Draw them all."""
     for name, icon in ICONS.items():
-        draw(icon, FMUS / name / "icon.png")
+        (path,) = FMUS.glob(f"**/{name}/icon.png")
+        draw(icon, path)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 SHARDS = {
-    "documents": "commands, snippets and outputs of the pages as printed; the site; the wheel",
+    "documents": "commands, snippets and outputs of the pages as printed; the site",
+    "fresh": "a clone in an empty folder: the site, and the wheel in an environment of its own",
     "tools": "OpenModelica and other programs that import FMUs",
     "platforms": "libraries for other systems, run under emulation where there is one",
     "c": "C sources by other compilers, with sanitizers, valgrind and random input",
@@ -16,7 +17,7 @@ SHARDS = {
     "machine": "simulations and estimates that take seconds: whole work cycles, every variant",
     "search": "products of cases, many seeds, and each property with ten times as many examples",
 }
-documents, tools, platforms, c, browser, faults, machine, search = (
+documents, fresh, tools, platforms, c, browser, faults, machine, search = (
     pytest.mark.long(shard=name) for name in SHARDS
 )
 

@@ -5,7 +5,10 @@
     ```python title="a.py"      is written to that file (any language)
     ```text                     what the block before it prints; `...` stands for anything
 
-Indented blocks are shown, not run. Shown numbers hold to 1 %, or to one of the last digit after the point:
+In a tutorial indented blocks are shown, not run; in a `Page` those of commands are run. What cannot run has a
+mark in front: `<!-- not run: REASON -->`, or of some lines only `<!-- not run: `harvester view`, REASON -->`.
+
+Shown numbers hold to 1 %, or to one of the last digit after the point:
 other compilers round otherwise, and no shown number should depend on more.
 """
 
@@ -13,17 +16,20 @@ import contextlib
 import io
 import os
 import re
+import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 from markdown_it import MarkdownIt
 
 TITLE = re.compile(r'title="([^"]+)"')
-STATUS = re.compile(r"\s+# status (\d+)$")
+STATUS = re.compile(r"\s+#.*\bstatus (\d+)\b.*$")
 PIECE = re.compile(
     r"(?P<any>\s*\.\.\.\s*)|(?P<number>(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.]*\.\w))|(?P<space>\s+)"
 )
@@ -38,6 +44,7 @@ class Tutorial:
     folder: Path
     names: dict[str, Any] = field(default_factory=lambda: {"__name__": "tutorial"})
     printed: str = ""
+    programs: Path = Path(sys.executable).parent  # of `harvester` and `python`
 
     def run(self) -> None:
         """All blocks, in order."""
@@ -68,27 +75,98 @@ class Tutorial:
     def command(self, line: str) -> str:
         """What a command prints."""
         asked = STATUS.search(line)
-        paths = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-        environment = {
-            **os.environ,
-            "PATH": paths,
-            "COLUMNS": "110",
-            "MPLBACKEND": "agg",
-            "PYTHONWARNINGS": "error",
-        }
         done = subprocess.run(
             line[: asked.start()] if asked else line,
-            shell=True, cwd=self.folder, env=environment, capture_output=True, text=True, check=False,
+            shell=True, cwd=self.folder, env=self.environment(), capture_output=True, text=True, check=False,
         )  # fmt: skip
         expected = int(asked[1]) if asked else 0
         assert done.returncode == expected, f"{line}: status {done.returncode}\n{done.stdout}{done.stderr}"
         return done.stdout + done.stderr
 
+    def environment(self) -> dict[str, str]:
+        """Commands are those of the interpreter that runs the tests; a warning of Python is an error."""
+        paths = os.pathsep.join([str(self.programs), os.environ["PATH"]])
+        fixed = {"PATH": paths, "COLUMNS": "110", "MPLBACKEND": "agg", "PYTHONWARNINGS": "error"}
+        return {**os.environ, **fixed}
+
     def python(self, text: str) -> str:
-        """What a snippet prints."""
+        """What a snippet prints; another interpreter has only the names of this snippet."""
+        if self.programs != Tutorial.programs:
+            return self.command(f"python -c {shlex.quote(text)}")
         with contextlib.redirect_stdout(io.StringIO()) as printed, contextlib.chdir(self.folder):
             exec(compile(text, self.path.name, "exec"), self.names)
         return printed.getvalue()
+
+
+COMMANDS = ("harvester", "make", "python", "pip", "py", "omc", "dask", ".venv")
+LASTING = ("harvester view",)
+MARK = re.compile(r"<!-- not run: (?:`([^`]+)`, )?(.+?) -->", re.DOTALL)
+
+
+@dataclass
+class Page(Tutorial):
+    """A page of documentation: what it prints as commands, indented or not, and as Python."""
+
+    def units(self) -> Iterator[tuple[int, str, str, str]]:
+        """Line, kind (python, command, text or file), text, and the reason why it is not run, or nothing."""
+        marks, last = list[tuple[str, str]](), False
+        for token in MarkdownIt().parse(self.path.read_text(encoding="utf-8")):
+            if token.type == "html_block":
+                marks += MARK.findall(token.content)
+                continue
+            if token.type not in ("fence", "code_block"):
+                marks, last = [], False
+                continue
+            assert token.map
+            line, info, text = token.map[0] + 1, token.info.strip(), token.content
+            if TITLE.search(info):
+                yield line, info, text, ""
+            elif info.startswith("python"):
+                yield line, "python", text, marks[0][1] if marks else ""
+            elif info == "shell" or (not info and text.startswith(COMMANDS)):
+                assert all(any(one.startswith(o) for one in text.splitlines()) for o, _ in marks), marks
+                for one in filter(None, text.replace("\\\n", " ").splitlines()):
+                    reason = next((why for only, why in marks if one.startswith(only)), "")
+                    yield line, "command", one, reason
+            elif info == "text" and last:
+                yield line, "text", text, marks[0][1] if marks else ""
+            marks, last = [], info in ("python", "shell") or text.startswith(COMMANDS)
+
+    def run(self) -> None:
+        """All units that are not marked, in order."""
+        begun = 0
+        for line, kind, text, reason in self.units():
+            if reason:
+                continue
+            try:
+                if kind == "command":
+                    before, begun = self.printed if line == begun else "", line
+                    self.printed = before + (self.serve if text.startswith(LASTING) else self.command)(text)
+                else:
+                    self.block(kind, text)
+            except Exception as fault:
+                raise AssertionError(f"{self.path.name}:{line}: {fault}\n{text}") from fault
+
+    def serve(self, line: str) -> str:
+        """What a server printed until it answered; then it is interrupted, which is no failure."""
+        with subprocess.Popen(
+            f"exec {line}", shell=True, cwd=self.folder, env=self.environment(), text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        ) as server:  # fmt: skip
+            assert server.stdout
+            told = ""
+            try:
+                while not (address := re.search(r"http://[^\s,]+", told)):
+                    printed = server.stdout.readline()
+                    assert printed, f"{line}: ended\n{told}"
+                    told += printed
+                with urlopen(address[0], timeout=60) as answer:
+                    assert answer.status == 200
+            finally:
+                os.killpg(server.pid, signal.SIGINT)
+            rest, _ = server.communicate(timeout=120)
+        assert server.returncode in (0, 130), f"{line}: status {server.returncode}\n{told}{rest}"
+        return told
 
 
 def blocks(path: Path) -> Iterator[tuple[int, str, str]]:

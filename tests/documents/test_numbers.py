@@ -1,0 +1,69 @@
+"""Numbers in sentences of README and docs are those of the command, script or table that computes them."""
+
+import re
+import runpy
+from pathlib import Path
+
+from kit import shards
+
+from orchestrator import load, run
+from orchestrator.__main__ import main
+from orchestrator.data.recording import read_recording
+from orchestrator.results.validation import validate
+
+ROOT = Path(__file__).parents[2]
+
+
+def told(page, pattern):
+    """The numbers that a sentence tells."""
+    found = re.search(pattern, (ROOT / page).read_text(encoding="utf-8"))
+    assert found, f"{page}: no {pattern}"
+    return [float(number) for number in found.groups()]
+
+
+def test_readme_counts_the_numbers_of_the_machine(capsys):
+    """As `harvester parameters` does."""
+    assert main(["parameters"]) == 0
+    counted = re.search(r"^(\d+) numbers: (\d+) paper", capsys.readouterr().out, re.MULTILINE)
+    assert [*map(float, counted.groups())] == told("README.md", r"has (\d+) numbers\. (\d+) of them")
+
+
+def test_readme_tells_how_near_the_tip_stays():
+    """The largest errors with feedback in docs/control.md, which is run, rounded up to millimetres."""
+    rows = re.findall(
+        r"^\w+ +(lumped|detailed) +yes +([\d.]+)", (ROOT / "docs/control.md").read_text(), re.MULTILINE
+    )
+    largest = {machine: max(float(error) for m, error in rows if m == machine) for machine, _ in rows}
+    lumped, detailed = told("README.md", r"within (\d+) mm; detailed drives: (\d+) mm")
+    assert 0 <= lumped - largest["lumped"] < 1
+    assert 0 <= detailed - largest["detailed"] < 1
+
+
+@shards.documents
+def test_readme_tells_the_error_with_rate_ports(built):
+    """A plain Jacobi master at 1 ms over the work cycle: the worst joint speed, against the reference."""
+    reference = read_recording(ROOT / "data/reference/work_cycle.csv")
+    result = run(
+        load(built / "harvester.ssp"), ROOT / "data/scenarios/work_cycle.csv", master="jacobi", step=1e-3
+    )
+    outcome = validate(result, reference)
+    errors = [outcome[f"manipulator.{joint}_speed"].metrics.nrmse for joint in ("swing", "boom", "stick")]
+    (percent,) = told("README.md", r"at 1 ms has an error of at most ([\d.]+) %")
+    # of the last digit; other compilers round otherwise
+    assert abs(100 * max(errors) - percent) < 1.5e-4
+
+
+@shards.documents
+def test_the_equations_tell_the_numbers_of_the_opening_curve(monkeypatch, tmp_path, capsys):
+    """The share of the range where the polynomial is negative, and the error of that of the logarithm."""
+    script = runpy.run_path(str(ROOT / "docs/opening_curve.py"))
+    monkeypatch.setitem(script["main"].__globals__, "IMAGE", tmp_path / "curve.png")
+    script["main"]()
+    printed = capsys.readouterr().out
+    negative = re.search(r"^polynomial of degree (\d+):.* (\d+)% negative", printed, re.MULTILINE)
+    ratio = re.search(r"^ln C_R.* by ([\d.]+) to ([\d.]+) of", printed, re.MULTILINE)
+    assert [*map(float, negative.groups())] == told(
+        "docs/equations.md", r"of degree (\d+).* on (\d+) % of that"
+    )
+    error = max(abs(1 - float(value)) for value in ratio.groups())
+    assert [round(100 * error)] == told("docs/equations.md", r"errs by up to (\d+) %")
