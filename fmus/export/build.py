@@ -16,26 +16,28 @@ from fmus.export.package import Package, packages
 from fmus.parameters import Values
 from orchestrator.base.compiler import host
 from orchestrator.base.files import write_zip
+from orchestrator.base.options import seconds
 
 
 def build(
     sub: Subsystem,
     out_dir: Path,
-    step: float = 1e-3,
-    stop: float = 10.0,
+    step: float | str = 1e-3,
+    stop: float | str = 10.0,
     values: Values | None = None,
     fmi: int = 2,
     platforms: Sequence[str] | None = None,
 ) -> Path:
     """Write `<sub.name>.fmu` to `out_dir` and return its path.
 
-    step, stop   default experiment [s]
+    step, stop   default experiment [s], or with a unit, such as "1 ms"
     values       parameter and start values; default: those of the subsystem's parameters.toml
     fmi          2 or 3
     platforms    names of `compile.TARGETS`; default: the platform that this program runs on
     """
+    experiment = seconds(step, "step") or 0.0, seconds(stop, "stop") or 0.0
     with _Compilers() as compilers:
-        compilers.add(Path(out_dir), packages(sub, step, stop, values, [fmi])[fmi], platforms or (host(),))
+        compilers.add(Path(out_dir), packages(sub, *experiment, values, [fmi])[fmi], platforms or (host(),))
         return compilers.write()[0]
 
 

@@ -12,7 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from inspect import cleandoc
+from math import inf
 from pathlib import Path
+from textwrap import fill
 from types import UnionType
 from typing import Annotated, Any, Literal, TypeAlias, TypedDict, TypeVar, Union, get_args, get_origin
 from typing import get_type_hints as hints_of
@@ -29,7 +31,7 @@ class Kind:
     unit         of a number; a text has any unit of this quantity, such as "1 ms"
     flags        on the command line; default: the name of the option
     form         of one item of a mapping, for messages
-    least        smallest number
+    least, most  limits of a number
     positional   an argument of a command
     text         help of an option without a row in a docstring
     """
@@ -38,7 +40,8 @@ class Kind:
     unit: str = ""
     flags: tuple[str, ...] = ()
     form: str = ""
-    least: float | None = None
+    least: float = -inf
+    most: float = inf
     positional: bool = False
     text: str = ""
 
@@ -319,10 +322,11 @@ class Declared:
             number = self._parsed(value) if isinstance(value, str) else self.numeric(value)
             if isinstance(value, bool) or (self.numeric is int and number != float(value)):
                 raise ValueError
-            if self.kind.least is not None and number < self.kind.least:
+            if number < self.kind.least or number > self.kind.most:
                 raise ValueError
         except (TypeError, ValueError, OverflowError, Problem):
-            limit = "" if self.kind.least is None else f" of at least {self.kind.least:g}"
+            limit = "" if self.kind.least == -inf else f" of at least {self.kind.least:g}"
+            limit += "" if self.kind.most == inf else f" and at most {self.kind.most:.0f}"
             unit = f" of {UNITS[self.kind.unit]}" if self.kind.unit else ""
             raise ValueError(f"a {'whole ' * (self.numeric is int)}number{unit}{limit}") from None
         return number
@@ -429,7 +433,11 @@ def documented(group: Any) -> Callable[[F], F]:
         if function.__doc__:
             texts = option_texts(group)
             width = max(map(len, texts)) + 3
-            rows = "\n".join(f"    {name:{width}}{text}" for name, text in texts.items())
+            indent = " " * (4 + width)
+            rows = "\n".join(
+                fill(text, 100, subsequent_indent=indent, initial_indent=f"    {name:{width}}")
+                for name, text in texts.items()
+            )
             function.__doc__ = f"{function.__doc__.rstrip()}\n\n    Options:\n\n{rows}\n    "
         return function
 

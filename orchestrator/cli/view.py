@@ -31,7 +31,7 @@ def view(
     pose: Text = "",
     swap: Swaps = None,
     set_: Values = None,
-    port: Annotated[int, Kind("N", least=0)] = 8080,
+    port: Annotated[int, Kind("N", least=0, most=65535)] = 8080,
     host: Annotated[str, Kind("HOST")] = "127.0.0.1",
     token: Annotated[str, Kind("TEXT")] = "",
     open_: bool = True,

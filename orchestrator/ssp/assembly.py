@@ -7,6 +7,7 @@ from pathlib import Path
 from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
+from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.units import LinearTransformation, conversion
 from orchestrator.fmi.description import FmuVariable, Value, read_interface
 from orchestrator.ssp.system import Component, Connection, Inlet, Port, System
@@ -21,8 +22,8 @@ def assemble(
     start: Mapping[str, Value | str] | None = None,
     name: str = "system",
     inputs: Mapping[str, Sequence[str]] | None = None,
-    stop: float | None = None,
-    step: float | None = None,
+    stop: Seconds = None,
+    step: Seconds = None,
     shared: Mapping[str, Sequence[str]] | None = None,
     exchange: bool = False,
 ) -> System:
@@ -33,8 +34,8 @@ def assemble(
                   target = factor * source + offset after the unit conversion
     start         component.variable -> value
     inputs        input of the system -> component inputs that it feeds; the first one gives the unit
-    stop          default stop time of a run [s]
-    step          default communication step of a run [s], with Gauss-Seidel
+    stop          default stop time of a run [s], or with a unit, such as "2 s"
+    step          default communication step of a run [s], or with a unit, with Gauss-Seidel
     shared        parameter -> components in which a parameter of this name is the same physical quantity
     exchange      read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
     """
@@ -51,12 +52,13 @@ def assemble(
         checked.append(_connect(system, *ends, linear, notes))
     inlets = {n: _inlet(system, n, ends, notes) for n, ends in (inputs or {}).items()}
     _check_one_source(checked, inlets)
-    suggestion = Suggestion() if step is None else Suggestion(Coupling("gauss-seidel"), step)
+    length = seconds(step, "step")
+    suggestion = Suggestion() if length is None else Suggestion(Coupling("gauss-seidel"), length)
     system = replace(
         system,
         connections=tuple(checked),
         inputs=inlets,
-        stop=stop,
+        stop=seconds(stop, "stop"),
         suggestion=suggestion,
         notes=tuple(notes),
         shared={parameter: tuple(names) for parameter, names in (shared or {}).items()},
