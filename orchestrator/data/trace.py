@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from orchestrator.base import extras
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.files import Location, require
+from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.text import first_names
 from orchestrator.data.table import SUFFIXES, Array, Columns, read_columns
 
@@ -116,8 +117,8 @@ class Trace(Mapping[str, Array]):
         self,
         *patterns: str | Sequence[str],
         title: str = "",
-        start: float | None = None,
-        stop: float | None = None,
+        start: Seconds = None,
+        stop: Seconds = None,
         others: Mapping[str, Any] | None = None,
         label: str = "",
         band: Trace | None = None,
@@ -167,8 +168,9 @@ class Trace(Mapping[str, Array]):
             names |= dict.fromkeys(matches)
         return list(names)
 
-    def window(self, start: float | None = None, stop: float | None = None) -> Trace:
-        """The samples from `start` to `stop` [s], at least two; default: all."""
+    def window(self, start: Seconds = None, stop: Seconds = None) -> Trace:
+        """The samples from `start` to `stop`, [s] or such as "2 s", at least two; default: all."""
+        start, stop = seconds(start, "start"), seconds(stop, "stop")
         first, last = (-np.inf if start is None else start), (np.inf if stop is None else stop)
         inside = (self.time >= first) & (self.time <= last)
         if len(self.time) and (start is not None or stop is not None) and inside.sum() < 2:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
+from orchestrator.base.options import Seconds
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
@@ -114,8 +115,8 @@ class Result(Mapping[str, NDArray[np.float64]]):
         self,
         *patterns: str | Sequence[str],
         title: str = "",
-        start: float | None = None,
-        stop: float | None = None,
+        start: Seconds = None,
+        stop: Seconds = None,
         others: Mapping[str, Trace | Result] | None = None,
         label: str = "",
         band: Trace | None = None,

@@ -82,6 +82,7 @@ def test_quantities_have_units_in_python_and_on_the_command_line(fmus, tmp_path,
     same = run(fmus["gain"], step=0.05, stop=0.2, **options)
     assert list(told.trace.signals) == ["gain.y"]
     assert told.trace.time.tolist() == same.trace.time.tolist()
+    assert told.trace.window("50 ms", 0.1).time.tolist() == same.trace.time[1:3].tolist()
     out = str(tmp_path / "o.csv")
     assert main(["run", str(fmus["gain"]), "--step", "50ms", "--stop", "200 ms", "--out", out]) == 0
     assert "4 steps" in capsys.readouterr().out
