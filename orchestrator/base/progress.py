@@ -1,4 +1,4 @@
-"""What a command does: one updating line on a terminal, elsewhere a line for what takes long."""
+"""What a call does: one updating line on a terminal or in a notebook, else a line for what takes long."""
 
 from __future__ import annotations
 
@@ -11,6 +11,16 @@ from typing import TextIO
 
 LONG = 5.0  # [s]; a reader of a log waits as long without a line
 ERASE = "\r\x1b[K"  # carriage return, erase to the end of the line (ECMA-48)
+WIDTH = 100  # characters of a line in a notebook, which is erased by spaces
+
+
+def overwrites(stream: TextIO) -> bool:
+    """Can a line be replaced: on a terminal and in a Jupyter notebook?"""
+    return stream.isatty() or _in_notebook(stream)
+
+
+def _in_notebook(stream: TextIO) -> bool:
+    return type(stream).__module__.startswith("ipykernel")
 
 
 class Doing:
@@ -22,7 +32,7 @@ class Doing:
 
     def __init__(self, text: str, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
-        self._text, self._lock, self._timer = text, Lock(), None if self._stream.isatty() else _timer(self)
+        self._text, self._lock, self._timer = text, Lock(), None if overwrites(self._stream) else _timer(self)
         self._ended, self._told = False, ""
         self.update(text)
 
@@ -30,13 +40,16 @@ class Doing:
         """Replace the text of the line."""
         self._text = text
         if self._timer is None:
+            if _in_notebook(self._stream):
+                self._write(f"\r{text[:WIDTH]:{WIDTH}}")
+                return
             width = shutil.get_terminal_size().columns
             self._write(f"{ERASE}{text[: width - 1]}")
 
     def end(self) -> None:
         """Erase the line."""
         if self._timer is None:
-            self._write(ERASE)
+            self._write(f"\r{'':{WIDTH}}\r" if _in_notebook(self._stream) else ERASE)
             return
         with self._lock:
             self._ended = True

@@ -103,8 +103,10 @@ def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[floa
 @contextmanager
 def _process() -> Iterator[Worker]:
     """An idle process, else a new one; kept for the next run unless this one fails."""
-    start_process()
-    worker, environment = _idle.pop()
+    try:
+        worker, environment = _idle.pop()
+    except IndexError:  # also if runs are in several threads
+        worker, environment = Worker(TARGET, "run"), dict(os.environ)
     if environment != dict(os.environ) or not worker.alive:
         worker.close()
         worker, environment = Worker(TARGET, "run"), dict(os.environ)

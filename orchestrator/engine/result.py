@@ -154,9 +154,9 @@ class RunFailed(Problem):
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run that the user interrupted; `result` has its record."""
+    """A run or a batch that the user interrupted; `result` has its record until then."""
 
-    def __init__(self, result: Result, message: str = "") -> None:
+    def __init__(self, result: Any, message: str = "") -> None:
         """message: the call into an FMU that was in progress, if it did not end in time."""
         super().__init__(*filter(None, [message]))
         self.result = result

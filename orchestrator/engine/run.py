@@ -27,6 +27,7 @@ from orchestrator.base.options import (
     declarations,
     documented,
 )
+from orchestrator.base.progress import Doing, overwrites
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
@@ -317,15 +318,17 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
 
 
 class ProgressBar:
-    """Shows on a terminal how much of `total` [s] is simulated, if the run takes longer than `delay`."""
+    """Shows on a terminal or in a notebook how much of `total` [s] is simulated, if it takes long.
 
-    delay = 1.0  # [s] of wall time
+    delay   wall time until it appears [s]
+    """
+
+    delay = 1.0
 
     def __init__(self, total: float, enabled: bool) -> None:
-        self._total, self._enabled = total, enabled and sys.stderr.isatty()
+        self._total, self._enabled = total, enabled and overwrites(sys.stderr)
         self._began = time.perf_counter()
-        self._bar: Any = None
-        self._task: Any = None
+        self._line: Doing | None = None
 
     def __enter__(self) -> ProgressBar:
         return self
@@ -333,27 +336,21 @@ class ProgressBar:
     def __exit__(
         self, type_: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        if self._line is not None:
+            self._line.end()
 
     def update(self, simulated: float) -> None:
         """Show that `simulated` [s] are simulated."""
-        if not self._enabled or (self._bar is None and time.perf_counter() - self._began < self.delay):
+        passed = time.perf_counter() - self._began
+        if not self._enabled or (self._line is None and passed < self.delay):
             return
-        if self._bar is None:
-            self._open()
-        self._bar.update(self._task, completed=simulated)
-
-    def _open(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
-
-        text = TextColumn("{task.completed:.2f} of {task.total:g} s simulated")
-        console = Console(stderr=True)
-        self._bar = Bar(text, BarColumn(), TimeRemainingColumn(), console=console, transient=True)
-        self._task = self._bar.add_task("run", total=self._total)
-        self._bar.start()
+        share = simulated / self._total if self._total else 1.0
+        bar = f"{'#' * round(30 * share):.<30}"
+        left = f", {passed * (1 / share - 1):.0f} s left" if share else ""
+        text = f"{simulated:.2f} of {self._total:g} s simulated [{bar}]{left}"
+        if self._line is None:
+            self._line = Doing(text)
+        self._line.update(text)
 
 
 # ---- for the command line

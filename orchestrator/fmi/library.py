@@ -13,6 +13,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from orchestrator.base.errors import Problem, one_line
@@ -72,6 +73,9 @@ def load_library(folder: Path, identifier: str, fmi: int, name: str) -> Library:
         raise Problem(f"{name}: {path.name} cannot be loaded: {error}") from error
 
 
+_one_at_a_time = Lock()  # because the working directory is that of all threads
+
+
 class Library:
     """A loaded FMU binary and its functions. The constructor raises OSError if loading fails.
 
@@ -81,13 +85,14 @@ class Library:
     def __init__(self, path: Path, fmi: int, name: str = "") -> None:
         self.fmi, self.prefix, self._name = fmi, f"fmi{fmi}", name
         self._functions: dict[str, Any] = {}
-        before = Path.cwd()
-        os.chdir(path.parent)  # some libraries search for other libraries in the working directory
-        try:
-            with in_progress(name, fmi, LOADING):
-                self._library = ctypes.CDLL(str(path))
-        finally:
-            os.chdir(before)
+        with _one_at_a_time:
+            before = Path.cwd()
+            os.chdir(path.parent)  # some libraries search for other libraries in the working directory
+            try:
+                with in_progress(name, fmi, LOADING):
+                    self._library = ctypes.CDLL(str(path))
+            finally:
+                os.chdir(before)
 
     def function(self, name: str, result: Any = ctypes.c_int) -> Callable[..., Any]:
         """A function of the library, by its name without prefix."""

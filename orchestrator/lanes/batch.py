@@ -21,6 +21,7 @@ from orchestrator.base.processes import available_cores
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Execution, Job
+from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import NotInLanes, lane_count
@@ -41,7 +42,7 @@ class BatchResult:
 
     time      shape (m,) [s]
     signals   name -> shape (n, m); NaN after the end of a machine that ended early
-    status    of each machine: "ok", "early" (an FMU asked for the end) or "failed", shape (n,)
+    status    of each machine: "ok", "early" (an FMU asked for the end), "failed" or "interrupted", shape (n,)
     reasons   why each machine ended early; empty if it did not
     units     name -> unit of the FMU
     notes     remarks, such as why the machines ran one by one
@@ -95,8 +96,8 @@ def batch(
     lanes        True: only in the vector lanes, else NotInLanes; False: one by one; default: in lanes if the
                  FMUs are native FMUs of this project, and the compiler is installed
 
-    The options hold for all machines. A machine that fails does not stop the others. Raises Problem for a
-    mistake.
+    The options hold for all machines. A machine that fails does not stop the others. Raises Interrupted
+    with the result until an interrupt, and Problem for a mistake.
 
         from orchestrator import batch
 
@@ -115,16 +116,26 @@ def batch(
     signals = recorded(job.system, job.record.signals)
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
-    ended, notes = _simulate(
-        job, times, arrays_in, count, [*signals.values()], rows, workers or available_cores(), lanes
-    )
-    wall = time.perf_counter() - began
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
-    status = np.array([ended[i].status if i in ended else OK for i in range(count)])
-    reasons = [ended[i].reason if i in ended else "" for i in range(count)]
-    all_notes = (*job.system.notes, *times.notes, *notes)
     arrays = dict(zip(signals, rows, strict=True))
-    return BatchResult(recorded_times(times), arrays, status, reasons, units, all_notes, wall)
+
+    def result(ended: Mapping[int, Ended], notes: tuple[str, ...]) -> BatchResult:
+        status = np.array([ended[i].status if i in ended else OK for i in range(count)])
+        reasons = [ended[i].reason if i in ended else "" for i in range(count)]
+        every = (*job.system.notes, *times.notes, *notes)
+        wall = time.perf_counter() - began
+        return BatchResult(recorded_times(times), arrays, status, reasons, units, every, wall)
+
+    try:
+        return result(
+            *_simulate(
+                job, times, arrays_in, count, [*signals.values()], rows, workers or available_cores(), lanes
+            )
+        )
+    except KeyboardInterrupt:
+        short = {int(i) for row in rows for i in np.flatnonzero(np.isnan(row[:, -1]))}
+        stopped = dict.fromkeys(short, Ended("interrupted", "by the user", np.nan))
+        raise Interrupted(result(stopped, ())) from None
 
 
 def _simulate(

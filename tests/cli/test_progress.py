@@ -25,6 +25,14 @@ def test_a_terminal_has_one_line():
     assert screen.getvalue() == "\r\x1b[Kone of 2\r\x1b[Ktwo of 2\r\x1b[K"
 
 
+def test_a_notebook_has_one_line_without_control_sequences():
+    """Spaces erase it, because Jupyter knows the carriage return only."""
+    cell = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})()
+    line = Doing("one of 2", cell)
+    line.end()
+    assert [text.rstrip() for text in cell.getvalue().split("\r")] == ["", "one of 2", "", ""]
+
+
 def test_a_log_has_a_line_only_for_what_takes_long(monkeypatch):
     """Each text that lasts is printed once, a shorter one never, and nothing after the end."""
     monkeypatch.setattr(progress, "LONG", 0.05)

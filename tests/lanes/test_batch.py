@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from kit import shards
 from kit.mistakes import problem, table
 
-from orchestrator import Coupling, batch, load, run, with_swaps
+from orchestrator import Coupling, Interrupted, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError, host
 from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled
@@ -26,6 +27,20 @@ MASSES = {MASS: np.linspace(300.0, 1200.0, 3)}
 # Lanes take the inner steps of the scalar FMUs with other rounding, which stops and cavities amplify to 1e-11
 # of the range; the tolerance of the FMUs is 1e-6
 SAME = 1e-8
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_an_interrupt_leaves_the_machines_that_are_complete(built, monkeypatch, lanes):
+    """`result` of the exception has them, and the status of the others."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    batches = import_module("orchestrator.lanes.batch")
+    monkeypatch.setattr(batches, "run_in_lanes" if lanes else "run_one_by_one", interrupted)
+    with pytest.raises(Interrupted) as caught:
+        batch(built / "harvester.ssp", MASSES, stop=0.01, record="manipulator.boom_angle", lanes=lanes)
+    assert caught.value.result.status.tolist() == ["interrupted"] * 3
 
 
 def single_run(system, scenario, machine, **options):
