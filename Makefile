@@ -87,7 +87,8 @@ pages: $(TESTING)
 clean:
 	rm -rf build .venv
 
-# wheel, sdist, and a zip of FMUs and their documentation, in dist/; two runs give the same bytes
+# wheel, sdist, and a zip of FMUs and their documentation, in dist/; two runs give the same bytes. For a try on
+# this computer: make release PLATFORMS=host
 release: $(RELEASING)
 	$(BIN)/python tools/release.py $(PLATFORMS)
 

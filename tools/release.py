@@ -18,6 +18,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -74,7 +75,7 @@ def main() -> int:
     os.environ["PYTHONPATH"] = str(STAGE)
     _timed(f"build the FMUs, platform {', '.join(platforms)}", partial(_build, platforms))
     _timed("compress the FMUs for the wheel", _archive)
-    _timed("compile the libraries for all platforms", _compile)
+    _timed("compile the libraries of the commands", partial(_compile, platforms))
     shutil.rmtree(DIST, ignore_errors=True)
     DIST.mkdir()
     _timed("pack wheel and sdist", _pack)
@@ -111,7 +112,17 @@ def _build(platforms: Sequence[str]) -> None:
     command = [sys.executable, "-m", "orchestrator", "build", "--out", str(BUILT)]
     command += [word for name in platforms for word in ("--platform", name)]
     shutil.rmtree(BUILT, ignore_errors=True)
-    subprocess.run(command, cwd=STAGE, check=True, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command, cwd=STAGE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    began = time.monotonic()
+    assert process.stderr is not None
+    for line in process.stderr:
+        done, number = map(int, re.findall(r"\d+", line)) if line.startswith("compiling, ") else (0, 0)
+        left = (time.monotonic() - began) * (number - done) / max(done, 1) / 60
+        print(f"  {line.rstrip()}{f' some {left:.0f} min left' if done else ''}", flush=True)
+    if process.wait():
+        raise SystemExit("harvester build failed")
 
 
 def _archive() -> None:
@@ -120,15 +131,16 @@ def _archive() -> None:
     pack(BUILT, STAGE / "fmus" / "built.tar.xz")
 
 
-def _compile() -> None:
+def _compile(platforms: Sequence[str]) -> None:
     """Libraries under the names by which `orchestrator.base.compiler` looks for them."""
+    from fmus.export.compile import WASM, select
     from fmus.export.compile import recipe as recipe_of_fmu
     from fmus.export.python.build import library_source
-    from orchestrator.base.compiler import COMPILED, PLATFORMS, shared_library, shipped_file
+    from orchestrator.base.compiler import COMPILED, shared_library, shipped_file
     from orchestrator.engine.c_library import recipe as recipe_of_engine
 
     COMPILED.mkdir()
-    for platform in PLATFORMS:
+    for platform in (name for name in select(platforms) if name != WASM):
         for recipe in (recipe_of_engine(platform), recipe_of_fmu(**library_source(platform))):
             shutil.copyfile(shared_library(*recipe), shipped_file(*recipe))
 

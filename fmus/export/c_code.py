@@ -212,7 +212,6 @@ def sources(
         "",
     ]
     includes = [f'#include "{name}{INCLUDED}"' for name in names]
-    includes[0] = f"#ifndef START_APART\n{includes[0]}\n#endif"
     packed = {f"{name}{INCLUDED}" if name in names else name: text for name, text in code.items()}
     return packed | {main_source(interface.name): "\n".join([*head, *includes, ""])}
 
@@ -255,6 +254,7 @@ def _print(interface: Interface, names: Mapping[str, Sequence[str]]) -> bytes:
         "\n".join(c_function(r, names) for r in routines)
         for routines in (equations.routines, equations.adjoint)
     )
+    adjoint = adjoint.replace("LOCAL void", "SHARED void")  # see model.h
     return json.dumps({"model": model, "adjoint": adjoint, "lengths": equations.lengths}).encode()
 
 
@@ -278,7 +278,7 @@ def generated(
     }
     if fmi == 3:
         head = f"/* {interface.name}: adjoint derivatives. Generated. */\n\n#include <math.h>\n"
-        code["adjoint.c"] = f'{head}\n#include "model.h"\n\n{printed.adjoint}'
+        code["adjoint.c"] = f'{head}\n#include "fmi3.h"\n\n{printed.adjoint}'
     return code
 
 
@@ -302,7 +302,7 @@ def _start_values(interface: Interface) -> str:
         "",
         '#include "start.h"',
         "",
-        "#ifdef START_APART",
+        "#ifdef IN_PARTS",
         "#define START",
         "#else",
         "#define START static",
@@ -380,7 +380,7 @@ def _tables(interface: Interface) -> str:
             '#include "model.h"',
             "",
             "/* name, unit, kind, minimum, maximum, nominal, absolute_scale, warn_above, rate */",
-            "static const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
+            "SHARED const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
             *rows,
             "};",
             "",

@@ -14,8 +14,10 @@ folder and manifest, because an importer that finds those expects a component.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import fmpy
@@ -100,31 +102,43 @@ def shared_library(
     """
     try:
         if START + INCLUDED in code and platform != WASM:
-            code, compiled = _start_apart(model, code, compiled, platform)
+            code, compiled = _in_parts(model, code, compiled, platform)
         made = compiler.shared_library(*recipe(model, code, compiled, platform, libraries))
     except CompilerError as error:
         raise Problem(f"{model}, {platform}: {error}") from None
     return made.read_bytes()
 
 
-START, START_HEADER, APART = "start.c", "start.h", "-DSTART_APART"
+START, START_HEADER, IN_PARTS = "start.c", "start.h", ("-DIN_PARTS", "-Wno-unused-function")
+ADJOINT = "-fno-slp-vectorize"  # of adjoint derivatives: it takes half of the time and makes them no faster
 
 
-def _start_apart(
+def _in_parts(
     model: str, code: Mapping[str, bytes], compiled: Sequence[str], platform: str
 ) -> tuple[dict[str, bytes], list[str]]:
-    """The code with all but the start values compiled to an object file, and what is left to compile.
+    """The code with all but the start values as object files, and what is left to compile.
 
-    An FMU with other values has the same object file, which is then in the cache.
+    An FMU with other values has the same object files, and the one of the other FMI version has the largest,
+    equations with solver. That is compiled last: two versions at once then begin with different files.
     """
-    file, target = f"{model}.o", TARGETS[platform]
-    starts = {START: code[START + INCLUDED], START_HEADER: code[START_HEADER]}
-    rest = {n: content for n, content in code.items() if n not in (START + INCLUDED, START_HEADER)}
-    flags = [flag for flag in (*FLAGS, *LIBRARY) if flag not in ("-s", "-shared")]
-    arguments = ["-target", target.target, *flags, APART, "-c", "-isystem", str(HEADERS), *compiled]
-    headers = [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]
-    made = compiler.shared_library(file, rest, arguments, headers).read_bytes()
-    return {file: made, **starts}, [APART, START, file]
+    names = re.findall(r'#include "(.+)"', code[compiled[0]].decode())
+    names.remove(START + INCLUDED)
+    version = [name for name in names if name.startswith("fmi")]
+    adjoint = [name for name in names if name.startswith("adjoint")]
+    shared = [name for name in names if name not in (*version, *adjoint)]
+    headers = {name: text for name, text in code.items() if name.endswith(".h") and name != START_HEADER}
+    made = {START: code[START + INCLUDED], START_HEADER: code[START_HEADER]}
+    system, flags = _headers(), [flag for flag in (*FLAGS, *LIBRARY) if flag not in ("-s", "-shared")]
+    flags = ["-target", TARGETS[platform].target, *flags, *IN_PARTS, "-c", "-isystem", str(HEADERS)]
+    for part, included in (("adjoint", adjoint), ("fmi", version), ("model", shared)):
+        if included:
+            texts = {n: h for n, h in headers.items() if part != "model" or not n.startswith("fmi")}
+            texts |= {name: code[name] for name in included}
+            texts[f"{part}.c"] = "".join(f'#include "{name}"\n' for name in included).encode()
+            arguments = [*flags, *([ADJOINT] if part == "adjoint" else []), f"{part}.c"]
+            name = f"{model}_{part}.o"
+            made[name] = compiler.shared_library(name, texts, arguments, system).read_bytes()
+    return made, [*IN_PARTS, START, *(name for name in made if name.endswith(".o"))]
 
 
 def recipe(
@@ -140,4 +154,9 @@ def recipe(
     kind = MODULE if platform == WASM else LIBRARY
     arguments = ["-target", target.target, *FLAGS, *kind, "-isystem", str(HEADERS), *compiled]
     arguments += linker_arguments(library, target, libraries)
-    return library, code, arguments, [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]
+    return library, code, arguments, _headers()
+
+
+@cache
+def _headers() -> list[bytes]:
+    return [path.read_bytes() for path in sorted(HEADERS.glob("*.h"))]

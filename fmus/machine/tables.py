@@ -31,7 +31,8 @@ def variant_names() -> list[tuple[str, str]]:
 
 def variant_lines(costs: Costs) -> Iterator[str]:
     """Lines of the table of variants; the cost is empty for a variant that is not in `costs`."""
-    head = f"{'states':>8}{'inputs':>8}{'parameters':>12}{'us per 1 ms':>13}{'relative':>14}"
+    head = f"{'states':>8}{'inputs':>8}{'parameters':>12}"
+    head += f"{'us per 1 ms':>13}{'relative':>14}" if costs else ""
     for part, variants in FAMILIES.items():
         usual = next(iter(variants))
         yield f"{part:<20}{head}"
@@ -42,7 +43,7 @@ def variant_lines(costs: Costs) -> Iterator[str]:
             cost, base = costs.get((part, variant)), costs.get((part, usual))
             cost_text = "" if cost is None else f"{cost:.2f}"
             ratio = "" if cost is None or not base or base < CALL_COST else f"{cost / base:.2f}"
-            yield f"{label:<20}{counts}{cost_text:>13}{ratio:>14}"
+            yield f"{label:<20}{counts}{cost_text:>13}{ratio:>14}".rstrip()
             for text in (sub.text, f"valid: {sub.validity}"):
                 yield _indented(text, 110)
         yield ""

@@ -22,8 +22,8 @@ import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -222,7 +222,9 @@ def _compile(
 ) -> Path:
     if _is_private(library):
         return library
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+    with _alone(library), tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        if _is_private(library):  # compiled meanwhile
+            return library
         for file, data in code.items():
             (Path(folder) / file).write_bytes(data)
         command = [sys.executable, "-m", "ziglang", "cc", *arguments, "-o", name]
@@ -239,6 +241,22 @@ def _compile(
             if not _is_private(library):
                 raise
     return library
+
+
+@contextmanager
+def _alone(library: Path) -> Iterator[None]:
+    """No other thread or process is in such a block for this library; a few libraries share a lock file."""
+    with (library.parent / f"{library.name[:2]}.lock").open("ab") as file:
+        if sys.platform == "win32":
+            import msvcrt
+
+            with suppress(OSError):  # after ten seconds it is compiled twice, which does no harm
+                msvcrt.locking(file.fileno(), msvcrt.LK_LOCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)  # until the file is closed
+        yield
 
 
 def _compiler_error(run: subprocess.CompletedProcess[str]) -> CompilerError:

@@ -10,28 +10,34 @@ from orchestrator.cli.options import BUILD, File, System, command, system_file
 
 @command
 def variants(
-    system: System = None, combinations: bool = False, out: File = BUILD / "combinations.csv"
+    system: System = None,
+    cost: bool = False,
+    combinations: bool = False,
+    out: File = BUILD / "combinations.csv",
 ) -> bool:
     """List the variants of each part, with numbers of states and inputs, and the range of validity.
 
-    Also measures the simulation time of each variant on this computer.
-
     system         System in which the cost of the variants is measured; default: build/harvester.ssp, else
                    the one in the installed package.
+    cost           Also measure the simulation time of each variant on this computer, a few seconds.
     combinations   Run the work cycle with every combination of variants instead.
     out            With `combinations`: file for the table (.csv).
     """
     from fmus.machine.parts import FAMILIES
     from fmus.machine.tables import variant_lines, variant_names
+
+    if not (cost or combinations):
+        print("\n".join(variant_lines({})))
+        print("To measure the cost of each variant on this computer: harvester variants --cost")
+        return True
+    from orchestrator.base.files import require_system
     from orchestrator.studies.variants import costs, table
 
-    file = system_file(system)
+    file = require_system(system_file(system))
     if combinations:
         joints = [f"manipulator.{joint}_speed" for joint in ("swing", "boom", "stick")]
         return table(file, {part: list(family) for part, family in FAMILIES.items()}, joints, out)
-    print("\n".join(variant_lines(costs(file, variant_names()) if file.exists() else {})))
-    if not file.exists():
-        print(f"{file} does not exist, so no cost was measured; build it with: harvester build")
+    print("\n".join(variant_lines(costs(file, variant_names()))))
     return True
 
 

@@ -136,7 +136,7 @@ BASE = {
     "check": ["check", "{fmu}", "--static"],
     "signals": ["signals", "{system}"],
     "parameters": ["parameters"],
-    "variants": ["variants", "none.ssp"],
+    "variants": ["variants"],
     "linearize": ["linearize", "{system}"],
     "modelica": ["modelica", "{system}"],
     "compare": ["compare", "a.csv", "b.csv"],

@@ -1,5 +1,8 @@
 """Builds: the same bytes anywhere, whole files or none, no work done twice; the command."""
 
+import subprocess
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -53,6 +56,28 @@ def test_second_build_needs_no_compiler(toys, tmp_path, monkeypatch):
     monkeypatch.setattr("fmus.export.compile.FLAGS", ("-O1", *FLAGS))
     with pytest.raises(AssertionError, match="compiler was called"):
         build(sub, tmp_path / "third", values=numbers)
+
+
+def test_builds_at_once_compile_each_part_once(toys, tmp_path, monkeypatch):
+    """Both versions share the equations and the solver; who comes second waits for the file in the cache."""
+    monkeypatch.setattr("orchestrator.base.compiler.cache_folder", lambda: tmp_path / "store")
+    made: list[str] = []
+
+    def compiler(command, cwd, **_):
+        made.append(command[-1])
+        time.sleep(0.05)
+        (cwd / Path(command[-1])).write_bytes(b"compiled")
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr("orchestrator.base.compiler.subprocess.run", compiler)
+    sub, numbers = toys["gain"]
+    with ThreadPoolExecutor(4) as pool:
+        for n in range(4):
+            pool.submit(
+                build, sub, tmp_path / str(n), values=numbers, fmi=2 + n % 2, platforms=["x86_64-linux"]
+            )
+    shells = [name for name in ("gain.so", "gain_fmi.o") for _ in (2, 3)]
+    assert sorted(made) == sorted([*shells, "gain_adjoint.o", "gain_model.o"])
 
 
 def test_store_that_cannot_be_written_to_keeps_nothing(toys, tmp_path, monkeypatch):

@@ -24,7 +24,7 @@ def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsy
     """Every variant with its states and inputs, where it holds, and its cost beside the usual one's."""
     monkeypatch.setattr("orchestrator.studies.variants.LENGTH", 0.02)
     monkeypatch.setattr("orchestrator.studies.variants.REPEATS", 1)
-    assert main(["variants", str(fmu_dir / "harvester.ssp")]) == 0
+    assert main(["variants", "--cost", str(fmu_dir / "harvester.ssp")]) == 0
     printed = capsys.readouterr().out
     indented = (line for line in printed.splitlines() if line.startswith("  ") and line[2] != " ")
     rows = {line.split()[0]: line.split() for line in indented}
@@ -38,14 +38,15 @@ def test_variants_are_listed_with_size_validity_and_measured_cost(fmu_dir, capsy
 
 
 def test_variants_are_listed_before_anything_is_built(tmp_path, monkeypatch, capsys):
-    """Without a built system there are no costs, and the way to get them is told."""
+    """Without a measurement, and the way to get one is told; that one needs the system."""
     monkeypatch.chdir(tmp_path)
     assert main(["variants"]) == 0
     printed = capsys.readouterr().out
     assert "quasistatic" in printed
-    assert printed.endswith("so no cost was measured; build it with: harvester build\n")
-    assert main(["variants", "--combinations"]) == 2
-    assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
+    assert printed.endswith("on this computer: harvester variants --cost\n")
+    for option in ("--cost", "--combinations"):
+        assert main(["variants", option]) == 2
+        assert "harvester.ssp: no such file; build it with: harvester build" in capsys.readouterr().err
 
 
 def test_a_combination_that_does_not_start_is_a_row(fmu_dir, tmp_path):

@@ -12,7 +12,7 @@ LOCAL void core_message_of(Core *core, Status kind, const char *format, va_list 
     core->report(core->owner, kind, text);
 }
 
-LOCAL void core_message(Core *core, Status kind, const char *format, ...) {
+SHARED void core_message(Core *core, Status kind, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
     core_message_of(core, kind, format, arguments);
@@ -45,7 +45,7 @@ static void prepare(Core *core) {
     core->c_valid = 1;
 }
 
-LOCAL void core_start(Core *core) {
+SHARED void core_start(Core *core) {
     prepare(core);
     if (core->s.initial && !core->start_valid) {
         double start[ROOM(NX)];

@@ -61,7 +61,7 @@ typedef struct Core {
 } Core;
 
 /* Reports the message "call: text" to the owner. */
-LOCAL void core_message(Core *core, Status kind, const char *format, ...);
+SHARED void core_message(Core *core, Status kind, const char *format, ...);
 LOCAL void core_message_of(Core *core, Status kind, const char *format, va_list arguments);
 
 /* Sets all variables to their default values. */
@@ -84,7 +84,7 @@ LOCAL void core_set(Core *core, unsigned reference, double value);
 /* Time derivative of an input at the current time. */
 LOCAL double core_input_derivative(const Core *core, int input);
 
-LOCAL void core_start(Core *core);       /* computes the initial states, before the initialisation is over */
+SHARED void core_start(Core *core);       /* computes the initial states, before the initialisation is over */
 LOCAL void core_derivatives(Core *core); /* computes dx */
 LOCAL void core_outputs(Core *core);     /* computes y */
 
@@ -99,7 +99,7 @@ LOCAL void core_forward(Core *core, int starting);
 LOCAL int core_step(Core *core, double length);
 
 /* Saved states as bytes: a header that identifies the model, then the state. */
-LOCAL size_t snapshot_size(void);
+SHARED size_t snapshot_size(void);
 LOCAL void snapshot_write(const State *state, char *bytes);
 /* Reads a state; 0 and a message if it belongs to another model. With `verify`, damage is refused too. */
 LOCAL int snapshot_read(Core *core, State *state, const char *bytes, size_t size, int verify);

@@ -48,72 +48,72 @@ typedef struct Instance {
 /* ---- instance.c */
 
 /* What is wrong with the arguments of an instantiation, or null. */
-LOCAL const char *instance_problem(const char *name, const char *guid);
+SHARED const char *instance_problem(const char *name, const char *guid);
 /* A new instance, or null if there is no memory; `type` is MODEL_EXCHANGE or CO_SIMULATION. */
-LOCAL Instance *instance_create(const char *name, int type, int logging);
+SHARED Instance *instance_create(const char *name, int type, int logging);
 /* The log category of messages with this status. */
-LOCAL const char *instance_category(Status kind);
+SHARED const char *instance_category(Status kind);
 /* 1 if the function may be called now; else 0 and a message. */
-LOCAL int allowed(Instance *self, const char *function, int mask);
+SHARED int allowed(Instance *self, const char *function, int mask);
 /* 1 if the importer's array is not null and n is a possible length; else 0 and a message. */
-LOCAL int valid_array(Instance *self, const void *array, size_t n);
+SHARED int valid_array(Instance *self, const void *array, size_t n);
 /* Reports an error message; returns ERROR. */
-LOCAL Status refuse(Instance *self, const char *format, ...);
-LOCAL Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]);
-LOCAL Status instance_setup(Instance *self, int tolerance_defined, double tolerance, double start,
+SHARED Status refuse(Instance *self, const char *format, ...);
+SHARED Status instance_set_log(Instance *self, int on, size_t n, const char *const categories[]);
+SHARED Status instance_setup(Instance *self, int tolerance_defined, double tolerance, double start,
                             int stop_defined, double stop);
-LOCAL Status instance_exit_initialization(Instance *self);
+SHARED Status instance_exit_initialization(Instance *self);
 /* Changes the state of the FMI state machine. */
-LOCAL Status instance_enter(Instance *self, int phase);
-LOCAL Status instance_reset(Instance *self);
+SHARED Status instance_enter(Instance *self, int phase);
+SHARED Status instance_reset(Instance *self);
 
 /* ---- values.c */
 
-LOCAL Status values_get(Instance *self, const unsigned r[], size_t n, double value[]);
-LOCAL Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]);
+SHARED Status values_get(Instance *self, const unsigned r[], size_t n, double value[]);
+SHARED Status values_set(Instance *self, const unsigned r[], size_t n, const double value[]);
 /* 1 if this is the value reference of the time. */
-LOCAL int is_time(const Instance *self, unsigned r);
+SHARED int is_time(const Instance *self, unsigned r);
 /* 1 if the states are computed from start values now. */
-LOCAL int is_starting(const Instance *self);
+SHARED int is_starting(const Instance *self);
 /* 1 if the variable may be a known or an unknown of a derivative; else 0 and a message. */
-LOCAL int is_known(Instance *self, unsigned r);
-LOCAL int is_unknown(Instance *self, unsigned r);
-LOCAL Status values_directional(Instance *self, const unsigned unknown[], size_t n_unknown,
+SHARED int is_known(Instance *self, unsigned r);
+SHARED int is_unknown(Instance *self, unsigned r);
+SHARED Status values_directional(Instance *self, const unsigned unknown[], size_t n_unknown,
                                 const unsigned known[], size_t n_known, const double seed[], double result[]);
-LOCAL Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, const int order[],
+SHARED Status values_output_derivatives(Instance *self, const unsigned r[], size_t n, const int order[],
                                        double value[]);
 
 /* ---- exchange.c */
 
 /* Enters continuous-time mode. */
-LOCAL Status exchange_enter(Instance *self);
+SHARED Status exchange_enter(Instance *self);
 /* Fixes the initial states: inputs no longer change them. */
-LOCAL void exchange_fix_start(Instance *self);
+SHARED void exchange_fix_start(Instance *self);
 /* Stores the inputs, with which later ones are compared. */
-LOCAL void exchange_keep_inputs(Instance *self);
+SHARED void exchange_keep_inputs(Instance *self);
 /* 1 if the solver must restart after this update at an event; the second call returns 0. */
-LOCAL int exchange_restart_needed(Instance *self);
+SHARED int exchange_restart_needed(Instance *self);
 /* Checks a completed step of the solver; `*event` becomes 1 if the solver must restart. */
-LOCAL Status exchange_completed(Instance *self, int *event);
-LOCAL Status exchange_set_time(Instance *self, double time);
-LOCAL Status exchange_set_states(Instance *self, const double x[], size_t n);
-LOCAL Status exchange_states(Instance *self, double x[], size_t n);
-LOCAL Status exchange_derivatives(Instance *self, double dx[], size_t n);
-LOCAL Status exchange_indicators(Instance *self, size_t n);
-LOCAL Status exchange_nominals(Instance *self, double nominal[], size_t n);
+SHARED Status exchange_completed(Instance *self, int *event);
+SHARED Status exchange_set_time(Instance *self, double time);
+SHARED Status exchange_set_states(Instance *self, const double x[], size_t n);
+SHARED Status exchange_states(Instance *self, double x[], size_t n);
+SHARED Status exchange_derivatives(Instance *self, double dx[], size_t n);
+SHARED Status exchange_indicators(Instance *self, size_t n);
+SHARED Status exchange_nominals(Instance *self, double nominal[], size_t n);
 /* 1 and the time of the next time event if there is one, else 0. */
-LOCAL int exchange_next_event(Instance *self, double *time);
+SHARED int exchange_next_event(Instance *self, double *time);
 
 /* ---- step.c */
 
-LOCAL Status do_step(Instance *self, double time, double length);
+SHARED Status do_step(Instance *self, double time, double length);
 
 /* ---- states.c */
 
-LOCAL Status states_get(Instance *self, void **state);
-LOCAL Status states_set(Instance *self, const void *state);
-LOCAL Status states_serialize(Instance *self, const void *state, char bytes[], size_t size);
-LOCAL Status states_deserialize(Instance *self, const char bytes[], size_t size, void **state);
-LOCAL Status states_free(void **state);
+SHARED Status states_get(Instance *self, void **state);
+SHARED Status states_set(Instance *self, const void *state);
+SHARED Status states_serialize(Instance *self, const void *state, char bytes[], size_t size);
+SHARED Status states_deserialize(Instance *self, const char bytes[], size_t size, void **state);
+SHARED Status states_free(void **state);
 
 #endif

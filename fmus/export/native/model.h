@@ -14,8 +14,15 @@
 #include "opening_curve.h"
 #include "sizes.h"
 
-/* <model>_fmu.c includes all other files, so all functions except those of FMI can be static. */
+/* <model>_fmu.c includes all other files, so all functions except those of FMI can be static. `harvester build`
+   compiles some parts separately (IN_PARTS), to use them for both FMI versions or with other start values: what
+   such a part needs of another is SHARED, not LOCAL. */
 #define LOCAL static
+#ifdef IN_PARTS
+#define SHARED
+#else
+#define SHARED static
+#endif
 
 /* The value if the condition holds, else 0. A function, because code for several machines at once, with vectors in
    place of double, cannot branch. */
@@ -52,8 +59,8 @@ typedef struct {
     int rate;                /* inputs: index of the input that is the time derivative of this one, or -1 */
 } Variable;
 
-/* With START_APART, start.c is compiled by itself: a build with other values compiles only that file. */
-#ifdef START_APART
+#ifdef IN_PARTS
+extern const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)];
 extern const double model_start_values[ROOM(NUMBER_OF_VARIABLES)];
 extern const char model_guid[48], model_other_guid[144];
 #endif

@@ -34,7 +34,7 @@ static uint64_t checksum_of(const char *bytes, size_t size) {
     return sum | 1u;
 }
 
-LOCAL size_t snapshot_size(void) { return sizeof(Header) + sizeof(State); }
+SHARED size_t snapshot_size(void) { return sizeof(Header) + sizeof(State); }
 
 LOCAL void snapshot_write(const State *state, char *bytes) {
     const Header h = expected_header();
