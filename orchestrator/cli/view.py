@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -81,29 +82,17 @@ def _default_system(swapped: Mapping[str, str]) -> Path:
     control = system_file(None, CONTROL.name)
     if not control.exists():
         return SYSTEM
-    other = control.with_name(SYSTEM.name)
-    from orchestrator.ssp.load import load
-    from orchestrator.ssp.swap import with_swaps
-
     if swapped:
+        from orchestrator.ssp.load import load
+        from orchestrator.ssp.swap import with_swaps
+
         try:
             with_swaps(load(control), swapped)
         except Problem as problem:
-            if other.exists() and _accepts(other, swapped):
-                message = f"{problem}; {other} has no controller and accepts it: harvester view {other}"
-                raise Problem(
-                    f"{message} {' '.join(f'--swap {n}={f}' for n, f in swapped.items())}"
-                ) from None
-            raise
+            other, words = control.with_name(SYSTEM.name), (f"--swap {n}={f}" for n, f in swapped.items())
+            with suppress(Problem):
+                with_swaps(load(other), swapped)
+                advice = f"{other} has no controller and accepts it: harvester view {other}"
+                problem = Problem(f"{problem}; {advice} {' '.join(words)}")
+            raise problem from None
     return control
-
-
-def _accepts(system: Path, swapped: Mapping[str, str]) -> bool:
-    from orchestrator.ssp.load import load
-    from orchestrator.ssp.swap import with_swaps
-
-    try:
-        with_swaps(load(system), swapped)
-    except Problem:
-        return False
-    return True

@@ -10,18 +10,15 @@ from kit.mistakes import problem
 
 from orchestrator import Coupling, batch, linearize, reference, run
 from orchestrator.__main__ import main
-from orchestrator.base.options import (
-    FIELDS,
-    BatchArguments,
-    CouplingArguments,
-    LinearArguments,
-    ReferenceArguments,
-    RunArguments,
-    option_texts,
-)
+from orchestrator.base import options
 from orchestrator.cli import app
 
-GROUPS = {run: RunArguments, batch: BatchArguments, reference: ReferenceArguments, linearize: LinearArguments}
+GROUPS = {
+    run: options.RunArguments,
+    batch: options.BatchArguments,
+    reference: options.ReferenceArguments,
+    linearize: options.LinearArguments,
+}
 COMMANDS = typer.main.get_command(app).commands
 
 
@@ -34,7 +31,7 @@ def test_every_option_of_a_command_has_a_text(name):
 @pytest.mark.parametrize("function", GROUPS, ids=lambda function: function.__name__)
 def test_the_docstring_of_a_function_has_its_options(function):
     """Each with the text that is the help of the command line."""
-    for name, text in option_texts(GROUPS[function]).items():
+    for name, text in options.option_texts(GROUPS[function]).items():
         assert text
         assert f"    {name} " in function.__doc__
         assert text in " ".join(function.__doc__.split())
@@ -42,7 +39,7 @@ def test_the_docstring_of_a_function_has_its_options(function):
 
 def test_the_options_of_a_coupling_are_its_fields():
     """In the same order, by the same names but one."""
-    assert [FIELDS.get(name, name) for name in CouplingArguments.__annotations__] == [
+    assert [options.FIELDS.get(name, name) for name in options.CouplingArguments.__annotations__] == [
         field.name for field in fields(Coupling)
     ]
 
@@ -77,20 +74,16 @@ def test_a_wrong_value_is_refused_in_one_line(option, message):
 
 def test_quantities_have_units_in_python_and_on_the_command_line(fmus, tmp_path, capsys):
     """A text with a unit is the number of seconds; None is the default; one name is a list of one."""
-    options = {"record": "gain.y", "time_limit": None, "parameters": None, "isolate": False}
-    told = run(fmus["gain"], step="50ms", stop="0.2 s", **options)
-    same = run(fmus["gain"], step=0.05, stop=0.2, **options)
+    more = {"record": "gain.y", "time_limit": None, "parameters": None, "isolate": False}
+    told = run(fmus["gain"], step="50ms", stop="0.2 s", **more)
+    same = run(fmus["gain"], step=0.05, stop=0.2, **more)
     assert list(told.trace.signals) == ["gain.y"]
+    assert "'reach'" in problem(lambda: run(fmus["gain"], parameters="reach", isolate=False))
     assert told.trace.time.tolist() == same.trace.time.tolist()
     assert told.trace.window("50 ms", 0.1).time.tolist() == same.trace.time[1:3].tolist()
     out = str(tmp_path / "o.csv")
     assert main(["run", str(fmus["gain"]), "--step", "50ms", "--stop", "200 ms", "--out", out]) == 0
     assert "4 steps" in capsys.readouterr().out
-
-
-def test_a_name_of_a_parameter_set_is_no_list_of_letters(fmus):
-    """The message is about the set, not about its first letter."""
-    assert "reach" in problem(lambda: run(fmus["gain"], parameters="reach", isolate=False))
 
 
 def test_cut_removes_connections_in_a_run(oscillator):
