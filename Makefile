@@ -124,15 +124,15 @@ test-newest: $(RELEASING)
 
 TESTS_NEED := pytest pytest-timeout pytest-xdist hypothesis httpx playwright
 
-# Licences of the installed packages, and known vulnerabilities of the versions in constraints.txt; the latter
+# Licences of the installed packages, and known vulnerabilities of the versions in lock.txt; the latter
 # asks a database on the internet. Read by hand: casadi LGPL-3.0 (a library that is imported, unchanged),
 # docutils public domain with a few GPL files (of nicegui, not loaded); without a declaration FMPy BSD-2-Clause,
-# cmeel-qhull Qhull (of a test), objective_rating_metrics MIT (of a test)
+# cmeel-qhull Qhull, objective-rating-metrics MIT, axe-playwright-python MIT (of tests)
 PERMISSIVE := MIT;BSD;Apache;ISC;MPL;Mozilla;PSF;Python Software Foundation;Zlib;BSL;Unlicense;CC0
 audit: $(RELEASING) $(TESTING)
 	$(BIN)/pip-licenses --from=mixed --partial-match --allow-only="$(PERMISSIVE)" --order=license --format=markdown \
-	  --ignore-packages harvester-cosim casadi docutils fmpy cmeel-qhull objective-rating-metrics
-	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip
+	  --ignore-packages harvester-cosim casadi docutils fmpy cmeel-qhull objective-rating-metrics axe-playwright-python
+	$(BIN)/pip-audit --requirement lock.txt --require-hashes --disable-pip
 
 # a second call skips the installation; constraints.txt has the versions that were tested
 $(INSTALLED): pyproject.toml constraints.txt
