@@ -405,7 +405,7 @@ def chosen(group: Any, options: Mapping[str, Any], function: str) -> dict[str, A
     known, values = declarations(group), dict[str, Any]()
     for name, value in options.items():
         if name not in known:
-            raise TypeError(f"{function}() has no option {name!r}{suggest(name, known)}")
+            raise TypeError(f"{function}() has no option {name!r}{suggest(name, [*known, 'scenario'])}")
         if value is not None:
             values[name] = _checked(name, known[name], value)
     return values
