@@ -47,14 +47,8 @@ Point = tuple[float, float, float]  # x forward, y to the left, z up, from the f
 SAMPLE_RATE = 200.0  # Hz
 SMALLEST_RADIUS = 0.1  # m; the swing angle jumps at the swing axis
 COLUMNS = (
-    "radial_velocity",
-    "vertical_velocity",
-    "swing_velocity",
-    "path_radius",
-    "path_height",
-    "path_angle",
-    "follow",
-    "engaged",
+    *("radial_velocity", "vertical_velocity", "swing_velocity"),
+    *("path_radius", "path_height", "path_angle", "follow", "engaged"),
 )
 
 

@@ -17,11 +17,7 @@ from fmus.swing.variables import SwingParameters
 AXES = ("swing", "boom", "stick")
 VALVE = (*(f"valve_{n}" for n in quantities(Valve)), "density")  # of its curves only the straight line
 GEOMETRY = (
-    "boom_pivot_x",
-    "boom_pivot_z",
-    "stick_pivot_x",
-    "stick_pivot_z",
-    "stick_length",
+    *("boom_pivot_x", "boom_pivot_z", "stick_pivot_x", "stick_pivot_z", "stick_length"),
     *(f"{a}_{pin}_{axis}" for a in ("boom", "stick") for pin in ("base", "pin") for axis in "xz"),
     *(f"{a}_{n}" for a in ("boom", "stick") for n in ("closed_length", "stroke")),
 )
@@ -36,13 +32,8 @@ CYLINDERS = (
     *VALVE,
 )
 MOTOR = (
-    "motor_displacement",
-    "gear_ratio",
-    "motor_volume",
-    "line_length",
-    "line_bore",
-    "line_capacitance",
-    "line_turbulent_resistance",
+    *("motor_displacement", "gear_ratio", "motor_volume"),
+    *("line_length", "line_bore", "line_capacitance", "line_turbulent_resistance"),
 )
 
 

@@ -171,18 +171,10 @@ INCLUDED = ".inc"  # model.c is model.c.inc in an FMU, so that only one .c file 
 
 
 # order in which the C files are included; all others follow in alphabetical order
-_ORDER = [
-    "start",
-    "model",
-    "adjoint",
-    "inputs",
-    "rosenbrock",
-    "runge_kutta",
-    "solver",
-    "core",
-    "snapshot",
-    "instance",
-]
+_ORDER = (
+    *("start", "model", "adjoint", "inputs", "rosenbrock"),
+    *("runge_kutta", "solver", "core", "snapshot", "instance"),
+)
 
 
 def native_sources(fmi: int) -> dict[str, str]:

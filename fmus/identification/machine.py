@@ -29,23 +29,11 @@ Parameters = Mapping[str, Number]
 # same effect: inertances and resistances of the swing's lines (time constants below a millisecond), rounding
 # and leakage of the valve, inertances of the hoses, geometry, displacement of the motor (on its type plate).
 FREE = (
-    "valve_area",
-    "valve_dead_band",
-    "line_capacitance",
-    "internal_leakage_resistance",
-    "external_leakage_resistance",
-    "boom_hose_capacitance",
-    "boom_hose_resistance",
-    "stick_hose_capacitance",
-    "stick_hose_resistance",
-    "column_inertia",
-    "boom_mass",
-    "stick_mass",
-    "stick_inertia",
-    "head_mass",
-    "swing_damping",
-    "boom_piston_damping",
-    "stick_piston_damping",
+    *("valve_area", "valve_dead_band"),
+    *("line_capacitance", "internal_leakage_resistance", "external_leakage_resistance"),
+    *("boom_hose_capacitance", "boom_hose_resistance", "stick_hose_capacitance", "stick_hose_resistance"),
+    *("column_inertia", "boom_mass", "stick_mass", "stick_inertia", "head_mass"),
+    *("swing_damping", "boom_piston_damping", "stick_piston_damping"),
 )
 PRIOR_SD = 0.3  # relative, of a value that was not measured: the scatter of the literature
 COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}

@@ -18,12 +18,7 @@ from orchestrator.ssp.common_elements import as_linear, read_transformation, rea
 from orchestrator.ssp.system import Port, System
 
 DEFINITION = "SystemStructure.ssd"
-SOURCES = (
-    "output",
-    "calculatedParameter",
-    "local",
-    "constant",
-)  # kinds of connectors with a value for others
+SOURCES = ("output", "calculatedParameter", "local", "constant")  # kinds with a value for others
 SINKS = ("input", "parameter", "structuralParameter")
 FMU, SSD, PACKAGE = (
     f"application/x-{kind}" for kind in ("fmu-sharedlibrary", "ssp-definition", "ssp-package")

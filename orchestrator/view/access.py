@@ -12,8 +12,6 @@ token    if required: once in the address, `/?token=...`, then in a cookie that 
          sites do not send (HttpOnly, SameSite=Strict). A link with the token works on any site
 """
 
-from __future__ import annotations
-
 import ipaddress
 import logging
 import secrets

@@ -1,7 +1,5 @@
 """The choices before a start: the system, the pose, and the variant of each component."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ A browser acknowledges the pictures that it has drawn. While `AHEAD` pictures ar
 further ones. So a slow browser shows fewer pictures, but no outdated ones, and does not load the server.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

@@ -1,7 +1,5 @@
 """Access to result files by name from a page, restricted to the open folders."""
 
-from __future__ import annotations
-
 import csv
 import os
 import stat

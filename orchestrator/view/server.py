@@ -1,7 +1,5 @@
 """The web server of the view: one session and any number of pages, behind access control."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc
@@ -67,13 +65,7 @@ class Server:
         serve_controls(app, self.authority)
         self._stream = Stream(session, SharedFigures(session))
         ui.page("/")(self._page)
-        ui.run_with(
-            app,
-            title=TITLE,
-            tailwind=False,
-            show_welcome_message=False,
-            reconnect_timeout=TIMEOUT,
-        )
+        ui.run_with(app, title=TITLE, tailwind=False, show_welcome_message=False, reconnect_timeout=TIMEOUT)
         # NiceGUI would build a page for an unknown path, and serve long polls next to its websocket
         nicegui.add_exception_handler(404, _not_found)
         # no loading bar, because a screen reader finds no name on it

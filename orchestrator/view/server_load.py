@@ -6,8 +6,6 @@ connections   that do not complete the header of a request in time are closed; u
               only after its first response (`timeout_keep_alive`)
 """
 
-from __future__ import annotations
-
 import asyncio
 import time
 from typing import Any

@@ -3,8 +3,6 @@
 `SignalIndex` finds the values of bare names in the frames of any machine.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -143,13 +143,9 @@ def test_wrong_quantity_is_refused() -> None:
         factor_and_offset("Hz", "rad/s", "x")
 
 
-def test_same_unit_needs_no_table() -> None:
-    """A unit that stays the same may be unknown."""
+def test_unknown_and_display_units() -> None:
+    """A unit that stays the same may be unknown; readers see bar, L/min, deg, deg/s and kN, else the unit."""
     assert factor_and_offset("furlong", "furlong", "x") == (1.0, 0.0)
-
-
-def test_display_units() -> None:
-    """Readers see bar, L/min, deg, deg/s and kN; other units stay as they are."""
     seen = {"Pa": "bar", "m3/s": "L/min", "rad": "deg", "rad/s": "deg/s", "N": "kN"}
     same = {unit: unit for unit in ("V", "m", "odd", "")}
     assert {unit: reader_unit(unit) for unit in seen | same} == seen | same

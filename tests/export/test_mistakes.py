@@ -111,15 +111,11 @@ def test_times_of_a_running_sum_are_accepted(open_fmu):
     assert time != 1200.0
 
 
-def test_requirement_violated_at_the_start_is_told(open_fmu):
-    """An impossible parameter is an error at the end of the initialisation, with the statement's words."""
+def test_a_violated_requirement_is_told_with_its_time(open_fmu):
+    """At the end of the initialisation, or by the step, after which no further step is possible."""
     fmu = open_fmu("chamber")
     fmu.set(burst=5e6)
     fmu.refuses(fmu.start, "fmi2ExitInitializationMode", "below 100 % of burst", "t = 0 s", "-5e+06")
-
-
-def test_requirement_violated_on_the_way_is_told_with_its_time(open_fmu):
-    """The step in which a requirement is violated fails, and no further step is possible."""
     fmu = open_fmu("chamber").start(burst=1.2e7)
     fmu.refuses(lambda: fmu.step(0.001, 100), "fmi2DoStep", "below 100 % of burst", "violated at t = 0.0")
     fmu.refuses(lambda: fmu.fmu.doStep(0.0, 0.001), "not allowed", "failed")

@@ -82,15 +82,11 @@ def structure(system):
     return etree.fromstring(zipfile.ZipFile(system).read("SystemStructure.ssd"))
 
 
-def test_only_connected_inputs_are_connectors(system):
-    """An input without a source keeps its start value in masters that set all connectors."""
+def test_connected_inputs_fmus_and_resources(system):
+    """Inputs without a source are no connectors, which masters would set; all files are under resources/."""
     ssd = read_ssd(str(system))
     connectors = {c.name: [k.name for k in c.connectors if k.kind == "input"] for c in ssd.system.elements}
     assert connectors == {"first": ["target"], "second": ["target"], "product": ["left", "right"]}
-
-
-def test_archive_holds_fmus_and_resources(system):
-    """Each component's FMU and each extra file is under resources/."""
     names = zipfile.ZipFile(system).namelist()
     assert names == sorted(names)
     assert {f"resources/{n}" for n in ("first.fmu", "second.fmu", "product.fmu", "readme.txt")} <= set(names)

@@ -23,16 +23,12 @@ def test_few_degrees_of_freedom_widen_it(freedom, factor):
     assert (-low, high) == pytest.approx((factor, factor), rel=1e-5)
 
 
-def test_a_logarithmic_interval_stays_positive():
-    """Its ends are the value times and over a factor; a negative value has the symmetrical interval."""
+def test_logarithmic_cut_and_open_intervals():
+    """A positive value times and over a factor; bounds cut it; an unknown error leaves it open."""
     low, high = confidence_interval(2.0, 1.0, log=True)
     # exact identity: rounding only
     assert (low * high, high / 2.0) == pytest.approx((4.0, math.exp(coverage_factor() / 2)))
     assert confidence_interval(-2.0, 1.0, log=True) == confidence_interval(-2.0, 1.0)
-
-
-def test_bounds_cut_it_and_an_unknown_error_leaves_it_open():
-    """A minimum or maximum cuts the interval; an infinite standard deviation leaves it open."""
     assert confidence_interval(1.0, 1.0, minimum=0.0, maximum=1.5) == (0.0, 1.5)
     assert confidence_interval(1.0, math.inf) == (-math.inf, math.inf)
     note = Estimate.normal("mass", 1.0, "kg", math.inf, "by hand", minimum=0.0).number().note

@@ -75,13 +75,9 @@ def test_a_joint_has_its_colour_in_each_panel():
     assert second[1].get_linestyle() != second[2].get_linestyle()
 
 
-def test_equal_names_keep_their_components():
-    """The legend shortens names only where no other signal of the figure has the name."""
+def test_names_and_windows_of_a_figure():
+    """The legend shortens names that are unique; samples from start to stop, refused if there are none."""
     assert legends(waves(a__x="m", b__x="m", b__y="m").plot()) == [["a.x", "b.x", "y"]]
-
-
-def test_a_window_shows_its_samples_only():
-    """Samples from start to stop; a window without samples is refused with what there is."""
     (axes,) = waves(a__x="m").plot(start=0.25, stop=0.5).axes
     assert (axes.lines[0].get_xdata()[0], axes.lines[0].get_xdata()[-1]) == (0.25, 0.5)
     with pytest.raises(Problem, match="expected two or more samples, got 0; the samples cover 0 to 1 s"):

@@ -30,14 +30,10 @@ DESCRIPTION = """
 
 
 def test_standard_output_has_no_control_characters():
-    """Breaks, tabs and colours stay; all others are escaped."""
+    """Breaks, tabs and colours stay, all others are escaped; a Problem is one line, whatever it quotes."""
     stream = io.StringIO()
     print(f"\x1b[31mred\x1b[0m\tµ 1·10⁻³\n{RAW}", file=PrintableStream(stream))
     assert stream.getvalue() == f"\x1b[31mred\x1b[0m\tµ 1·10⁻³\n{ESCAPED}\n"
-
-
-def test_a_problem_is_one_line():
-    """Whatever it quotes."""
     assert str(Problem(f"x: {RAW}\n")) == rf"x: {ESCAPED}\n"
 
 

@@ -39,30 +39,22 @@ def test_a_share_is_a_percentage(value: float | None, text: str) -> None:
 
 
 def test_print_has_other_signs_than_a_terminal() -> None:
-    """Powers of ten, minus signs and dashes; dates and names stay."""
+    """Powers of ten, minus signs and dashes; dates and names stay; words become lists and sentences."""
     assert typeset("-1e-07 at 2026-11-21, a-1") == "\N{MINUS SIGN}1·10⁻⁷ at 2026-11-21, a-1"
     assert typeset("-") == "\N{EN DASH}"
     assert error_display_unit("m").ascii(1e-3) == "1 mm"
     assert error_display_unit("N.m").text(-2e-4) == "\N{MINUS SIGN}2·10⁻⁷ kN·m"
-
-
-def test_words_become_sentences() -> None:
-    """Lists with one `and`, capitals and points."""
     joined = [join_words(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])]
     assert joined == ["a", "a and b", "a, b and c"]
     assert sentences("one", "", "two.") == "One. Two."
 
 
 def test_one_table_for_terminal_document_and_page() -> None:
-    """Numbers end below each other; what stands out is bold or red; a page escapes what is no markup."""
+    """Aligned; what stands out is bold or red; pages escape; narrow terminals break lines, not cells."""
     assert TABLE.lines() == ["name     value", "a            1", "<b>   unstable"]
     assert TABLE.markdown().splitlines()[1:] == ["|---|--:|", "|a|1|", "|<b>|**unstable**|"]
     assert "<td>&lt;b&gt;</td>" in TABLE.html()
     assert "<td><code>" in TextTable(["x"], [[Markup("<code>y</code>")]]).html()
-
-
-def test_a_narrow_terminal_cuts_no_cell() -> None:
-    """It breaks lines instead."""
     output = StringIO()
     TABLE.print(Console(width=5, file=output))
     assert "unstable" in output.getvalue()

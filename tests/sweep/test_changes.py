@@ -72,13 +72,9 @@ def test_of_a_long_list_the_item_is_told(told: Told) -> None:
 
 
 def test_another_order_of_factors_is_told(told: Told) -> None:
-    """The samples follow it."""
+    """The samples follow it; between equal studies no change is reported."""
     first, second = ('[factors."gain.factor"]', '[factors."gain.offset"]')
     one = GAIN + f"\n{second}\n{OLD}"
     two = one.replace(first, "[factors.x]").replace(second, first).replace("[factors.x]", second)
     assert told(one, two) == "the order of factors was gain.factor, gain.offset, is gain.offset, gain.factor"
-
-
-def test_equal_studies_have_no_difference(told: Told) -> None:
-    """No change is reported."""
     assert told(TEXT, TEXT) == ""

@@ -34,15 +34,11 @@ def test_a_small_length_is_told_in_mm_everywhere(case: str) -> None:
     assert 0.004 <= numbers["findings"][0]["spread"]["median"] <= 0.0051
 
 
-def test_one_large_number_keeps_all_in_metres() -> None:
-    """No sentence mixes m and mm."""
+def test_no_text_mixes_two_units_of_one_quantity() -> None:
+    """No sentence mixes m and mm; a factor has the unit of the largest number of its distribution."""
     said = " ".join(sentences(finding(results(lambda x: 0.2 * x["x1"], UNIT, "saltelli", 32, unit="m"))))
     assert " m" in said
     assert "mm" not in said
-
-
-def test_a_factor_is_told_in_one_unit_too() -> None:
-    """By the largest number of its distribution."""
     assert distribution_text(uniform("bore", 0.001, 0.05)) == "1 to 50 mm"
     assert distribution_text(uniform("bore", 0.001, 0.5)) == "0.001 to 0.5 m"
 

@@ -30,16 +30,12 @@ def test_hand_computed_values() -> None:
     assert found.notes == ()
 
 
-def test_offset_is_seen_by_fit_and_not_by_vaf() -> None:
-    """A constant error leaves VAF at 100 %; at a zero of the reference it has no relative size."""
+def test_an_offset_and_perfect_agreement() -> None:
+    """VAF does not see an offset, which has no relative size at zero; equal signals have full marks."""
     found = numbers(REFERENCE + 1)
     assert found.maximum_relative is None
     assert found.vaf == pytest.approx(100.0, rel=1e-14)  # rounding only
     assert found.fit == pytest.approx(100 * (1 - 2 / np.sqrt(8)), rel=1e-14)
-
-
-def test_perfect_agreement() -> None:
-    """A simulation that equals its reference has no error and full marks, also at zeros of the reference."""
     found = measure(TIME, REFERENCE, REFERENCE, where="x")
     assert (found.maximum_error, found.rmse, found.nrmse, found.maximum_relative) == (0, 0, 0, 0)
     assert (found.fit, found.vaf) == (100, 100)
@@ -92,15 +88,11 @@ def test_constant_reference_falls_back_to_its_magnitude() -> None:
     assert numbers(np.full(4, 2e7), 2e7 + np.array([0.0, 1e-3, 0.0, -1e-3])).fit is None
 
 
-def test_zero_reference_is_never_divided_by() -> None:
-    """A reference of zeros gives no NRMSE, unless the error is zero too, and points to rmse."""
+def test_what_nrmse_is_divided_by() -> None:
+    """Never by zero, where rmse judges; for a signal at rest by the range that its meta file states."""
     assert numbers(np.ones(4), np.zeros(4)).nrmse is None
     assert numbers(np.zeros(4), np.zeros(4)).nrmse == 0
     assert "judge it by rmse" in numbers(np.ones(4), np.zeros(4)).notes[0]
-
-
-def test_given_range_replaces_that_of_the_reference() -> None:
-    """A signal that hardly moves is judged over the range that its meta file states."""
     found = numbers(REFERENCE + 1, span=10.0)
     assert found.nrmse == pytest.approx(0.1)  # rounding only
     assert found.notes == ("NRMSE over the given range of 10",)

@@ -49,30 +49,22 @@ def test_frames_are_25_per_second_and_small() -> None:
     assert data["deviation"] is None
 
 
-def test_ghost_and_distance_of_the_tips() -> None:
-    """The reference's machine is in the data, and how far the tips are apart [mm]."""
+def test_ghost_distance_of_the_tips_and_bounds() -> None:
+    """The reference's machine and how far the tips are apart [mm]; nothing leaves the picture."""
     data = frames(arm(5.0), arm(5.002))
     assert len(data["views"]["side"]) == 2
     assert set(data["deviation"]) == {2.0}
-
-
-def test_bounds_hold_every_point() -> None:
-    """Nothing leaves the picture."""
     left, right, low, high = frames(arm())["bounds"]["top"]
     assert left < 0 < 5 < right
     assert low < 0 < 5 < high
 
 
 def test_strobe_picture_shows_both_views() -> None:
-    """Side view and view from above, nine poses and the path of the tip in each."""
+    """Nine poses and the path of the tip in each; a machine at rest is drawn, not divided by zero."""
     figure = strobe(arm(), poses=9, title="Slew")
     side, top = figure.axes[:2]
     assert [axes.get_title("left") for axes in (side, top)] == ["Side view", "From above"]
     assert len(top.lines) == 9 + 1 + 1  # poses, path, axis mark
-
-
-def test_strobe_of_a_machine_at_rest() -> None:
-    """A machine that does not move is drawn, not divided by zero."""
     rest = MachineMotion(TIME, {"foot": ORIGIN, "tip": ORIGIN + 1.0})
     assert strobe(rest, poses=3).axes
 

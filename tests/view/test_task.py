@@ -286,12 +286,8 @@ def test_bell_by_hand() -> None:
 
 
 def test_more_stops_are_less_smooth() -> None:
-    """Each further start and stop makes it more negative."""
+    """Each further start and stop makes it more negative; no movement and no time have no smoothness."""
     values = [scores.spectral_arc_length(TIME, bells(*np.arange(1, n + 1) * 1.5)) for n in range(1, 6)]
     assert all(a > b for a, b in itertools.pairwise(values))
-
-
-def test_nothing() -> None:
-    """No movement and no time have no smoothness."""
     assert scores.spectral_arc_length(TIME, 0 * TIME) is None
     assert scores.spectral_arc_length(TIME[:3], TIME[:3]) is None

@@ -132,16 +132,12 @@ def test_parameters_are_one_if_declared_alike_and_equal(changes, expected):
     assert len(symbolic(whole).statements) == len(expected)
 
 
-def test_what_has_one_name_gets_its_component():
-    """Requirements of two gains; y of a and of b, each state and output."""
+def test_what_has_one_name_gets_its_component_or_is_summed():
+    """Requirements, states and outputs of two gains; a total is one output with the local name."""
     whole = chain(part("a"), part("b", gain=3.0))
     assert symbolic(whole).statements == ("gain is positive", "b: gain is positive")
     assert list(quantities(whole.states)) == ["a_y", "b_y"]
     assert list(quantities(whole.outputs)) == ["a_y", "a_aim", "b_y", "b_aim"]
-
-
-def test_totals_are_sums():
-    """One output with the local name."""
     whole = chain(part("a"), part("b"), totals=("aim",), hidden=("a.y", "b.y"), texts={"aim": "All aims"})
     assert {n: q.text for n, q in quantities(whole.outputs).items()} == {"aim": "All aims"}
     y = symbolic(whole).function()([1.0, 2.0], [5.0], [2.0])[1]

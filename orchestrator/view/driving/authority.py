@@ -15,8 +15,6 @@ page is closed, loses the controls. The machine's process has a further `timeout
 All calls come from one thread, the event loop of the server. Times are of a monotonic clock [s].
 """
 
-from __future__ import annotations
-
 import itertools
 import logging
 import secrets

@@ -10,8 +10,6 @@ once or dropped, and the end of the connection ends driving.
     mount(machine, authority)                      in each page
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

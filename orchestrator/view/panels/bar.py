@@ -1,7 +1,5 @@
 """The toolbar: buttons, dialogs for machine, replay file and keys, slider of a replay, and shortcuts."""
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import Any
@@ -22,10 +20,7 @@ Do = Callable[..., Awaitable[bool]]
 
 HOW = "Take the controls, hold the dead-man, then move a stick. Release the dead-man and the machine rests."
 AS_IS = "As in the system"
-PAGE = (
-    ("P", "play or pause"),
-    ("Home", "start again"),
-)
+PAGE = (("P", "play or pause"), ("Home", "start again"))
 MOUSE = (
     ("drag in the picture", "rotate the view"),
     ("wheel", "zoom"),

@@ -1,7 +1,5 @@
 """Strip charts of the last twenty seconds, drawn from the smallest and largest value in each time bin."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The gauges, and the status line at the foot of the page: state, real-time factor, latency."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque
@@ -54,12 +52,7 @@ def figure(gauge: Gauge, value: float, full: float) -> list[Any]:
     ends = sorted((zero, _fraction(gauge, shown)))
     text = f"{shown:.{gauge.digits}f}".replace("-", "\N{MINUS SIGN}") if round(shown, gauge.digits) else "0"
     warning = "cavitates" if gauge.is_pressure and value < CAVITATION else ""
-    return [
-        text,
-        *(round(e, 3) for e in ends),
-        colour(value, full) if gauge.is_pressure else "",
-        warning,
-    ]
+    return [text, *(round(e, 3) for e in ends), colour(value, full) if gauge.is_pressure else "", warning]
 
 
 def _fraction(gauge: Gauge, shown: float) -> float:

@@ -1,7 +1,5 @@
 """The drawing in the browser: scene, views, and target rings of a task."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The page calls `update` a few times a second, shows `status` and `table`, which 
 `again` for the next attempt. The score of an attempt equals that of `score.score` for the same samples.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable

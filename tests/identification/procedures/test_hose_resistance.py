@@ -29,15 +29,11 @@ def results():
 
 
 def test_resistance_comes_back_and_is_scaled(results):
-    """C_R of the stick's hose within 2 %, that of the boom's 3/4 of it by eq. (10)."""
+    """The stick's C_R within 2 %, the boom's 3/4 of it, eq. (10); over noise seeds intervals hold it."""
     found = bench.named(results[0])
     assert found["boom_stick.stick_hose_resistance"].value == pytest.approx(bench.RESISTANCE, rel=0.02)
     ratio = found["boom_stick.boom_hose_resistance"].value / found["boom_stick.stick_hose_resistance"].value
     assert ratio == pytest.approx(0.75, rel=1e-12)  # exact: 3 m of 4 m, the same bore
-
-
-def test_intervals_have_their_coverage(results):
-    """Over noise seeds, 95 % intervals hold the truth, and errors are as large as the standard deviations."""
     bench.assert_coverage(bench.RESISTANCE, [bench.named(result)["C_R"] for result in results])
 
 

@@ -25,13 +25,9 @@ def test_the_example_of_the_docs_is_read(tmp_path):
     assert (found.procedure, dict(found.conditions)) == ("valve", {"edge": "P-A"})
 
 
-def test_every_procedure_of_the_docs_exists():
-    """All procedures are in the text."""
+def test_every_procedure_and_key_is_in_the_docs():
+    """All procedures are in the text, and all keys that a description may have in its table."""
     assert all(f"`{name}`" in TEXT for name in KNOWN)
-
-
-def test_every_key_of_the_docs_exists():
-    """The table of keys has every key that a description may have."""
     keys = TEXT[TEXT.index("## Keys") : TEXT.index("## Data files")]
     tables = (SignalDescription, TimeDescription, Origin)
     names = [f.name for table in tables for f in fields(table)]

@@ -118,16 +118,12 @@ def slope(excitation):
     return sensitivities(excitation, {DAMPING: 300.0}, [DAMPING])
 
 
-def test_the_part_of_the_parameters_is_not_an_effect(slope, effects):
-    """The residual of a wrong damping is attributed to the parameters."""
+def test_parameters_and_an_effect_are_told_apart(slope, effects):
+    """A wrong damping is one of parameters; dry friction is found, although it resembles damping."""
     explanation = explain(noisy(slope[DAMPING], 0.1), effects, step=STEP, absorbed=slope)
     assert explanation.effect == ""
     # noise is a hundredth of the power, and the damping explains the rest
     assert explanation.parameters == pytest.approx(0.99, abs=0.01)
-
-
-def test_an_effect_is_identified_next_to_the_parameters(slope, effects):
-    """Dry friction resembles damping in part; the rest is still attributed to it."""
     residual = noisy(effects["dry friction"], 0.2)
     explanation = explain(residual, effects, step=STEP, absorbed=slope)
     assert explanation.effect == "dry friction"
