@@ -45,8 +45,8 @@ def test_error_is_the_distance_in_space_at_the_same_instant():
     assert (ride.time_of_largest, ride.speed) == (4.0, 0.5)
 
 
-def test_parts_of_the_error_are_seen_from_the_column():
-    """Outwards, to the left and upwards are the parts of the distance, whatever the swing angle."""
+def test_errors_are_seen_from_the_column_and_at_the_same_instant():
+    """Outwards, left and upwards are the parts of the distance; a late tip has the error speed times time."""
     angle, away = np.linspace(-3, 3, 7), np.array([0.02, -0.01, 0.03])
     out, left = ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle)))
     commanded = np.column_stack([4 * out[0], 4 * out[1], np.ones(7)])
@@ -55,10 +55,6 @@ def test_parts_of_the_error_are_seen_from_the_column():
     )
     parts = PathRun("", "", True, np.arange(7.0), commanded, tip).components
     assert parts == pytest.approx(np.tile(away, (7, 1)), abs=1e-12)  # rounding of turns there and back
-
-
-def test_a_tip_that_is_late_has_an_error():
-    """A tip that is late on its line has the error speed times time, not that to the nearest point."""
     time = np.linspace(0, 4, 401)
     at = [np.column_stack([np.full(401, 3.0), 0.5 * (time - late), np.ones(401)]) for late in (0.0, 0.1)]
     assert PathRun("", "", True, time, *at).largest == pytest.approx(0.05, rel=1e-12, abs=0)

@@ -59,16 +59,12 @@ def test_compiled_operations_equal_casadi(operations, a, b):
 
 
 def test_c_text_names_the_variables():
-    """The C code contains the names of the variables next to their use."""
+    """Next to their use; an operation without C code is an error of the build, not of the compiler."""
     x = ca.SX.sym("x", 2)
     text = c_function(Routine("f", {"x": x}, {"y": x[0] * x[1]}), {"x": ["pressure", "flow"]})
     assert text.startswith("LOCAL void f(const double *x, double *y) {")
     assert "/* pressure */" in text
     assert "y[0] = v" in text
-
-
-def test_operation_without_c_is_refused():
-    """An operation without C code is an error of the build, not of the compiler."""
     x = ca.SX.sym("x")
     with pytest.raises(Problem, match="is not supported in C code"):
         c_function(Routine("f", {"x": x}, {"y": ca.erfinv(x)}), {})

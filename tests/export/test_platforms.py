@@ -92,16 +92,12 @@ def test_unknown_host_is_told(monkeypatch):
 
 
 def test_words_of_the_user_become_platforms():
-    """host and all are names too; each platform comes once, in a fixed order."""
+    """host and all too; each once, in a fixed order; wasm is not in all, and alone brings the host."""
     assert select(["all"]) == tuple(PLATFORMS)
     assert select(["host"]) == (host(),)
     assert select(["x86_64-windows", "x86_64-linux", "x86_64-windows"]) == ("x86_64-linux", "x86_64-windows")
     with pytest.raises(Problem, match=r"'linux64' is unknown, expected host, all or x86_64-linux, .*wasm$"):
         select(["linux64"])
-
-
-def test_wasm_is_asked_for_by_name():
-    """wasm is not part of all; alone it is added to the host, whose binary `harvester run` needs."""
     assert select(["wasm"]) == (host(), "wasm")
     assert select(["all", "wasm"]) == (*PLATFORMS, "wasm")
     assert select(["x86_64-windows", "wasm"]) == ("x86_64-windows", "wasm")

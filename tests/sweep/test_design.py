@@ -131,7 +131,7 @@ def test_values_and_sampled_options_are_equally_likely():
 
 
 def test_choices_are_crossed_with_every_sample():
-    """The samples are the same for each combination, whose runs stand together."""
+    """Whose runs stand together and have the same samples; without factors each is run once."""
     choices = Choice("scenario", ("a", "b")), Choice("arm", ("x", "y", "z"))
     rows = table(made(runs=4, choices=choices))
     assert len(rows) == 24
@@ -139,9 +139,5 @@ def test_choices_are_crossed_with_every_sample():
     assert [tuple(g.index) for g in groups] == [tuple(range(k, k + 4)) for k in range(0, 24, 4)]
     for group in groups:
         assert np.array_equal(group.filter(like="factor:"), groups[0].filter(like="factor:"))
-
-
-def test_without_factors_each_combination_is_run_once():
-    """A study may compare variants alone."""
     study = replace(made("grid", 0, factors=()), choices=(Choice("arm", ("x", "y")),))
     assert table(study)["choice:arm"].tolist() == ["x", "y"]

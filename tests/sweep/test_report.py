@@ -40,14 +40,10 @@ def test_failed_runs_are_shown_with_their_reason() -> None:
     assert sum(f.count for f in analysis.failures) == bad
 
 
-def test_equal_results_have_equal_pages() -> None:
-    """The same bytes, so that a page can be kept under version control."""
+def test_equal_results_have_equal_pages_which_say_what_the_analysis_says() -> None:
+    """The same bytes; its sentences and numbers in brackets are those of analysis.json."""
     again = written(CASES["one factor"]())
     assert (again.page, again.numbers) == shown("one factor")[2:]
-
-
-def test_the_page_says_what_the_analysis_says() -> None:
-    """The sentences and the numbers in brackets are those of analysis.json."""
     _, analysis, page, numbers = shown("saltelli")
     told = sentences(analysis.findings[0])
     assert numbers["sentences"] == {"peak": told}

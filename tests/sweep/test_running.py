@@ -33,17 +33,13 @@ def test_a_row_is_what_a_single_run_gives(gained, gain):
         assert band["gain.y"].tolist() == np.interp(band["time"], trace.time, trace["gain.y"]).tolist()
 
 
-def test_every_start_value_is_in_the_row(gained):
-    """Those that are varied, those that are fixed, and those that the FMU has by itself, with their units."""
+def test_every_start_value_is_in_the_row_and_bands_have_their_own_step(gained):
+    """Varied, fixed, and of the FMU itself, with units; bands go from begin to end, every band_step."""
     table = gained.table
     assert (table["start:gain.factor"] == table["factor:gain.factor"]).all()
     assert set(table["start:gain.u"]) == {2.0}
     assert set(table["start:gain.offset"]) == {0.0}
     assert gained.units["start:gain.offset"] == gained.units["output:end"] == "m"
-
-
-def test_bands_have_their_own_step(gained):
-    """Each run from its begin to its end, every band_step."""
     times = gained.bands.groupby("run")["time"].apply(list)
     assert len(times) == 12
     assert all(t == [0.05 * k for k in range(5)] for t in times)

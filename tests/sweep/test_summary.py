@@ -36,17 +36,13 @@ def test_runs_that_ended_come_first() -> None:
 
 
 def test_failures_are_grouped_whatever_the_numbers_in_their_reasons() -> None:
-    """The first run of a kind is the example; a reason that is always the same is told as it is."""
+    """The first of a kind is the example; one that is always the same stays; five groups are printed."""
     reasons = {n: f"operator_input: swing_1_rise is {-0.1 * n:g}, expected at least 0" for n in range(3, 9)}
     found = _failed({**reasons, 30: "the process ended by signal 11 (SIGSEGV)"})
     assert summary(found).splitlines()[-2:] == [
         "6 failed, such as: operator_input: swing_1_rise is -0.3, expected at least 0",
         "1 failed: the process ended by signal 11 (SIGSEGV)",
     ]
-
-
-def test_other_kinds_are_counted() -> None:
-    """Five groups of reasons are printed."""
     found = _failed({n: f"part {'abcdefg'[n % 7]} broke at {n} s" for n in range(14)})
     lines = summary(found).splitlines()
     assert lines[-1] == "... and for 2 other reasons"

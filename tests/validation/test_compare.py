@@ -79,17 +79,13 @@ def test_time_offset_aligns_a_shifted_recording(edited: Edit, trace: Trace) -> N
 
 
 def test_window_narrows_the_comparison() -> None:
-    """Outside start and stop nothing counts, so a wild start-up does no harm."""
+    """Outside nothing counts, so a wild start does no harm; a last time that is rounded is inside."""
     t = np.linspace(0, 10, 101)
     run = metres(t, np.where(t < 2, 99.0, t))
     found = validate(run, made(t, t, start=2.0, stop=8.0), rate=False)
     assert found.window == (2.0, 8.0)
     assert found["a.x"].metrics.maximum_error == 0
     assert "only a part was compared" in found.notes[1]
-
-
-def test_rounded_times_do_not_cut_the_last_sample() -> None:
-    """A last time of 0.3 in the CSV and 0.30000000000000004 in the run are the same instant."""
     run = metres(np.arange(4) * 0.1, np.arange(4.0))
     reference = made(np.array([0.0, 0.1, 0.2, 0.3]), np.arange(4.0))
     found = validate(run, reference, rate=False)
@@ -97,25 +93,21 @@ def test_rounded_times_do_not_cut_the_last_sample() -> None:
     assert len(found.notes) == 1
 
 
-def test_coincident_samples_are_compared_as_they_are() -> None:
-    """A 50 Hz reference meets every fourth point of a 200 Hz record; nothing is interpolated."""
+def test_interpolation_is_said() -> None:
+    """A 50 Hz reference meets a 200 Hz record as it is; of others a note says how many lie between."""
     run_time, time = np.arange(2101) * 5e-3, np.array([float(f"{k * 0.02:.9g}") for k in range(526)])
     rough = np.random.default_rng(0).standard_normal(len(run_time))
     found = validate(metres(run_time, rough), made(time, rough[::4]), rate=False)
     # times of the file are rounded in their last bit: an ulp of time times the slope of the noise
     assert found["a.x"].metrics.maximum_error < 1e-11
     assert len(found.notes) == 1
-
-
-def test_interpolation_is_said() -> None:
-    """Where the samples of the two do not meet, a note says how many lie between."""
     t = np.linspace(0, 1, 101)
     found = validate(metres(t, t), made(np.array([0.0, 0.25, 0.333, 1.0]), np.zeros(4)))
     assert found.notes[1] == "1 of them are between samples of the run: interpolated linearly"
 
 
 def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
-    """A run that ends before the signal changes is not judged by the range of its rounding errors."""
+    """Not of a run that ends early, nor of what the file cuts off as no part of the measurement."""
     t = np.linspace(0, 10, 1001)
     moves = np.where(t < 5, 0.0, t - 5)
     row = validate(metres(t[:200], moves[:200] + 1e-15), made(t, moves))["a.x"]
@@ -123,10 +115,6 @@ def test_nrmse_is_over_the_range_of_the_whole_reference() -> None:
     assert row.metrics.nrmse == pytest.approx(2e-16)  # 1e-15 m over 5 m
     assert (row.metrics.fit, row.metrics.vaf, row.metrics.iso.overall) == (None, None, None)
     assert row.notes == ("the reference is constant in this window: no fit, VAF or ISO rating",)
-
-
-def test_the_range_is_that_of_the_window_of_the_file() -> None:
-    """What the file cuts off as no part of the measurement does not widen the range."""
     t = np.linspace(0, 10, 101)
     wild = np.where(t < 2, 99.0, t)
     row = validate(metres(t[:50], t[:50]), made(t, wild, start=2.0), rate=False)["a.x"]

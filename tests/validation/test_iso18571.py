@@ -54,8 +54,8 @@ def test_every_part_is_that_of_another_implementation(theirs, case):
     np.testing.assert_allclose(rate(*CASES[case]), theirs(*CASES[case]), rtol=1e-9, atol=1e-12)
 
 
-def test_a_shift_costs_phase_alone():
-    """A curve that comes later by n of N samples has the phase rating 1 - n / (0.2 N), and equal shape."""
+def test_a_shift_costs_phase_and_the_corridor_falls_by_the_square():
+    """n of N samples late: 1 - n / (0.2 N), equal shape; half way between the corridors a quarter."""
     n, late = 400, 20
     whole = np.sin(np.linspace(0.0, 9.0, n + late)) * np.linspace(1.0, 2.0, n + late)
     found = rate(whole[:n], whole[late:])
@@ -63,9 +63,5 @@ def test_a_shift_costs_phase_alone():
     assert found.phase == pytest.approx(1 - late / (0.2 * n), rel=1e-12)
     assert found.magnitude == pytest.approx(1.0, abs=1e-12)
     assert found.slope == pytest.approx(1.0, abs=1e-12)
-
-
-def test_the_corridor_falls_by_the_square():
-    """Half way between the corridors of 0.05 and 0.5 a sample counts a quarter."""
     reference = np.where(TIME < 2.0, 1.0, -1.0)
     assert rate(reference + 0.275, reference).corridor == pytest.approx(0.25, rel=1e-12)

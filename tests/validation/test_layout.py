@@ -48,15 +48,11 @@ def test_a_planar_machine_stays_in_its_plane(tmp_path: Path, trace: Trace) -> No
 
 
 def test_nothing_is_needed(tmp_path: Path, trace: Trace) -> None:
-    """An empty file is a layout: no title, no figures, no motion."""
+    """An empty file is a layout; a reference without the signals that move the points gives no ghost."""
     layout = read_layout(written(tmp_path, ""))
     assert layout == Layout(source=layout.source)
     assert (layout.title, layout.figures, layout.motion(trace)) == ("", (), None)
     layout.check(trace)
-
-
-def test_no_motion_of_a_trace_without_its_signals(tmp_path: Path, trace: Trace) -> None:
-    """A reference need not hold the signals that move the points: it gives no ghost, which is no mistake."""
     layout = read_layout(written(tmp_path, LAYOUT))
     assert layout.motion(trace.select(["shaft.angle"])) is None
 

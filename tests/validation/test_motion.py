@@ -22,15 +22,11 @@ def arm(radius: float = 5.0) -> MachineMotion:
 
 
 def test_side_view_turns_with_the_arm() -> None:
-    """In its own plane a slewing arm keeps its length; from above it goes round."""
+    """In its plane a slewing arm keeps its length; without turning there is no view from above."""
     motion = arm()
     # exact identity, rounding only
     np.testing.assert_allclose(motion.side("tip"), np.tile([5.0, 1.0], (len(TIME), 1)), rtol=1e-12)
     np.testing.assert_allclose(motion.top("tip")[-1], [0.0, 5.0], atol=1e-12)
-
-
-def test_side_view_of_a_planar_machine_is_fixed() -> None:
-    """Without turning, the side view is the x-z plane and there is no view from above."""
     motion = arm()
     planar = MachineMotion(motion.time, motion.points, turning=False)
     np.testing.assert_array_equal(planar.side("tip"), planar.points["tip"][:, [0, 2]])

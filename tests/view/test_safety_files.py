@@ -30,16 +30,12 @@ def folder(tmp_path: Path) -> Path:
     return results
 
 
-def test_found(folder: Path) -> None:
-    """Result files in the folder and below it are found; a link inside leads to what it points to."""
+def test_found_and_listed(folder: Path) -> None:
+    """Files in the folder, below, and where a link inside leads; what is listed can be opened, no more."""
     assert find_result("run.csv", [folder]) == folder / "run.csv"
     assert find_result("deep/more.parquet", [folder]) == folder / "deep/more.parquet"
     assert find_result("in.csv", [folder]) == folder / "run.csv"
     assert find_result("run.csv", [folder / "nowhere", folder]) == folder / "run.csv"
-
-
-def test_listed(folder: Path) -> None:
-    """Listed files can be opened, and nothing else is listed."""
     names = list_results([folder])
     assert names == ["run.csv"]
     assert all(find_result(name, [folder]) for name in names)

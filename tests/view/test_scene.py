@@ -100,17 +100,12 @@ def test_tip_and_cylinders(found: Any) -> None:
 
 
 @shards.browser
-def test_head(found: Any) -> None:
-    """The middle of the head hangs where the mechanics of the swinging head say."""
+def test_head_and_rod_pins(found: Any) -> None:
+    """The head hangs where the mechanics say; rods end at the pins of boom and stick in any pose."""
     for q, pose in found:
         y = told(q)
         middle = drawn(pose, "head", (0.0, 0.0, -SIZES.head_length))
         assert middle == pytest.approx((y["head_x"], y["head_y"], y["head_height"]), abs=ROUNDING)
-
-
-@shards.browser
-def test_rod_pins_on_their_links(found: Any) -> None:
-    """The rods end at the pins of boom and stick, however the machine stands."""
     pins = (("boom", SIZES.boom_pin_x, SIZES.boom_pin_z), ("stick", SIZES.stick_pin_x, SIZES.stick_pin_z))
     for _, pose in found:
         for link, *pin in pins:

@@ -240,15 +240,11 @@ def cycle(fmu_dir):
     return run(fmu_dir / "harvester.ssp", record_step=5e-3).trace
 
 
-def test_the_work_cycle_is_one_that_the_engine_can_drive(cycle):
-    """Flow times supply pressure stays below the engine's power, with overlapping functions."""
+def test_the_work_cycle_stays_where_engine_and_model_are_valid(cycle):
+    """Below the power of the engine; in the work space, off the stops, no cavitation, below supply."""
     flow = cycle["swing.supply_flow"] + cycle["boom_stick.supply_flow"]
     assert 0.5 * ENGINE < SUPPLY * flow.max() < 0.8 * ENGINE  # efficiency of the pumps, other consumers
     assert flow.min() > 0  # never back into the pumps
-
-
-def test_the_work_cycle_stays_where_the_model_is_valid(cycle):
-    """Inside the work space, off the end stops, no cavitation, pressures below supply."""
     for name, (low, high) in WORK_SPACE.items():
         assert low < cycle[f"manipulator.{name}"].min() < cycle[f"manipulator.{name}"].max() < high
     for joint in PISTONS:

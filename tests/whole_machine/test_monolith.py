@@ -32,16 +32,12 @@ def test_breakpoints_give_the_samples_of_a_dense_curve(gap):
         assert np.max(np.abs(np.interp(t, t[corners], curve[corners, k]) - curve[:, k])) <= allowed
 
 
-def test_grids_that_differ_by_rounding_are_merged():
-    """Times that two grids share but for rounding stand once, as the first grid has them; others are kept."""
+def test_times_that_differ_by_rounding_only():
+    """Of two grids they stand once, as in the first; of inputs they are refused in one sentence."""
     first, second = np.linspace(0, 1, 11), np.append(np.cumsum(np.full(10, 0.1)), 1.05)
     assert np.any(np.isin(second, first, invert=True)[:-1])  # rounding makes them differ
     np.testing.assert_array_equal(merge_times(first, second), [*first, 1.05])
     np.testing.assert_array_equal(merge_times(second, first), [0.0, *second])
-
-
-def test_times_that_are_equal_but_for_rounding_are_refused():
-    """No silent line between inputs at equal times: one sentence with the time and the remedy."""
     for bad in ([0.0, 1.0, 1.0 + SAME_TIME / 2, 2.0], [0.0, 1.0, 0.5], [0.0, np.nan, 1.0]):
         with pytest.raises(Problem, match=r"more than 1e-10 s.*merge_times"):
             simulate(machine(), np.array(bad), np.tile(machine().u, (len(bad), 1)))

@@ -63,7 +63,7 @@ def test_shift_takes_a_delay_out(recording):
 
 
 def test_shift_of_a_command_is_a_shift_of_its_steps(recording):
-    """A held command keeps its values; a shift by whole samples is exact with every interpolation."""
+    """Held values stay; whole samples are exact with every interpolation; a constant has no delay."""
     made = recording(u=np.repeat([0.0, 2.0, -1.0], 20))
     held = shift(made, "u", 0.0125, "previous")["u"]
     assert np.array_equal(held[:-3], made["u"][2:-1])
@@ -71,10 +71,6 @@ def test_shift_of_a_command_is_a_shift_of_its_steps(recording):
         moved = shift(made, "u", 0.015, kind)["u"]
         # knots of the interpolation: rounding only
         np.testing.assert_allclose(moved[:-3], made["u"][3:], atol=1e-12)
-
-
-def test_no_delay_where_nothing_moves(recording):
-    """A constant signal has no delay."""
     made = add(recording(a=np.zeros(100)), "b", np.arange(100.0), "1")
     with pytest.raises(Problem, match=r"memory\.csv: delay of b behind a: expected signals that vary"):
         delay(made, "a", "b", 0.1)
