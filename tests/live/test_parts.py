@@ -52,13 +52,9 @@ def test_an_axis_arrives_at_what_is_possible(limit, frames, start, wanted):
 
 
 def test_no_number_means_rest():
-    """NaN is not kept, and not turned into a limit."""
+    """NaN is no limit; an axis that lingers stays 0.03 s after the last command and obeys at once."""
     limits = RateLimiter([Axis("a", 5, 1000, rest=1.0), Axis("b", 5, 1000)], 0.01)
     np.testing.assert_array_equal(limits.toward(np.array([3.0, 3.0]), np.array([np.nan, 4.0])), [1.0, 4.0])
-
-
-def test_an_axis_that_lingers_outlasts_the_others():
-    """It stays for 0.03 s after the last command, asked to rest or not named alike, and obeys at once."""
     axes = [Axis("engaged", 1.0, 1000.0, rest_delay=0.03), Axis("velocity", 1.0, 1000.0)]
     limits, rest_delay = RateLimiter(axes, 0.01), RestDelay(axes, 0.01)
     now, seen = limits.rest.copy(), []

@@ -199,18 +199,14 @@ def test_the_deficit_of_the_mean_is_corrected(c, order, before, h):
     close(mean(s.c, h), mean(shifted(c, t), h), 10 ** (2 + order // 2) * size(c, sum(lengths)))
 
 
-def test_only_an_autonomous_source_may_have_corners():
-    """The input from an autonomous source is a line up to the corner, that from a state is a cubic."""
+def test_corners_of_autonomous_sources_and_the_largest_magnitude():
+    """From a state it is a cubic; errors near zero are relative to the largest magnitude ever."""
     for free, expected in ((True, (0.0, 1.0, 0.0, 0.0)), (False, (0.0, 1.0, 1.0, -1.0))):
         s = Input(autonomous=free)
         s.begin(0.0, 1.0)
         s.set_end(1.0, 0.0, 1.0, 0.0, 0.0)  # the slope at the end is that of what follows the corner
         s.interpolate(3, 1.0, 0.0)
         assert tuple(s.c) == expected
-
-
-def test_the_magnitude_is_the_largest_ever():
-    """Errors of a signal that passes through zero are relative to its largest magnitude."""
     s, _, _ = watched((8.0, -4.0, 0.0, 0.0), [1.0, 1.0])
     assert (s.value_end, s.magnitude(), s.relative(2.0)) == (0.0, 8.0, 0.25)
     still = Input()

@@ -272,17 +272,13 @@ def test_hostile_text_is_refused(tmp_path, name, text, message):
     refused(path, message, read_recording if name == "a.toml" else None)
 
 
-def test_many_columns_are_read(tmp_path):
-    """200 000 columns: the effort grows with their number, not with its square."""
+def test_many_columns_and_a_long_description_are_read(tmp_path):
+    """200 000 columns, an effort that grows with their number; 10 000 described signals."""
     path, count = tmp_path / "a.csv", 200_000
     names = ",".join(f"c{i}" for i in range(count))
     path.write_text(f"time,{names}\n" + "".join(f"{k}{',1.5' * count}\n" for k in range(2)), encoding="utf-8")
     assert check(read_trace, path) is None
     refused(path, "expected a column 'x', got time, c0, c1")
-
-
-def test_a_long_description_is_read(tmp_path):
-    """10 000 signals, more than any logger has."""
     tables = "\n".join(f"[signals.s{i}]\nunit = 'm'" for i in range(10_000))
     path = tmp_path / "a.toml"
     path.write_text(tables, encoding="utf-8")

@@ -42,17 +42,13 @@ def test_instances_are_freed(each, started):
         slave.close()
 
 
-def test_a_missing_binary_tells_what_there_is(each, opened):
-    """Expected and found, with the component and the FMU."""
+def test_a_missing_binary_and_a_failed_start_are_told(each, opened):
+    """Expected and found, with component and FMU; what the FMU says, with its printf arguments."""
     told = (
         r"it \(.*foreign.fmu\): no binary for this platform: expected binaries/.*got binaries/amiga/foreign"
     )
     problem(lambda: opened(each.make("gain", "foreign", platform="amiga")), told)
     problem(lambda: opened(each.make("gain", "bare", platform="")), "got no binaries at all")
-
-
-def test_a_failed_start_tells_what_the_fmu_says(each, opened):
-    """The reason is asked for, and its printf arguments are filled in."""
     with pytest.raises(Problem, match="could not be instantiated; it says: wrong guid impostor"):
         opened(each.make("gain", "impostor", guid="impostor"))
 

@@ -68,7 +68,7 @@ def test_the_error_estimate_compares_recorded_points(oscillator, every, steps):
 
 
 def test_a_failure_keeps_the_last_point_reached(fmus):
-    """The last point before the failure is recorded, although it is not on the grid."""
+    """Also one off the grid; of values that are no number the message has the time."""
     system = assemble({"bad": fmus["fails"]}, [])
     for when, steps, kept in ((0.55, 6, [0, 0.2, 0.4, 0.6]), (0.45, 5, [0, 0.2, 0.4, 0.5])):
         with pytest.raises(RunFailed, match=f"bad: the step failed at t = {0.1 * steps:g} s") as caught:
@@ -76,10 +76,6 @@ def test_a_failure_keeps_the_last_point_reached(fmus):
         result = caught.value.result
         np.testing.assert_allclose(result.trace.time, kept)
         assert (result.complete, result.card.steps) == (False, steps)
-
-
-def test_not_a_number_between_recorded_points_is_found(fmus):
-    """The message has the time; the record ends at the last point with finite values."""
     with pytest.raises(RunFailed, match=r"fails.y: expected a finite value, got nan at t = 0.4 s") as caught:
         run(str(fmus["fails"]), step=0.1, stop=9.0, record_step=0.9, set={"fails.when": 0.25, "fails.how": 5})
     np.testing.assert_allclose(caught.value.result.trace.time, [0, 0.3])

@@ -143,14 +143,10 @@ def test_nested_systems_are_flattened(make):
     np.testing.assert_allclose(run(loaded, level, step=0.5).trace["a.y"], 16.001, rtol=1e-15)  # roundings
 
 
-def test_direction_follows_from_the_kinds(make):
-    """A connection may be written from its input to its output."""
+def test_direction_of_a_connection_and_suppressed_conversion(make):
+    """From input to output, too; suppressUnitConversion with and without a transformation in place."""
     loaded = load(make(system([gain("a"), gain("b")], [wire("b.u", "a.y")])))
     assert [str(c) for c in loaded.connections] == ["a.y -> b.u"]
-
-
-def test_suppressed_unit_conversion_passes_the_number(make):
-    """suppressUnitConversion with and without a transformation in its place."""
     inlet = connector("command", "input", "mm")
     half = '<ssc:LinearTransformation factor="0.5"/>'
     wires = [wire("command", "a.u", extra='suppressUnitConversion="true"')]

@@ -59,14 +59,10 @@ def test_the_suggestion_is_taken_where_nobody_says_otherwise(make, place):
     np.testing.assert_array_equal(result.trace["a.x"], told.trace["a.x"])
 
 
-def test_without_one_there_is_no_suggestion(make):
-    """An annotation of another tool, and an empty one of this project, suggest nothing."""
+def test_what_puts_a_suggestion_aside(make):
+    """None, an empty one, one of another tool; a given master, with its step; a step alone leaves it."""
     for path in (make(), make(annotated())):
         assert (load(path).coupling, load(path).step) == (None, None)
-
-
-def test_a_master_from_python_puts_the_suggestion_aside(make):
-    """Also the step, which is for another master; a given step alone replaces only the step."""
     path = make(annotated(coupling()))
     result = run(path, master="jacobi")
     assert result.coupling == Coupling("jacobi")

@@ -165,7 +165,7 @@ def test_rate_ports_may_be_missing(fmus):
 
 
 def test_a_rate_is_known_by_its_name_only_beside_what_it_changes(fmus):
-    """`u_rate` beside `u`; a `flow_rate` alone is a signal like any other."""
+    """`u_rate` beside `u`, not a `flow_rate` alone; of position, speed, acceleration the last."""
     undeclared = edited(fmus["drift"], "undeclared", (' derivative="1"', ""))
     plain = edited(undeclared, "plain", renamed("u_rate"))
     files = {"v": fmus.make("source", "speed", units={"y": "m/s"}), "d": undeclared}
@@ -173,10 +173,6 @@ def test_a_rate_is_known_by_its_name_only_beside_what_it_changes(fmus):
     flow = edited(undeclared, "flow", renamed("u", "level"), renamed("u_rate", "flow_rate"))
     alone = assemble({**files, "d": flow}, ["v.y -> d.flow_rate"])
     problem(lambda: with_swaps(alone, {"d": plain}), r"expected input flow_rate \[m/s\], got none")
-
-
-def test_a_speed_with_a_slope_of_its_own_is_needed(fmus):
-    """Position, velocity, acceleration: only the last one may be missing."""
     speed = fmus.make("source", "speed", units={"y": "m/s"})
     system = assemble({"v": speed, "g": fmus["glide"]}, ["v.y -> g.velocity"])
     with pytest.raises(Problem, match=r"expected input velocity \[m/s\], got none"):

@@ -30,14 +30,10 @@ def test_units_are_converted_at_connections(fmus, source, target, linear, expect
     np.testing.assert_allclose(trace["g.u"], expected, rtol=0 if linear else 1e-15)
 
 
-def test_different_dimensions_are_refused_by_name(fmus):
-    """Both ports, both units, both in base units."""
+def test_different_dimensions_are_refused_and_unknown_ones_noted(fmus):
+    """Both ports and units, also in base units; without definition or off by radian it passes."""
     told = r"s\.y \[bar\] -> g\.u \[N\]: the units cannot be converted, "
     problem(lambda: gained(fmus, "bar", "N"), told + r"bar = kg\.m-1\.s-2 and N = kg\.m\.s-2")
-
-
-def test_units_that_cannot_be_compared_pass_with_a_note(fmus):
-    """A unit without definition, or one that differs in the radian only."""
     result = gained(fmus, "odd", "N")
     assert "not both defined" in result.card.notes[0]
     assert result.trace["g.u"][0] == 2.0
@@ -119,16 +115,12 @@ def test_values_must_fit_the_type(chatter, values, message):
     problem(lambda: run(chatter, set=values), message)
 
 
-def test_types_must_match_at_connections(fmus):
-    """No silent rounding of a real number."""
+def test_types_match_at_connections_and_scenarios_drive_all(fmus):
+    """No silent rounding; real inputs follow linearly, others take the last sample."""
     files = {"p": fmus["types"], "q": fmus["types"]}
     with pytest.raises(Problem, match="variables of type Real and Integer cannot be connected"):
         assemble(files, ["p.real_out -> q.int_in"])
     problem(lambda: assemble(files, ["p.echo -> q.label"]), "variables of type String")
-
-
-def test_scenarios_drive_all_numeric_types(fmus):
-    """Real inputs follow linearly, others take the last sample."""
     time = np.array([0.0, 0.5, 1.0])
     columns = {"real_in": [0.0, 1.0, 0.0], "int_in": [1, 4, 2], "types.bool_in": [0, 1, 0]}
     scenario = Trace(time, {name: np.array(values, float) for name, values in columns.items()})

@@ -87,16 +87,12 @@ def test_the_card_claims_no_more_than_was_followed(make, options, told):
 
 
 def test_a_hint_for_one_component_is_named_as_such(make):
-    """All components use its step, which the file suggests for one component only."""
+    """All use its step, meant for one; beside the same step the annotation with the master is followed."""
     system = load(make(in_component=HINT))
     notes = run(system).card.notes
     source = f"the annotation of libcosim in {system.source}"
     assert f"all components use the step that {source} gives for a" in notes
     assert not any("use the step" in note for note in run(system, step=0.05).card.notes)
-
-
-def test_a_hint_beside_the_same_step_is_no_other(make):
-    """The annotation with the master is followed."""
     system = load(make(in_component=HINT, experiment=BASE.replace("2e-2", "1e-2")))
     assert (system.coupling, system.step, system.suggestion.components) == (JACOBI, 0.01, ())
 

@@ -282,15 +282,11 @@ def test_instances_in_threads_wait_for_the_script(tmp_path):
     assert out.split() == ["0.01"] * 4
 
 
-def test_nothing_stands_before_installed_modules(tmp_path):
-    """Loading an FMU does not change Python's search path."""
+def test_the_search_path_stays_and_builds_repeat(tmp_path):
+    """Loading adds nothing to it; equal files give equal bytes, changed code another GUID."""
     before = list(sys.path)
     with driving(built(tmp_path)):
         assert sys.path == before
-
-
-def test_the_build_is_the_same_twice(tmp_path):
-    """Equal files give equal bytes; changed code gives another GUID."""
     one, two = (build_user(written(tmp_path), tmp_path / n) for n in ("one", "two"))
     other = build_user(written(tmp_path, ("GAIN = 1.0", "GAIN = 1.5")), tmp_path / "three")
     assert one.read_bytes() == two.read_bytes()

@@ -98,15 +98,11 @@ def test_a_factor_without_effect_has_none() -> None:
 
 
 def test_lost_base_samples_leave_the_indices_true() -> None:
-    """With a few failed runs the base samples of these are left out, which is told."""
+    """They are left out; if many are lost, independent rows are a plain sample. Both are told."""
     found = finding(results(ishigami, ISHIGAMI, "saltelli", 512, failed=every(97, 5)))
     assert "base samples are left out" in found.sensitivity.notes[0]
     for name, (_, total) in ishigami_indices().items():
         assert near(effects(found)[name].estimates[TOTAL], total)
-
-
-def test_a_broken_design_is_taken_as_a_plain_sample() -> None:
-    """With many failed runs the independent rows are a plain sample, which is told."""
     found = finding(results(ishigami, ISHIGAMI, "saltelli", 256, failed=every(7, 2)))
     assert "too few for the estimators of a Saltelli design" in found.sensitivity.notes[0]
     assert "RBD-FAST" in found.sensitivity.method

@@ -38,17 +38,13 @@ def test_first_order_indices_from_a_plain_sample(method: str) -> None:
     assert found.sensitivity.quality["r_squared"] == pytest.approx(0.19, abs=0.05)
 
 
-def test_a_small_sample_of_a_linear_function_is_enough() -> None:
-    """Squared coefficients are the shares of the variance, and R^2 says that they may be believed."""
+def test_a_small_sample_is_enough_if_the_function_is_linear() -> None:
+    """Squared coefficients are shares, R^2 says so; of a bent function factors are not ranked."""
     found = finding(results(lambda x: 3 * x["x1"] + x["x2"], UNIT, "latin", 60))
     assert found.sensitivity.reliable
     # exact but for correlations within 60 samples, of which the sd is 0.13
     assert effects(found)["x1"].estimates[REGRESSION].value == pytest.approx(0.9, abs=0.1)
     assert found.sensitivity.quality["r_squared"] == pytest.approx(1.0, abs=1e-12)
-
-
-def test_a_small_sample_of_a_bent_function_is_refused() -> None:
-    """If the linear model does not fit, factors are not ranked."""
     found = finding(results(ishigami, ISHIGAMI, "latin", 60))
     assert not found.sensitivity.reliable
     assert sentences(found)[0].startswith("The largest effect on peak cannot be found from 60 samples")
@@ -71,14 +67,10 @@ def test_the_sentence_names_what_leads(function: Function, runs: int, expected: 
 
 
 def test_no_factor_stands_out_when_all_do_the_same() -> None:
-    """Equal factors are not put in an order."""
+    """Equal ones have no order; a product of centred factors moves its output by their being together."""
     said = sentences(finding(results(lambda x: x["x1"] + x["x2"] + x["x3"], UNIT, "saltelli", 64)))
     assert said[0].startswith("No factor stands out for peak")
     assert "2 more cannot be distinguished from it" in said[0]
-
-
-def test_what_acts_together_is_told() -> None:
-    """A product of centred factors moves its output by nothing else than their being together."""
     found = results(lambda x: (x["x1"] - 0.5) * (x["x2"] - 0.5), UNIT, "saltelli", 256)
     assert any("interactions" in sentence for sentence in sentences(finding(found)))
 
@@ -104,7 +96,7 @@ def test_summaries_are_those_of_the_runs_that_ended() -> None:
 
 
 def test_failed_runs_stand_with_reason_and_place() -> None:
-    """Reasons are counted by option, and a factor that makes runs fail is named."""
+    """By option, with the factor that makes runs fail; of an output that no run has, nothing is said."""
     large = results(
         lambda x: x["x1"], UNIT, "latin", 100, [TWO], failed=lambda t: (t["factor:x2"] > 0.9).to_numpy()
     )
@@ -113,10 +105,6 @@ def test_failed_runs_stand_with_reason_and_place() -> None:
     assert found.failures[0].count == 20
     assert found.failures[0].by_choice == {"swing": {"lumped": 10, "detailed": 10}}
     assert found.notes == ("runs fail more often at large x2",)
-
-
-def test_nothing_is_said_when_all_runs_failed() -> None:
-    """An output that no run has."""
     found = finding(results(lambda x: x["x1"], UNIT, "latin", 20, failed=lambda t: np.ones(len(t), bool)))
     assert sentences(found) == ["No run has peak."]
 

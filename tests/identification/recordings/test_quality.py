@@ -61,18 +61,14 @@ def test_gaps_are_found_with_time_and_length(clean):
     assert text == "pressure: 41 samples (1 %; in 2 parts, first at 5 s, longest 0.2 s) without a sample."
 
 
-def test_clipping_at_the_end_of_the_range(clean):
-    """If the range of a sensor is too small, exactly the samples at its end are clipped."""
+def test_clipping_at_the_end_of_the_range_and_below(clean):
+    """Exactly the samples at the end of a range; an amplifier that saturates below stays at its extreme."""
     top = 200.0
     made = replace(clean, sensors={**clean.sensors, "pressure": replace(GAUGE, high=top)})
     made = plant(made, "pressure", np.minimum(made["pressure"], top), slice(None))
     assert np.array_equal(clipped(made["pressure"], made.sensor("pressure")), made["pressure"] == top)
     (text,) = remarks_on(made, "pressure")
     assert "clipped" in text
-
-
-def test_clipping_that_the_range_does_not_tell(clean):
-    """An amplifier saturates below the range: its signal stays at its own extreme in spite of noise."""
     made = plant(clean, "pressure", np.maximum(clean["pressure"], 100.0), slice(None))
     found = clipped(made["pressure"], GAUGE)
     assert np.array_equal(found, made["pressure"] == 100.0)
@@ -124,17 +120,13 @@ def test_missing_samples_of_the_clock(clean):
     ]
 
 
-def test_jitter_of_the_clock(clean):
-    """Jitter of a computer that is late at times is estimated."""
+def test_jitter_and_drift_of_the_clock(clean):
+    """Jitter of a computer that is late at times; an interval that changes by 0.4 % is a drift."""
     rng = np.random.default_rng(5)
     made = replace(clean, time=clean.time + rng.normal(0, 0.0005, SIZE))
     assert ["jitter" in text for text in remarks_on(made, "The clock")] == [True]
     # standard deviation from 4000 samples: 1 / sqrt(8000) = 1.1 %, four times that
     assert examine(made).clock.jitter == pytest.approx(0.0005, rel=0.045)
-
-
-def test_drift_of_the_clock(clean):
-    """The interval of the clock changes by 0.4 % from start to end."""
     x = np.arange(SIZE) / SIZE
     made = replace(clean, time=SIZE / RATE * (x + 0.002 * x**2))
     (text,) = remarks_on(made, "The clock")

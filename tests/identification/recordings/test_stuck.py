@@ -54,8 +54,8 @@ def test_an_encoder_at_rest_is_used(noise):
     assert "stuck" not in remarks(read)
 
 
-def test_commands_and_dead_zones_may_stand_still():
-    """A command that follows a sine and holds, and a meter in its dead zone, are not stuck."""
+def test_commands_dead_zones_and_smooth_signals_may_stand_still():
+    """Held commands, a meter in its dead zone, and a simulated angle at rest are not stuck."""
     command = made(Sensor(), np.where(T < 10, 5 * np.sin(T), 5.0), "swing.swing_command")
     assert good(command, "swing.swing_command").all()
     rng = np.random.default_rng(3)
@@ -64,10 +64,6 @@ def test_commands_and_dead_zones_may_stand_still():
     meter = made(Sensor(noise=0.3, dead_zone=10.0), flow, "flow")
     assert np.array_equal(good(meter, "flow"), flow != 0)
     assert "stuck" not in remarks(meter)
-
-
-def test_smooth_signals_without_noise_may_stand_still():
-    """A simulated angle that moves and then rests has no noise and is not judged."""
     read = made(Sensor(), np.where(T < 10, np.sin(T), np.sin(10.0)), "angle")
     assert good(read, "angle").all()
 

@@ -105,15 +105,11 @@ def test_panels_have_columns_and_nothing_is_cut_off():
     assert {a.get_xlim() for a in axes} == {(3, 4)}
 
 
-def test_a_large_cloud_keeps_the_page_small():
-    """Fifty thousand points are a bitmap inside the SVG."""
+def test_figures_are_small_reproducible_and_crisp():
+    """50 000 points are a bitmap in the SVG, which is the same twice; a PNG has more pixels than shown."""
     many = np.random.default_rng(0).standard_normal((2, 50_000))
     cloud = Panel("x", "y", (Curve("measured", *many),))
     assert len(plotting.svg(drawn(cloud))) < plotting.SVG_LIMIT
-
-
-def test_figures_are_reproducible_and_crisp():
-    """The same result gives the same SVG; a PNG has more than the 1000 pixels that a page shows."""
     one, other = (plotting.svg(draw_procedure(result())) for _ in range(2))
     assert one == other
     assert imread(io.BytesIO(plotting.png(draw_procedure(result())))).shape[1] > 1000
@@ -205,18 +201,13 @@ def test_nrmse_is_over_the_range():
     assert nrmse(np.full(5, np.nan), np.zeros(5)) is None
 
 
-def test_panels_are_those_of_the_measured_signals():
-    """A joint without a flow meter has no panel for flow."""
+def test_panels_of_measured_signals_and_correlations():
+    """A joint without a flow meter has no panel for flow; each pair is drawn once, large ones with value."""
     names = [n for signals in SIGNALS["swing"].values() for n in signals if "flow" not in n]
     drawn = figure(comparison(dict.fromkeys(names[:4], TIME), {}), "swing")
     assert [panel.label for panel in drawn.panels] == ["command", "angle", "speed", "pressure"]
-
-
-def test_correlations_are_below_the_diagonal():
-    """Each pair is drawn once, with its value if it is large."""
     names = ["a", "b", "c"]
-    figure = draw_correlation(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]]))
-    axes = figure.axes[0]
+    axes = draw_correlation(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]])).axes[0]
     assert sorted(t.get_text() for t in axes.texts) == ["0.9", "\N{MINUS SIGN}0.4"]
     assert [t.get_text() for t in axes.get_xticklabels()] == ["a", "b"]
     assert [t.get_text() for t in axes.get_yticklabels()] == ["b", "c"]

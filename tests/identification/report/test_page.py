@@ -40,8 +40,8 @@ SHOWN = (
 )
 
 
-def test_the_page_has_all_sections(text):
-    """Sections with what they show; each entry of the contents has its section, and each id is unique."""
+def test_the_page_has_all_sections_and_escapes_its_texts(text):
+    """Each entry of the contents has its section, ids are unique; remarks are no markup; colours vary."""
     tree = html.fromstring(text)
     sections = {s.get("id") for s in tree.iter("section")}
     assert sections == {"parameters", "hose_resistance", "refinement", "residual", "trace-1", "data", "next"}
@@ -49,10 +49,6 @@ def test_the_page_has_all_sections(text):
     ids = [e.get("id") for e in tree.iter() if e.get("id")]
     assert len(ids) == len(set(ids))
     assert {a.get("href")[1:] for a in tree.iter("a")} <= set(ids)
-
-
-def test_texts_are_escaped_and_figures_follow_the_theme(text):
-    """A remark is text, not markup; colours are variables of the page: a dark page has light lines."""
     assert "A &lt;b&gt;remark&lt;/b&gt; &amp; more." in text
     assert "Area of &lt;all&gt; edges" in text
     assert "var(--fig-ink, #1c2024)" in text

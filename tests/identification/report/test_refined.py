@@ -154,13 +154,9 @@ def test_the_lines_for_a_terminal():
 # ------------------------------------------------- warnings at the top of the page and in the terminal
 
 
-def test_a_good_fit_has_no_warnings():
-    """Converged, inside the bounds, 3 % and 4 % of the range: an empty list."""
-    assert warnings(refined(at_bound=())) == []
-
-
 def test_residuals_far_above_the_noise_are_a_warning():
-    """168 times the noise: the number, and the signals that show it most, by the names of the report."""
+    """168 times: the number, and the worst signals as the report names them; a good fit has none."""
+    assert warnings(refined(at_bound=())) == []
     history = (Iteration(0, 168.0, 0.1, 0.0, TrustRegion(1.0), {}),)
     tests = {"angle": Whiteness(0.0, 1.0, {}, 505.0), "flow": Whiteness(0.2, 0.01, {}, 1.1)}
     far = refined(history=history, whiteness=tests, at_bound=())
@@ -171,7 +167,7 @@ def test_residuals_far_above_the_noise_are_a_warning():
 
 
 def test_warnings_have_the_names_of_the_report():
-    """The search, the bound and the poor signal, in this order, then the advice."""
+    """Search, bound and poor signal, then the advice; of a failed simulation the signal without a value."""
     poor = refined(converged=False, reason="40 iterations", training=(traces("a", 0.03), traces("b", 0.4)))
     search, bound, fit, check = warnings(poor, NAMES, {"angle": "manipulator.angle"})
     assert "did not converge: 40 iterations" in search
@@ -180,9 +176,5 @@ def test_warnings_have_the_names_of_the_report():
     assert "manipulator.angle 28 %" in fit
     assert "flow" not in fit  # it was never measured
     assert check == CHECK
-
-
-def test_a_failed_simulation_is_a_warning():
-    """No value, but the name of the signal."""
     *_, fit, _ = warnings(refined(at_bound=(), training=(traces("a", np.nan),)))
     assert "angle (could not be simulated)" in fit
