@@ -84,8 +84,12 @@ def test_watcher_does_not_move(desk: Desk) -> None:
 
 
 def test_dead_man(desk: Desk) -> None:
-    """Released it is rest at once, with the stick still out; held before taking it does not count."""
+    """The dead-man released is rest at once, with the stick still out."""
     assert desk.hold_anew(desk.driver())
+
+
+def test_held_before_taking(desk: Desk) -> None:
+    """A dead-man that was held already when the controls were taken does not count until it was released."""
     station = desk.page()
     desk.say(station)
     desk.take(station)
