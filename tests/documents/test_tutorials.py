@@ -1,5 +1,6 @@
 """The tutorials do what they say: every command and snippet is run, every output shown is what comes."""
 
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -38,3 +39,23 @@ def test_a_block_that_fails_is_told(tmp_path):
             tutorial.Tutorial(tmp_path / "a.md", tmp_path).run()
     (tmp_path / "a.md").write_text("```shell\nexit 3 # status 3\n```\n")
     tutorial.Tutorial(tmp_path / "a.md", tmp_path).run()
+
+
+def test_a_page_runs_what_is_not_marked(tmp_path):
+    """Indented commands are run and compared; a mark holds for the next block, or for one line of it."""
+    page = tmp_path / "a.md"
+    for text, fault in (
+        ("    python -c 'print(1)'\n\n```text\n1\n```\n", ""),
+        ("    python -c 'print(1)'\n\n```text\n2\n```\n", "2 is shown"),
+        ("<!-- not run: never ends -->\n\n    python -c 'exit(1)'\n", ""),
+        ("<!-- not run: never ends -->\n\nText.\n\n    python -c 'exit(1)'\n", "status 1"),
+        (
+            "<!-- not run: `python -c 'x'`, wrong -->\n\n    python -c 'x'\n    python -c 'exit(1)'\n",
+            "status 1",
+        ),
+        ("<!-- not run: `make`, not there -->\n\n    python -c 'exit(0)'\n", "not there"),
+        ("    python -c 'exit(1)'  # status 1: as it is\n", ""),
+    ):
+        page.write_text(text)
+        with contextlib.nullcontext() if not fault else pytest.raises(AssertionError, match=fault):
+            tutorial.Page(page, tmp_path).run()
