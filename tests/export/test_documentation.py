@@ -78,6 +78,7 @@ def test_icon_and_licence_are_where_the_standard_has_them(content, name, fmi):
     width, height = struct.unpack_from(">II", icon, 16)
     assert width == height >= 128
     assert files["documentation/licenses/license.txt"] == project_file("LICENSE").read_bytes()
+    assert files["documentation/licenses/notices.md"] == project_file("NOTICES.md").read_bytes()
 
 
 @pytest.mark.parametrize("name", SUBSYSTEMS)
