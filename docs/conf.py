@@ -19,7 +19,9 @@ language = "en"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "extension"]
 root_doc = "docs/index"
+source_suffix = {".md": "markdown", ".ipynb": "markdown"}
 include_patterns = [
+    "examples/notebook/*.ipynb",
     *("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "NOTICES.md"),
     *("docs/**.md", "fmus/**/README.md", "fmus/README.md", "orchestrator/README.md", "examples/*/README.md"),
 ]
@@ -58,6 +60,7 @@ NAVIGATION = {
         "What it is <README.md>",
         "docs/tutorials/first-run.md",
         "docs/tutorials/index.md",
+        "examples/notebook/first_ten_minutes.ipynb",
         "CHANGELOG.md",
     ],
     "Tutorials": [
@@ -90,6 +93,7 @@ NAVIGATION = {
     ],
     "Co-simulation": [
         "docs/run.md",
+        "docs/python.md",
         "docs/coupling.md",
         "docs/convergence.md",
         "orchestrator/README.md",

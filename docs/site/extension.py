@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -43,11 +44,19 @@ def setup(app: Sphinx) -> dict[str, Any]:
 
 def read_source(app: Sphinx, page: str, source: list[str]) -> None:
     """Fill in tables and Python objects, show titles of programs; the home page gets the navigation."""
+    if Path(app.env.doc2path(page)).suffix == ".ipynb":
+        source[0] = notebook(source[0])
     text = OBJECT.sub(lambda found: documented(found[1]), tables.filled(source[0]))
     text = TITLED.sub(r"```{code-block} \1\n:caption: \2\n", text)
     if page == app.config.root_doc:
         text += "".join(toctree(caption, pages) for caption, pages in navigation(app).items())
     source[0] = text
+
+
+def notebook(text: str) -> str:
+    """The cells of a Jupyter notebook as Markdown."""
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(text)["cells"]]
+    return "\n\n".join(f"```python\n{cell}\n```" if kind == "code" else cell for kind, cell in cells)
 
 
 def navigation(app: Sphinx) -> dict[str, list[str]]:
@@ -57,9 +66,8 @@ def navigation(app: Sphinx) -> dict[str, list[str]]:
 
 def toctree(caption: str, pages: list[str]) -> str:
     """A part of the sidebar."""
-    names = "\n".join(
-        re.sub(r"(\S+)\.md(>?)$", r"\1\2", re.sub(r"([^<\s]+)(>?)$", r"/\1\2", page)) for page in pages
-    )
+    rooted = (re.sub(r"([^<\s]+)(>?)$", r"/\1\2", page) for page in pages)
+    names = "\n".join(re.sub(r"(\S+)\.(?:md|ipynb)(>?)$", r"\1\2", page) for page in rooted)
     return f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n:titlesonly:\n\n{names}\n```\n"
 
 
