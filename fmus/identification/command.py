@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -11,7 +12,7 @@ from fmus.identification.pipeline import identify
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import downsample, resample_uniformly
-from fmus.identification.recordings.reading import read_folder, unused_files
+from fmus.identification.recordings.reading import doubtful, read_folder, unused_files
 from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import faults, quality, write_page
 from fmus.parameters import write
@@ -50,7 +51,8 @@ def run(
     if joint and work:
         fitted = sum(float(r.time[-1] - r.time[0]) for r in work)
         print(f"  takes about {fitted:.0f} s, thrice that if the data show effects that the model lacks")
-    for line in (*faults(qualities), *unused_files(folder, recordings)):
+    suspect = [f"warning: {line}" for line in doubtful(recordings)]
+    for line in (*faults(qualities), *unused_files(folder, recordings), *suspect):
         print(f"  {line}")
     recordings = [resample_uniformly(r) for r in recordings]
     recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
@@ -79,6 +81,7 @@ def run(
     with doing("simulating what the model predicts, and the effects that it lacks"):
         comparison = prediction(identified)
         contents = page_content(folder, out, identified, comparison, qualities, os.cpu_count() or 1)
+        contents = replace(contents, remarks=(*suspect, *contents.remarks))
     if comparison:
         use = "held out" if comparison.recording.use == "test" else "used for fitting"
         print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")

@@ -7,7 +7,7 @@ from pathlib import Path
 from shutil import copyfile
 
 from fmus.boom_stick import BOOM_STICK
-from fmus.contract import Subsystem
+from fmus.contract import Subsystem, quantities
 from fmus.controller import CONTROLLER, controller
 from fmus.controller.values import GAINS
 from fmus.export.build import build_all
@@ -19,10 +19,11 @@ from fmus.machine.ssp import NAME, write_control, write_system
 from fmus.machine.work_cycle import WORK_CYCLE_STOP
 from fmus.manipulator import MANIPULATOR
 from fmus.package_files import data, shipped_folder
-from fmus.parameters import ParameterSet, read, read_parameter_set, with_parameters
+from fmus.parameters import ParameterSet, not_shipped, read, read_parameter_set, with_parameters
 from fmus.swing import SWING
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import FMI3, VARIANTS
+from orchestrator.base.files import FMI3, VARIANTS, tell_once
+from orchestrator.base.units import doubt
 
 __all__ = ["build_machine", "controller_of", "copy_shipped", "data", "parts_with_parameters"]
 
@@ -97,7 +98,13 @@ def parts_with_parameters(parameters: Path | None = None) -> tuple[dict[str, Sub
     )
     start = {n: value for n, value in new.items() if value != old[n]}  # holding forces depend on masses
     default = {n: with_parameters(sub, parameter_set, start) for n, sub in ALL.items()}
-    return default, [with_parameters(sub, parameter_set, start) for sub in others]
+    others = [with_parameters(sub, parameter_set, start) for sub in others]
+    for sub in (*default.values(), *others):
+        for n, number in not_shipped(sub).items():
+            usual = number.shipped or quantities(sub.parameters)[n].nominal
+            if told := doubt(f"{parameters}: {n}", number.value, number.unit, [usual]):
+                tell_once(f"warning: {told}")
+    return default, others
 
 
 def controller_of(parts: Mapping[str, Subsystem], parameters: Path | None = None) -> Subsystem:

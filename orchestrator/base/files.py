@@ -358,7 +358,7 @@ def _normalised(path: PurePosixPath) -> str:
 
 DEFAULT_SYSTEM, BUILD_COMMAND = Path("build/harvester.ssp"), "harvester build"
 SYSTEMS, FMUS = (".ssp", ".ssd", ".fmu"), (".fmu",)
-_told = set[str]()  # paths whose replacement was told
+_told = set[str]()
 
 
 def find(given: str | Path, suffixes: tuple[str, ...], folder: str | Path = "") -> Path:
@@ -380,11 +380,17 @@ def find(given: str | Path, suffixes: tuple[str, ...], folder: str | Path = "") 
     shipped = _shipped(name, suffixes)
     found = (p for n in names for key, p in shipped.items() if n in (key, PurePosixPath(key).name))
     if file := next(found, None):
-        if path.suffix and str(path) not in _told:
-            _told.add(str(path))
-            print(f"{path} does not exist; using the one in the package: {file}", file=sys.stderr)
+        if path.suffix:
+            tell_once(f"{path} does not exist; using the one in the package: {file}")
         return file
     return path
+
+
+def tell_once(text: str) -> None:
+    """Print what was assumed about a file, once per process, on standard error."""
+    if text not in _told:
+        _told.add(text)
+        print(text, file=sys.stderr)
 
 
 def _shipped(name: str, suffixes: tuple[str, ...]) -> dict[str, Path]:

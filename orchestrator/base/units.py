@@ -13,7 +13,7 @@ tools omit the radian from base units. `conversion` therefore accepts a differen
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, pi
 from types import MappingProxyType
@@ -234,6 +234,19 @@ def doubt(name: str, value: float, unit: str, usual: Iterable[float]) -> str:
     unit = "" if unit in ("1", "-") else f" {unit}"
     hint = f"did you mean {value:.6g} {meant}?" if meant else "is the unit right?"
     return f"{name} = {value:.6g}{unit}, usually about {high if size > high else low:.3g}{unit}; {hint}"
+
+
+def doubts(peaks: Iterable[tuple[str, float, str, Sequence[float]]]) -> Iterator[str]:
+    """The doubtful ones of signals: name, largest magnitude, unit, and usual magnitudes as of `doubt`.
+
+    A signal may hardly move: one that is too small counts only if all signals of its unit are.
+    """
+    told: dict[str, list[tuple[str, bool]]] = {}
+    for name, peak, unit, usual in peaks:
+        if sizes := [abs(u) for u in usual if u and peak]:
+            told.setdefault(unit, []).append((doubt(name, peak, unit, sizes), peak < min(sizes)))
+    for group in told.values():
+        yield from (text for text, small in group if text and (not small or all(t for t, _ in group)))
 
 
 def _meant(size: float, unit: str, low: float, high: float) -> str:

@@ -66,6 +66,7 @@ class Criterion:
 
     group       quantity such as angle, speed or pressure; signals of a group share a tolerance
     span        divisor of the NRMSE instead of the range of the values, in the unit of the signal
+    floor       smallest divisor of the NRMSE otherwise, in the unit of the run
     tolerance   limit; None: the signal is shown without a verdict
     """
 
@@ -73,6 +74,7 @@ class Criterion:
     group: str = ""
     span: float | None = None
     tolerance: Tolerance | None = None
+    floor: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.extras import require
-from orchestrator.base.files import Location
+from orchestrator.base.files import Location, tell_once
 from orchestrator.base.toml import NOT_NEGATIVE, Rule
 from orchestrator.data.matlab import MAX_BYTES, NotNumbers, check_size, first_line, read_variables, shortened
 
@@ -176,15 +176,24 @@ class _Text:
         return header, len(LINE_BREAK.findall(text, 0, end)) + 1 + named, lines
 
     def _text(self) -> str:
+        data = self.file.read(MAX_BYTES)
+        wide = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}.get(data[:2])
+        wide = wide or ("utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else None)
         try:
-            text = self.file.read(MAX_BYTES).decode("utf-8-sig")
-            if self.file.path.name.endswith(PARTIAL):  # the last row is cut if the run was killed
-                return text[: text.rfind("\n") + 1]
-            return text
+            text = data.decode(wide or "utf-8-sig")
+            if wide:
+                tell_once(f"{self.file}: read as {wide.upper()}")
         except UnicodeDecodeError as error:
-            line, byte = error.object[: error.start].count(b"\n") + 1, error.object[error.start]
-            got = f"got the byte 0x{byte:02x}"
-            raise Problem(f"{self.file}: line {line}: expected text in UTF-8, {got}") from None
+            line, byte = data[: error.start].count(b"\n") + 1, data[error.start]
+            got = f"expected text in UTF-8, got the byte 0x{byte:02x}"
+            try:
+                text = data.decode("cp1252")
+            except UnicodeDecodeError:
+                raise Problem(f"{self.file}: line {line}: {got}") from None
+            tell_once(f"{self.file}: line {line}: {got}; read as Windows-1252")
+        if self.file.path.name.endswith(PARTIAL):  # the last row is cut if the run was killed
+            return text[: text.rfind("\n") + 1]
+        return text
 
     def split(self, line: str) -> list[str]:
         """The cells of a line."""

@@ -81,7 +81,8 @@ class Recorder:
     ) -> None:
         self._network, self._sink = network, sink
         all_ports = [*network.reals.index, *network.integers.index]
-        ports = list(selected) if selected is not None else all_ports  # in the order of the arrays
+        # in the order of the arrays
+        ports = [p for p in all_ports if _is_applied(network, p)] if selected is None else list(selected)
         self._reals = [p for p in ports if p in network.reals.index]
         self._integers = [p for p in ports if p in network.integers.index]
         self.layout = self._layout(ports if selected is not None else _ordered(network, ports), times.every)
@@ -155,6 +156,19 @@ class Recorder:
         if self._between:
             self._sink.append_points(*self._between)
             self._between = None
+
+
+def _is_applied(network: Network, port: Port) -> bool:
+    """False for a command that is replaced: an output of a source that feeds nothing, named as an input."""
+    system = network.system
+    if system.components[port.component].interface.of("input") or port in (
+        *(c.source for c in system.connections),
+        *(outlet.source for outlet in system.outputs.values()),
+    ):
+        return True
+    return all(
+        port.variable not in c.interface.variables for n, c in system.components.items() if n != port[0]
+    )
 
 
 def _ordered(network: Network, ports: list[Port]) -> list[Port]:

@@ -417,6 +417,8 @@ class RunMetadata:
     units                                units of the signals; `inputs`: signals that are inputs of components
     provenance                           files with checksums, values that differ from the shipped ones
     warnings                             those of the card
+    sources                              signals of `inputs` that no other component with inputs computes
+    nominals                             nominal values that the FMUs declare for the signals
     """
 
     system: str
@@ -438,6 +440,8 @@ class RunMetadata:
     lengths: tuple[float, float] = (0.0, 0.0)
     provenance: Provenance = field(default_factory=Provenance)
     warnings: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
+    nominals: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def adaptive(self) -> bool:
@@ -451,6 +455,11 @@ def metadata(
     """The metadata of a run; options: those that the user chose; default of `signals`: those of the trace."""
     signals = signals or RowLayout(tuple(result.trace.signals), result.trace.units)
     system, card = result.system, result.card
+    inputs = [p for p in system.ports("input") if str(p) in signals.names]
+    computed = {
+        c.target for c in system.connections if system.components[c.source.component].interface.of("input")
+    }
+    ports = [p for p in (*system.ports("output"), *inputs) if str(p) in signals.names]
     return RunMetadata(
         system=str(system.source.path if system.source else system.name),
         master=card.master,
@@ -463,7 +472,7 @@ def metadata(
         given={name: value for name, value in (options or {}).items() if value},
         inside=card.inside,
         units=signals.units,
-        inputs=tuple(str(p) for p in system.ports("input") if str(p) in signals.names),
+        inputs=tuple(map(str, inputs)),
         coupling=result.coupling.settings,
         steps=card.steps,
         passes=card.passes,
@@ -471,6 +480,10 @@ def metadata(
         lengths=card.lengths,
         provenance=result.provenance,
         warnings=card.warnings,
+        sources=tuple(str(p) for p in inputs if p not in computed),
+        nominals={
+            str(p): n for p in ports if (n := system.components[p.component].interface.nominal(p.variable))
+        },
     )
 
 
@@ -522,7 +535,9 @@ def _parsed(file: Path, text: str) -> tuple[RunMetadata, str]:
         data = json.loads(text)
         digest = data.pop("sha256")
         data.pop("names", None)  # of a MATLAB file
-        values = {"inputs": tuple(data["inputs"]), "provenance": Provenance.of(data.get("provenance", {}))}
+        values = {n: tuple(data.get(n, ())) for n in ("inputs", "warnings", "sources")} | {
+            "provenance": Provenance.of(data.get("provenance", {}))
+        }
         return RunMetadata(**{**data, **values}), digest
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Problem(f"{file}: expected what harvester run writes next to a trace, got {error!r}") from None

@@ -148,6 +148,11 @@ class FmuInterface:
     description: str = ""
     parameter_sets: tuple[ParameterSetFile, ...] = ()
 
+    def nominal(self, name: str) -> float:
+        """The nominal value of a variable; if it declares none, that of FMI, 1, or 0 if no variable does."""
+        declared = self.variables[name].nominal
+        return declared or float(any(v.nominal for v in self.variables.values()))
+
     def of(self, causality: str) -> list[FmuVariable]:
         """All variables of one causality, in declaration order."""
         return [v for v in self.variables.values() if v.causality == causality]

@@ -28,6 +28,7 @@ from orchestrator.lanes.compiled import NotInLanes, lane_count
 from orchestrator.lanes.group import OK, Ended, Group
 from orchestrator.lanes.one_by_one import run_one_by_one
 from orchestrator.lanes.plan import Lanes
+from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.worker.process import machine_memory
 
@@ -117,12 +118,14 @@ def batch(
     rows = _allocate(signals, count, times.rows)
     began = time.perf_counter()
     units = {name: unit.name for name, p in signals.items() if (unit := job.system.variable(p).unit)}
+    doubts = [doubtful(job.system, port, (v.min(), v.max())) for port, v in arrays_in.items()]
+    warnings = with_doubts(job.system, doubts).warnings
     arrays = dict(zip(signals, rows, strict=True))
 
     def result(ended: Mapping[int, Ended], notes: tuple[str, ...]) -> BatchResult:
         status = np.array([ended[i].status if i in ended else OK for i in range(count)])
         reasons = [ended[i].reason if i in ended else "" for i in range(count)]
-        every = (*job.system.notes, *times.notes, *notes)
+        every = (*job.system.notes, *warnings, *times.notes, *notes)
         wall = time.perf_counter() - began
         return BatchResult(recorded_times(times), arrays, status, reasons, units, every, wall)
 

@@ -16,6 +16,7 @@ from orchestrator.linear.modes import LinearVariable
 from orchestrator.linear.steady_state import find_steady_state
 from orchestrator.monolithic.plant import Array
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.plausible import doubtful_starts, with_doubts
 from orchestrator.ssp.provenance import built_notes
 from orchestrator.ssp.system import Port, System
 
@@ -132,7 +133,8 @@ def linearize(
     plant = CutPlant(cut)
     try:
         plant.start((start, start + EXPERIMENT_LENGTH))
-        notes = built_notes(full) + full.warnings + cut.notes + plant.notes
+        warnings = with_doubts(full, doubtful_starts(cut.system)).warnings
+        notes = built_notes(full) + warnings + cut.notes + plant.notes
         if time is None:
             plant.settle(plant.x.copy(), plant.u)
         else:

@@ -32,6 +32,7 @@ from orchestrator.realtime.setup import Array, Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, attach
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.plausible import doubtful_starts, with_doubts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 from orchestrator.worker.main import Channel
@@ -228,6 +229,7 @@ class FrameStepper:
         setup.check()
         system = with_sets(with_swaps(load(setup.system), setup.swap), setup.parameters)
         system = system.with_start(setup.set)
+        system = with_doubts(system, doubtful_starts(system))
         coupling = system.coupling or Coupling()
         coupling.check(system.components)
         times, self._steps = _grid(system, coupling, setup)

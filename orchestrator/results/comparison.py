@@ -18,7 +18,7 @@ from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
 from orchestrator.fmi.description import Value
-from orchestrator.results.metrics import constant
+from orchestrator.results.metrics import AT_REST, HARDLY_MOVES, constant
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
 Source = str | Path | Trace | Result
@@ -91,8 +91,8 @@ def _with_units(runs: list[Run]) -> list[Run]:
 
 
 DEFAULT_QUANTITIES = ("speed", "pressure", "angle")  # shown if the user names no signals
-# Range of a signal over the widest range of its quantity; below it the signal is at rest and has no NRMSE.
-AT_REST = 1e-3
+OTHER_START, OTHER_TIME = 0.01, 0.01  # [rad] or [m] between two poses at the start; of the duration
+# below AT_REST times the widest range of its quantity, a signal is at rest, too, and has no NRMSE
 CONSTANT = "constant reference"
 
 
@@ -101,6 +101,7 @@ class Comparison:
     """Runs compared with one of them.
 
     reference   the run with which the others are compared
+    experiments how the experiments of the runs differ: other commands, another start, another duration
     against     label -> comparison of that run with the reference, signal by signal
     signals     the signals to show
     notes       remarks on the comparison
@@ -111,6 +112,7 @@ class Comparison:
     against: Mapping[str, Validation]
     signals: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         start, stop = self.window
@@ -179,8 +181,44 @@ def compare(
     recording = _as_recording(reference, common, seconds(start, "start"), seconds(stop, "stop"))
     validations = {run.label: _validate(recording, run) for run in runs if run is not reference}
     return Comparison(
-        tuple(runs), reference, validations, _chosen(runs, common, signals), _notes(runs, common)
+        tuple(runs),
+        reference,
+        validations,
+        _chosen(runs, common, signals),
+        _notes(runs, common),
+        tuple(text for run in runs if run is not reference and (text := _other_experiment(reference, run))),
     )
+
+
+def _other_experiment(reference: Run, run: Run) -> str:
+    """How the experiment of a run differs from that of the reference; empty if it does not."""
+    a, b, differences = reference.trace, run.trace, list[str]()
+    sources = {*(reference.metadata.sources if reference.metadata else ())}
+    common = [n for n in (run.metadata.sources if run.metadata else ()) if n in sources and n in a.signals]
+    time = a.time[(a.time >= b.time[0]) & (a.time <= b.time[-1])]
+    differ = [
+        n
+        for n in common
+        if n in b.signals and _differ(np.interp(time, a.time, a[n]), np.interp(time, b.time, b[n]))
+    ]
+    if differ := [n for n in differ if n.removesuffix("_rate") == n or n.removesuffix("_rate") not in differ]:
+        differences.append(f"other commands ({first_names(differ, 3)})")
+    poses = [n for n in a.signals if n in b.signals and quantity(a.units.get(n, "")) in ("angle", "position")]
+    if moved := [n for n in poses if n not in sources and abs(a[n][0] - b[n][0]) > OTHER_START]:
+        differences.append(f"another start ({first_names(moved, 3)})")
+    if abs(a.time[0] - b.time[0]) > OTHER_TIME * np.ptp(a.time):
+        differences.append(f"begins at {b.time[0]:g} s, not {a.time[0]:g} s")
+    if abs(a.time[-1] - b.time[-1]) > OTHER_TIME * np.ptp(a.time):
+        differences.append(f"ends at {b.time[-1]:g} s, not {a.time[-1]:g} s")
+    return (
+        f"{run.label} is another experiment than {reference.label}: {', '.join(differences)}"
+        if differences
+        else ""
+    )
+
+
+def _differ(a: Array, b: Array) -> bool:
+    return bool(len(a) and np.max(np.abs(a - b)) > AT_REST * max(np.max(np.abs(a)), np.max(np.abs(b))))
 
 
 Cell = tuple[Value, str]  # value and its origin; "" for the shipped value
@@ -232,6 +270,8 @@ def _range(values: Array) -> float:
 
 def _moving(row: ValidatedSignal, least: float) -> ValidatedSignal | None:
     """The row with NRMSE over the range of a run in which it moves; None if it is at rest in both."""
+    if any(note.startswith(HARDLY_MOVES) for note in row.metrics.notes):
+        least = max(least, row.metrics.normalised_by)
     if _range(row.reference) > least:
         return row
     span = _range(row.simulation)
@@ -249,13 +289,17 @@ def _validate(recording: Recording, run: Run) -> Validation:
 def _as_recording(run: Run, names: Sequence[str], start: float | None, stop: float | None) -> Recording:
     """Signals of the reference run as a recording, grouped by quantity."""
     units = {name: run.trace.units.get(name, "") for name in names}
+    nominals = run.metadata.nominals if run.metadata else {}
     return Recording(
         source=Path(run.file or run.label),
         title=run.label,
         time=run.trace.time,
         signals=run.trace.select(names).signals,
         units=units,
-        criteria={name: Criterion(group=quantity(unit)) for name, unit in units.items()},
+        criteria={
+            name: Criterion(group=quantity(unit), floor=AT_REST * abs(nominals.get(name, 0.0)))
+            for name, unit in units.items()
+        },
         start=-np.inf if start is None else start,
         stop=np.inf if stop is None else stop,
     )

@@ -36,6 +36,7 @@ from orchestrator.results.comparison import (
     different_fmus,
     different_values,
 )
+from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
 from orchestrator.results.validation import ValidatedSignal
 from orchestrator.ssp.provenance import value_text
 
@@ -48,6 +49,7 @@ WIDTH = 100  # characters of a line in a terminal
 MOST_PANELS = 6  # of a figure on one page
 MOST_OF_QUANTITY = 3  # panels
 MOST_VALUES = 15  # rows of parameters in which runs differ
+FLOORED = " *"  # after an NRMSE over the floor
 SAME_CURVE = 0.01  # relative to the range: curves that are closer cannot be distinguished in the figure
 
 
@@ -135,8 +137,9 @@ def _panel(
 
 
 def text(comparison: Comparison) -> str:
-    """Cost of each run, the worst signal of each quantity, the chosen signals, and notes."""
-    parts = [[*(table.lines() if table.rows else ()), *below] for table, below in tables(comparison)]
+    """Other experiments, cost of each run, worst signal of each quantity, the chosen signals, and notes."""
+    parts = [[f"warning: {text}" for text in comparison.experiments]]
+    parts += [[*(table.lines() if table.rows else ()), *below] for table, below in tables(comparison)]
     parts += [[f"note: {note}" for note in _notes(comparison)]]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
@@ -185,6 +188,9 @@ def _notes(comparison: Comparison) -> Iterator[str]:
     rows = (comparison.worst(label, q) for label in comparison.against for q in comparison.quantities())
     if any(row and CONSTANT in row.notes for row in rows):
         yield f"{CONSTANT}: its NRMSE is over the range of the other run"
+    shown = (row for v in comparison.against.values() for row in v.rows if row.signal in comparison.signals)
+    if any(note.startswith(HARDLY_MOVES) for row in shown for note in row.metrics.notes):
+        yield f"{FLOORED.strip()} {HARDLY_MOVES}: NRMSE over {percentage(AT_REST)} of the nominal value"
     for note, labels in labels_by_note.items():
         yield note if len(labels) == len(comparison.against) else f"{', '.join(labels)}: {note}"
 
@@ -298,6 +304,7 @@ def _cells(row: ValidatedSignal) -> tuple[str, str]:
     m = row.metrics
     is_constant = any(note.startswith("the reference is") for note in row.metrics.notes)
     nrmse = NO_VALUE if is_constant and m.rmse else percentage(m.nrmse)
+    nrmse += FLOORED if any(note.startswith(HARDLY_MOVES) for note in m.notes) else ""
     return nrmse, error_display_unit(row.unit).ascii(m.maximum_error)
 
 
@@ -343,6 +350,7 @@ def as_dict(comparison: Comparison) -> Mapping[str, Any]:
             run.label: _run_data(run) | _difference_data(comparison, run.label) for run in comparison.runs
         },
         "notes": list(comparison.notes),
+        "experiments": list(comparison.experiments),
     }
 
 

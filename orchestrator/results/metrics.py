@@ -10,7 +10,8 @@ With the error e = simulation - reference y over n common samples:
     ISO/TS 18571    rating 0..1 of corridor, phase, magnitude and slope: iso18571.py
 
 A constant reference has no range: then NRMSE uses the magnitude of the reference, fit and VAF are None, and
-a note is added. The description of the reference declares which metric is judged, and its limit
+a note is added. If a signal moves by less than 0.1 % of its nominal value, this floor is the divisor. The
+description of the reference declares which metric is judged, and its limit
 (`orchestrator.data.description.Tolerance`).
 """
 
@@ -28,6 +29,8 @@ from orchestrator.results import iso18571
 # also have 1000 samples.
 ISO_SAMPLES = 1000
 ISO_MINIMUM = 30
+# Range over nominal value of a signal at rest, whose errors would otherwise be divided by noise.
+AT_REST, HARDLY_MOVES = 1e-3, "the reference hardly moves"
 CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
 # Magnitudes whose squares leave the range of a float: smaller ones count as zero, larger ones are refused.
 TINY, HUGE = 1e-150, 1e150
@@ -82,6 +85,7 @@ def measure(
     reference: Array,
     *,
     span: float | None = None,
+    floor: float = 0.0,
     recording: Array | None = None,
     rate: bool = True,
     where: str,
@@ -89,6 +93,7 @@ def measure(
     """Metrics of one signal on common samples, all arrays of shape (n,).
 
     span       denominator of NRMSE instead of the range of the reference
+    floor      smallest denominator of NRMSE otherwise, such as `AT_REST` times the nominal value
     recording  the recording, shape (m,), that contains `reference`; its range is the range of the reference
     rate       whether to compute the ISO/TS 18571 rating
     where      file and signal, for messages
@@ -98,7 +103,7 @@ def measure(
     largest = int(np.argmax(np.abs(error)))
     rmse = float(np.sqrt(np.mean(error**2)))
     recording = reference if recording is None else recording
-    denominator, notes = _denominator(recording, span)
+    denominator, notes = _denominator(recording, span, floor)
     norm = float(np.linalg.norm(reference - reference.mean()))
     is_constant = constant(reference, recording)
     if is_constant and not constant(recording):
@@ -163,10 +168,14 @@ def _check(time: Array, simulation: Array, reference: Array, where: str) -> None
             )
 
 
-def _denominator(reference: Array, span: float | None) -> tuple[float, tuple[str, ...]]:
+def _denominator(reference: Array, span: float | None, floor: float = 0.0) -> tuple[float, tuple[str, ...]]:
     """Denominator of NRMSE, and a note if it is not the range of the reference."""
     if span is not None:
         return span, (f"NRMSE over the given range of {span:g}",)
+    if floor and (
+        floor >= np.max(np.abs(reference)) or (floor > np.ptp(reference) and not constant(reference))
+    ):
+        return floor, (f"{HARDLY_MOVES}: NRMSE over {floor:.3g}, {100 * AT_REST:g} % of the nominal value",)
     if not constant(reference):
         return float(np.ptp(reference)), ()
     magnitude = float(np.max(np.abs(reference)))

@@ -44,6 +44,7 @@ from orchestrator.results.validation import (
 from orchestrator.scene.live_page import Replayed, fragment
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.plausible import doubtful_signals, with_doubts
 from orchestrator.ssp.provenance import built_notes, checksum, chosen_note, other_values
 from orchestrator.ssp.swap import missing_after_swap, with_swaps
 from orchestrator.ssp.system import Component, Port, System, coerce
@@ -292,6 +293,7 @@ def validate_system(
     limit            of the NRMSE of each signal of the monolithic solution, see `monolithic_recording`
     default_accuracy, options   as for `run_to_file`
     """
+    doubts: list[str] = []
     _refuse_contradictions(scenario, reference, play, monolithic, limit)
     against = read_recording(reference or default[0])
     chosen = layout or (default[1] if reference is None or system == default_system else None)
@@ -308,6 +310,8 @@ def validate_system(
             check_comparable(renamed, selected)
         if layout:
             page.check(renamed)
+        judged = [name for name in selected.signals if commands is None or name not in commands.signals]
+        doubts.extend(doubtful_signals(system, selected.select(judged).trace(), str(reference)))
 
     shipped = against if reference is None and not monolithic else None
     if other := other_numbers(system, shipped, options):
@@ -339,7 +343,12 @@ def validate_system(
         else "",
         start_note(recorded, against) if commands else "",
     ]
-    card = replace(result.card, notes=(*result.card.notes, *filter(None, notes)))
+    warnings = with_doubts(result.system, doubts).warnings[len(result.system.warnings) :]
+    card = replace(
+        result.card,
+        notes=(*result.card.notes, *filter(None, notes)),
+        warnings=(*result.card.warnings, *warnings),
+    )
     result = replace(result, card=card)
     if not layout:
         default_title = page.title if reference is None and scenario is None and not monolithic else ""

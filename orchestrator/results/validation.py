@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,8 @@ from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Data, Trace, as_trace
-from orchestrator.engine.result import Result, read_run
-from orchestrator.results.metrics import Metrics, measure
+from orchestrator.engine.result import Result, metadata, read_run
+from orchestrator.results.metrics import AT_REST, Metrics, measure
 
 
 def by_variable(trace: Trace, requested: Iterable[str]) -> Trace:
@@ -165,15 +165,17 @@ def validate(
     Raises a Problem if the run lacks a signal, if units do not match, or without a common window.
     """
     if isinstance(run, str | Path):
-        trace, _ = read_run(Path(run))
+        trace, meta = read_run(Path(run))
     else:
         trace = run.trace if isinstance(run, Result) else as_trace(run, "run")
+        meta = metadata(run) if isinstance(run, Result) else None
     if isinstance(reference, str | Path):
         reference = read_recording(reference)
     elif not isinstance(reference, Recording):
         if isinstance(reference, Result):  # of `reference`: also states, which a co-simulation has not
             reference = reference.trace.select(n for n in reference.trace.signals if n in trace.signals)
         reference = _recording_of(as_trace(reference, "reference"), trace)
+    reference = with_floors(reference, meta.nominals if meta else {})
     check_comparable(trace, reference)
     grid, notes = common_grid(trace.time, reference)
     return Validation(
@@ -184,6 +186,12 @@ def validate(
         about=reference.metadata,
         notes=notes,
     )
+
+
+def with_floors(reference: Recording, nominals: Mapping[str, float]) -> Recording:
+    """The reference with the smallest divisor of the NRMSE of each signal, from its nominal value."""
+    floors = {n: replace(reference.criterion(n), floor=AT_REST * abs(nominals[n])) for n in nominals}
+    return replace(reference, criteria={**reference.criteria, **floors})
 
 
 def check_comparable(run: Trace, reference: Recording) -> None:
@@ -273,6 +281,7 @@ def _row(name: str, trace: Trace, reference: Recording, grid: Array, rate: bool)
         simulated,
         resampled,
         span=None if criterion.span is None else criterion.span * factor,
+        floor=criterion.floor,
         recording=recorded[valid & _inside(reference.time, reference.start, reference.stop)],
         rate=rate,
         where=where,

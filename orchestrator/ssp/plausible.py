@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orchestrator.base.units import LinearTransformation, doubt
+from orchestrator.base.units import LinearTransformation, doubt, doubts, factor_and_offset
 from orchestrator.data.trace import Trace
 from orchestrator.ssp.system import Port, System, coerce
 
@@ -23,15 +23,12 @@ LONGER = 20.0  # times the experiment of the system
 def usual(system: System, port: Port) -> list[float]:
     """Usual magnitudes of a variable, in the unit of the FMU; none if the FMU says nothing about it."""
     interface, variable = system.components[port.component].interface, system.variable(port)
-    nominal, start = variable.nominal, 0.0
+    nominal, start = interface.nominal(port.variable), 0.0
     if variable.start is not None and variable.is_real:
         start = float(coerce(str(port), variable, variable.start))
-    default = 1.0 if any(v.nominal for v in interface.variables.values()) else 0.0  # of FMI: 1
-    if start == 1.0 and not default:
+    if start == 1.0 and not nominal:
         return []
-    if variable.causality == "parameter":
-        return [start or nominal or default]
-    return [start, nominal or default]
+    return [start or nominal] if variable.causality == "parameter" else [start, nominal]
 
 
 def doubtful(system: System, port: Port, values: ArrayLike, name: str = "", peak: bool = False) -> str:
@@ -67,10 +64,30 @@ def doubtful_columns(
     for port, (k, linear) in columns.items():
         values = linear.factor * trace.signals[names[k]] + linear.offset
         yield doubtful(system, port, values, f"{label}: column {names[k]}", peak=True)
+    yield doubtful_end(system, trace, label)
+
+
+def doubtful_end(system: System, trace: Trace, label: str) -> str:
+    """Why the last time of a trace is doubtful, compared with the experiment of the system and its FMUs."""
     stops = [t for t in (system.stop, *(c.interface.stop for c in system.components.values())) if t]
     end, usual_end = float(trace.time[-1]), max(stops, default=0.0)
-    if usual_end and end >= max(LONG, LONGER * usual_end):
-        yield f"{label}: time = {end:.6g} s, usually about {usual_end:g} s; did you mean ms?"
+    if not usual_end or end < max(LONG, LONGER * usual_end):
+        return ""
+    return f"{label}: time = {end:.6g} s, usually about {usual_end:g} s; did you mean ms?"
+
+
+def doubtful_signals(system: System, trace: Trace, label: str) -> Iterator[str]:
+    """The doubtful ones of the signals of a recording in SI units, see `units.doubts`, and its last time."""
+    peaks: list[tuple[str, float, str, list[float]]] = []
+    for name, values in trace.signals.items():
+        port = next((p for p in system.ports("output") if name in (str(p), p.variable)), None)
+        unit = system.variable(port).unit if port else None
+        if port and unit:
+            factor, offset = factor_and_offset(trace.units.get(name, "1"), unit.name, f"{label}: {name}")
+            peak = float(np.max(np.abs(factor * values + offset)))
+            peaks.append((f"{label}: {name}", peak, unit.name, usual(system, port)))
+    yield from doubts(peaks)
+    yield doubtful_end(system, trace, label)
 
 
 def with_doubts(system: System, doubts: Iterable[str]) -> System:

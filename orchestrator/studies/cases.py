@@ -25,6 +25,7 @@ from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.parameter_sets import with_sets
+from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
 from orchestrator.studies.study import Factor, Output, Study, measure_unit
@@ -288,6 +289,22 @@ def _check_limits(study: Study, system: System) -> None:
         for key, number in _checked_numbers(factor):
             remark = f" ({number:g} times {scale:g})" if factor.relative else ""
             _check_inside(system, factor.name, f"{factor.key}: {key}", number * scale, remark)
+
+
+def doubts(study: Study, cases: Mapping[Options, StudyCase]) -> tuple[str, ...]:
+    """Doubtful fixed values, factors and scenarios of a study in the units of its FMUs, each once."""
+    told: list[str] = []
+    for options, case in cases.items():
+        told += doubtful_starts(case.system)
+        for factor in (f for f in study.factors if case.system.has(f.name)):
+            scale = nominals(study, case.system)[factor.name]
+            for port, linear in case.system.targets(factor.name):
+                values = [linear(number * scale) for _, number in _checked_numbers(factor)]
+                told.append(doubtful(case.system, port, values, f"{factor.key}: {port}"))
+        if case.scenario is not None:
+            columns, label = drive(case.system, case.scenario).columns, " ".join(("scenario", *options))
+            told += doubtful_columns(case.system, case.scenario, columns, label)
+    return tuple(dict.fromkeys(filter(None, told)))
 
 
 def _checked_numbers(factor: Factor) -> Iterator[tuple[str, float]]:

@@ -30,7 +30,7 @@ from orchestrator.base.text import TextTable, display_unit
 from orchestrator.lanes.compiled import lane_count
 from orchestrator.studies import design, pool, store
 from orchestrator.studies.analysis.results import without_numbers
-from orchestrator.studies.cases import Options, Sample, Unit, resolve
+from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
 from orchestrator.studies.payload import Payload, payload
 from orchestrator.studies.single_run import EARLY, FAILED, OK, RunOutcome, group_size
 from orchestrator.studies.study import Study, read
@@ -51,6 +51,7 @@ class PreparedStudy:
     payload: Payload
     table: pd.DataFrame
     samples: Sequence[Sample]
+    warnings: tuple[str, ...] = ()
 
     def inputs(self) -> tuple[pa.Table, dict[str, str]]:
         """Samples and start values of all runs as columns, and their units."""
@@ -66,7 +67,8 @@ def prepare(study: Study) -> PreparedStudy:
     """Load the systems of a study and draw its samples; raises a Problem if the study is impossible."""
     resolved, cases = resolve(study)
     table = design.table(resolved)
-    return PreparedStudy(payload(resolved, cases), table, design.runs(resolved, table, cases))
+    runs = design.runs(resolved, table, cases)
+    return PreparedStudy(payload(resolved, cases), table, runs, doubts(resolved, cases))
 
 
 def sweep(
@@ -100,7 +102,10 @@ def sweep(
         if fresh:
             store.clear(folder)
         results = store.Store(
-            folder, prepared.payload.study, store.fingerprint(prepared.payload, prepared.table)
+            folder,
+            prepared.payload.study,
+            store.fingerprint(prepared.payload, prepared.table),
+            prepared.warnings,
         )
         results.forget_stopped()
         if not store.finished(folder):
@@ -235,7 +240,8 @@ def summary(results: store.Results) -> str:
         values = (f"{v * unit.factor:.5g}" for v in (column.min(), column.mean(), column.max()))
         rows.append((output.name, *values, unit.display))
     lines = TextTable(("output", "minimum", "mean", "maximum", "unit"), rows, left=(0, 4)).lines()
-    return "\n".join([f"{len(results.table)} runs: {statuses}", "", *lines, *_reasons(results)])
+    warnings = ["", *(f"warning: {w}" for w in results.warnings)] if results.warnings else []
+    return "\n".join([f"{len(results.table)} runs: {statuses}", "", *lines, *_reasons(results), *warnings])
 
 
 def _reasons(results: store.Results) -> list[str]:

@@ -15,6 +15,7 @@ from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
+from orchestrator.ssp.plausible import doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 from orchestrator.studies.path_figure import draw
@@ -62,6 +63,8 @@ def track(
     ]
     for note in dict.fromkeys(n for machine in systems.values() for n in differences(machine)):
         print(f"note: {note}")
+    for doubts in dict.fromkeys(filter(None, (d for m in systems.values() for d in doubtful_starts(m)))):
+        print(f"warning: {doubts}")
     runs = [
         follow(systems[name], path, name, on, set=start, **options)
         for path, name, start in tasks

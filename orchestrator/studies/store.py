@@ -61,12 +61,14 @@ class Results:
     table  one row per run
     bands  stored signals; None if there are none
     units  column of the table, or signal -> unit
+    warnings  doubtful values in the study
     """
 
     study: Study
     table: pd.DataFrame
     bands: pd.DataFrame | None
     units: Mapping[str, str]
+    warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"Results of {self.study.title}: {len(self.table)} runs\ntable: {first_names(self.table)}"
@@ -84,7 +86,8 @@ def read(folder: str | Path) -> Results:
         bands = _read_results(folder / "bands.parquet")
         units |= _units(bands.schema)
     study = from_json(stored["study"], stored["title"])
-    return Results(study, runs.to_pandas(), None if bands is None else bands.to_pandas(), units)
+    warnings = tuple(stored.get("warnings", ()))
+    return Results(study, runs.to_pandas(), None if bands is None else bands.to_pandas(), units, warnings)
 
 
 def finished(folder: Path) -> bool:
@@ -128,7 +131,9 @@ class Store:
     A batch is one file in parts/ with a row for each run; a stored signal is a column of lists there.
     """
 
-    def __init__(self, folder: Path, study: Study, fingerprint: Mapping[str, Any]) -> None:
+    def __init__(
+        self, folder: Path, study: Study, fingerprint: Mapping[str, Any], warnings: Sequence[str] = ()
+    ) -> None:
         """fingerprint: that of the study. Refuses a folder with runs of another study."""
         self.folder, self.study, self._parts = folder, study, folder / "parts"
         file = folder / "study.json"
@@ -138,7 +143,7 @@ class Store:
         if file.exists() and (changed := changes(_read_study_json(file), fingerprint)):
             raise Problem(f"{folder}: holds runs of another study: {changed}; --fresh deletes them")
         # study.json is written first, as it identifies the other files
-        text = json.dumps({"title": study.title, **fingerprint}, indent=1)
+        text = json.dumps({"title": study.title, "warnings": list(warnings), **fingerprint}, indent=1)
         put(file, lambda partial: partial.write_text(text, encoding="utf-8"))
         if study.source:
             data = Path(study.source).read_bytes()

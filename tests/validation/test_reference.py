@@ -122,8 +122,24 @@ def test_missing_and_empty_files(tmp_path: Path) -> None:
     assert "a.csv: expected two or more rows of numbers, got 1" in line()
     csv.write_text("", encoding="utf-8")
     assert "a.csv: expected two or more rows of numbers, got an empty file" in line()
-    csv.write_bytes(b"time,x\n\xff\xfe,1\n")
-    assert "a.csv: line 2: expected text in UTF-8, got the byte 0xff" in line()
+    csv.write_bytes(b"time,x\n\x81,1\n")  # no text in Windows-1252, either
+    assert "a.csv: line 2: expected text in UTF-8, got the byte 0x81" in line()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be"])
+def test_the_encoding_of_a_logger_needs_no_key(tmp_path: Path, capsys, encoding: str) -> None:
+    """Semicolons, decimal commas and an umlaut; what is guessed is told once."""
+    csv = tmp_path / "a.csv"
+    csv.write_bytes("time;Zylinderl\u00e4nge\n0;1,5\n1;2,5\n".encode(encoding))
+    text = '[file]\ndelimiter = ";"\ndecimal = ","\n[signals.x]\ncolumn = "Zylinderl\u00e4nge"\nunit = "m"\n'
+    csv.with_suffix(".toml").write_text(text, encoding="utf-8")
+    for _ in range(2):
+        assert read_recording(csv)["x"].tolist() == [1.5, 2.5]
+    told = capsys.readouterr().err.splitlines()
+    assert [line.rpartition(" ")[2] for line in told] == {
+        "utf-8-sig": [],
+        "cp1252": ["Windows-1252"],
+    }.get(encoding, [encoding.upper()])
 
 
 @pytest.mark.parametrize("kind", ["parquet", "mat"])

@@ -8,12 +8,19 @@ import pytest
 from kit import shards
 from kit.every import MACHINES
 
-from orchestrator import load, read_trace
+from fmus.identification.recordings.reading import doubtful
+from fmus.machine.build import parts_with_parameters
+from orchestrator import batch, compare, linearize, load, read_recording, read_trace, run, validate
 from orchestrator.__main__ import main
+from orchestrator.base import files
 from orchestrator.base.errors import Problem
 from orchestrator.base.units import doubt
 from orchestrator.engine.run import prepare
+from orchestrator.results.comparison_report import text
+from orchestrator.ssp.plausible import doubtful_signals
 from orchestrator.ssp.system import System
+from orchestrator.studies.parameter_study import prepare as prepare_study
+from orchestrator.studies.study import Factor, Output, Study
 
 # the parameters that pages, examples and studies set most often; boom_stroke is shared by two components
 MOST_USED = (
@@ -87,6 +94,53 @@ def test_nothing_shipped_is_doubtful(systems, machine):
     assert warnings(systems[""], set={"swing.valve_dead_band": 0, "boom_stick.boom_hose_length": 0.5}) == ()
 
 
+def test_studies_batches_and_linear_models_warn_as_well(systems, built):
+    """Once, whatever the number of runs; the study in its analysis, too."""
+    factor = Factor("supply.pressure_setting", "uniform", {"minimum": 180.0, "maximum": 210.0})
+    output = Output("end", "manipulator.boom_angle", "final")
+    study = Study(
+        "Bar", str(built / "harvester.ssp"), "latin", 3, stop=0.01, factors=(factor,), outputs=(output,)
+    )
+    (told,) = prepare_study(replace(study, fixed={"manipulator.head_mass": 350})).warnings
+    assert "supply.pressure_setting = 180 Pa" in told
+    assert told.endswith("did you mean 180 bar?")
+    head = {"manipulator.head_mass": [0.3, 0.35]}
+    notes = batch(systems[""], head, stop=0.002, record=["manipulator.boom_angle"], lanes=False).notes
+    assert sum("did you mean 0.3 t?" in note for note in notes) == 1
+    notes = linearize(systems[""], set={"manipulator.head_mass": 0.35}).notes
+    assert sum("did you mean 0.35 t?" in note for note in notes) == 1
+
+
+def test_a_recording_in_another_unit_is_doubtful(systems):
+    """Each too large signal; a small one only if all of its unit are, as one of them may hardly move."""
+    recording = read_recording("work_cycle")
+    assert doubtful([recording]) == []
+    assert list(filter(None, doubtful_signals(systems[""], recording.trace(), "work_cycle"))) == []
+    pressures = [name for name, unit in recording.units.items() if unit == "Pa"]
+    for names, factor, count in ((pressures[:1], 1e5, 1), (pressures[:1], 1e-5, 0), (pressures, 1e-5, 8)):
+        signals = dict(recording.signals) | {name: factor * recording[name] for name in names}
+        trace = replace(recording, signals=signals).trace()
+        told = list(filter(None, doubtful_signals(systems[""], trace, "a.csv")))
+        assert len(told) == min(count, len(names)), told
+        # `identify` has no system: usual magnitudes are those of hydraulic machines
+        assert len(doubtful([replace(recording, signals=signals)])) == len(told)
+    assert doubtful([replace(recording, time=1e3 * recording.time)])[0].endswith("42000 s; did you mean ms?")
+
+
+def test_a_parameter_file_in_another_unit_is_doubtful(tmp_path, capsys, monkeypatch):
+    """Of `build --parameters`, against the shipped values; the file of a set, too."""
+    monkeypatch.setattr(files, "_told", set())
+    file = tmp_path / "my.toml"
+    entry = 'value = {}\nunit = "kg"\nsource = "assumed"\nnote = "a scale"\n'
+    for mass, told in (
+        (400, ""),
+        (0.4, "my.toml: head_mass = 0.4 kg, usually about 350 kg; did you mean 0.4 t?"),
+    ):
+        file.write_text(f'[parameters."manipulator.head_mass"]\n{entry.format(mass)}', encoding="utf-8")
+        parts_with_parameters(file)
+        assert told in capsys.readouterr().err
+
+
 def test_the_warning_is_in_the_result_and_its_file(built, tmp_path, capsys):
     """Once, and the run goes on: the exit status is 0."""
     out = tmp_path / "run.csv"
@@ -95,6 +149,48 @@ def test_the_warning_is_in_the_result_and_its_file(built, tmp_path, capsys):
     told = "manipulator.head_mass = 0.6 kg, usually about 350 kg; did you mean 0.6 t?"
     assert capsys.readouterr().out.count(told) == 1
     assert json.loads(out.with_suffix(".run.json").read_text())["warnings"] == [told]
+
+
+@pytest.fixture(scope="module")
+def experiments(systems):
+    """A stroke of the boom twice, with another head; and another experiment: the work cycle, longer."""
+    runs = {"boom": ("boom_up", 350, 2.2), "heavy": ("boom_up", 400, 2.2), "cycle": (None, 350, 2.7)}
+    head = "manipulator.head_mass"
+    return {n: run(systems[""], s, set={head: m}, stop=t, isolate=False) for n, (s, m, t) in runs.items()}
+
+
+def test_another_experiment_is_told_before_the_tables(systems, experiments):
+    """Other commands and another end; another mass alone is no other experiment."""
+    lines = text(compare(experiments)).splitlines()
+    commands = "boom_stick.boom_command, boom_stick.stick_command, swing.swing_command"
+    told = f"cycle is another experiment than boom: other commands ({commands}), ends at 2.7 s, not 2.2 s"
+    assert lines[0] == f"warning: {told}"
+    assert lines[1] == ""
+    moved = run(systems[""], "boom_up", set={"manipulator.initial_swing_angle": 0.1}, stop=2.2, isolate=False)
+    (told,) = compare({"boom": experiments["boom"], "moved": moved}).experiments
+    assert "another start (manipulator.swing_angle" in told
+    assert compare({"boom": experiments["boom"], "heavy": experiments["heavy"]}).experiments == ()
+
+
+def test_a_signal_that_hardly_moves_is_not_ranked_by_noise(experiments):
+    """Its error is over 0.1 % of its nominal value, which the tables say; the swing is at rest there."""
+    comparison = compare({name: experiments[name] for name in ("boom", "heavy")})
+    row = comparison.against["heavy"]["manipulator.swing_speed"]
+    # nominal 1 rad/s, that of FMI; the speed is 0 but for rounding
+    assert row.metrics.normalised_by == 1e-3
+    assert row.metrics.nrmse < 1e-9
+    assert "* the reference hardly moves: NRMSE over 0.1 % of the nominal value" in text(comparison)
+    row = validate(experiments["heavy"], experiments["boom"])["manipulator.swing_speed"]
+    assert row.metrics.nrmse < 1e-9
+    assert row.notes[0].startswith("the reference hardly moves")
+
+
+def test_a_command_that_is_replaced_is_not_recorded(experiments):
+    """The levers' program does not run when a scenario replaces it; the inputs have what was applied."""
+    signals = experiments["boom"].trace.signals
+    assert not [name for name in signals if name.startswith("operator_input.")]
+    assert not signals["swing.swing_command"].any()
+    assert experiments["cycle"].trace["operator_input.boom_command"].any()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ and sensor. All return a new recording with the same conditions.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import parse_unit, si_unit
+from orchestrator.base.units import doubts, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
@@ -57,6 +57,25 @@ def read_folder(folder: Path | str) -> list[Recording]:
         got = f"none, only {others}" if others else "none"
         raise Problem(f"{folder}: expected .toml files with a table [experiment], got {got}")
     return [read(path) for path in experiments]
+
+
+# Usual magnitudes of hydraulic machines; a recording is far from them if its unit is wrong.
+USUAL: Mapping[str, tuple[float, float]] = {
+    **{"Pa": (1e5, 1e7), "m3/s": (1e-4, 1e-3), "m": (0.1, 1.0), "m/s": (0.1, 1.0), "V": (1.0, 10.0)},
+    **{"rad": (0.1, 1.0), "rad/s": (0.1, 10.0), "N": (1e3, 1e5), "kg": (10.0, 1e3)},
+}
+LONGEST = 1e4  # [s]; a longer recording is in milliseconds
+
+
+def doubtful(recordings: Iterable[Recording]) -> list[str]:
+    """Signals and times of recordings that are a factor 1000 from usual, with the unit that may be meant."""
+    told: list[str] = []
+    for r in recordings:
+        sizes = [(n, float(np.nanmax(np.abs(v), initial=0.0)), r.units[n]) for n, v in r.signals.items()]
+        told += doubts((f"{r.source}: {n}", size, unit, USUAL.get(unit, ())) for n, size, unit in sizes)
+        if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
+            told.append(f"{r.source}: {end:.6g} s; did you mean ms?")
+    return told
 
 
 def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:

@@ -37,7 +37,7 @@ NOTES = {
 def analyse(results: Results) -> Analysis:
     """Analyse all outputs of a study and its failed runs."""
     study = results.study
-    notes = [*_missing_factors(results), *_where_failed(results)]
+    notes = [*results.warnings, *_missing_factors(results), *_where_failed(results)]
     if study.method in NOTES:
         notes.append(NOTES[study.method])
     return Analysis(

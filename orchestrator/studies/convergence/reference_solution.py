@@ -20,8 +20,7 @@ from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
-from orchestrator.results.comparison import AT_REST
-from orchestrator.results.metrics import constant
+from orchestrator.results.metrics import AT_REST, constant
 from orchestrator.ssp.system import System
 
 Array = NDArray[np.float64]
