@@ -2,6 +2,7 @@
 
 import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -90,6 +91,13 @@ def test_names_of_a_figure_are_texts_or_lists_and_runs_share_it(trace):
     """`plot` takes a list, a pattern, traces and results."""
     figure = trace.plot(["angle"], "b.*", others={"again": trace})
     assert [len(axes.lines) for axes in figure.axes] == [2, 2]
+
+
+def test_runs_may_be_in_threads(result):
+    """Each in a process of its own, which the threads take from the same stock; no signal handlers there."""
+    with ThreadPoolExecutor(2) as threads:
+        runs = [threads.submit(run, result.system, stop=0.01) for _ in range(2)]
+    assert len({run.result()["boom_angle"].tobytes() for run in runs}) == 1
 
 
 def test_public_names_and_the_version_are_shown():
