@@ -44,7 +44,7 @@ def test_make_docs_needs_nothing_else(clone):
     assert (site / "index.html").is_file()
     for page in (clone / "docs").rglob("*.md"):
         assert (site / page.relative_to(clone)).with_suffix(".html").is_file(), page
-    assert 'id="machine"' in (site / "docs" / "index.html").read_text(encoding="utf-8")
+    assert 'class="harvester-machine"' in (site / "docs" / "index.html").read_text(encoding="utf-8")
 
 
 def test_the_wheel_alone_runs_what_readme_prints(clone, tmp_path):
