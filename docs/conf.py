@@ -112,6 +112,7 @@ NAVIGATION = {
         "examples/grey_box/README.md",
         "examples/measured_cylinder/README.md",
         "examples/swing_peaks/README.md",
+        "examples/first_parameters/README.md",
     ],
     "Reference": [
         "docs/reference/index.md",

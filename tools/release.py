@@ -1,6 +1,7 @@
 """Makes the files of a release in dist/: wheel, sdist, and a zip for people without Python.
 
-    python tools/release.py            all platforms; some seven minutes on two cores
+    python tools/release.py            all platforms: six minutes of processor time for the FMUs, which
+                                       all cores share; 1.5 more once, for the C libraries of the platforms
     python tools/release.py host       a try, for this computer only
 
 1. The files of the last commit are copied to build/release, so that nothing else gets into the release.
