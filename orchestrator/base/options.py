@@ -139,7 +139,7 @@ class LimitArguments(TypedDict, total=False):
 
     error_estimate: bool | Literal["fast"] | None
     time_limit: Seconds
-    memory_limit: Annotated[float | None, Kind("GB")]
+    memory_limit: Annotated[float | None, Kind("GB", "GB", most=1e6)]  # more is meant in bytes
 
 
 class CouplingArguments(TypedDict, total=False):
@@ -325,10 +325,13 @@ class Declared:
             if number < self.kind.least or number > self.kind.most:
                 raise ValueError
         except (TypeError, ValueError, OverflowError, Problem):
-            limit = "" if self.kind.least == -inf else f" of at least {self.kind.least:g}"
-            limit += "" if self.kind.most == inf else f" and at most {self.kind.most:.0f}"
             unit = f" of {UNITS[self.kind.unit]}" if self.kind.unit else ""
-            raise ValueError(f"a {'whole ' * (self.numeric is int)}number{unit}{limit}") from None
+            limits = {
+                f"at least {self.kind.least:g}": self.kind.least,
+                f"at most {self.kind.most:.0f}": self.kind.most,
+            }
+            told = "".join(f", {text}" for text, limit in limits.items() if abs(limit) < inf)
+            raise ValueError(f"a {'whole ' * (self.numeric is int)}number{unit}{told}") from None
         return number
 
     def _parsed(self, text: str) -> Any:
@@ -345,7 +348,7 @@ class Declared:
         return float(f"{factor * float(number) + offset:.15g}")  # 0.3 ms is 0.0003 s
 
 
-UNITS = {"s": "seconds"}
+UNITS = {"s": "seconds", "GB": "GB"}
 
 
 @cache

@@ -21,7 +21,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.errors import Problem
+from orchestrator.base.errors import Problem, suggest
 
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 MAX_LENGTH = 200  # characters of a unit string, which limits the depth of brackets
@@ -115,8 +115,9 @@ def parse_unit(text: str, where: str = "unit") -> Unit:
         if not (unit.factor and isfinite(unit.factor)):
             raise _UnknownUnit
     except (_UnknownUnit, OverflowError):  # OverflowError: a power of the factor exceeds the range of floats
+        near = suggest(plain, {**DISPLAY, **_DERIVED, **_OTHER, **dict.fromkeys(DISPLAY.values())})
         raise Problem(
-            f"{where}: unit {text!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm"
+            f"{where}: unit {text!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm{near}"
         ) from None
     return Unit(unit.exponents, unit.factor, _OFFSETS.get(plain, 0.0))
 

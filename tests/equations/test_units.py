@@ -135,6 +135,11 @@ def test_unknown_unit_is_refused(unit: str) -> None:
     assert problem(lambda: parse_unit(unit, "file")).startswith(expected[:1000])  # a long message is cut
 
 
+def test_a_unit_of_one_wrong_letter_gets_a_proposal() -> None:
+    """The nearest known unit is named."""
+    assert "; did you mean bar" in problem(lambda: parse_unit("barr"))
+
+
 def test_wrong_quantity_is_refused() -> None:
     """Units of different quantities cannot be converted, a frequency is no angular speed."""
     with pytest.raises(Problem, match="boom: unit 'bar' cannot be converted, expected a unit like 'rad'"):
