@@ -1,6 +1,7 @@
 """The studies in docs/sweep.md and in examples/swing_peaks: they are valid, and small ones run."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "sweep.md"
 
 def _block(language: str, place: int) -> str:
     """A code block of the page."""
-    return DOCS.read_text(encoding="utf-8").split(f"```{language}\n")[1 + place].split("```")[0]
+    return re.findall(rf"(?s)```{language}\b[^\n]*\n(.*?)```", DOCS.read_text(encoding="utf-8"))[place]
 
 
 def _placed(text: str, file: Path, fmus: Path, *changes: tuple[str, str]) -> Path:

@@ -39,9 +39,9 @@ def test_bad_text_of_a_csv_is_named(csv, old, new, told):
 
 
 def test_bad_content_of_a_csv_is_named(csv):
-    """Wrong encoding, a single row, an empty file."""
+    """A letter in a number, in another encoding; a single row, an empty file."""
     csv.write_bytes(csv.read_bytes().replace(b"10.0", b"1\xb5.0", 1))
-    refused(csv, "a.csv", "line 4", "UTF-8", "0xb5")
+    refused(csv, "a.csv", "line 4", "expected a number, got '1µ.0'")
     csv.write_text("t,U,P1,Q\n0,0,0,0\n", encoding="utf-8")
     refused(csv, "a.csv", "two or more rows of numbers, got 1")
     csv.write_text("", encoding="utf-8")
