@@ -259,7 +259,7 @@ class Card:
         return "\n".join(self._speed())
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(self.text())}</pre>"
+        return f'<pre style="white-space: pre-wrap">{escape(self.text())}</pre>'
 
     def _speed(self) -> list[str]:
         """Master, steps and wall time."""
