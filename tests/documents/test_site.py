@@ -115,7 +115,7 @@ def test_the_reference_is_complete(pages):
 def test_two_columns_of_a_docstring_are_a_table(pages):
     """What `run` says of its arguments stands in a table, with continued lines."""
     rows = pages["docs/reference/api/running.html"].xpath("//tr[td[1]//code='step']/td[2]")
-    assert "communication step [s]" in rows[0].text_content()
+    assert "Communication step [s]" in rows[0].text_content()
     assert "1e-3" in rows[0].text_content()
 
 
