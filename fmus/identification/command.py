@@ -51,8 +51,9 @@ def run(
     if joint and work:
         fitted = sum(float(r.time[-1] - r.time[0]) for r in work)
         print(f"  takes about {fitted:.0f} s, thrice that if the data show effects that the model lacks")
-    suspect = [f"warning: {line}" for line in doubtful(recordings)]
-    for line in (*faults(qualities), *unused_files(folder, recordings), *suspect):
+    suspect = doubtful(recordings)
+    told = (f"warning: {line}" for line in suspect)
+    for line in (*faults(qualities), *unused_files(folder, recordings), *told):
         print(f"  {line}")
     recordings = [resample_uniformly(r) for r in recordings]
     recordings = [downsample(r) if r.procedure == MACHINE else r for r in recordings]
@@ -81,7 +82,6 @@ def run(
     with doing("simulating what the model predicts, and the effects that it lacks"):
         comparison = prediction(identified)
         contents = page_content(folder, out, identified, comparison, qualities, os.cpu_count() or 1)
-        contents = replace(contents, remarks=(*suspect, *contents.remarks))
     if comparison:
         use = "held out" if comparison.recording.use == "test" else "used for fitting"
         print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")
@@ -91,6 +91,7 @@ def run(
         print(contents.explanation.verdict)
     for line in contents.warnings:
         print(f"warning: {line}")
+    contents = replace(contents, warnings=(*suspect, *contents.warnings))
     with doing("drawing the figures of the page"):
         html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")

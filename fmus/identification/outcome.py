@@ -16,7 +16,7 @@ from fmus.identification.machine import (
     signal_names,
     zero_sentences,
 )
-from fmus.identification.pipeline import Identified
+from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter, refinement
@@ -95,10 +95,11 @@ def page_content(
         figures=tuple(figures),
         commands=_next_commands(folder, out, identified),
         remarks=(
-            *(f"{name}: {reason}." for name, reason in identified.skipped.items()),
+            *(f"{name}: {reason}." for name, reason in identified.skipped.items() if reason == NO_RECORDING),
             *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
         ),
         warnings=(
+            *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
             *(warning for result in identified.results for warning in result.warnings),
             *(warnings(refined, names, signals) if refined else ()),
         ),

@@ -40,6 +40,7 @@ PROCEDURES: Mapping[str, ModuleType] = {
     "weighing": weighing,
 }
 INERTIA = "inertia"
+NO_RECORDING = "no recording"
 DEAD_BAND = "valve_dead_band"
 
 Report = Callable[[str], None]  # prints a line about the progress
@@ -167,7 +168,7 @@ def _run_procedures(
     """The paper's procedures in its order; a procedure that fails does not stop the others."""
     for name, procedure in {**PROCEDURES, **({INERTIA: inertia} if inertial else {})}.items():
         if name not in recorded and not (name == INERTIA and {"damping", MACHINE} & set(recorded)):
-            identified.skipped[name] = "no recording"
+            identified.skipped[name] = NO_RECORDING
             continue
         try:
             with activity(f"procedure {name}"):

@@ -73,6 +73,8 @@ PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 
 _PREFIXED = frozenset(
     ["g", "m", "s", "A", "N", "Pa", "bar", "J", "W", "V", "C", "Hz", "rad", "L", "l", "Ohm", "mol"]
 )
+_ONLY_SMALL = "mun"  # prefixes of the radian: "Grad" is a degree in German
+_WORDS = {"grad": "deg", "volt": "V", "volts": "V", "sec": "s", "seconds": "s", "liter": "L"}
 
 # SI unit -> display unit.
 DISPLAY: Mapping[str, str] = MappingProxyType(
@@ -115,7 +117,9 @@ def parse_unit(text: str, where: str = "unit") -> Unit:
         if not (unit.factor and isfinite(unit.factor)):
             raise _UnknownUnit
     except (_UnknownUnit, OverflowError):  # OverflowError: a power of the factor exceeds the range of floats
-        near = suggest(plain, {**DISPLAY, **_DERIVED, **_OTHER, **dict.fromkeys(DISPLAY.values())})
+        known = {**DISPLAY, **_DERIVED, **_OTHER, **dict.fromkeys(DISPLAY.values())}
+        meant = _WORDS.get(plain.lower())
+        near = f"; did you mean {meant}?" if meant else suggest(plain, known)
         raise Problem(
             f"{where}: unit {text!r} is unknown, expected one like bar, psi, L/min, deg/s, kN or mm{near}"
         ) from None
@@ -213,7 +217,7 @@ def quantity(unit: str) -> str:
 FAR, NEAR = 1000.0, 5.0
 LIKELY = FAR / NEAR**2
 COMMON = (
-    *("bar", "MPa", "kPa", "GPa", "psi", "Pa", "mm", "cm", "m", "km", "mm2", "cm2", "L", "cm3", "L/min"),
+    *("bar", "MPa", "kPa", "GPa", "psi", "Pa", "mm", "cm", "m", "km", "mm2", "cm2", "L", "cm3", "L/min", "L/s"),
     *("cm3/rev", "g", "kg", "t", "kg/L", "ms", "s", "deg", "mrad", "deg/s", "rpm", "kN", "N", "kN.m"),
     *("mV", "V", "mm/s"),
 )  # fmt: skip
@@ -290,7 +294,7 @@ def _symbol_unit(name: str) -> Unit:
         factor, si = _OTHER[name]
         unit = _product(_factors(si))
         return Unit(unit.exponents, factor * unit.factor)
-    if name[:1] in PREFIXES and name[1:] in _PREFIXED:
+    if name[:1] in PREFIXES and name[1:] in _PREFIXED and (name[1:] != "rad" or name[0] in _ONLY_SMALL):
         unit = _symbol_unit(name[1:])
         return Unit(unit.exponents, PREFIXES[name[0]] * unit.factor)
     raise _UnknownUnit

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import require, write_columns
-from orchestrator.base.units import parse_unit, si_unit
+from orchestrator.base.units import convert, parse_unit, si_unit
 from orchestrator.data.description import (
     Condition,
     Description,
@@ -136,6 +136,12 @@ class Recording:
     def criterion(self, name: str) -> Criterion:
         """Presentation and limit of a signal in a comparison."""
         return self.criteria.get(name, Criterion())
+
+    def peak(self, name: str) -> tuple[float, str]:
+        """The largest magnitude of a signal, 0 without samples, in the unit of the file; this unit."""
+        unit = self.file_units.get(name, self.units[name])
+        values = convert(self[name], self.units[name], unit, f"{self.source}: {name}")
+        return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))), unit
 
     def unit_label(self, name: str) -> str:
         """The unit of a signal in the file, with the SI unit if it differs."""

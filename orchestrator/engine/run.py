@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, Unpack
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, Stopped
-from orchestrator.base.files import Location, find, make_folder, require_system
+from orchestrator.base.files import Location, find, make_folder, require_system, tell_once
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.options import (
     FIELDS,
@@ -58,7 +58,7 @@ from orchestrator.fmi.description import Value
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets
-from orchestrator.ssp.plausible import doubtful_columns, doubtful_starts, with_doubts
+from orchestrator.ssp.plausible import doubtful_columns, doubtful_end, doubtful_starts, with_doubts
 from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
@@ -219,6 +219,8 @@ def _job(
     system = with_doubts(system, doubtful_starts(system))
     if driving and trace is not None:
         label = "scenario" if isinstance(scenario, Trace | Mapping) else str(scenario)
+        if execution.progress and (doubt := doubtful_end(system, trace, label)):
+            tell_once(f"warning: {doubt}")  # before a long run, not only on its card
         system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
     coupling = system.coupling or Coupling()
     coupling.check(system.components)

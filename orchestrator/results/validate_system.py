@@ -311,7 +311,7 @@ def validate_system(
         if layout:
             page.check(renamed)
         judged = [name for name in selected.signals if commands is None or name not in commands.signals]
-        doubts.extend(doubtful_signals(system, selected.select(judged).trace(), str(reference)))
+        doubts.extend(doubtful_signals(system, selected.select(judged), str(reference)))
 
     shipped = against if reference is None and not monolithic else None
     if other := other_numbers(system, shipped, options):

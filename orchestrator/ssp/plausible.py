@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orchestrator.base.units import LinearTransformation, doubt, doubts, factor_and_offset
+from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
 from orchestrator.ssp.system import Port, System, coerce
 
@@ -76,18 +77,19 @@ def doubtful_end(system: System, trace: Trace, label: str) -> str:
     return f"{label}: time = {end:.6g} s, usually about {usual_end:g} s; did you mean ms?"
 
 
-def doubtful_signals(system: System, trace: Trace, label: str) -> Iterator[str]:
-    """The doubtful ones of the signals of a recording in SI units, see `units.doubts`, and its last time."""
+def doubtful_signals(system: System, recording: Recording, label: str) -> Iterator[str]:
+    """The doubtful ones of the signals of a recording, in the units of its file, and its last time."""
     peaks: list[tuple[str, float, str, list[float]]] = []
-    for name, values in trace.signals.items():
+    for name in recording.signals:
         port = next((p for p in system.ports("output") if name in (str(p), p.variable)), None)
         unit = system.variable(port).unit if port else None
         if port and unit:
-            factor, offset = factor_and_offset(trace.units.get(name, "1"), unit.name, f"{label}: {name}")
-            peak = float(np.max(np.abs(factor * values + offset)))
-            peaks.append((f"{label}: {name}", peak, unit.name, usual(system, port)))
+            peak, of_file = recording.peak(name)
+            factor, offset = factor_and_offset(unit.name, of_file, f"{label}: {name}")
+            sizes = [factor * size + offset for size in usual(system, port)]
+            peaks.append((f"{label}: {name}", peak, of_file, sizes))
     yield from doubts(peaks)
-    yield doubtful_end(system, trace, label)
+    yield doubtful_end(system, recording.trace(), label)
 
 
 def with_doubts(system: System, doubts: Iterable[str]) -> System:

@@ -138,6 +138,8 @@ def test_unknown_unit_is_refused(unit: str) -> None:
 def test_a_unit_of_one_wrong_letter_gets_a_proposal() -> None:
     """The nearest known unit is named."""
     assert "; did you mean bar" in problem(lambda: parse_unit("barr"))
+    # a degree in German, not 1e9 rad
+    assert problem(lambda: parse_unit("Grad")).endswith("; did you mean deg?")
 
 
 def test_wrong_quantity_is_refused() -> None:

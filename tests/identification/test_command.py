@@ -156,15 +156,34 @@ def test_swapped_levers_are_warned_of(recordings, here, capsys, starts):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_failed_procedure_does_not_stop_the_others(recordings, here, capsys):
-    """A broken experiment is reported in one line, and the others are identified."""
+    """A broken experiment is reported in one line, and the others are identified; exit status 1."""
     here(recordings, "valve", "motor")
     for file in Path("mine").glob("motor*.toml"):
         edit(file, ("[signals.drain_flow]", '[signals.other]\ncolumn = "drain_flow"'))
-    assert main(["identify", "mine"]) == 0
+    assert main(["identify", "mine"]) == 1
     assert set(found()) == {"valve_area", "valve_dead_band"}
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("motor_leakage:")]
     assert "motor_leakage_1.csv" in told
     assert "drain_flow" in told
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("unit", "told"),
+    [
+        ("mV", "expected a full command of about 10 V, got 0.01 V: is its unit right?"),
+        ("kV", "warning: mine/valve_pa.csv: command = 10 kV, usually about 0.01 kV; did you mean 10 V?"),
+    ],
+)
+def test_a_command_in_another_unit_is_no_valve(recordings, here, capsys, unit, told):
+    """Volts taken as mV, and mV as V: no area from it, exit status 1; the other benches are identified."""
+    here(recordings, "valve_pa", "motor")
+    edit(Path("mine/valve_pa.toml"), ('unit = "V"', f'unit = "{unit}"'))
+    assert main(["identify", "mine"]) == 1
+    printed = capsys.readouterr().out
+    assert told in printed
+    assert "warning: valve: mine/valve_pa.csv: command: expected a full command of about 10 V" in printed
+    assert "valve_area" not in found()
 
 
 @table(__file__, "units", "file, old, new, told")

@@ -115,15 +115,22 @@ def test_a_recording_in_another_unit_is_doubtful(systems):
     """Each too large signal; a small one only if all of its unit are, as one of them may hardly move."""
     recording = read_recording("work_cycle")
     assert doubtful([recording]) == []
-    assert list(filter(None, doubtful_signals(systems[""], recording.trace(), "work_cycle"))) == []
+    assert list(filter(None, doubtful_signals(systems[""], recording, "work_cycle"))) == []
     pressures = [name for name, unit in recording.units.items() if unit == "Pa"]
     for names, factor, count in ((pressures[:1], 1e5, 1), (pressures[:1], 1e-5, 0), (pressures, 1e-5, 8)):
         signals = dict(recording.signals) | {name: factor * recording[name] for name in names}
-        trace = replace(recording, signals=signals).trace()
-        told = list(filter(None, doubtful_signals(systems[""], trace, "a.csv")))
+        changed = replace(recording, signals=signals)
+        told = list(filter(None, doubtful_signals(systems[""], changed, "a.csv")))
         assert len(told) == min(count, len(names)), told
         # `identify` has no system: usual magnitudes are those of hydraulic machines
-        assert len(doubtful([replace(recording, signals=signals)])) == len(told)
+        assert len(doubtful([changed])) == len(told)
+    # kPa under a header in bar: a factor of 100 is doubtful where the other unit is usual
+    in_kpa = {n: (100 if n in pressures else 1) * v for n, v in recording.signals.items()}
+    header = {n: "bar" if n in pressures else u for n, u in recording.units.items()}
+    changed = replace(recording, signals=in_kpa, file_units=header)
+    for told in (doubtful([changed]), list(filter(None, doubtful_signals(systems[""], changed, "a.csv")))):
+        assert len(told) == len(pressures)
+        assert all(text.endswith("kPa?") for text in told)
     assert doubtful([replace(recording, time=1e3 * recording.time)])[0].endswith("42000 s; did you mean ms?")
 
 
@@ -149,6 +156,17 @@ def test_the_warning_is_in_the_result_and_its_file(built, tmp_path, capsys):
     told = "manipulator.head_mass = 0.6 kg, usually about 350 kg; did you mean 0.6 t?"
     assert capsys.readouterr().out.count(told) == 1
     assert json.loads(out.with_suffix(".run.json").read_text())["warnings"] == [told]
+
+
+def test_a_time_in_ms_is_told_before_the_run(built, tmp_path, capsys, monkeypatch):
+    """Once, on standard error: a long run is not waited for to hear that it is too long."""
+    monkeypatch.setattr(files, "_told", set())
+    scenario = tmp_path / "ms.csv"
+    scenario.write_text("time,boom_command\n0,0\n8000,1\n", encoding="utf-8")
+    arguments = ["--scenario", str(scenario), "--stop", "0.01", "--out", str(tmp_path / "run.csv")]
+    assert main(["run", str(built / "harvester.ssp"), *arguments]) == 0
+    told = f"{scenario}: time = 8000 s, usually about 42 s; did you mean ms?"
+    assert capsys.readouterr().err.count(told) == 1
 
 
 @pytest.fixture(scope="module")

@@ -49,11 +49,13 @@ from fmus.identification.procedures.valve_law import (
 from fmus.identification.procedures.valve_openings import EQUAL, Openings, fit_openings
 from fmus.identification.procedures.valve_panels import by_curve, log_polynomial, panels
 from fmus.parameters import Number
+from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
 ROUNDING = "boom_stick.valve_command_rounding"
+UNREAL = 30.0  # times the full command, or a part of it
 METER_NOISE = 4.0  # standard deviations above its dead zone in which a meter may still read nothing
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
 
@@ -80,12 +82,23 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
 def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> Openings:
     """The openings of the edges with their bands."""
     tests = training_recordings(recordings, "valve", SIGNALS)
+    constants = ValveConstants.of(parameters)
+    for recording in tests:
+        _check_commands(recording, constants.full_command)
     limit = difference_limit(tests, ("pressure_in", "pressure_out"))
     meters = [recording.sensor("flow") for recording in tests]
     # up to this flow a meter may read nothing; without a dead zone there is no such flow
     idle = max((m.dead_zone + METER_NOISE * m.noise if m.dead_zone else 0.0) for m in meters)
     rounding = parameter(parameters, ROUNDING)
-    return fit_openings(valve_steps(tests), ValveConstants.of(parameters), rounding, limit, idle)
+    return fit_openings(valve_steps(tests), constants, rounding, limit, idle)
+
+
+def _check_commands(recording: Recording, full: float) -> None:
+    """Raise Problem for commands that no valve of this kind gets, such as mV taken as V."""
+    largest = float(np.nanmax(np.abs(recording["command"])))
+    if not full / UNREAL < largest < full * UNREAL:
+        expected = f"expected a full command of about {full:g} V, got {largest:g} V: is its unit right?"
+        raise Problem(f"{recording.source}: command: {expected}")
 
 
 def _warnings(openings: Openings) -> Iterator[str]:

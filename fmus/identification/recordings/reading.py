@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import doubts, parse_unit, si_unit
+from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
@@ -71,11 +71,17 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
     """Signals and times of recordings that are a factor 1000 from usual, with the unit that may be meant."""
     told: list[str] = []
     for r in recordings:
-        sizes = [(n, float(np.nanmax(np.abs(v), initial=0.0)), r.units[n]) for n, v in r.signals.items()]
-        told += doubts((f"{r.source}: {n}", size, unit, USUAL.get(unit, ())) for n, size, unit in sizes)
+        told += doubts((f"{r.source}: {n}", *r.peak(n), _usual(r, n)) for n in r.signals)
         if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
             told.append(f"{r.source}: {end:.6g} s; did you mean ms?")
     return told
+
+
+def _usual(recording: Recording, name: str) -> list[float]:
+    """Usual magnitudes of a signal, in the unit of the file."""
+    unit = recording.units[name]
+    factor, offset = factor_and_offset(unit, recording.file_units.get(name, unit), name)
+    return [factor * size + offset for size in USUAL.get(unit, ())]
 
 
 def unused_files(folder: Path, recordings: Sequence[Recording]) -> list[str]:
