@@ -217,9 +217,9 @@ def quantity(unit: str) -> str:
 FAR, NEAR = 1000.0, 5.0
 LIKELY = FAR / NEAR**2
 COMMON = (
-    *("bar", "MPa", "kPa", "GPa", "psi", "Pa", "mm", "cm", "m", "km", "mm2", "cm2", "L", "cm3", "L/min", "L/s"),
-    *("cm3/rev", "g", "kg", "t", "kg/L", "ms", "s", "deg", "mrad", "deg/s", "rpm", "kN", "N", "kN.m"),
-    *("mV", "V", "mm/s"),
+    *("bar", "MPa", "kPa", "GPa", "psi", "Pa", "mm", "cm", "m", "km", "mm2", "cm2", "L", "cm3"),
+    *("L/min", "L/s", "cm3/rev", "g", "kg", "t", "kg/L", "ms", "s", "deg", "mrad", "deg/s", "rpm"),
+    *("kN", "N", "kN.m", "mV", "V", "mm/s"),
 )  # fmt: skip
 
 
