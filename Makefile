@@ -16,7 +16,7 @@ RELEASING := .venv/.have-release
 # With stored byte code every command starts 0.3 to 4 s sooner; the tests start hundreds of commands.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage \
+.PHONY: demo test test-long test-search lint matrix bench bench-sensitivities bench-sweep bench-peers bench-live coverage mutants \
   docs pages clean release constraints extras test-lowest test-newest audit
 
 # FMI 2.0, and the whole machine in FMI 3.0, which the report shows; `harvester build` makes the rest
@@ -68,6 +68,10 @@ matrix: $(TESTING)
 
 bench-peers: $(PEERS)
 	$(BIN)/python -m benchmarks.peers
+
+# a sample of changed operators and numbers, and whether the tests near them notice; two hours
+mutants: $(TESTING)
+	$(BIN)/python -m benchmarks.mutants run
 
 coverage: $(EVERYTHING)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage

@@ -1,14 +1,16 @@
 """Mutation test: which small changes of the code does no test notice?
 
-    python -m benchmarks.mutants list                        the mutants: number, file, line, change
-    python -m benchmarks.mutants run -- tests/variants       run these tests on each mutant
-    python -m benchmarks.mutants run --only 3,7 --together   all chosen mutants in one run: if it passes, none
-                                                             of them is noticed
+    python -m benchmarks.mutants list linear             the mutants of a room: number, file, line, change
+    python -m benchmarks.mutants run                     draw mutants of each room, run the tests near them
+    python -m benchmarks.mutants run named               the changes that readers made by hand
+    python -m benchmarks.mutants run engine --only 3,7   these two
+    python -m benchmarks.mutants run linear -- tests/control/test_linear_by_hand.py       with these tests
 
-NAMED are changes that readers made by hand. The others are drawn at random, with a seed: an operator or a
-number in an expression of fmus/components, orchestrator/engine (Python and C) or fmus/identification. Some of
-them change nothing that can be observed. The tests run in a copy of the last commit, and stop at the first
-failure.
+A mutant is one arithmetic operator, comparison, sign or number in an expression of Python or C, but for the
+heads of loops in C. `--count` of them are drawn from each room with `--seed`. The tests of its room run in a
+copy of the last commit, in the order of `ROOMS`, until one fails. mutants.toml lists those that change nothing
+which can be observed, each with its reason; they are not run. No mutation tool changes both languages: mutmut
+and cosmic-ray know Python only.
 """
 
 from __future__ import annotations
@@ -22,29 +24,58 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from queue import SimpleQueue
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-SEED = 34
-# folder -> (how many mutants, files)
-PLACES = {
-    "fmus/components": (13, ("*.py",)),
-    "orchestrator/engine": (14, ("*.py", "native/*.c")),
-    "fmus/identification": (13, ("**/*.py",)),
-}
+COUNT, SEED = 60, 37
+MOST = 600.0  # s for the tests of one mutant; those that never end are noticed
+EQUIVALENT = Path(__file__).with_suffix(".toml")
+ORCHESTRATOR = "tests/orchestrator/"
+
+
+class Room(NamedTuple):
+    """Files whose mutants are drawn, and the tests of their neighbourhood, the sharpest first."""
+
+    folder: str
+    files: str
+    tests: tuple[str, ...]
+
+
+ROOMS = {
+    "components": Room("fmus/components", "*.py", (
+        *("tests/equations/test_transcription.py", "tests/variants/test_circuits_transcription.py"),
+        *("tests/equations", "tests/variants"),
+    )),
+    "engine": Room("orchestrator/engine/native", "*.c", (
+        *(ORCHESTRATOR + f"test_{n}.py" for n in ("coupling_input", "masters", "hermite", "orders", "loops")),
+        *(ORCHESTRATOR + f"test_{n}.py" for n in ("error_estimate", "adaptive", "interface_jacobian")),
+        *("tests/monolithic", "tests/orchestrator"),
+    )),
+    "linear": Room("orchestrator/linear", "*.py", (
+        *("tests/control/test_linear_by_hand.py", "tests/control/test_linear_systems.py"),
+        *(f"tests/control/test_linear_{n}.py" for n in ("physics", "machine", "use")),
+    )),
+    "monolithic": Room("orchestrator/monolithic", "*.py", (
+        "tests/monolithic", ORCHESTRATOR + "test_judge.py",
+    )),
+}  # fmt: skip
 SWAPPED = {
     **{"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*", "@": "*"},
     **{"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "=="},
-    **{"is": "is not", "is not": "is", "in": "not in", "not in": "in"},
-    **{"and": "or", "or": "and", "&&": "||", "||": "&&", "&": "|", "|": "&", "<<": ">>", ">>": "<<"},
 }
 C_TOKEN = re.compile(
-    r"(?<= )(?:[-+*/<>]|<=|>=|==|!=|&&|\|\|)(?= )"  # operators between blanks
+    r"(?<= )(?:[-+*/<>]|<=|>=|==|!=)(?= )"  # operators between blanks
+    r"|(?<=[=(,?:] )-(?=[A-Za-z_(])|(?<=[(\[])-(?=[A-Za-z_(])"  # signs
     r"|(?<![\w.])\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])"
 )
-C_ASIDE = re.compile(r"/\*.*?\*/|//[^\n]*|^#[^\n]*|\"[^\"\n]*\"", re.DOTALL | re.MULTILINE)
+# comments, directives, texts, heads of loops
+C_ASIDE = re.compile(r"/\*.*?\*/|//[^\n]*|^#[^\n]*|\"[^\"\n]*\"|\bfor \([^\n]*?\)", re.DOTALL | re.MULTILINE)
 NO_VALUES = ("annotation", "returns", "decorator_list", "bases")  # of a statement in Python
 
 
@@ -57,13 +88,17 @@ class Mutant(NamedTuple):
     before: str
     after: str
 
-    def text(self) -> str:
-        """Its place and the change, with the rest of the line."""
+    def change(self) -> str:
+        """The line with the change."""
         content = (ROOT / self.file).read_text(encoding="utf-8")
-        start = content.rfind("\n", 0, self.begin) + 1
-        number, stop = content.count("\n", 0, self.begin) + 1, content.find("\n", self.end)
+        start, stop = content.rfind("\n", 0, self.begin) + 1, content.find("\n", self.end)
         changed = content[start : self.begin] + f"[{self.before} -> {self.after}]" + content[self.end : stop]
-        return f"{self.file}:{number}: {changed.strip()}"
+        return changed.strip()
+
+    def text(self) -> str:
+        """Its place and the change."""
+        content = (ROOT / self.file).read_text(encoding="utf-8")
+        return f"{self.file}:{content.count(chr(10), 0, self.begin) + 1}: {self.change()}"
 
 
 # file, text, the text that takes its place
@@ -90,14 +125,13 @@ def named() -> list[Mutant]:
     return found
 
 
-def drawn() -> list[Mutant]:
-    """The random ones: as many of each folder as PLACES tells."""
-    found = []
-    for folder, (count, patterns) in PLACES.items():
-        files = sorted(path for pattern in patterns for path in (ROOT / folder).glob(pattern))
-        every = [mutant for path in files for mutant in mutants_of(path)]
-        found += sorted(random.Random(SEED).sample(every, count))
-    return found
+def of_room(name: str) -> list[Mutant]:
+    """All mutants of a room but the equivalent ones."""
+    if name == "named":
+        return named()
+    room, known = ROOMS[name], tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))
+    files = sorted((ROOT / room.folder).glob(room.files))
+    return [m for file in files for m in mutants_of(file) if m.change() not in known.get(m.file, {})]
 
 
 def mutants_of(path: Path) -> Iterator[Mutant]:
@@ -114,7 +148,7 @@ def number(text: str) -> str:
 
 
 def c_places(content: str) -> Iterator[tuple[int, int, str]]:
-    """Operators and numbers of C, but for comments and directives."""
+    """Operators and numbers of C, but for those of `C_ASIDE`."""
     blank = C_ASIDE.sub(lambda aside: re.sub(r"[^\n]", "_", aside[0]), content)
     for found in C_TOKEN.finditer(blank):
         text = found[0]
@@ -141,7 +175,7 @@ def python_places(content: str) -> Iterator[tuple[int, int, str]]:
     def between(left: ast.AST, right: ast.AST) -> Iterator[tuple[int, int, str]]:
         """The operator between two operands, which may stand in parentheses."""
         text = content[end(left) : begin(right)]
-        found = re.search(r"is not|not in|\*\*|//|<=|>=|==|!=|<<|>>|and|or|is|in|[-+*/%@<>&|^]", text)
+        found = re.search(r"\*\*|//|<=|>=|==|!=|[-+*/%@<>]", text)
         if found and "#" not in text:
             yield end(left) + found.start(), end(left) + found.end(), SWAPPED[found[0]]
 
@@ -152,8 +186,8 @@ def python_places(content: str) -> Iterator[tuple[int, int, str]]:
             yield from between(node.left, node.right)
         elif isinstance(node, ast.Compare):
             yield from between(node.left, node.comparators[0])
-        elif isinstance(node, ast.BoolOp):
-            yield from between(*node.values[:2])
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            yield begin(node), begin(node) + 1, "+"
         elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
             yield begin(node), end(node), number(content[begin(node) : end(node)].replace("_", ""))
         for name, field in ast.iter_fields(node):
@@ -166,51 +200,97 @@ def python_places(content: str) -> Iterator[tuple[int, int, str]]:
     yield from visit(ast.parse(content))
 
 
-def run(mutants: Sequence[tuple[int, Mutant]], tests: Sequence[str], place: Path) -> bool:
-    """Do the tests fail with these mutants?"""
-    saved = {m.file: (place / m.file).read_text(encoding="utf-8") for _, m in mutants}
-    for _, mutant in sorted(mutants, key=lambda m: -m[1].begin):
-        content = (place / mutant.file).read_text(encoding="utf-8")
-        assert content[mutant.begin : mutant.end] == mutant.before
-        changed = content[: mutant.begin] + mutant.after + content[mutant.end :]
-        (place / mutant.file).write_text(changed, encoding="utf-8")
-    began, label = time.monotonic(), ",".join(str(k) for k, _ in mutants)
-    stop = [] if len(mutants) > 1 else ["-x"]
+class Outcome(NamedTuple):
+    """What the tests say of a mutant: the one that failed, or nothing."""
+
+    label: str
+    mutant: Mutant
+    seconds: float
+    failed: str
+
+
+def run(label: str, mutant: Mutant, tests: Sequence[str], place: Path) -> Outcome:
+    """Run tests on a mutant, in a copy of the project, until one fails."""
+    file = place / mutant.file
+    content = file.read_text(encoding="utf-8")
+    assert content[mutant.begin : mutant.end] == mutant.before, f"{mutant.file} is not as in the last commit"
+    file.write_text(content[: mutant.begin] + mutant.after + content[mutant.end :], encoding="utf-8")
     # commands that the tests start import the copy, too
-    environment = {**os.environ, "PYTHONPATH": str(place)}
-    command = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "worksteal", *stop, *tests]
-    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False)
-    for file, content in saved.items():
-        (place / file).write_text(content, encoding="utf-8")
-    failed = re.findall(r"^(?:FAILED|ERROR) (.*)$", done.stdout, re.M)
-    noticed = done.returncode != 0
-    if noticed and not failed:
-        print(done.stdout[-2000:], done.stderr[-2000:], file=sys.stderr)
-    print(f"{label:>4}  {'noticed' if noticed else 'survives'}  {time.monotonic() - began:5.0f} s  ", end="")
-    print("\n      ".join(line[:200] for line in failed[:40]), flush=True)
-    return noticed
+    environment = {**os.environ, "PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"}
+    began, failed = time.monotonic(), ""
+    command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *tests]
+    try:
+        done = subprocess.run(
+            command, cwd=place, env=environment, capture_output=True, text=True, check=False, timeout=MOST
+        )
+        if done.returncode:
+            found = re.search(r"^(?:FAILED|ERROR) (\S*)", done.stdout, re.M)
+            failed = found[1] if found else (done.stdout + done.stderr)[-200:].replace("\n", " ")
+    except subprocess.TimeoutExpired:
+        failed = f"no end after {MOST:.0f} s"
+    file.write_text(content, encoding="utf-8")
+    return Outcome(label, mutant, time.monotonic() - began, failed)
+
+
+def run_all(jobs: Sequence[tuple[str, Mutant, Sequence[str]]], copies: int) -> Iterator[Outcome]:
+    """The outcomes of all mutants, in the order in which they end; each process has a copy of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        places: SimpleQueue[Path] = SimpleQueue()
+        for k in range(copies):
+            subprocess.run(["git", "clone", "--quiet", str(ROOT), f"{folder}/{k}"], check=True)
+            places.put(Path(folder, str(k)))
+
+        def one(label: str, mutant: Mutant, tests: Sequence[str]) -> Outcome:
+            place = places.get()
+            try:
+                return run(label, mutant, tests, place)
+            finally:
+                places.put(place)
+
+        with ThreadPoolExecutor(copies) as pool:
+            yield from (f.result() for f in as_completed([pool.submit(one, *job) for job in jobs]))
+
+
+def chosen(room: str, only: str | None, count: int, seed: int) -> list[tuple[str, Mutant]]:
+    """Mutants of a room with their labels: those of `only`, or a sample."""
+    every = list(enumerate(of_room(room)))
+    if only:
+        every = [every[int(k)] for k in only.split(",")]
+    elif room != "named" and len(every) > count:
+        every = sorted(random.Random(seed).sample(every, count))
+    return [(f"{room} {k}", mutant) for k, mutant in every]
 
 
 def main(arguments: Sequence[str]) -> None:
     """List or run."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.mutants")
     parser.add_argument("what", choices=("list", "run"))
+    parser.add_argument("rooms", nargs="*", help=f"of {', '.join(ROOMS)} and named; default: all")
     parser.add_argument("--only", help="numbers, separated by commas")
-    parser.add_argument("--together", action="store_true", help="all of them in one run")
+    parser.add_argument("--count", type=int, default=COUNT, help="mutants that are drawn from each room")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--copies", type=int, default=2, help="mutants that are tested at once")
     parser.epilog = "After -- follow arguments of pytest."
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     given, tests = parser.parse_args(arguments[:cut]), arguments[cut + 1 :]
-    every = list(enumerate([*named(), *drawn()]))
-    chosen = [every[int(k)] for k in given.only.split(",")] if given.only else every
+    count = 10**6 if given.what == "list" else given.count
+    jobs = [
+        (label, mutant, tests or (ROOMS[room].tests if room in ROOMS else ("tests",)))
+        for room in given.rooms or [*ROOMS]
+        for label, mutant in chosen(room, given.only, count, given.seed)
+    ]
     if given.what == "list":
-        print("\n".join(f"{k:>3}  {mutant.text()}" for k, mutant in chosen))
+        print("\n".join(f"{label:>16}  {mutant.text()}" for label, mutant, _ in jobs))
         return
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / "copy"
-        subprocess.run(["git", "clone", "--quiet", str(ROOT), str(place)], check=True)
-        groups = [chosen] if given.together else [[one] for one in chosen]
-        noticed = sum(run(group, tests, place) for group in groups)
-    print(f"{noticed} of {len(groups)} runs noticed")
+    drawn, noticed = Counter[str](), Counter[str]()
+    for outcome in run_all(jobs, given.copies):
+        room = outcome.label.split()[0]
+        drawn[room] += 1
+        noticed[room] += bool(outcome.failed)
+        told = outcome.failed or f"SURVIVES  {outcome.mutant.text()}"
+        print(f"{outcome.label:>16} {outcome.seconds:5.0f} s  {told}", flush=True)
+    for room, number in drawn.items():
+        print(f"{room}: {noticed[room]} of {number} noticed, {100 * noticed[room] / number:.0f} %")
 
 
 if __name__ == "__main__":
