@@ -209,7 +209,7 @@ class Outcome(NamedTuple):
     failed: str
 
 
-def run(label: str, mutant: Mutant, tests: Sequence[str], place: Path) -> Outcome:
+def run(label: str, mutant: Mutant, tests: Sequence[str], place: Path, machine: Path) -> Outcome:
     """Run tests on a mutant, in a copy of the project, until one fails."""
     file = place / mutant.file
     content = file.read_text(encoding="utf-8")
@@ -217,6 +217,8 @@ def run(label: str, mutant: Mutant, tests: Sequence[str], place: Path) -> Outcom
     file.write_text(content[: mutant.begin] + mutant.after + content[mutant.end :], encoding="utf-8")
     # commands that the tests start import the copy, too
     environment = {**os.environ, "PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"}
+    if mutant.file.startswith("orchestrator"):  # the FMUs stay the same
+        environment["HARVESTER_MACHINE"] = str(machine)
     began, failed = time.monotonic(), ""
     command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *tests]
     try:
@@ -239,11 +241,13 @@ def run_all(jobs: Sequence[tuple[str, Mutant, Sequence[str]]], copies: int) -> I
         for k in range(copies):
             subprocess.run(["git", "clone", "--quiet", str(ROOT), f"{folder}/{k}"], check=True)
             places.put(Path(folder, str(k)))
+        machine = Path(folder, "machine")
+        subprocess.run([sys.executable, "-m", "orchestrator", "build", "--out", str(machine)], check=True)
 
         def one(label: str, mutant: Mutant, tests: Sequence[str]) -> Outcome:
             place = places.get()
             try:
-                return run(label, mutant, tests, place)
+                return run(label, mutant, tests, place, machine)
             finally:
                 places.put(place)
 

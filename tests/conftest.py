@@ -144,7 +144,12 @@ def once(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureReques
 
 @pytest.fixture(scope="session")
 def built(once: Once) -> Path:
-    """Folder of the machine in both versions of FMI, built by the command, once for all test processes."""
+    """Folder of the machine in both versions of FMI, built by the command, once for all test processes.
+
+    `HARVESTER_MACHINE` is a folder with this build, for many runs of the tests of the orchestrator.
+    """
+    if given := os.environ.get("HARVESTER_MACHINE"):
+        return Path(given)
     from orchestrator.__main__ import main
 
     def build(folder: Path) -> None:
