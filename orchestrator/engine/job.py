@@ -31,6 +31,7 @@ from orchestrator.fmi.messages import Log
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
+from orchestrator.worker.process import WorkerLimits, machine_memory
 
 ENDS_EARLY = "the run ends early: "  # begins the note on a run that an FMU asked to end
 FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
@@ -72,8 +73,10 @@ class Execution:
 
     error_estimate   "fast": without a measurement that needs two steps of each FMU by `hermite` and
                      `interface-jacobian`
+    time_limit       of all runs of a command together, see `begun`
     memory_limit     [GB]
     open             a function other than `open_slave` needs this process
+    deadline         end of the time limit, by `time.monotonic` [s]
     """
 
     tolerance: float | None = None
@@ -85,6 +88,31 @@ class Execution:
     time_limit: float = math.inf
     memory_limit: float = math.inf
     open: Opener = open_slave
+    deadline: float = math.inf
+
+    def begun(self) -> Execution:
+        """These options from now on: the time limit ends all runs that follow."""
+        time_limit, memory_limit = (
+            math.inf if limit is None else limit for limit in (self.time_limit, self.memory_limit)
+        )
+        deadline = time.monotonic() + time_limit
+        return replace(self, time_limit=time_limit, memory_limit=memory_limit, deadline=deadline)
+
+    @property
+    def late(self) -> bool:
+        """Has the time limit passed?"""
+        return time.monotonic() >= self.deadline
+
+    @property
+    def worker_limits(self) -> WorkerLimits:
+        """The limits of a process; their time begins with the command."""
+        memory = min(1e9 * self.memory_limit, machine_memory())
+        return WorkerLimits(total_time=self.time_limit, memory=memory)
+
+    @property
+    def began(self) -> float:
+        """When the command began, by `time.monotonic` [s]; of use only with a time limit."""
+        return self.deadline - self.time_limit
 
     @property
     def isolated(self) -> bool:

@@ -138,7 +138,8 @@ def _take_execution(
     of_record = {"record_step": "step", "bonds": "bonds"}
     record = replace(record, **{of_record[name]: given.pop(name) for name in of_record.keys() & given.keys()})
     names = {f.name for f in fields(Execution)} & given.keys()
-    return record, replace(execution or Execution(), **{name: given.pop(name) for name in names})
+    execution = replace(execution or Execution(), **{name: given.pop(name) for name in names})
+    return record, execution.begun()
 
 
 def accuracy_search(
@@ -156,7 +157,7 @@ def accuracy_search(
         if value is not None:
             asked = f"accuracy {execution.accuracy:g}"
             raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")
-    return AccuracySearch(system, execution.accuracy, execution.accuracy_of, execution.tolerance)
+    return AccuracySearch(system, execution, execution.accuracy)
 
 
 def _trial(
@@ -306,7 +307,7 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
         if not adaptive and times.steps >= 4:
             with suppress(RunFailed):
                 coarse = repeated(job, times.coarser())
-    except RunFailed as failed:
+    except Problem as failed:
         setting = "a tenth of the tolerance" if adaptive else "half the step"
         return with_note(f"no error estimate, the run at {setting} failed: {failed}")
     except Interrupted as interrupted:

@@ -51,7 +51,7 @@ class MachineProcess:
         memory = Memory(size(*sizes, rows))
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
-        self._worker = Worker(target, "live", END_TIMEOUT, descriptors=memory.descriptors)
+        self._worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
         self._began = self._heard = time.monotonic()

@@ -100,10 +100,10 @@ def main(channel: Channel) -> None:
     simulation_loop.CORES = 1  # there is a process on every core
     study_payload: Payload = channel.get()
     cases, originals = study_payload.unpacked(channel.folder / "fmus")
-    channel.put(originals)
+    channel.put("originals", originals)
     while True:
         unit: Unit = channel.get()
         began = time.perf_counter()
         results = outcomes(study_payload.study, cases[unit[0].options], unit)
         wall = (time.perf_counter() - began) / len(unit)
-        channel.put([replace(result, wall=wall) for result in results])
+        channel.put("outcomes", [replace(result, wall=wall) for result in results])

@@ -24,6 +24,7 @@ from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, mac
 
 # Each process uses one thread, because there is a process on every core.
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+CONTENTS = {"originals": dict[str, str], "outcomes": list[RunOutcome]}  # what a process may send
 STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
 WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
 MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
@@ -73,7 +74,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
         """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
         try:
-            for answer in process.messages(limits, self._stop):
+            for _, answer in process.messages(limits, self._stop):
                 return answer
         except LimitExceeded as limit:
             name = "time_limit" if limit.timed_out else "memory_limit"
@@ -87,7 +88,9 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         if self._stop.is_set():
             raise Problem("the study is stopped")
         single_thread = {f"{name}_NUM_THREADS": "1" for name in THREADS}
-        process = Worker("orchestrator.studies.payload:main", "sweep", environment=single_thread)
+        process = Worker(
+            "orchestrator.studies.payload:main", lambda: CONTENTS, "sweep", environment=single_thread
+        )
         self._processes[process] = {}
         process.put(self._data)
         try:

@@ -9,7 +9,7 @@ import time
 def echo(channel):
     """Every message back."""
     while True:
-        channel.put(channel.get())
+        channel.put("echo", channel.get())
 
 
 def sleep(channel):  # noqa: ARG001
@@ -22,7 +22,7 @@ def end(channel):
     how = channel.get()
     print("nobody reads this", flush=True)
     print("first line\nlast line", file=sys.stderr, flush=True)
-    channel.put("before the end")
+    channel.put("said", "before the end")
     channel.activity.call("fmi2DoStep")
     if how == "crash":
         ctypes.string_at(0)
@@ -38,7 +38,7 @@ def graceful(channel):
     """Writes a file when it is not needed any more."""
     channel.grace = 10.0
     path = channel.get()
-    channel.put("ready")
+    channel.put("said", "ready")
     channel.ended.wait()
     with open(path, "w") as file:
         file.write("done")
@@ -48,15 +48,17 @@ def orphan(channel):
     """Ends and leaves a process behind that holds its output."""
     if os.fork() == 0:
         time.sleep(1000)
-    channel.put(os.getpid())
+    channel.put("echo", os.getpid())
 
 
 def parent(channel):
     """Starts a worker of its own and is killed before it can end it."""
+    from typing import Any
+
     from orchestrator.worker.process import Worker
 
-    child = Worker("jobs:echo", "grandchild")
+    child = Worker("jobs:echo", lambda: {"echo": Any}, "grandchild")
     child.put(1)
     child.get()
-    channel.put((child.pid, str(child.folder)))
+    channel.put("echo", [child.pid, str(child.folder)])
     channel.get()

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from kit.wait import LONG, runs, until
@@ -11,6 +12,7 @@ from kit.wait import LONG, runs, until
 from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.process import Worker, WorkerLimits, machine_memory
 
+CONTENTS = {"echo": Any, "said": str}
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")
 
 
@@ -26,7 +28,7 @@ def start():
     workers = []
 
     def started(target, *arguments, **options):
-        workers.append(Worker(f"jobs:{target}", *arguments, **options))
+        workers.append(Worker(f"jobs:{target}", lambda: CONTENTS, *arguments, **options))
         return workers[-1]
 
     yield started
@@ -35,12 +37,12 @@ def start():
 
 
 def test_messages_go_there_and_back(start):
-    """What can be pickled arrives as it was, in order; a million bytes too."""
+    """Plain data arrives as it was, in order; a million bytes too."""
     worker = start("echo")
-    messages = [1.5, {"a": (1, "µ")}, bytes(10**6), None]
+    messages = [1.5, {"a": [1, "µ"]}, bytes(10**6), None]
     for message in messages:
         worker.put([message])
-    assert [worker.get(LONG) for _ in messages] == [[m] for m in messages]
+    assert [worker.get(LONG) for _ in messages] == [("echo", [m]) for m in messages]
     assert worker.alive
     assert not worker.ending
 
@@ -65,7 +67,7 @@ def test_a_worker_tells_how_it_ended(start, how, ending):
     """What it said before is there, then its end in words, its last line on stderr, and what it was doing."""
     worker = start("end")
     worker.put(how)
-    assert worker.get(LONG) == "before the end"
+    assert worker.get(LONG) == ("said", "before the end")
     with pytest.raises(EOFError, match=ending):
         worker.get(LONG)
     assert worker.ending == ending
@@ -87,7 +89,7 @@ def test_closing_ends_it_and_removes_its_files(start):
 
 def test_a_worker_that_nobody_knows_ends():
     """No reference, no process."""
-    worker = Worker("jobs:sleep")
+    worker = Worker("jobs:sleep", dict)
     pid, folder = worker.pid, worker.folder
     del worker
     assert until(lambda: not folder.exists())
@@ -109,7 +111,7 @@ def test_a_worker_may_end_in_an_orderly_way(start, tmp_path):
 def test_a_process_that_it_left_behind_does_not_hold_the_parent(start):
     """Its end is seen although an orphan holds its pipe, and the orphan ends with it."""
     worker = start("orphan")
-    group = worker.get(LONG)
+    _, group = worker.get(LONG)
     with pytest.raises(EOFError):
         worker.get(LONG)
     worker.close()
@@ -122,7 +124,7 @@ def test_a_process_that_it_left_behind_does_not_hold_the_parent(start):
 def test_a_worker_ends_when_its_parent_is_killed(start):
     """And it removes its own files then, as nobody else can."""
     middle = start("parent")
-    pid, folder = middle.get(LONG)
+    _, (pid, folder) = middle.get(LONG)
     os.kill(middle.pid, signal.SIGKILL)
     assert until(lambda: not Path(folder).exists())
     assert until(lambda: not runs(pid))
