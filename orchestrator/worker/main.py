@@ -12,6 +12,7 @@ import os
 import pickle
 import shutil
 import signal
+import struct
 import sys
 import threading
 import time
@@ -26,6 +27,7 @@ from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.call_slots import share_calls
 from orchestrator.worker.wire import packed
 
+NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares
 DISCONNECTED = 94  # exit status: an FMU has closed the connection to the parent
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 _END_OF_INPUT = object()
@@ -45,7 +47,7 @@ class Channel:
         self._maps: list[mmap.mmap] = []
         self.activity = ActivityRecord(folder / "activity", self.keep)
         self.keep(share_calls(folder / "calls"))
-        self._owner, self._number = os.getpid(), 0
+        self._owner, self._numbers = os.getpid(), self.keep(mmap.mmap(-1, NUMBER.size))
         self._answers, self._writing = _redirect_output(), threading.Lock()
         self._messages: SimpleQueue[Any] = SimpleQueue()
         threading.Thread(target=self._read, args=(sys.stdin.buffer,), daemon=True).start()
@@ -67,8 +69,9 @@ class Channel:
         with self._writing:  # an FMU may log from a thread of its own
             if os.getpid() != self._owner:  # an FMU has forked this process
                 os._exit(0)
-            rest = memoryview(packed(self._number, name, content))
-            self._number += 1
+            (number,) = NUMBER.unpack(self._numbers[:])
+            rest = memoryview(packed(number, name, content))
+            self._numbers[:] = NUMBER.pack(number + 1)
             try:
                 while rest:
                     rest = rest[os.write(self._answers, rest) :]
