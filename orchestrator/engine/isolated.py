@@ -12,6 +12,7 @@ The process is started before the parent has read the system, and one idle proce
 from __future__ import annotations
 
 import ctypes
+import errno
 import mmap
 import os
 import sys
@@ -24,6 +25,7 @@ from functools import cache
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.worker.call_slots import MOST_NAMED, OUTSIDE
 from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_file
 
 if TYPE_CHECKING:
@@ -158,6 +160,7 @@ class _Supervision:
         execution = job.execution
         self._worker, self._times, self._sink, self._between = worker, times, sink, between
         self._limits, self._command_began = execution.worker_limits, execution.began
+        self._components = job.system.components.values()
         self._outputs = {str(port) for port in job.system.ports("output")}
         self._layout: RowLayout | None = None
         self._outcome: RunEnd | None = None
@@ -218,7 +221,7 @@ class _Supervision:
         elif name == "problem":
             raise Problem(content)
         elif name == "failed":
-            self._worker.stop(f"the process of the run failed ({one_line(content)})")
+            self._worker.stop(f"the process failed ({one_line(content)})")
         elif name == "defect":
             raise RuntimeError(content)
         else:
@@ -271,14 +274,20 @@ class _Supervision:
 
     def _cause(self) -> str:
         """The FMU, what happened, and in which call, in one line."""
+        from orchestrator.base.text import first_names
+
         worker = self._worker
-        cause = self._killed_because or worker.ending.replace(
-            "exit status", "the process ended with exit status"
-        )
+        cause, where = self._killed_because or worker.ending, worker.where
+        cause = cause.replace("exit status", "the process ended with exit status")
+        if where == OUTSIDE:  # before the FMUs are open, after they were closed, or one of them cut the file
+            sources = [f"{c.name} ({c.source})" for c in self._components]
+            where = f"{OUTSIDE}: {first_names(sources, MOST_NAMED)}"
         if cause == "interrupted":
-            return worker.where
-        process = "" if worker.where.startswith("in ") else "the process of the run: "
-        return f"{process}{cause} {worker.where}{self._last_words()}"
+            return where
+        process = (
+            "" if where.startswith("in ") or cause.startswith("the process") else "the process of the run: "
+        )
+        return f"{process}{cause} {where}{self._last_words()}"
 
     def _last_words(self) -> str:
         """The last messages that FMUs logged or printed."""
@@ -390,6 +399,8 @@ def _run(channel: Channel, task: RunTask) -> None:
                 file.flush()
                 return channel.keep(mmap.mmap(file.fileno(), size))
         except OSError as error:
+            if error.errno in (errno.EMFILE, errno.EFBIG):  # limits that an FMU has set
+                raise
             reason = error.strerror or str(error)
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 

@@ -42,9 +42,10 @@ NONE = _HEAD.pack(0, float("nan"), b"") + bytes(_TEXT)
 
 
 def activity_in(file: bytes) -> Activity:
-    """The activity in a file; none if it is incomplete."""
-    file = file if len(file) == SIZE else NONE
-    count, time, call = _HEAD.unpack_from(file)
+    """The activity in a file; none if it is incomplete, or if an FMU has written to it."""
+    count, time, call = _HEAD.unpack_from(file if len(file) == SIZE else NONE)
+    if not call.rstrip(b"\0").decode("latin-1").isprintable():
+        return activity_in(NONE)
     return Activity(count, time, _text(call), _text(file[_HEAD.size :]))
 
 
