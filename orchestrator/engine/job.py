@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 from orchestrator.base.coupling import Coupling
@@ -27,7 +28,7 @@ from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.simulation_loop import SimulationLoop, StepControl
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
-from orchestrator.fmi.messages import Log
+from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
@@ -269,12 +270,14 @@ class Job:
         _check_instances(self.system)
         with ExitStack() as stack:
             slaves: dict[str, Slave] = {}
+            binding = Binding(allocate)
+            binding.call("environment_begin")
+            stack.callback(binding.call, "environment_check")
             for name, component in self.system.components.items():
                 slaves[name] = self.execution.open(component)
                 stack.callback(slaves[name].close)
-            network = Network(
-                self.system, slaves, self.scenario, selected, self.coupling.factors, Binding(allocate)
-            )
+                _restore_environment(binding, slaves[name])
+            network = Network(self.system, slaves, self.scenario, selected, self.coupling.factors, binding)
             plan = MASTERS[self.coupling.master](self.system, self.coupling)
             if self.execution.error_estimate:
                 plan = plan.with_estimate(fast=self.execution.error_estimate == "fast")
@@ -282,7 +285,9 @@ class Job:
             if plan.prediction:
                 prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
             driven = self.scenario.initial(self.system, times.start) if self.scenario else {}
-            initialise(self.system, slaves, driven, (times.start, times.stop), self.execution.tolerance)
+            span, restore = (times.start, times.stop), partial(_restore_environment, binding)
+            initialise(self.system, slaves, driven, span, self.execution.tolerance, restore)
+            binding.changed = partial(_warn_of_change, [*slaves.values()])
             energy = EnergyMonitor(network, inputs.varying, self._bonds(network))
             recorder = Recorder(network, times, sink, selected)
             control = self.control(inputs, times)
@@ -378,6 +383,21 @@ class Job:
             influences = network.is_influential
             return [b for b in find_bonds(self.system) if influences(b.effort) and influences(b.flow)]
         return [bond_of(self.system, *pair) for pair in self.record.bonds]
+
+
+def _restore_environment(binding: Binding, slave: Slave) -> None:
+    """Restore the floating-point environment after calls of one FMU."""
+    binding.changed = partial(_warn_of_change, [slave])
+    binding.call("environment_check")
+
+
+def _warn_of_change(slaves: Sequence[Slave], index: int) -> None:
+    """Give a warning to the FMU that changed the floating-point environment; index -1: one of all."""
+    first, *others = slaves if index < 0 else [slaves[index]]
+    who = " or ".join(["the FMU", *(slave.name for slave in others)])
+    text = f"{who} changed the floating-point environment (rounding, flushing to zero or traps), now restored"
+    if all(message.text != text for message in first.log.messages):
+        first.log.add(WARNING, text)
 
 
 def guarded(system: System, coupling: Coupling) -> bool:

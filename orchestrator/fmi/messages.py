@@ -44,9 +44,8 @@ class LogMessage:
     category: str | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
-        when = (
-            "" if _TIME.search(self.text) else f" at t = {self.time:.6g} s"
-        )  # unless the message contains a time
+        known = _TIME.search(self.text) or self.time != self.time
+        when = "" if known else f" at t = {self.time:.6g} s"
         return f"{self.component}{when}: {self.text}"
 
 
