@@ -25,7 +25,6 @@ from functools import cache
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.worker.call_slots import MOST_NAMED, OUTSIDE
 from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_file
 
 if TYPE_CHECKING:
@@ -160,7 +159,7 @@ class _Supervision:
         execution = job.execution
         self._worker, self._times, self._sink, self._between = worker, times, sink, between
         self._limits, self._command_began = execution.worker_limits, execution.began
-        self._components = job.system.components.values()
+        worker.fmus = job.system.fmus
         self._outputs = {str(port) for port in job.system.ports("output")}
         self._layout: RowLayout | None = None
         self._outcome: RunEnd | None = None
@@ -274,14 +273,8 @@ class _Supervision:
 
     def _cause(self) -> str:
         """The FMU, what happened, and in which call, in one line."""
-        from orchestrator.base.text import first_names
-
-        worker = self._worker
-        cause, where = self._killed_because or worker.ending, worker.where
+        cause, where = self._killed_because or self._worker.ending, self._worker.where
         cause = cause.replace("exit status", "the process ended with exit status")
-        if where == OUTSIDE:  # before the FMUs are open, after they were closed, or one of them cut the file
-            sources = [f"{c.name} ({c.source})" for c in self._components]
-            where = f"{OUTSIDE}: {first_names(sources, MOST_NAMED)}"
         if cause == "interrupted":
             return where
         process = (

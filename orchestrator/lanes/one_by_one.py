@@ -20,11 +20,11 @@ from orchestrator.engine.run import finished
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.group import EARLY, FAILED, Ended
 from orchestrator.ssp.system import Port, System
-from orchestrator.worker.main import Channel
+from orchestrator.worker.main import Channel, left_behind
 from orchestrator.worker.process import LimitExceeded, Worker
 
 Array = NDArray[np.float64]
-CONTENTS = {"signal": Array, "end": Ended | None}  # what a process may send
+CONTENTS = {"signal": Array, "end": tuple[Ended | None, bool]}  # what a process may send
 THREADS = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}  # a process is on each core
 
 
@@ -60,7 +60,7 @@ def run_one_by_one(
         data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
 
         def work() -> None:
-            with closing(MachineProcess(data, job.execution, stop)) as process:
+            with closing(MachineProcess(data, job.execution, job.system.fmus, stop)) as process:
                 for machine in machines:
                     if stop.is_set():
                         return
@@ -82,9 +82,9 @@ def run_one_by_one(
 class MachineProcess:
     """A process that runs machines, replaced by another one if it crashes."""
 
-    def __init__(self, data: bytes, execution: Execution, stop: threading.Event) -> None:
-        """data: pickled Task; execution: has the limits; stop: set to end a run."""
-        self._data, self._execution, self._stop = data, execution, stop
+    def __init__(self, data: bytes, execution: Execution, fmus: str, stop: threading.Event) -> None:
+        """data: pickled Task; execution: has the limits; fmus: their names; stop: set to end a run."""
+        self._data, self._execution, self._fmus, self._stop = data, execution, fmus, stop
         self._worker: Worker | None = None
 
     def outcome(self, values: Mapping[Port, float]) -> tuple[Sequence[Array], Ended | None]:
@@ -92,6 +92,7 @@ class MachineProcess:
         if self._worker is None:
             target = "orchestrator.lanes.one_by_one:main"
             self._worker = Worker(target, lambda: CONTENTS, "batch", environment=THREADS)
+            self._worker.fmus = self._fmus
             self._worker.put(self._data)
         worker = self._worker
         worker.put(dict(values))
@@ -100,7 +101,10 @@ class MachineProcess:
             limits = self._execution.worker_limits
             for name, content in worker.messages(limits, self._stop, self._execution.began):
                 if name == "end":
-                    return found, content
+                    end, reusable = content
+                    if not reusable:
+                        self.close()
+                    return found, end
                 found.append(content)
         except LimitExceeded as limit:
             reason = str(limit)
@@ -138,10 +142,11 @@ def main(channel: Channel) -> None:
     simulation_loop.CORES = 1
     task: Task = channel.get()
     while True:
-        signals, end = _outcome(task, channel.get())
+        values, before = channel.get(), left_behind(threads=False)
+        signals, end = _outcome(task, values)
         for signal in signals:
             channel.put("signal", signal)
-        channel.put("end", end)
+        channel.put("end", (end, left_behind(threads=False) == before))
 
 
 def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[list[Array], Ended | None]:

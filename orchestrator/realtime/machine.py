@@ -52,6 +52,7 @@ class MachineProcess:
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
         self._worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
+        self._worker.fmus = str(setup.system)
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
         self._began = self._heard = time.monotonic()
@@ -173,10 +174,10 @@ class MachineProcess:
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:
-    """Details that the process has published; empty if it died while writing them."""
+    """Details that the process has published; empty if it died while writing them, or an FMU has."""
     try:
         return dict(json.loads(status.text or "{}"))
-    except ValueError:
+    except (ValueError, TypeError, RecursionError):
         return {}
 
 

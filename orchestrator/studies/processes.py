@@ -17,6 +17,7 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
 from orchestrator.studies.cases import Unit
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
@@ -24,7 +25,7 @@ from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, mac
 
 # Each process uses one thread, because there is a process on every core.
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
-CONTENTS = {"originals": dict[str, str], "outcomes": list[RunOutcome]}  # what a process may send
+CONTENTS = {"originals": dict[str, str], "outcomes": tuple[list[RunOutcome], bool]}  # what a process may send
 STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
 WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
 MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
@@ -62,8 +63,8 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         process.put(unit)
         originals = self._processes[process]
         try:
-            outcomes: list[RunOutcome] = self._answer(process, self._limits)
-            self._idle.put(process)
+            outcomes, process.reusable = self._answer(process, self._limits)
+            self._idle.put(process) if process.reusable else self._close(process)
         except ProcessEnded as ended:
             self._close(process)
             if len(unit) > 1:
@@ -95,6 +96,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         process.put(self._data)
         try:
             self._processes[process] = self._answer(process, WorkerLimits())
+            process.fmus = first_names(self._processes[process].values())
         except ProcessEnded as ended:
             self._close(process)
             raise Problem(f"a process for runs could not be started: {ended}") from None

@@ -69,7 +69,6 @@ class CallSlot(ctypes.Structure):
 _Slots: Any = CallSlot * SLOTS
 SIZE = ctypes.sizeof(_Slots)
 OUTSIDE = "outside of the FMUs"
-MOST_NAMED = 3  # FMUs in a message about a process that was in none of them
 _slots = _Slots()
 
 
@@ -109,14 +108,11 @@ def in_progress(label: str, fmi: int, function: str) -> Iterator[None]:
 
 
 def calls_in(file: bytes) -> str:
-    """The calls in progress in a worker process, or at its end, else the FMUs in it; for a message."""
+    """The calls in progress in a worker process, or at its end, for a message."""
     if len(file) != SIZE:  # the process has not got that far
         return OUTSIDE
     slots = [
         slot for slot in _Slots.from_buffer_copy(file) if slot.fmi in (2, 3) and slot.instance.isprintable()
     ]
-    if calls := [f"in {slot} of {slot.instance}" for slot in slots if 0 < slot.function < len(FUNCTIONS)]:
-        return "; ".join(calls)
-    names = [slot.instance for slot in slots[:MOST_NAMED]]
-    more = f" and {len(slots) - MOST_NAMED} more" if len(slots) > MOST_NAMED else ""
-    return f"{OUTSIDE}{': ' * bool(names)}{', '.join(names)}{more}"
+    calls = [f"in {slot} of {slot.instance}" for slot in slots if 0 < slot.function < len(FUNCTIONS)]
+    return "; ".join(calls) or OUTSIDE

@@ -117,12 +117,17 @@ class Channel:
             self.end()
 
 
-def left_behind() -> tuple[Any, ...]:
-    """What FMUs may change in this process and leave to the next run, as far as the system tells."""
+def left_behind(threads: bool = True) -> tuple[Any, ...]:
+    """What FMUs may change in this process and leave to the next run, as far as the system tells.
+
+    threads: their number counts. In a study it does not: many libraries keep threads for the next run of the
+    same FMU.
+    """
+    names = (*(("Threads",) if threads else ()), "SigBlk", "SigIgn", "SigCgt")
     found: list[Any] = [locale.setlocale(locale.LC_NUMERIC)]
     with suppress(OSError):  # Linux
         lines = Path("/proc/self/status").read_text("utf-8", "replace").splitlines()
-        found += [line for line in lines if line.startswith(("Threads", "SigBlk", "SigIgn", "SigCgt"))]
+        found += [line for line in lines if line.startswith(names)]
     if sys.platform != "win32":
         import resource
 

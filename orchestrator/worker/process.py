@@ -28,8 +28,8 @@ from typing import Any
 
 from orchestrator.worker.activity import SIZE as ACTIVITY_SIZE
 from orchestrator.worker.activity import Activity, activity_in
+from orchestrator.worker.call_slots import OUTSIDE, calls_in
 from orchestrator.worker.call_slots import SIZE as CALLS_SIZE
-from orchestrator.worker.call_slots import calls_in
 from orchestrator.worker.main import DISCONNECTED
 from orchestrator.worker.wire import Garbled, read_message
 
@@ -93,9 +93,10 @@ class Worker:
     in_folder     use the temporary folder as working directory, for files that an FMU writes
 
     reusable      false when an FMU has left something behind in the process
+    fmus          names of those in it, for messages that cannot tell which of them it was
     """
 
-    reusable = True
+    reusable, fmus = True, ""
 
     def __init__(
         self,
@@ -137,8 +138,9 @@ class Worker:
 
     @property
     def where(self) -> str:
-        """The last activity, else the FMI calls in progress; also after `close`."""
-        return self._last[0] if self._last else _where(self.folder)
+        """The last activity, else the FMI calls in progress, else the FMUs; also after `close`."""
+        where = self._last[0] if self._last else _where(self.folder)
+        return f"{where}: {self.fmus}" if where == OUTSIDE and self.fmus else where
 
     @property
     def activity(self) -> Activity:
@@ -238,7 +240,7 @@ class Worker:
     def stop(self, reason: str) -> None:
         """End the process because of something that it did; `ending` is the reason then."""
         if self.alive:
-            self._stopped, last = reason, self.where
+            self._stopped, last = reason, _where(self.folder)
             self.kill()
             self._last[:] = [last]
             with suppress(subprocess.TimeoutExpired):
