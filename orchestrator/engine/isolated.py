@@ -266,7 +266,7 @@ class _Supervision:
             for logged in self._messages:
                 by_component.setdefault(logged.component, []).append(logged)
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
-        outcome.interrupted = interrupted
+        outcome.interrupted, outcome.died = interrupted, True
         first = f"{outcome.problem}; then " if outcome.problem else ""  # many FMUs crash when they are freed
         outcome.problem = Problem(f"{first}{message}")
         return outcome

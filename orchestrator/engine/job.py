@@ -164,6 +164,7 @@ class RunEnd:
     notes         remarks on the run
     problem       why the run ended early; None if it is complete
     interrupted   the user ended it
+    died          the process of the run has ended
     """
 
     t: float
@@ -179,6 +180,7 @@ class RunEnd:
     notes: tuple[str, ...] = ()
     problem: Problem | None = None
     interrupted: bool = False
+    died: bool = False
 
     @property
     def complete(self) -> bool:

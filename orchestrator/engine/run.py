@@ -105,8 +105,8 @@ def run(
         sink = TraceInMemory()
         try:
             result = finished(job, times, simulate(job, times, sink), sink, sink.trace)
-        except RunFailed:
-            if search and search.goes_on():
+        except RunFailed as failed:
+            if search and not failed.final and search.goes_on():
                 continue
             raise
         if search is None:
@@ -266,7 +266,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
     if outcome.problem:
         cause = card.likely_cause()
         problem = Problem(f"{outcome.problem}; {cause}") if cause else outcome.problem
-        raise RunFailed(problem, result) from outcome.problem
+        raise RunFailed(problem, result, outcome.died) from outcome.problem
     return result
 
 
@@ -444,7 +444,7 @@ def _published(
         )
     except (RunFailed, Interrupted) as ended:
         file.close()
-        if search and isinstance(ended, RunFailed) and search.goes_on():
+        if search and isinstance(ended, RunFailed) and not ended.final and search.goes_on():
             return None, ""
         if file.partial.is_file():  # CSV; Parquet contains the units
             with suppress(OSError):  # the disk may be full

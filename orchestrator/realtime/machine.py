@@ -140,7 +140,8 @@ class MachineProcess:
     def _state(self, status: MachineStatus) -> tuple[str, str]:
         """State and message. A process has failed if it ends, takes too much memory or does not answer."""
         if status.state == "failed":
-            return "failed", str(_details(status).get("message", ""))
+            lost = f"an FMU wrote over the memory of the machine {self._where}"
+            return "failed", str(_details(status).get("message", lost))
         if not self._failure and self._worker.memory > MEMORY:
             self._failure = (
                 f"the machine uses more than {MEMORY / 1e9:.3g} GB of memory, stopped {self._where}"
