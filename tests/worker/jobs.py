@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import pickle
 import sys
 import time
 
@@ -62,3 +63,43 @@ def parent(channel):
     child.get()
     channel.put("echo", [child.pid, str(child.folder)])
     channel.get()
+
+
+def twin(channel):
+    """A process that an FMU has forked sends, too."""
+    pid = os.fork()
+    channel.put("echo", [1, 2])
+    if not pid:
+        channel.put("echo", [3])
+    os.waitpid(pid, 0)
+    channel.put("echo", "end")
+
+
+def spoilt(channel):
+    """Does to its connection what the message says, and goes on."""
+    how, path = channel.get()
+    channel.put("said", "before")
+    if how == "replaced":
+        os.execv(sys.executable, [sys.executable, "-c", "import time; time.sleep(1000)"])
+    elif how == "closed":
+        os.closerange(0, 20)
+    elif how == "code":
+        os.write(channel._answers, pickle.dumps(Code(path)))
+    elif how == "garbage":
+        os.write(channel._answers, bytes(range(256)) * 20)
+    elif how == "daemon" and not os.fork():
+        os.setsid()
+        if not os.fork():
+            os.execve(sys.executable, [sys.executable, "-c", "import time; time.sleep(1000)"], {"MARK": path})
+        os._exit(0)
+    time.sleep(1000)
+
+
+class Code:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from kit.wait import LONG, runs, until
 
 from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.process import Worker, WorkerLimits, machine_memory
+from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits, machine_memory
 
 CONTENTS = {"echo": Any, "said": str}
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")
@@ -118,6 +119,58 @@ def test_a_process_that_it_left_behind_does_not_hold_the_parent(start):
 
     with pytest.raises(ProcessLookupError):
         until(lambda: os.killpg(group, 0))
+
+
+@linux
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [("replaced", CLOSED), ("closed", CLOSED), ("garbage", GARBLED), ("code", GARBLED)],
+)
+def test_a_connection_that_is_lost_ends_the_process(start, tmp_path, how, told):
+    """No wait is longer than asked for, nothing is executed, and the end has a name."""
+    worker = start("spoilt")
+    worker.put((how, str(tmp_path / "executed")))
+    assert worker.get(LONG) == ("said", "before")
+    with pytest.raises(EOFError) if how in ("garbage", "code") else pytest.raises(TimeoutError):
+        worker.get(0.01 if told == CLOSED else LONG)  # CLOSE_TIME is longer
+    with pytest.raises(EOFError):
+        worker.get(LONG)
+    assert (worker.ending, worker.alive) == (told, False)
+    assert not (tmp_path / "executed").exists()
+
+
+@linux
+def test_messages_of_a_forked_process_do_not_count(start):
+    """Each message is there once."""
+    worker = start("twin")
+    assert [worker.get(LONG) for _ in range(2)] == [("echo", [1, 2]), ("echo", "end")]
+
+
+@linux
+def test_nothing_that_it_started_goes_on(start, tmp_path):
+    """Also a process in a session of its own, without a parent and with other environment variables."""
+    mark = f"MARK={tmp_path}\0".encode()
+
+    def left():
+        for folder in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if mark in (folder / "environ").read_bytes():
+                    yield folder
+
+    worker = start("spoilt")
+    worker.put(("daemon", str(tmp_path)))
+    assert until(lambda: [*left()])
+    worker.close()
+    assert until(lambda: not [*left()])
+
+
+def test_a_process_that_does_not_read_does_not_hold_the_parent(start):
+    """More than a pipe takes."""
+    worker = start("sleep")
+    for _ in range(3):
+        worker.put(bytes(1 << 20))
+    with pytest.raises(TimeoutError):
+        worker.get(0.01)
 
 
 @linux
