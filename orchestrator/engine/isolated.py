@@ -21,7 +21,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
@@ -84,29 +83,16 @@ def start_process() -> None:
         _idle.append((Worker(TARGET, _contents, "run"), dict(os.environ)))
 
 
-@cache
 def _contents() -> Mapping[str, Any]:
     """What the child may send."""
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from orchestrator.data.trace_writer import RowLayout
+    from orchestrator.data.trace_writer import Array, RowLayout
     from orchestrator.engine.job import RunEnd
+    from orchestrator.engine.recorder import Points
     from orchestrator.fmi.messages import LogMessage
 
-    reals = NDArray[np.float64]
-    return {
-        "begin": RowLayout,
-        "points": tuple[reals, reals, NDArray[np.int32]],
-        "errors": tuple[tuple[str, ...], reals, reals],
-        "time": float,
-        "message": LogMessage,
-        "outcome": RunEnd,
-        "closed": bool,
-        "problem": str,
-        "failed": str,
-        "defect": str,
-    }
+    errors = tuple[tuple[str, ...], Array, Array]
+    types = {"begin": RowLayout, "points": Points, "errors": errors, "message": LogMessage, "outcome": RunEnd}
+    return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed", "defect"), str)
 
 
 def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]) -> RunEnd:

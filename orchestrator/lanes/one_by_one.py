@@ -73,7 +73,7 @@ def run_one_by_one(
                     for row, signal in zip(rows, found, strict=False):  # nothing is found after a crash
                         row[machine, : len(signal)] = signal
                     if end is not None:
-                        ended[machine] = replace(end, reason=_with_originals(end.reason, originals))
+                        ended[machine] = replace(end, reason=with_originals(end.reason, originals))
 
         in_threads([work] * max(1, min(workers, count)), stop.set)
     return ended
@@ -130,8 +130,8 @@ def _unpacked(system: System, folder: Path) -> tuple[System, dict[str, str]]:
     return replace(system, components=components), originals
 
 
-def _with_originals(reason: str, originals: Mapping[str, str]) -> str:
-    """A reason with the names of the original FMUs."""
+def with_originals(reason: str, originals: Mapping[str, str]) -> str:
+    """A reason with the names of the original FMUs, as folders differ from process to process."""
     for place, original in originals.items():
         reason = reason.replace(place, original)
     return reason

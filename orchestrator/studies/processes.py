@@ -18,6 +18,7 @@ from distributed import WorkerPlugin, get_worker
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
+from orchestrator.lanes.one_by_one import with_originals
 from orchestrator.studies.cases import Unit
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
@@ -70,7 +71,7 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
             if len(unit) > 1:
                 return [outcome for sample in unit for outcome in self._run((sample,))]
             outcomes = [failed(self._study, unit[0].run, str(ended))]
-        return [replace(o, reason=_with_originals(o.reason, originals)) for o in outcomes]
+        return [replace(o, reason=with_originals(o.reason, originals)) for o in outcomes]
 
     def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
         """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
@@ -105,13 +106,6 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     def _close(self, process: Worker) -> None:
         process.close()
         self._processes.pop(process, None)
-
-
-def _with_originals(reason: str, originals: Mapping[str, str]) -> str:
-    """A reason with the names of the original FMUs, as folders differ from process to process."""
-    for unpacked, original in originals.items():
-        reason = reason.replace(unpacked, original)
-    return reason
 
 
 def run_limits(study: Study) -> WorkerLimits:

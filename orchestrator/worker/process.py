@@ -209,31 +209,24 @@ class Worker:
         """
         until = math.inf if timeout is None else time.monotonic() + timeout
         while True:
-            dead = not self.alive  # its messages arrive soon, unless a child of it keeps the pipe open
-            left = until - time.monotonic()
-            if self._closed_at < math.inf:
-                if dead or self._stopped:
-                    raise EOFError(self.ending)
-                if time.monotonic() - self._closed_at > CLOSE_TIME:
-                    self.stop(CLOSED)
-                    continue
-                with suppress(subprocess.TimeoutExpired):
-                    self._child.wait(max(0.0, min(CLOSE_TIME, left)))
-            else:
-                try:
-                    message = self._messages.get(
-                        timeout=ALIVE_INTERVAL if dead else max(0.0, min(ALIVE_INTERVAL, left))
-                    )
-                except Empty:
-                    if dead:
-                        raise EOFError(self.ending) from None
-                else:
-                    if isinstance(message, tuple):
-                        return message
-                    self._closed_at = time.monotonic()
-                    if message:
-                        self.stop(message)
-                    continue
+            dead, now = not self.alive, time.monotonic()
+            if self._closed_at < math.inf and (dead or self._stopped):
+                raise EOFError(self.ending)
+            if now - self._closed_at > CLOSE_TIME:
+                self.stop(CLOSED)
+                continue
+            # the messages of a dead process arrive soon, unless a child of it keeps the pipe open
+            most = ALIVE_INTERVAL if self._closed_at == math.inf else POLL_INTERVAL
+            wait = ALIVE_INTERVAL if dead else max(0.0, min(most, until - now))
+            with suppress(Empty):
+                message = self._messages.get(timeout=wait)
+                if isinstance(message, tuple):
+                    return message
+                self._closed_at, dead = time.monotonic(), False
+                if message:
+                    self.stop(message)
+            if dead:
+                raise EOFError(self.ending)
             if time.monotonic() >= until:
                 raise TimeoutError
 

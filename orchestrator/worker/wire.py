@@ -23,6 +23,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from itertools import repeat
 from types import NoneType, UnionType
 from typing import Any, BinaryIO, Union, get_args, get_origin, get_type_hints
 
@@ -43,29 +44,27 @@ class Garbled(Exception):
 def packed(number: int, name: str, content: Any) -> bytes:
     """A message as a frame; its content: numbers, texts, lists, mappings, arrays, dataclasses, errors."""
     arrays: list[bytes] = []
-    offset = 0
 
     def other(value: Any) -> Any:
         """What JSON has no form for."""
-        nonlocal offset
         if is_dataclass(value):
             return {f.name: getattr(value, f.name) for f in fields(value) if not f.metadata.get("local")}
-        if isinstance(value, Exception):
-            return str(value)
-        if isinstance(value, Mapping):
-            return dict(value)
-        is_bytes = isinstance(value, bytes)
-        if not is_bytes and not value.shape:  # a number of NumPy
+        if isinstance(value, Exception | Mapping):
+            return dict(value) if isinstance(value, Mapping) else str(value)
+        if isinstance(value, bytes):
+            kind, shape = "", [len(value)]
+        elif not value.shape:  # a number of NumPy
             return value.item()
-        arrays.append(value if is_bytes else value.tobytes())
-        placed = [offset, "" if is_bytes else value.dtype.str, [len(value)] if is_bytes else value.shape]
-        offset += len(arrays[-1])
-        return {ARRAY: placed}
+        else:
+            kind, shape, value = value.dtype.str, value.shape, value.tobytes()
+        arrays.append(value)
+        return {ARRAY: [sum(map(len, arrays[:-1])), kind, shape]}
 
     text = json.dumps([name, content], default=other).encode()
-    if len(text) > MOST_TEXT or offset > MOST_BYTES:
-        raise ValueError(f"{name}: a message of {len(text)} + {offset} bytes is too long")
-    head = HEAD.pack(MAGIC, number, len(text), offset, _checksum(number, text, offset))
+    size = sum(map(len, arrays))
+    if len(text) > MOST_TEXT or size > MOST_BYTES:
+        raise ValueError(f"{name}: a message of {len(text)} + {size} bytes is too long")
+    head = HEAD.pack(MAGIC, number, len(text), size, _checksum(number, text, size))
     return b"".join((head, text, *arrays, TAIL.pack(MAGIC[::-1], number)))
 
 
@@ -84,10 +83,9 @@ def read_message(source: BinaryIO, number: int, contents: Callable[[], Mapping[s
     magic, numbered, size, array_size, checksum = HEAD.unpack(_exactly(source, HEAD.size))
     if magic != MAGIC or numbered != number or size > MOST_TEXT or array_size > MOST_BYTES:
         raise Garbled
-    text, arrays = _exactly(source, size), _exactly(source, array_size)
-    if TAIL.unpack(_exactly(source, TAIL.size)) != (MAGIC[::-1], number):
-        raise Garbled
-    if checksum != _checksum(number, bytes(text), array_size):
+    text, arrays = bytes(_exactly(source, size)), _exactly(source, array_size)
+    tail = TAIL.unpack(_exactly(source, TAIL.size))
+    if tail != (MAGIC[::-1], number) or checksum != _checksum(number, text, array_size):
         raise Garbled
     try:
         name, content = json.loads(text)
@@ -106,12 +104,11 @@ def _exactly(source: BinaryIO, size: int) -> bytearray:
 
 @cache
 def _hints(kind: type) -> dict[str, Any]:
-    hints = get_type_hints(kind)
-    return {f.name: hints[f.name] for f in fields(kind) if not f.metadata.get("local")}
+    return get_type_hints(kind)
 
 
 def typed(kind: Any, value: Any, arrays: bytearray) -> Any:
-    """A value of JSON as a value of a type; raises Garbled if it is none.
+    """A value of JSON as a value of a type; raises Garbled, or an error of Python, if it is none.
 
     Types: the basic ones, tuples, lists, mappings from text, arrays with the type of their values,
     dataclasses, and errors that are made of a text.
@@ -119,27 +116,23 @@ def typed(kind: Any, value: Any, arrays: bytearray) -> Any:
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any:
         return _plain(value, arrays)
-    if origin in (Union, UnionType):
+    if origin in (Union, UnionType):  # with None
         (other,) = (argument for argument in arguments if argument is not NoneType)
         return None if value is None else typed(other, value, arrays)
-    if origin is tuple and arguments[-1] is not ...:
-        pairs = zip(arguments, _of(list, value), strict=True)
-        return tuple(typed(argument, v, arrays) for argument, v in pairs)
     if origin in (tuple, list, Sequence):
-        items = [typed(arguments[0], v, arrays) for v in _of(list, value)]
+        kinds = repeat(arguments[0], len(value)) if origin is not tuple or ... in arguments else arguments
+        items = [typed(k, v, arrays) for k, v in zip(kinds, _of(list, value), strict=True)]
         return tuple(items) if origin is tuple else items
     if origin in (dict, Mapping):
         return {k: typed(arguments[1], v, arrays) for k, v in _of(dict, value).items()}
-    if origin is not None:  # an array
+    if origin is not None:
         return _array(get_args(arguments[1])[0], value, arrays)
     if is_dataclass(kind):
-        hints = _hints(kind)  # type: ignore[arg-type]
-        return kind(**{name: typed(hints[name], v, arrays) for name, v in _of(dict, value).items()})  # type: ignore[operator]
+        sent = {f.name: _hints(kind)[f.name] for f in fields(kind) if not f.metadata.get("local")}  # type: ignore[arg-type]
+        return kind(**{name: typed(sent[name], v, arrays) for name, v in _of(dict, value).items()})  # type: ignore[operator]
     if issubclass(kind, Exception):
         return kind(_of(str, value))
-    if kind is float and type(value) is int:
-        return float(value)
-    return _of(kind, value)
+    return float(value) if kind is float and type(value) is int else _of(kind, value)
 
 
 def _of(kind: type, value: Any) -> Any:
@@ -152,12 +145,10 @@ def _plain(value: Any, arrays: bytearray) -> Any:
     """A value of JSON with the bytes that it contains."""
     if isinstance(value, list):
         return [_plain(v, arrays) for v in value]
-    if isinstance(value, dict):
-        if value.keys() == {ARRAY}:
-            offset, _, (size,) = value[ARRAY]
-            return bytes(arrays[offset : offset + size])
-        return {k: _plain(v, arrays) for k, v in value.items()}
-    return value
+    if isinstance(value, dict) and value.keys() == {ARRAY}:
+        offset, _, (size,) = value[ARRAY]
+        return bytes(arrays[offset : offset + size])
+    return {k: _plain(v, arrays) for k, v in value.items()} if isinstance(value, dict) else value
 
 
 def _array(kind: Any, value: Any, arrays: bytearray) -> Any:
