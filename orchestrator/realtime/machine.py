@@ -142,6 +142,7 @@ class MachineProcess:
         if status.state == "failed":
             lost = f"an FMU wrote over the memory of the machine {self._where}"
             return "failed", str(_details(status).get("message", lost))
+        self._worker.cut_printed()
         if not self._failure and self._worker.memory > MEMORY:
             self._failure = (
                 f"the machine uses more than {MEMORY / 1e9:.3g} GB of memory, stopped {self._where}"

@@ -167,6 +167,12 @@ class Worker:
         with suppress(OSError):  # Windows locks files in use
             os.truncate(self.folder / "errors", kept)
 
+    def cut_printed(self) -> None:
+        """Keep only the beginning of what was printed if that is too much."""
+        with suppress(OSError):
+            if (self.folder / "errors").stat().st_size > MAX_STDERR:
+                self.forget_printed(MAX_STDERR // 256)
+
     @property
     def last_stderr_line(self) -> str:
         """The last line on stdout and stderr."""
@@ -270,9 +276,7 @@ class Worker:
 
         began   beginning of the work, by `time.monotonic` [s]
         """
-        with suppress(OSError):
-            if (self.folder / "errors").stat().st_size > MAX_STDERR:
-                self.forget_printed(MAX_STDERR // 256)
+        self.cut_printed()
         if self.memory > limits.memory:
             raise LimitExceeded(f"uses more than {limits.memory / 1e9:.3g} GB of memory")
         if time.monotonic() - began > limits.total_time:
