@@ -1,7 +1,7 @@
 /* The floating-point environment of the thread: an FMU that changes it must not change the numbers of another one.
  *
- * The control words are those at the beginning of the run. Reading them takes 30 ns on some processors, so that is done
- * at most once per block of steps. The rounding mode, which FMUs change most, is found by two additions after each step
+ * The control words are those at the beginning of the run. Reading them takes 30 ns on some processors (AMD EPYC), so that
+ * is done at most once per block of steps. The rounding mode, which FMUs change most, is found by two additions after each step
  * of a component. Flags of past exceptions change no number and are left alone.
  */
 
