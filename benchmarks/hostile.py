@@ -98,6 +98,7 @@ def play(misuse: str, name: str, folder: Path, delay: float | None = None) -> Pl
     limited = delay is None and name not in ("view", "validate", "reference")
     arguments, setup = _arguments(name, fmu, folder), PREPARE.get(name, "pass")
     ended = command(arguments, folder, None if limited else interrupt, setup)
+    assert fmu.committed.exists(), (misuse, name, ended)
     _check(ended, misuse, name, fmu, folder)
     word, begun = _word(ended, name, delay), fmu.committed.stat().st_mtime
     return Played(word, max(0.0, ended.at - (ended.signalled or begun + LIMIT)), ended)

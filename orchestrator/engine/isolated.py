@@ -219,7 +219,8 @@ class _Supervision:
             return False
         shapes = (len(t), layout.reals), (len(t), layout.integers)
         increasing = (t[1:] > t[:-1]).all() and not (len(t) and t[0] <= self._sink.last)
-        return (reals.shape, integers.shape) == shapes and bool(increasing)
+        too_many = not self._times.free and self._sink.rows + len(t) > self._times.rows + 2
+        return (reals.shape, integers.shape) == shapes and bool(increasing) and not too_many
 
     def _are_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> bool:
         """Are these estimated errors of outputs?"""
