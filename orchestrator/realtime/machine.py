@@ -1,9 +1,11 @@
 """The machine in real time, seen from the parent process: it sends commands and reads frames."""
 
 import json
+import os
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -166,6 +168,8 @@ class MachineProcess:
         if starting or status.heartbeat != self._heartbeat:
             self._heartbeat, self._heard = status.heartbeat, now
         if (silent := now - self._heard) > SILENT:
+            with suppress(AttributeError, OSError):  # a hanging FMU keeps no core from others
+                os.sched_setscheduler(self.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
             return "failed", f"the machine has not answered for {silent:.0f} s {self._where}"
         return status.state, ""
 
