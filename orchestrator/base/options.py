@@ -229,7 +229,16 @@ class MachinesArguments(SystemArguments, StepArguments, CouplingArguments, total
 
 
 class BatchArguments(MachinesArguments, SpanArguments, total=False):
-    """Options of `batch`."""
+    """Options of `batch`.
+
+    time_limit     Limit of the wall time of all machines together [s]; the others end there as failed;
+                   default: no limit.
+    memory_limit   Memory limit of each process that runs machines one by one [GB, 1e9 bytes]; default: the
+                   memory of the computer.
+    """
+
+    time_limit: Seconds
+    memory_limit: Annotated[float | None, Kind("GB", "GB", most=1e6)]
 
 
 class ReferenceArguments(CaseArguments, total=False):

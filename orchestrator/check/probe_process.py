@@ -16,6 +16,7 @@ from orchestrator.fmi.raw_description import ModelDescription
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
 
 ELSEWHERE = "time_and_state:elsewhere"  # needs a process with other addresses
+CONTENTS = {"pid": int, "remark": tuple[str, str], "case": int, "crash": str, "done": Any, "idle": type(None)}
 MAX_ATTEMPTS = 6  # child processes for one task; each continues after the case that crashed the one before
 
 
@@ -108,7 +109,7 @@ def run(
 
 
 def _process() -> Worker:
-    return Worker("orchestrator.check.tasks.runner:main", "probe", in_folder=True)
+    return Worker("orchestrator.check.tasks.runner:main", lambda: CONTENTS, "probe", in_folder=True)
 
 
 def _attempt(job: Mapping[str, Any]) -> Outcome:
@@ -120,15 +121,18 @@ def _attempt(job: Mapping[str, Any]) -> Outcome:
     try:
         worker.forget_printed()
         worker.put(job)
-        for message in worker.messages(probe_limits(), _halt):
-            worker.working = message.get("pid", worker.working)
-            if "severity" in message:
-                outcome.remarks.append((message["severity"], message["text"]))
-            outcome.case = message.get("case", outcome.case)
-            outcome.failure = message.get("crash", outcome.failure)
-            if "done" in message and not outcome.failure:
-                done, outcome.result = True, message["result"]
-            if idle := "idle" in message:
+        for name, content in worker.messages(probe_limits(), _halt):
+            if name == "pid":
+                worker.working = content
+            elif name == "remark":
+                outcome.remarks.append(content)
+            elif name == "case":
+                outcome.case = content
+            elif name == "crash":
+                outcome.failure = content
+            elif name == "done" and not outcome.failure:
+                done, outcome.result = True, content
+            if idle := name == "idle":
                 break
         if not done and not outcome.failure:
             outcome.failure = worker.report

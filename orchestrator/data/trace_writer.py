@@ -74,6 +74,18 @@ class RowLayout:
         """Number of values of a point."""
         return len(self.names) if self.columns is None else self.reals + self.integers
 
+    @property
+    def consistent(self) -> bool:
+        """Do all parts refer to values that a point has?"""
+        scales = {len(self.scaled), len(self.factors), len(self.offsets)}
+        scaled = all(0 <= k < len(self.names) for k in self.scaled)
+        valid = min(self.reals, self.integers, self.every - 1) >= 0 and len(set(self.names)) == len(
+            self.names
+        )
+        order = self.order
+        inside = order.shape == (len(self.names),) and bool(((order >= 0) & (order < self.width)).all())
+        return len(scales) == 1 and scaled and valid and inside
+
     def values(self, reals: Array, integers: NDArray[np.int32]) -> Array:
         """The signals at some points, shape (points, signals)."""
         points = np.hstack([reals, integers]) if self.integers else reals

@@ -18,6 +18,7 @@ from fnmatch import fnmatchcase
 
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
+from orchestrator.engine.job import Execution
 from orchestrator.engine.result import Result, SignalError, compare
 from orchestrator.engine.time_grid import step_length
 from orchestrator.ssp.dependencies import influential_inputs
@@ -83,13 +84,11 @@ class AccuracySearch:
     settings   of the next run
     """
 
-    def __init__(
-        self, system: System, accuracy: float, patterns: Sequence[str], tolerance: float | None
-    ) -> None:
-        """patterns: names of the outputs whose RMS error over their range is to be at most `accuracy`.
+    def __init__(self, system: System, execution: Execution, accuracy: float) -> None:
+        """The RMS error of outputs over their range is to be at most `accuracy`.
 
-        Default: velocities of power bonds, else all outputs.
-        tolerance: of the FMUs; default: by the accuracy.
+        Outputs without a choice: velocities of power bonds, else all. Tolerance of the FMUs without a choice:
+        by the accuracy.
 
         Raises Problem for an accuracy out of range and for patterns without outputs.
         """
@@ -97,12 +96,13 @@ class AccuracySearch:
         if not low <= accuracy <= high:
             raise Problem(f"accuracy: expected {low:g} to {high:g}, got {accuracy:g}")
         interfaces = [component.interface for component in system.components.values()]
-        self.accuracy, self.signals = accuracy, decisive_signals(system, patterns)
+        self.accuracy, self.signals = accuracy, decisive_signals(system, execution.accuracy_of)
+        self._execution = execution
         nominals = {name: system.variable(system.port(name)).nominal for name in self.signals}
         self._scales = {name: LEAST_RANGE * abs(nominal or 0.0) for name, nominal in nominals.items()}
         self._base, self._runs = step_length(system.coupled(Coupling()), None), 0
         self._previous: Result | None = None
-        self._tolerance = tolerance or fmu_tolerance(accuracy)
+        self._tolerance = execution.tolerance or fmu_tolerance(accuracy)
         self._repeats = all(i.rollback for i in interfaces)
         self._adapts = self._repeats and all(i.variable_step for i in interfaces)
         self._estimates = estimates_errors(system)
@@ -138,10 +138,10 @@ class AccuracySearch:
         return None
 
     def goes_on(self) -> bool:
-        """Choose stricter settings after a run that failed; False if there have been too many runs."""
+        """Choose stricter settings after a run that failed; False without time, or after too many runs."""
         self._runs += 1
         self._next(math.inf)
-        return self._runs < MOST_RUNS
+        return self._runs < MOST_RUNS and not self._execution.late
 
     def _relative(self, e: SignalError) -> float:
         """The RMS error over the range of a signal, or over a part of its nominal value if that is larger."""
@@ -159,8 +159,10 @@ class AccuracySearch:
         return replace(result, card=replace(result.card, errors=errors))
 
     def _continue(self, error: float, reason: str) -> None:
-        if self._runs >= MOST_RUNS:
-            raise Problem(f"accuracy {self.accuracy:g}: not reached in {MOST_RUNS} runs; {reason}")
+        if self._runs >= MOST_RUNS or self._execution.late:
+            time = f"{self._execution.time_limit:g} s"
+            limit = time if self._runs < MOST_RUNS else f"{MOST_RUNS} runs"
+            raise Problem(f"accuracy {self.accuracy:g}: not reached in {limit}; {reason}")
         self._next(error)
 
     def _next(self, error: float) -> None:

@@ -145,6 +145,7 @@ class Binding:
     allocate     makes the memory that is read after a crash
     components   the `RunningComponent` of each index, for callbacks about a component
     withdraw     called before a step is repeated
+    changed      called with the index of the component, or -1, that changed the floating-point environment
     problem      the exception that ended the last call; None if there was none
 
     All Python objects whose addresses C has are kept alive.
@@ -157,6 +158,7 @@ class Binding:
         self.simulation = self.h.Simulation.from_buffer(allocate("simulation", size))
         self.components: Sequence[Any] = ()
         self.withdraw: Callable[[], None] = lambda: None
+        self.changed: Callable[[int], None] = lambda _: None
         self._checks: dict[int, StatusCheck] = {}
         self._calls: list[Call] = []
         self.problem: BaseException | None = None
@@ -277,6 +279,8 @@ class Binding:
         def check() -> None:
             if status == self.h.WITHDRAWN:
                 self.withdraw()
+            elif status == self.h.CHANGED:
+                self.changed(component)
             elif call in self._checks:
                 self._checks[call].check_status(status)
             else:

@@ -12,22 +12,24 @@ The process is started before the parent has read the system, and one idle proce
 from __future__ import annotations
 
 import ctypes
+import errno
 import mmap
 import os
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
+from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_file
 
 if TYPE_CHECKING:
-    from orchestrator.data.trace_writer import RowLayout, TraceSink
+    from orchestrator.data.trace_writer import Array, RowLayout, TraceSink
     from orchestrator.engine.job import Job, RunEnd
+    from orchestrator.engine.recorder import Points
     from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel
@@ -78,7 +80,19 @@ class RunTask:
 def start_process() -> None:
     """Start a process for the next run, if none is idle."""
     if not _idle:
-        _idle.append((Worker(TARGET, "run"), dict(os.environ)))
+        _idle.append((Worker(TARGET, _contents, "run"), dict(os.environ)))
+
+
+def _contents() -> Mapping[str, Any]:
+    """What the child may send."""
+    from orchestrator.data.trace_writer import Array, RowLayout
+    from orchestrator.engine.job import RunEnd
+    from orchestrator.engine.recorder import Points
+    from orchestrator.fmi.messages import LogMessage
+
+    errors = tuple[tuple[str, ...], Array, Array]
+    types = {"begin": RowLayout, "points": Points, "errors": errors, "message": LogMessage, "outcome": RunEnd}
+    return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed", "defect"), str)
 
 
 def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]) -> RunEnd:
@@ -106,17 +120,17 @@ def _process() -> Iterator[Worker]:
     try:
         worker, environment = _idle.pop()
     except IndexError:  # also if runs are in several threads
-        worker, environment = Worker(TARGET, "run"), dict(os.environ)
+        worker, environment = Worker(TARGET, _contents, "run"), dict(os.environ)
     if environment != dict(os.environ) or not worker.alive:
         worker.close()
-        worker, environment = Worker(TARGET, "run"), dict(os.environ)
+        worker, environment = Worker(TARGET, _contents, "run"), dict(os.environ)
     try:
         worker.forget_printed()
         yield worker
     except BaseException:
         worker.close()
         raise
-    if worker.alive and not _idle:
+    if worker.alive and worker.reusable and not _idle:
         _idle.append((worker, environment))
     else:
         worker.close()
@@ -130,8 +144,9 @@ class _Supervision:
     ) -> None:
         execution = job.execution
         self._worker, self._times, self._sink, self._between = worker, times, sink, between
-        memory = min(1e9 * execution.memory_limit, machine_memory())
-        self._limits = WorkerLimits(total_time=execution.time_limit, memory=memory)
+        self._limits, self._command_began = execution.worker_limits, execution.began
+        worker.fmus = job.system.fmus
+        self._outputs = {str(port) for port in job.system.ports("output")}
         self._layout: RowLayout | None = None
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
@@ -141,7 +156,6 @@ class _Supervision:
 
     def outcome(self, check: Callable[[], None]) -> RunEnd:
         """Wait for the end of the run; `check` raises KeyboardInterrupt if the user interrupts it."""
-        began = time.monotonic()
         while True:
             try:
                 name, content = self._worker.get(POLL)
@@ -149,14 +163,15 @@ class _Supervision:
                 name = ""
             except EOFError:
                 return self._ended_by_fmu()
-            if name == "closed":
-                return self._complete()
+            if name == "closed" and self._outcome is not None:
+                self._worker.reusable = content
+                return self._complete(self._outcome)
             if name:
                 self._receive(name, content)
             try:
                 check()
                 if not self._killed_because:
-                    self._worker.check_limits(self._limits, began)
+                    self._worker.check_limits(self._limits, self._command_began)
             except KeyboardInterrupt:
                 if self._kill_at < float("inf"):
                     self._kill("interrupted")
@@ -172,34 +187,54 @@ class _Supervision:
         self._worker.kill()
 
     def _receive(self, name: str, content: Any) -> None:
-        """Handle one message of the child."""
-        if name == "points":
+        """Handle one message of the child, whose types are right; its values may not be."""
+        from orchestrator.base.errors import Problem, one_line
+
+        if name == "points" and self._follow(content):
             self._sink.append_points(*content)
-        elif name == "errors":
+        elif name == "errors" and self._are_errors(*content):
             self._sink.append_errors(*content)
         elif name == "time":
             self._between(content)
-        elif name == "begin":
-            self._layout, rows = content
-            self._sink.begin(self._layout, rows)
+        elif name == "begin" and self._layout is None and content.consistent:
+            self._layout = content
+            self._sink.begin(self._layout, self._times.rows + 1)
         elif name == "message":
-            self._messages.append(content)
-        elif name == "outcome":
+            self._messages.append(replace(content, text=one_line(content.text)))
+        elif name == "outcome" and content.errors.keys() <= self._outputs:
             self._outcome = content
         elif name == "problem":
-            raise content
-        else:
+            raise Problem(content)
+        elif name == "failed":
+            self._worker.stop(f"the process failed ({one_line(content)})")
+        elif name == "defect":
             raise RuntimeError(content)
+        else:
+            self._worker.stop(GARBLED)
 
-    def _complete(self) -> RunEnd:
+    def _follow(self, points: Points) -> bool:
+        """Do points have the form of the layout, and times that increase after those of the last ones?"""
+        layout, (t, reals, integers) = self._layout, points
+        if layout is None or t.ndim != 1:
+            return False
+        shapes = (len(t), layout.reals), (len(t), layout.integers)
+        increasing = (t[1:] > t[:-1]).all() and not (len(t) and t[0] <= self._sink.last)
+        too_many = not self._times.free and self._sink.rows + len(t) > self._times.rows + 2
+        return (reals.shape, integers.shape) == shapes and bool(increasing) and not too_many
+
+    def _are_errors(self, outputs: Sequence[str], times: Array, errors: Array) -> bool:
+        """Are these estimated errors of outputs?"""
+        known = self._layout is not None and self._outputs.issuperset(outputs)
+        return known and times.ndim == 1 and errors.shape == (len(times), len(outputs))
+
+    def _complete(self, outcome: RunEnd) -> RunEnd:
         """The outcome of a run that ended by itself."""
-        assert self._outcome is not None
         if self._kill_at < float("inf"):  # the interrupt must not be lost, also if it came too late
-            self._outcome.interrupted = True
+            outcome.interrupted = True
         if printed := self._worker.printed:
             more = f" and {len(printed) - 1} more lines" if len(printed) > 1 else ""
-            self._outcome.notes += (f"the FMUs printed: {printed[0]}{more}",)
-        return self._outcome
+            outcome.notes += (f"the FMUs printed: {printed[0]}{more}",)
+        return outcome
 
     def _ended_by_fmu(self) -> RunEnd:
         """The outcome of a run whose process ended: by a call into an FMU, by an interrupt, or at a limit."""
@@ -218,19 +253,21 @@ class _Supervision:
             for logged in self._messages:
                 by_component.setdefault(logged.component, []).append(logged)
             outcome.logs = tuple(Log(name, messages=texts) for name, texts in by_component.items())
-        outcome.interrupted = interrupted
+        outcome.interrupted, outcome.died = interrupted, True
         first = f"{outcome.problem}; then " if outcome.problem else ""  # many FMUs crash when they are freed
         outcome.problem = Problem(f"{first}{message}")
         return outcome
 
     def _cause(self) -> str:
         """The FMU, what happened, and in which call, in one line."""
-        worker = self._worker
-        cause = self._killed_because or worker.ending.replace("exit", "the process ended with exit")
+        cause, where = self._killed_because or self._worker.ending, self._worker.where
+        cause = cause.replace("exit status", "the process ended with exit status")
         if cause == "interrupted":
-            return worker.where
-        process = "" if worker.where.startswith("in ") else "the process of the run: "
-        return f"{process}{cause} {worker.where}{self._last_words()}"
+            return where
+        process = (
+            "" if where.startswith("in ") or cause.startswith("the process") else "the process of the run: "
+        )
+        return f"{process}{cause} {where}{self._last_words()}"
 
     def _last_words(self) -> str:
         """The last messages that FMUs logged or printed."""
@@ -243,17 +280,20 @@ class _Supervision:
         import numpy as np
 
         from orchestrator.engine.c_library import engine_h
-        from orchestrator.engine.recorder import PointBlock, recorded_rows
+        from orchestrator.engine.recorder import BLOCK, PointBlock, recorded_rows
 
-        folder, sink = self._worker.folder, self._sink
-        state, points = ((folder / f"{name}-{self._number}").read_bytes() for name in ("simulation", "rows"))
-        state = engine_h().Simulation.from_buffer_copy(state)
-        block = PointBlock(layout, points)
-        filled = block.finite_rows(state.recorder.filled)
+        folder, sink, structure = self._worker.folder, self._sink, engine_h().Simulation
+        sizes = {"simulation": ctypes.sizeof(structure), "rows": PointBlock.size(layout)}
+        files = {n: read_file(folder / f"{n}-{self._number}", size) for n, size in sizes.items()}
+        if any(len(files[name]) < size for name, size in sizes.items()):  # an FMU has cut or removed them
+            return
+        state, block = structure.from_buffer_copy(files["simulation"]), PointBlock(layout, files["rows"])
+        filled = block.finite_rows(min(max(state.recorder.filled, 0), BLOCK))
         rows = recorded_rows(state.recorder.collected, filled, layout.every)
         rows = np.union1d(rows, np.arange(filled)[-1:])  # and the latest point of the block
         rows = rows[~(block.time[rows] <= sink.last)]  # those that were not sent; NaN without any row
-        sink.append_points(*block.points(rows))
+        if self._follow(points := block.points(rows)):
+            sink.append_points(*points)
         outcome.wall = time.perf_counter() - self._began
         outcome.t, outcome.steps, outcome.passes = state.t, state.steps, state.all_passes
         outcome.repeated, outcome.lengths = state.repeated, (state.shortest, state.longest)
@@ -269,6 +309,7 @@ def main(channel: Channel) -> None:
     from orchestrator.base.errors import Problem
     from orchestrator.engine import job as _job  # noqa: F401  imported while the parent reads the system
     from orchestrator.engine.c_library import library
+    from orchestrator.worker.main import left_behind
 
     with suppress(Problem):  # the run reports it
         library()
@@ -277,20 +318,21 @@ def main(channel: Channel) -> None:
         if task == STOP:  # of a run that has ended meanwhile
             continue
         try:
+            before = left_behind()
             _run(channel, task)
             if os.name == "posix":  # what FMUs printed may wait in the buffer of the C library
                 ctypes.CDLL(None).fflush(None)
-            channel.put(("closed", None))
+            channel.put("closed", left_behind() == before)
         except Problem as problem:
-            channel.put(("problem", problem))
+            channel.put("problem", problem)
+        except (OSError, MemoryError) as error:  # an FMU may have changed the limits of this process
+            channel.put("failed", repr(error))
         except Exception:
-            channel.put(("defect", traceback.format_exc()))
+            channel.put("defect", traceback.format_exc())
         os.chdir(channel.folder)  # the user's folder may be removed
 
 
 def _run(channel: Channel, task: RunTask) -> None:
-    from dataclasses import replace
-
     from orchestrator.base.errors import Problem
     from orchestrator.engine.job import open_slave
     from orchestrator.fmi.calls import Slave
@@ -304,18 +346,19 @@ def _run(channel: Channel, task: RunTask) -> None:
         """Sends points to the parent."""
 
         def begin(self, layout: RowLayout, rows: int) -> None:
-            channel.put(("begin", (layout, rows)))
+            del rows
+            channel.put("begin", layout)
 
         def append_points(self, *points: Any) -> None:
-            channel.put(("points", points))
+            channel.put("points", points)
 
         def append_errors(self, *errors: Any) -> None:
             if task.keeps_errors:
-                channel.put(("errors", errors))
+                channel.put("errors", errors)
 
     def open_fmu(component: Component) -> Slave:
         slave = open_slave(component)
-        slave.log.on_message = lambda message: channel.put(("message", message))
+        slave.log.on_message = lambda message: channel.put("message", message)
         return slave
 
     def between(t: float) -> None:
@@ -324,7 +367,7 @@ def _run(channel: Channel, task: RunTask) -> None:
             raise KeyboardInterrupt
         if time.monotonic() - reported > PROGRESS_TIME:
             reported = time.monotonic()
-            channel.put(("time", t))
+            channel.put("time", t)
 
     def allocate(name: str, size: int) -> mmap.mmap:
         for earlier in channel.folder.glob(f"{name}-*"):
@@ -334,10 +377,12 @@ def _run(channel: Channel, task: RunTask) -> None:
             with (channel.folder / f"{name}-{task.number}").open("w+b") as file:
                 file.write(bytes(size))  # a full disk is an error now, not a signal later
                 file.flush()
-                return mmap.mmap(file.fileno(), size)
+                return channel.keep(mmap.mmap(file.fileno(), size))
         except OSError as error:
+            if error.errno in (errno.EMFILE, errno.EFBIG):  # limits that an FMU has set
+                raise
             reason = error.strerror or str(error)
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
     job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
-    job.run(task.times, Sender(), between, lambda outcome: channel.put(("outcome", outcome)), allocate)
+    job.run(task.times, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 from orchestrator.base.coupling import Coupling
@@ -27,10 +28,11 @@ from orchestrator.engine.scenario import Scenario
 from orchestrator.engine.simulation_loop import SimulationLoop, StepControl
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
-from orchestrator.fmi.messages import Log
+from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
+from orchestrator.worker.process import WorkerLimits, machine_memory
 
 ENDS_EARLY = "the run ends early: "  # begins the note on a run that an FMU asked to end
 FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
@@ -72,8 +74,10 @@ class Execution:
 
     error_estimate   "fast": without a measurement that needs two steps of each FMU by `hermite` and
                      `interface-jacobian`
+    time_limit       of all runs of a command together, see `begun`
     memory_limit     [GB]
     open             a function other than `open_slave` needs this process
+    deadline         end of the time limit, by `time.monotonic` [s]
     """
 
     tolerance: float | None = None
@@ -85,6 +89,31 @@ class Execution:
     time_limit: float = math.inf
     memory_limit: float = math.inf
     open: Opener = open_slave
+    deadline: float = math.inf
+
+    def begun(self) -> Execution:
+        """These options from now on: the time limit ends all runs that follow."""
+        time_limit, memory_limit = (
+            math.inf if limit is None else limit for limit in (self.time_limit, self.memory_limit)
+        )
+        deadline = time.monotonic() + time_limit
+        return replace(self, time_limit=time_limit, memory_limit=memory_limit, deadline=deadline)
+
+    @property
+    def late(self) -> bool:
+        """Has the time limit passed?"""
+        return time.monotonic() >= self.deadline
+
+    @property
+    def worker_limits(self) -> WorkerLimits:
+        """The limits of a process; their time begins with the command."""
+        memory = min(1e9 * self.memory_limit, machine_memory())
+        return WorkerLimits(total_time=self.time_limit, memory=memory)
+
+    @property
+    def began(self) -> float:
+        """When the command began, by `time.monotonic` [s]; of use only with a time limit."""
+        return self.deadline - self.time_limit
 
     @property
     def isolated(self) -> bool:
@@ -135,6 +164,7 @@ class RunEnd:
     notes         remarks on the run
     problem       why the run ended early; None if it is complete
     interrupted   the user ended it
+    died          the process of the run has ended
     """
 
     t: float
@@ -150,6 +180,7 @@ class RunEnd:
     notes: tuple[str, ...] = ()
     problem: Problem | None = None
     interrupted: bool = False
+    died: bool = False
 
     @property
     def complete(self) -> bool:
@@ -241,12 +272,14 @@ class Job:
         _check_instances(self.system)
         with ExitStack() as stack:
             slaves: dict[str, Slave] = {}
+            binding = Binding(allocate)
+            binding.call("environment_begin")
+            stack.callback(binding.call, "environment_check")
             for name, component in self.system.components.items():
                 slaves[name] = self.execution.open(component)
                 stack.callback(slaves[name].close)
-            network = Network(
-                self.system, slaves, self.scenario, selected, self.coupling.factors, Binding(allocate)
-            )
+                _restore_environment(binding, slaves[name])
+            network = Network(self.system, slaves, self.scenario, selected, self.coupling.factors, binding)
             plan = MASTERS[self.coupling.master](self.system, self.coupling)
             if self.execution.error_estimate:
                 plan = plan.with_estimate(fast=self.execution.error_estimate == "fast")
@@ -254,7 +287,9 @@ class Job:
             if plan.prediction:
                 prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
             driven = self.scenario.initial(self.system, times.start) if self.scenario else {}
-            initialise(self.system, slaves, driven, (times.start, times.stop), self.execution.tolerance)
+            span, restore = (times.start, times.stop), partial(_restore_environment, binding)
+            initialise(self.system, slaves, driven, span, self.execution.tolerance, restore)
+            binding.changed = partial(_warn_of_change, [*slaves.values()])
             energy = EnergyMonitor(network, inputs.varying, self._bonds(network))
             recorder = Recorder(network, times, sink, selected)
             control = self.control(inputs, times)
@@ -350,6 +385,21 @@ class Job:
             influences = network.is_influential
             return [b for b in find_bonds(self.system) if influences(b.effort) and influences(b.flow)]
         return [bond_of(self.system, *pair) for pair in self.record.bonds]
+
+
+def _restore_environment(binding: Binding, slave: Slave) -> None:
+    """Restore the floating-point environment after calls of one FMU."""
+    binding.changed = partial(_warn_of_change, [slave])
+    binding.call("environment_check")
+
+
+def _warn_of_change(slaves: Sequence[Slave], index: int) -> None:
+    """Give a warning to the FMU that changed the floating-point environment; index -1: one of all."""
+    first, *others = slaves if index < 0 else [slaves[index]]
+    who = " or ".join(["the FMU", *(slave.name for slave in others)])
+    text = f"{who} changed the floating-point environment (rounding, flushing to zero or traps), now restored"
+    if all(message.text != text for message in first.log.messages):
+        first.log.add(WARNING, text)
 
 
 def guarded(system: System, coupling: Coupling) -> bool:

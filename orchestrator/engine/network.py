@@ -10,7 +10,7 @@ connections, set the inputs that they feed. `initialise` makes the values consis
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -274,23 +274,28 @@ def initialise(
     driven: Mapping[Port, Value],
     span: tuple[float, float],
     tolerance: float | None = None,
+    after: Callable[[Slave], None] = lambda _: None,
 ) -> None:
     """Initialise all FMUs, which are instantiated.
 
     driven   input -> value at the start time, for inputs that a scenario drives
     span     start and stop time [s]
+    after    called when one FMU has been called several times
     """
     for name, slave in slaves.items():
         slave.setup(span[0], _announced_stop(slave.interface, span[1]), tolerance)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
+        after(slave)
     _set(slaves, driven)  # some FMUs compute start values when they enter initialisation mode
     for slave in slaves.values():
         slave.enter()
+        after(slave)
     _set(slaves, driven)
     propagate(system, slaves)
     for slave in slaves.values():
         slave.exit()
+        after(slave)
 
 
 def _announced_stop(interface: FmuInterface, stop: float) -> float:

@@ -146,11 +146,14 @@ class Result(Mapping[str, NDArray[np.float64]]):
 
 
 class RunFailed(Problem):
-    """A run that ended early because of a problem; `result` has its record."""
+    """A run that ended early because of a problem; `result` has its record.
 
-    def __init__(self, problem: Problem, result: Result) -> None:
+    final   other steps would not help: the process of the run has ended
+    """
+
+    def __init__(self, problem: Problem, result: Result, final: bool = False) -> None:
         super().__init__(str(problem))
-        self.result = result
+        self.result, self.final = result, final
 
 
 class Interrupted(KeyboardInterrupt):

@@ -105,8 +105,8 @@ def run(
         sink = TraceInMemory()
         try:
             result = finished(job, times, simulate(job, times, sink), sink, sink.trace)
-        except RunFailed:
-            if search and search.goes_on():
+        except RunFailed as failed:
+            if search and not failed.final and search.goes_on():
                 continue
             raise
         if search is None:
@@ -138,7 +138,8 @@ def _take_execution(
     of_record = {"record_step": "step", "bonds": "bonds"}
     record = replace(record, **{of_record[name]: given.pop(name) for name in of_record.keys() & given.keys()})
     names = {f.name for f in fields(Execution)} & given.keys()
-    return record, replace(execution or Execution(), **{name: given.pop(name) for name in names})
+    execution = replace(execution or Execution(), **{name: given.pop(name) for name in names})
+    return record, execution.begun()
 
 
 def accuracy_search(
@@ -156,7 +157,7 @@ def accuracy_search(
         if value is not None:
             asked = f"accuracy {execution.accuracy:g}"
             raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")
-    return AccuracySearch(system, execution.accuracy, execution.accuracy_of, execution.tolerance)
+    return AccuracySearch(system, execution, execution.accuracy)
 
 
 def _trial(
@@ -265,7 +266,7 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Tra
     if outcome.problem:
         cause = card.likely_cause()
         problem = Problem(f"{outcome.problem}; {cause}") if cause else outcome.problem
-        raise RunFailed(problem, result) from outcome.problem
+        raise RunFailed(problem, result, outcome.died) from outcome.problem
     return result
 
 
@@ -306,7 +307,7 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
         if not adaptive and times.steps >= 4:
             with suppress(RunFailed):
                 coarse = repeated(job, times.coarser())
-    except RunFailed as failed:
+    except Problem as failed:
         setting = "a tenth of the tolerance" if adaptive else "half the step"
         return with_note(f"no error estimate, the run at {setting} failed: {failed}")
     except Interrupted as interrupted:
@@ -443,7 +444,7 @@ def _published(
         )
     except (RunFailed, Interrupted) as ended:
         file.close()
-        if search and isinstance(ended, RunFailed) and search.goes_on():
+        if search and isinstance(ended, RunFailed) and not ended.final and search.goes_on():
             return None, ""
         if file.partial.is_file():  # CSV; Parquet contains the units
             with suppress(OSError):  # the disk may be full

@@ -369,14 +369,6 @@ class CoSimulationFmu(RunningFmu):
         with suppress(Problem) if self.fmu.worst >= ERROR else nullcontext():
             self._unless_fatal(partial(self.fmu.free_state, state))
 
-    def serialize(self, state: ctypes.c_void_p) -> bytes:
-        """Serialise a saved FMU state, for another process."""
-        return self.fmu.serialize(state)
-
-    def deserialize(self, data: bytes) -> ctypes.c_void_p:
-        """Restore a saved FMU state from the bytes of `serialize`; free it with `free_state`."""
-        return self.fmu.deserialize(data)
-
 
 class CapabilityTrial:
     """Tests calls on a spare instance, for capabilities that the model description does not declare.

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
+LOCAL = {"local": True}  # of a field that is not sent to another process, see `worker.wire`
 MAX_QUOTED = 300  # characters of a log message at the end of an error message
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _NAME = re.compile(r"([\w.\[\]]+) = ")  # start of a message that begins with a variable and its value
@@ -43,9 +44,8 @@ class LogMessage:
     category: str | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
-        when = (
-            "" if _TIME.search(self.text) else f" at t = {self.time:.6g} s"
-        )  # unless the message contains a time
+        known = _TIME.search(self.text) or self.time != self.time
+        when = "" if known else f" at t = {self.time:.6g} s"
         return f"{self.component}{when}: {self.text}"
 
 
@@ -61,17 +61,17 @@ class Log:
     """
 
     component: str = ""
-    names: Mapping[int, str] = field(default_factory=dict)
+    names: Mapping[int, str] = field(default_factory=dict, metadata=LOCAL)
     limit: int = 1000
     messages: list[LogMessage] = field(default_factory=list)
     dropped: int = 0
-    on_message: Callable[[LogMessage], None] | None = None
+    on_message: Callable[[LogMessage], None] | None = field(default=None, metadata=LOCAL)
     clock: ctypes.Array[ctypes.c_double] = field(
-        default_factory=lambda: (ctypes.c_double * 2)(math.nan, math.nan)
+        default_factory=lambda: (ctypes.c_double * 2)(math.nan, math.nan), metadata=LOCAL
     )
 
     def __getstate__(self) -> dict[str, Any]:
-        """The messages until now, for a copy or for another process."""
+        """The messages until now, for a copy."""
         return self.__dict__ | {"messages": [*self.messages], "on_message": None, "clock": [*self.clock]}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -4,9 +4,11 @@ Machines of native FMUs of this project run in the vector lanes of all cores (`l
 processes (`one_by_one`).
 """
 
+import math
+import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Unpack
@@ -25,7 +27,7 @@ from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import NotInLanes, lane_count
-from orchestrator.lanes.group import OK, Ended, Group
+from orchestrator.lanes.group import FAILED, OK, Ended, Group
 from orchestrator.lanes.one_by_one import run_one_by_one
 from orchestrator.lanes.plan import Lanes
 from orchestrator.ssp.plausible import doubtful, with_doubts
@@ -108,7 +110,11 @@ def batch(
     """
     given = chosen(BatchArguments, options, "batch")
     workers = given.pop("workers", None)
+    limits = {name: given.pop(name) for name in ("time_limit", "memory_limit") if name in given}
+    execution = Execution(**limits).begun()
+    execution.check()
     job, times = prepare(system, scenario, record, Execution(isolate=False), **given)
+    job = replace(job, execution=replace(execution, isolate=False, tolerance=job.execution.tolerance))
     if times.free:
         raise Problem(
             "batch: expected a record step for adaptive steps, so that all machines have the same points"
@@ -136,8 +142,7 @@ def batch(
             )
         )
     except KeyboardInterrupt:
-        short = {int(i) for row in rows for i in np.flatnonzero(np.isnan(row[:, -1]))}
-        stopped = dict.fromkeys(short, Ended("interrupted", "by the user", np.nan))
+        stopped = dict.fromkeys(unfinished(rows), Ended("interrupted", "by the user", np.nan))
         raise Interrupted(result(stopped, ())) from None
 
 
@@ -273,5 +278,18 @@ def run_in_lanes(
         for group in groups:
             group.stop()
 
+    execution = lanes.job.execution
+    timer = threading.Timer(min(max(execution.deadline - time.monotonic(), 0.0), threading.TIMEOUT_MAX), stop)
+    timer.daemon = True
+    timer.start()
     in_threads([partial(work, group) for group in groups], stop)
+    timer.cancel()
+    if execution.late:
+        late = Ended(FAILED, f"not done within {execution.time_limit:g} s", math.nan)
+        ended = dict.fromkeys(unfinished(rows), late) | ended
     return ended
+
+
+def unfinished(rows: Sequence[Array]) -> set[int]:
+    """The machines without values at the end."""
+    return {int(i) for row in rows for i in np.flatnonzero(np.isnan(row[:, -1]))}

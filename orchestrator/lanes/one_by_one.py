@@ -15,15 +15,16 @@ from orchestrator.base.files import Location, temporary_folder
 from orchestrator.base.interrupts import in_threads
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine import simulation_loop
-from orchestrator.engine.job import ENDS_EARLY, Job, Record
+from orchestrator.engine.job import ENDS_EARLY, Execution, Job, Record
 from orchestrator.engine.run import finished
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.group import EARLY, FAILED, Ended
 from orchestrator.ssp.system import Port, System
-from orchestrator.worker.main import Channel
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
+from orchestrator.worker.main import Channel, left_behind
+from orchestrator.worker.process import LimitExceeded, Worker
 
 Array = NDArray[np.float64]
+CONTENTS = {"signal": Array, "end": tuple[Ended | None, bool]}  # what a process may send
 THREADS = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}  # a process is on each core
 
 
@@ -59,16 +60,20 @@ def run_one_by_one(
         data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
 
         def work() -> None:
-            with closing(MachineProcess(data, stop)) as process:
+            with closing(MachineProcess(data, job.execution, job.system.fmus, stop)) as process:
                 for machine in machines:
                     if stop.is_set():
                         return
+                    if job.execution.late:
+                        late = f"not begun within {job.execution.time_limit:g} s"
+                        ended[machine] = Ended(FAILED, late, float("nan"))
+                        continue
                     own = {port: float(array[machine]) for port, array in values.items()}
                     found, end = process.outcome(own)
                     for row, signal in zip(rows, found, strict=False):  # nothing is found after a crash
                         row[machine, : len(signal)] = signal
                     if end is not None:
-                        ended[machine] = replace(end, reason=_with_originals(end.reason, originals))
+                        ended[machine] = replace(end, reason=with_originals(end.reason, originals))
 
         in_threads([work] * max(1, min(workers, count)), stop.set)
     return ended
@@ -77,26 +82,34 @@ def run_one_by_one(
 class MachineProcess:
     """A process that runs machines, replaced by another one if it crashes."""
 
-    def __init__(self, data: bytes, stop: threading.Event) -> None:
-        """data: pickled Task; stop: set to end a run."""
-        self._data, self._stop = data, stop
+    def __init__(self, data: bytes, execution: Execution, fmus: str, stop: threading.Event) -> None:
+        """data: pickled Task; execution: has the limits; fmus: their names; stop: set to end a run."""
+        self._data, self._execution, self._fmus, self._stop = data, execution, fmus, stop
         self._worker: Worker | None = None
 
     def outcome(self, values: Mapping[Port, float]) -> tuple[Sequence[Array], Ended | None]:
         """Signals of a machine up to its end, and why it ended early."""
         if self._worker is None:
-            self._worker = Worker("orchestrator.lanes.one_by_one:main", "batch", environment=THREADS)
+            target = "orchestrator.lanes.one_by_one:main"
+            self._worker = Worker(target, lambda: CONTENTS, "batch", environment=THREADS)
+            self._worker.fmus = self._fmus
             self._worker.put(self._data)
         worker = self._worker
         worker.put(dict(values))
+        found, reason = list[Array](), ""
         try:
-            for answer in worker.messages(WorkerLimits(), self._stop):
-                found: tuple[Sequence[Array], Ended | None] = answer
-                return found
-        except LimitExceeded:  # the user has stopped it
-            pass
+            limits = self._execution.worker_limits
+            for name, content in worker.messages(limits, self._stop, self._execution.began):
+                if name == "end":
+                    end, reusable = content
+                    if not reusable:
+                        self.close()
+                    return found, end
+                found.append(content)
+        except LimitExceeded as limit:
+            reason = str(limit)
         self.close()
-        return (), Ended(FAILED, worker.report, float("nan"))
+        return (), Ended(FAILED, reason or worker.report, float("nan"))
 
     def close(self) -> None:
         """End the process."""
@@ -117,8 +130,8 @@ def _unpacked(system: System, folder: Path) -> tuple[System, dict[str, str]]:
     return replace(system, components=components), originals
 
 
-def _with_originals(reason: str, originals: Mapping[str, str]) -> str:
-    """A reason with the names of the original FMUs."""
+def with_originals(reason: str, originals: Mapping[str, str]) -> str:
+    """A reason with the names of the original FMUs, as folders differ from process to process."""
     for place, original in originals.items():
         reason = reason.replace(place, original)
     return reason
@@ -129,7 +142,11 @@ def main(channel: Channel) -> None:
     simulation_loop.CORES = 1
     task: Task = channel.get()
     while True:
-        channel.put(_outcome(task, channel.get()))
+        values, before = channel.get(), left_behind(threads=False)
+        signals, end = _outcome(task, values)
+        for signal in signals:
+            channel.put("signal", signal)
+        channel.put("end", (end, left_behind(threads=False) == before))
 
 
 def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[list[Array], Ended | None]:

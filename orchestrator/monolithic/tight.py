@@ -74,9 +74,9 @@ def _runs(run: CoSimulate, first: float) -> Iterator[Result]:
         try:
             result = run(step, master(step / first))
         except RunFailed as failed:
-            if complete:
-                return
             result, failure = failed.result, failed
+            if complete or failed.final:
+                break
         else:
             complete = True
             yield result

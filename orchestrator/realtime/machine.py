@@ -1,9 +1,11 @@
 """The machine in real time, seen from the parent process: it sends commands and reads frames."""
 
 import json
+import os
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -51,7 +53,8 @@ class MachineProcess:
         memory = Memory(size(*sizes, rows))
         self.shared = SharedState(memory.map, *sizes, rows)
         target = "orchestrator.realtime.stepping:main"
-        self._worker = Worker(target, "live", END_TIMEOUT, descriptors=memory.descriptors)
+        self._worker = Worker(target, dict, "live", END_TIMEOUT, descriptors=memory.descriptors)
+        self._worker.fmus = str(setup.system)
         memory.handed_over()
         self._worker.put(Task(setup, memory.address, rows, first, serial))
         self._began = self._heard = time.monotonic()
@@ -139,7 +142,9 @@ class MachineProcess:
     def _state(self, status: MachineStatus) -> tuple[str, str]:
         """State and message. A process has failed if it ends, takes too much memory or does not answer."""
         if status.state == "failed":
-            return "failed", str(_details(status).get("message", ""))
+            lost = f"an FMU wrote over the memory of the machine {self._where}"
+            return "failed", str(_details(status).get("message", lost))
+        self._worker.cut_printed()
         if not self._failure and self._worker.memory > MEMORY:
             self._failure = (
                 f"the machine uses more than {MEMORY / 1e9:.3g} GB of memory, stopped {self._where}"
@@ -163,6 +168,8 @@ class MachineProcess:
         if starting or status.heartbeat != self._heartbeat:
             self._heartbeat, self._heard = status.heartbeat, now
         if (silent := now - self._heard) > SILENT:
+            with suppress(AttributeError, OSError):  # a hanging FMU keeps no core from others
+                os.sched_setscheduler(self.pid, os.SCHED_OTHER, os.sched_param(0))  # type: ignore[attr-defined,unused-ignore]
             return "failed", f"the machine has not answered for {silent:.0f} s {self._where}"
         return status.state, ""
 
@@ -173,10 +180,10 @@ class MachineProcess:
 
 
 def _details(status: MachineStatus) -> dict[str, Any]:
-    """Details that the process has published; empty if it died while writing them."""
+    """Details that the process has published; empty if it died while writing them, or an FMU has."""
     try:
         return dict(json.loads(status.text or "{}"))
-    except ValueError:
+    except (ValueError, TypeError, RecursionError):
         return {}
 
 

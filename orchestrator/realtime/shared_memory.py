@@ -185,15 +185,14 @@ class SharedState:
         """Read the status. If the writer died while writing, the status may be inconsistent."""
         for _ in range(TRIES):
             n, reals = self._counts.copy(), self._reals.copy()
-            latencies, text = self.latencies.copy(), self._text[: n[LENGTH]].tobytes()
+            latencies, text = self.latencies.copy(), self._text[: max(n[LENGTH], 0)].tobytes()
             if n[SEQUENCE] % 2 == 0 and n[SEQUENCE] == self._counts[SEQUENCE]:
                 break
         last, heartbeat, frames, missed = (int(n[i]) for i in (LAST, HEARTBEAT, FRAMES, MISSED))
         load, worst, slipped = (float(r) for r in reals[:3])
         details = text.decode("utf-8", "replace")
-        return MachineStatus(
-            STATES[n[STATE]], last, heartbeat, frames, missed, load, worst, slipped, details, latencies
-        )
+        state = STATES[n[STATE]] if 0 <= n[STATE] < len(STATES) else "failed"  # an FMU may write anywhere
+        return MachineStatus(state, last, heartbeat, frames, missed, load, worst, slipped, details, latencies)
 
 
 def _check(integers: NDArray[np.int64], reals: Array) -> int:

@@ -49,7 +49,7 @@ def main(channel: Channel) -> None:
     channel.grace = GRACE
     tempfile.tempdir = str(channel.folder)  # where the FMUs are unpacked
     shared = memory.SharedState(
-        attach(task.address), len(task.setup.axes), len(task.setup.signals), task.rows
+        channel.keep(attach(task.address)), len(task.setup.axes), len(task.setup.signals), task.rows
     )
     details: dict[str, Any] = {}
     try:

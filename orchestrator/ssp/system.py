@@ -263,6 +263,11 @@ class System:
         """All `component.variable` names."""
         return [f"{c.name}.{v}" for c in self.components.values() for v in c.interface.variables]
 
+    @property
+    def fmus(self) -> str:
+        """The components with their files, for a message about a process that runs them."""
+        return first_names(f"{c.name} ({c.source})" for c in self.components.values())
+
     def ports(self, causality: str) -> list[Port]:
         """All variables of one causality."""
         return [Port(c.name, v.name) for c in self.components.values() for v in c.interface.of(causality)]

@@ -20,7 +20,7 @@ from orchestrator.engine import simulation_loop
 from orchestrator.studies.cases import Options, StudyCase, Unit
 from orchestrator.studies.single_run import outcomes
 from orchestrator.studies.study import Study
-from orchestrator.worker.main import Channel
+from orchestrator.worker.main import Channel, left_behind
 
 
 def digest(data: bytes) -> str:
@@ -100,10 +100,12 @@ def main(channel: Channel) -> None:
     simulation_loop.CORES = 1  # there is a process on every core
     study_payload: Payload = channel.get()
     cases, originals = study_payload.unpacked(channel.folder / "fmus")
-    channel.put(originals)
+    channel.put("originals", originals)
     while True:
         unit: Unit = channel.get()
         began = time.perf_counter()
+        before = left_behind(threads=False)
         results = outcomes(study_payload.study, cases[unit[0].options], unit)
         wall = (time.perf_counter() - began) / len(unit)
-        channel.put([replace(result, wall=wall) for result in results])
+        results = [replace(result, wall=wall) for result in results]
+        channel.put("outcomes", (results, left_behind(threads=False) == before))

@@ -17,6 +17,8 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
+from orchestrator.lanes.one_by_one import with_originals
 from orchestrator.studies.cases import Unit
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
@@ -24,6 +26,7 @@ from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, mac
 
 # Each process uses one thread, because there is a process on every core.
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+CONTENTS = {"originals": dict[str, str], "outcomes": tuple[list[RunOutcome], bool]}  # what a process may send
 STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
 WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
 MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
@@ -61,19 +64,19 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         process.put(unit)
         originals = self._processes[process]
         try:
-            outcomes: list[RunOutcome] = self._answer(process, self._limits)
-            self._idle.put(process)
+            outcomes, process.reusable = self._answer(process, self._limits)
+            self._idle.put(process) if process.reusable else self._close(process)
         except ProcessEnded as ended:
             self._close(process)
             if len(unit) > 1:
                 return [outcome for sample in unit for outcome in self._run((sample,))]
             outcomes = [failed(self._study, unit[0].run, str(ended))]
-        return [replace(o, reason=_with_originals(o.reason, originals)) for o in outcomes]
+        return [replace(o, reason=with_originals(o.reason, originals)) for o in outcomes]
 
     def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
         """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
         try:
-            for answer in process.messages(limits, self._stop):
+            for _, answer in process.messages(limits, self._stop):
                 return answer
         except LimitExceeded as limit:
             name = "time_limit" if limit.timed_out else "memory_limit"
@@ -87,11 +90,14 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         if self._stop.is_set():
             raise Problem("the study is stopped")
         single_thread = {f"{name}_NUM_THREADS": "1" for name in THREADS}
-        process = Worker("orchestrator.studies.payload:main", "sweep", environment=single_thread)
+        process = Worker(
+            "orchestrator.studies.payload:main", lambda: CONTENTS, "sweep", environment=single_thread
+        )
         self._processes[process] = {}
         process.put(self._data)
         try:
             self._processes[process] = self._answer(process, WorkerLimits())
+            process.fmus = first_names(self._processes[process].values())
         except ProcessEnded as ended:
             self._close(process)
             raise Problem(f"a process for runs could not be started: {ended}") from None
@@ -100,13 +106,6 @@ class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
     def _close(self, process: Worker) -> None:
         process.close()
         self._processes.pop(process, None)
-
-
-def _with_originals(reason: str, originals: Mapping[str, str]) -> str:
-    """A reason with the names of the original FMUs, as folders differ from process to process."""
-    for unpacked, original in originals.items():
-        reason = reason.replace(unpacked, original)
-    return reason
 
 
 def run_limits(study: Study) -> WorkerLimits:

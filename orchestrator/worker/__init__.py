@@ -2,6 +2,7 @@
 
 process.py      parent's side: start a worker, exchange messages, enforce limits of time and memory, clean up
 main.py         child's side: receive messages, run a function, end when the parent ends
+wire.py         messages of the child as bytes that the parent can read without trust
 call_slots.py   FMI calls in progress of the child in shared memory, readable after a crash
 activity.py     what a probe of `harvester check` is doing, likewise
 

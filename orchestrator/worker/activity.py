@@ -1,11 +1,12 @@
-"""Last activity of a worker process, in a file that is mapped into the memory of child and parent.
+"""Last activity of a worker process, in a file that is mapped into the memory of the child.
 
-The parent can read the activity after a crash of the child. Layout of the file: number of calls, simulation
+The parent can read the file after a crash of the child. Layout of the file: number of calls, simulation
 time [s], name of the last call, last inputs as text.
 """
 
 import mmap
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,19 +38,30 @@ class Activity:
         return f"{where}{when}" + (f", last inputs {self.inputs}" if self.inputs else "")
 
 
-class ActivityRecord:
-    """The activity file, for the writing child and for the reading parent."""
+NONE = _HEAD.pack(0, float("nan"), b"") + bytes(_TEXT)
 
-    def __init__(self, path: Path) -> None:
-        if not path.is_file():
-            path.write_bytes(_HEAD.pack(0, float("nan"), b"") + bytes(_TEXT))
+
+def activity_in(file: bytes) -> Activity:
+    """The activity in a file; none if it is incomplete, or if an FMU has written to it."""
+    count, time, call = _HEAD.unpack_from(file if len(file) == SIZE else NONE)
+    if not call.rstrip(b"\0").decode("latin-1").isprintable():
+        return activity_in(NONE)
+    return Activity(count, time, _text(call), _text(file[_HEAD.size :]))
+
+
+class ActivityRecord:
+    """The activity file, for the child."""
+
+    def __init__(self, path: Path, keep: Callable[[mmap.mmap], mmap.mmap] = lambda memory: memory) -> None:
+        """keep: see `Channel.keep`."""
+        path.write_bytes(NONE)
         with path.open("r+b") as file:
-            self._memory = mmap.mmap(file.fileno(), SIZE)
+            self._memory = keep(mmap.mmap(file.fileno(), SIZE))
         self._count, self._case = 0, ""
 
     def clear(self) -> None:
         """Forget the last activity."""
-        self._memory[:] = _HEAD.pack(0, float("nan"), b"") + bytes(_TEXT)
+        self._memory[:] = NONE
 
     def call(self, name: str, time: float = float("nan")) -> None:
         """Store the function that is called next, and the simulation time [s]."""
@@ -72,13 +84,7 @@ class ActivityRecord:
 
     def read(self) -> Activity:
         """Read the last activity."""
-        count, time, call = _HEAD.unpack_from(self._memory, 0)
-        text = self._memory[_HEAD.size :]
-        return Activity(count, time, _text(call), _text(text))
-
-    def close(self) -> None:
-        """Unmap the file."""
-        self._memory.close()
+        return activity_in(self._memory[:])
 
 
 def _text(raw: bytes) -> str:

@@ -9,7 +9,7 @@ import ctypes
 import math
 import mmap
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,8 @@ class CallSlot(ctypes.Structure):
 
 
 _Slots: Any = CallSlot * SLOTS
+SIZE = ctypes.sizeof(_Slots)
+OUTSIDE = "outside of the FMUs"
 _slots = _Slots()
 
 
@@ -75,13 +77,15 @@ def function_number(name: str) -> int:
     return _NUMBERS.get(name, len(FUNCTIONS) - 1)
 
 
-def share_calls(file: Path) -> None:
-    """Keep the slots in a new file, before the first instance of this process."""
+def share_calls(file: Path) -> mmap.mmap:
+    """Keep the slots in a new file, before the first instance of this process; returns its map."""
     global _slots
     with file.open("w+b") as opened:
-        opened.write(bytes(ctypes.sizeof(_Slots)))  # a full disk is an error now, not a signal later
+        opened.write(bytes(SIZE))  # a full disk is an error now, not a signal later
         opened.flush()
-        _slots = _Slots.from_buffer(mmap.mmap(opened.fileno(), ctypes.sizeof(_Slots)))
+        memory = mmap.mmap(opened.fileno(), SIZE)
+    _slots = _Slots.from_buffer(memory)
+    return memory
 
 
 def new_slot(label: str, fmi: int) -> CallSlot:
@@ -103,7 +107,12 @@ def in_progress(label: str, fmi: int, function: str) -> Iterator[None]:
         slot.function = slot.fmi = 0
 
 
-def calls_in_progress(file: Path) -> Iterator[CallSlot]:
-    """The calls in progress in a worker process, or at its end."""
-    with suppress(OSError, ValueError):  # the process may not have got that far
-        yield from (slot for slot in _Slots.from_buffer_copy(file.read_bytes()) if slot.fmi and slot.function)
+def calls_in(file: bytes) -> str:
+    """The calls in progress in a worker process, or at its end, for a message."""
+    if len(file) != SIZE:  # the process has not got that far
+        return OUTSIDE
+    slots = [
+        slot for slot in _Slots.from_buffer_copy(file) if slot.fmi in (2, 3) and slot.instance.isprintable()
+    ]
+    calls = [f"in {slot} of {slot.instance}" for slot in slots if 0 < slot.function < len(FUNCTIONS)]
+    return "; ".join(calls) or OUTSIDE

@@ -1,17 +1,23 @@
 """Child's side of a worker process: `python -m orchestrator.worker.main MODULE:FUNCTION FOLDER`.
 
-Messages are pickled: those of the parent arrive on standard input, answers go to standard output. What an FMU
-prints goes to the file of stderr. Temporary files are made in the folder of the process.
+Messages of the parent are pickled and arrive on standard input. Answers are frames of data, see `wire`, and
+go to standard output. What an FMU prints goes to the file of stderr. Temporary files are made in the folder
+of the process.
 """
 
+import ctypes
+import locale
+import mmap
 import os
 import pickle
 import shutil
 import signal
+import struct
 import sys
 import threading
 import time
 import traceback
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
@@ -19,7 +25,11 @@ from typing import IO, Any
 
 from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.call_slots import share_calls
+from orchestrator.worker.wire import packed
 
+NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares
+DISCONNECTED = 94  # exit status: an FMU has closed the connection to the parent
+SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 _END_OF_INPUT = object()
 
 
@@ -34,8 +44,10 @@ class Channel:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.grace, self.ended, self._parent = folder, 0.0, threading.Event(), os.getppid()
-        self.activity = ActivityRecord(folder / "activity")
-        share_calls(folder / "calls")
+        self._maps: list[mmap.mmap] = []
+        self.activity = ActivityRecord(folder / "activity", self.keep)
+        self.keep(share_calls(folder / "calls"))
+        self._owner, self._numbers = os.getpid(), self.keep(mmap.mmap(-1, NUMBER.size))
         self._answers, self._writing = _redirect_output(), threading.Lock()
         self._messages: SimpleQueue[Any] = SimpleQueue()
         threading.Thread(target=self._read, args=(sys.stdin.buffer,), daemon=True).start()
@@ -52,11 +64,39 @@ class Channel:
         """Is there a message, or has the parent closed its end?"""
         return not self._messages.empty()
 
-    def put(self, message: Any) -> None:
-        """Send an object that can be pickled, without buffering, so that it survives a crash."""
+    def put(self, name: str, content: Any = None) -> None:
+        """Send a message, without buffering, so that it survives a crash; see `wire.packed`."""
         with self._writing:  # an FMU may log from a thread of its own
-            pickle.dump(message, self._answers, pickle.HIGHEST_PROTOCOL)
-            self._answers.flush()
+            if os.getpid() != self._owner:  # an FMU has forked this process
+                os._exit(0)
+            (number,) = NUMBER.unpack(self._numbers[:])
+            rest = memoryview(packed(number, name, content))
+            self._numbers[:] = NUMBER.pack(number + 1)
+            try:
+                while rest:
+                    rest = rest[os.write(self._answers, rest) :]
+            except OSError:
+                os._exit(DISCONNECTED)
+
+    def keep(self, memory: mmap.mmap) -> mmap.mmap:
+        """Keep a map of shared memory to this process: one that an FMU forks ends where it would write there.
+
+        Only Linux can do so; elsewhere such a process ends in `put`.
+        """
+        self._maps.append(memory)
+        if hasattr(mmap, "MADV_DONTFORK"):
+            memory.madvise(mmap.MADV_DONTFORK)
+        return memory
+
+    def fork(self) -> int:
+        """Fork this process for a task; the fork is the one that sends."""
+        for memory in self._maps:
+            memory.madvise(mmap.MADV_DOFORK)
+        pid = os.fork()
+        for memory in () if pid else self._maps:
+            memory.madvise(mmap.MADV_DONTFORK)
+        self._owner = os.getpid()
+        return pid
 
     def end(self) -> None:
         """Remove the folder, and end this process; if the parent has ended, also those that FMUs started."""
@@ -77,9 +117,27 @@ class Channel:
             self.end()
 
 
-def _redirect_output() -> IO[bytes]:
+def left_behind(threads: bool = True) -> tuple[Any, ...]:
+    """What FMUs may change in this process and leave to the next run, as far as the system tells.
+
+    threads: their number counts. In a study it does not: many libraries keep threads for the next run of the
+    same FMU.
+    """
+    names = (*(("Threads",) if threads else ()), "SigBlk", "SigIgn", "SigCgt")
+    found: list[Any] = [locale.setlocale(locale.LC_NUMERIC)]
+    with suppress(OSError):  # Linux
+        lines = Path("/proc/self/status").read_text("utf-8", "replace").splitlines()
+        found += [line for line in lines if line.startswith(names)]
+    if sys.platform != "win32":
+        import resource
+
+        found += [resource.getrlimit(getattr(resource, name)) for name in dir(resource) if "RLIMIT_" in name]
+    return (*found,)
+
+
+def _redirect_output() -> int:
     """A copy of standard output for answers; standard output is redirected to stderr."""
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    answers = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     return answers
 
@@ -87,6 +145,8 @@ def _redirect_output() -> IO[bytes]:
 def main(target: str, folder: Path) -> None:
     """Run the function, then end the process without the exit handlers of FMUs."""
     channel = Channel(folder)
+    if sys.platform == "linux":  # the parent finds also a process whose parent has ended
+        ctypes.CDLL(None).prctl(SUBREAPER, 1)
     module, _, name = target.partition(":")
     try:
         getattr(import_module(module), name)(channel)

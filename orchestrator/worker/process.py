@@ -11,28 +11,36 @@ import os
 import pickle
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
-from queue import Empty, Queue
+from queue import Empty, Queue, SimpleQueue
 from typing import Any
 
-from orchestrator.worker.activity import Activity, ActivityRecord
-from orchestrator.worker.call_slots import calls_in_progress
+from orchestrator.worker.activity import SIZE as ACTIVITY_SIZE
+from orchestrator.worker.activity import Activity, activity_in
+from orchestrator.worker.call_slots import OUTSIDE, calls_in
+from orchestrator.worker.call_slots import SIZE as CALLS_SIZE
+from orchestrator.worker.main import DISCONNECTED
+from orchestrator.worker.wire import Garbled, read_message
 
 ALIVE_INTERVAL = 0.5  # [s], longest time between two checks whether the process is alive
+CLOSE_TIME = 0.5  # [s] from the end of its messages to its end, else it has lost its connection
+END_TIME = 2.0  # [s] that the system has to end a process that was killed
 POLL_INTERVAL = 0.01  # [s] between two checks of the limits
 PIPE_SIZE = 1 << 20  # bytes; an unprivileged user may have that
 MAX_QUOTED = 200  # characters of the last line of stderr
 MAX_STDERR = 1 << 20  # bytes; of a longer stderr file the beginning is kept
-MAX_MESSAGES = 16  # waiting to be read; then the process waits, so that memory stays bounded
+MAX_MESSAGES = 8  # waiting to be read; then the process waits, so that memory stays bounded
 SIGNAL_NAMES = {
     "SIGSEGV": "segmentation fault",
     "SIGBUS": "bus error",
@@ -46,7 +54,8 @@ SIGNAL_NAMES = {
 SESSION_OPTIONS: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
     SESSION_OPTIONS = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-_END_OF_MESSAGES = object()
+CLOSED = "the process lost its connection (an FMU replaced the process or closed its files)"
+GARBLED = "the process sent bytes that are no message (an FMU wrote to its connection)"
 
 
 @dataclass(frozen=True)
@@ -75,16 +84,24 @@ class Worker:
     """A worker process, which runs until `close` is called or the object is garbage-collected.
 
     target        "package.module:function", called with a `main.Channel`
+    contents      returns the type of the content of each message that may arrive, by its name; called
+                  at the first message, when the types have been imported
     name          prefix of its temporary folder, which is removed at the end
     grace         time for an orderly end before the process is killed [s]
     environment   environment variables that differ from those of this process
     descriptors   file descriptors that the process inherits (POSIX)
     in_folder     use the temporary folder as working directory, for files that an FMU writes
+
+    reusable      false when an FMU has left something behind in the process
+    fmus          names of those in it, for messages that cannot tell which of them it was
     """
+
+    reusable, fmus = True, ""
 
     def __init__(
         self,
         target: str,
+        contents: Callable[[], Mapping[str, Any]],
         name: str = "worker",
         grace: float = 0.0,
         environment: Mapping[str, str] | None = None,
@@ -92,16 +109,21 @@ class Worker:
         in_folder: bool = False,
     ) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-        self._activity = ActivityRecord(self.folder / "activity")
         options = {"cwd": self.folder} if in_folder else {}
         self._child = _start(target, self.folder, environment or {}, pass_fds=descriptors, **options)
         self.working = self._child.pid  # the process that works: this one, or a fork of it
         _enlarge(self._child.stdout)
         self._messages: Queue[Any] = Queue(MAX_MESSAGES)
-        reader = threading.Thread(target=_read, args=(self._child.stdout, self._messages), daemon=True)
+        self._closed_at, self._stopped = math.inf, ""  # end of the messages; why `get` has killed it
+        to_send: SimpleQueue[bytes | None] = SimpleQueue()
+        self._to_send = to_send
+        arguments = self._child.stdout, self._messages, contents
+        reader = threading.Thread(target=_read, args=arguments, daemon=True)
+        writer = threading.Thread(target=_write, args=(self._child.stdin, to_send), daemon=True)
         reader.start()
+        writer.start()
         self._last: list[str] = []  # `where` at the end, stored by the finalizer
-        end = os.getpid(), self._child, reader, self._messages, self._activity, self.folder, grace, self._last
+        end = os.getpid(), self._child, reader, self._messages, to_send, self.folder, grace, self._last
         self.close = weakref.finalize(self, _end, *end)
 
     @property
@@ -116,13 +138,14 @@ class Worker:
 
     @property
     def where(self) -> str:
-        """The last activity, else the FMI calls in progress; also after `close`."""
-        return self._last[0] if self._last else _where(self.folder, self._activity)
+        """The last activity, else the FMI calls in progress, else the FMUs; also after `close`."""
+        where = self._last[0] if self._last else _where(self.folder)
+        return f"{where}: {self.fmus}" if where == OUTSIDE and self.fmus else where
 
     @property
     def activity(self) -> Activity:
         """The last activity that the process has stored."""
-        return self._activity.read()
+        return activity_in(read_file(self.folder / "activity", ACTIVITY_SIZE))
 
     @property
     def memory(self) -> float:
@@ -136,15 +159,19 @@ class Worker:
     @property
     def printed(self) -> list[str]:
         """The lines on stdout and stderr; only the latest ones if there are many."""
-        with suppress(OSError):
-            text = (self.folder / "errors").read_text(encoding="utf-8", errors="replace")
-            return [line.strip()[:MAX_QUOTED] for line in text.splitlines() if line.strip()]
-        return []
+        text = read_file(self.folder / "errors", MAX_STDERR).decode(errors="replace")
+        return [line.strip()[:MAX_QUOTED] for line in text.splitlines() if line.strip()]
 
     def forget_printed(self, kept: int = 0) -> None:
         """Cut the file of stdout and stderr, except for the first bytes."""
         with suppress(OSError):  # Windows locks files in use
             os.truncate(self.folder / "errors", kept)
+
+    def cut_printed(self) -> None:
+        """Keep only the beginning of what was printed if that is too much."""
+        with suppress(OSError):
+            if (self.folder / "errors").stat().st_size > MAX_STDERR:
+                self.forget_printed(MAX_STDERR // 256)
 
     @property
     def last_stderr_line(self) -> str:
@@ -163,6 +190,8 @@ class Worker:
     def ending(self) -> str:
         """Cause of the end, such as "segmentation fault" or "exit status 1"; empty while the process runs."""
         code = self._child.poll()
+        if self._stopped or code == DISCONNECTED:
+            return self._stopped or CLOSED
         if code is None:
             return ""
         if code >= 0:
@@ -171,44 +200,57 @@ class Worker:
         return SIGNAL_NAMES.get(name, name)
 
     def put(self, message: Any) -> None:
-        """Send an object that can be pickled, or is pickled (bytes); ignored if the process has ended."""
-        data = message if isinstance(message, bytes) else pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
-        assert self._child.stdin is not None
-        with suppress(BrokenPipeError, OSError):  # the next `get` reports the end of the process
-            rest = memoryview(data)
-            while rest:
-                rest = rest[self._child.stdin.write(rest) or 0 :]
+        """Send an object that can be pickled, or is pickled (bytes); ignored if the process has ended.
 
-    def get(self, timeout: float | None = None) -> Any:
-        """The next message.
+        Returns at once, also if the process does not read.
+        """
+        data = message if isinstance(message, bytes) else pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+        self._to_send.put(data)
+
+    def get(self, timeout: float | None = None) -> tuple[str, Any]:
+        """The next message: its name and content.
 
         Raises TimeoutError after `timeout` [s] without a message, EOFError after the last message of a
-        process that has ended.
+        process that has ended. A process that can send no more messages is ended first.
         """
         until = math.inf if timeout is None else time.monotonic() + timeout
         while True:
-            dead = not self.alive  # its messages arrive soon, unless a child of it keeps the pipe open
-            try:
-                message = self._messages.get(
-                    timeout=ALIVE_INTERVAL
-                    if dead
-                    else max(0.0, min(ALIVE_INTERVAL, until - time.monotonic()))
-                )
-            except Empty:
-                if dead:
-                    raise EOFError(self.ending) from None
-                if time.monotonic() >= until:
-                    raise TimeoutError from None
+            dead, now = not self.alive, time.monotonic()
+            if self._closed_at < math.inf and (dead or self._stopped):
+                raise EOFError(self.ending)
+            if now - self._closed_at > CLOSE_TIME:
+                self.stop(CLOSED)
                 continue
-            if message is not _END_OF_MESSAGES:
-                return message
-            self._messages.put(_END_OF_MESSAGES)
-            self._child.wait()
-            raise EOFError(self.ending)
+            # the messages of a dead process arrive soon, unless a child of it keeps the pipe open
+            most = ALIVE_INTERVAL if self._closed_at == math.inf else POLL_INTERVAL
+            wait = ALIVE_INTERVAL if dead else max(0.0, min(most, until - now))
+            with suppress(Empty):
+                message = self._messages.get(timeout=wait)
+                if isinstance(message, tuple):
+                    return message
+                self._closed_at, dead = time.monotonic(), False
+                if message:
+                    self.stop(message)
+            if dead:
+                raise EOFError(self.ending)
+            if time.monotonic() >= until:
+                raise TimeoutError
 
-    def messages(self, limits: WorkerLimits, stop: threading.Event | None = None) -> Iterator[Any]:
+    def stop(self, reason: str) -> None:
+        """End the process because of something that it did; `ending` is the reason then."""
+        if self.alive:
+            self._stopped, last = reason, _where(self.folder)
+            self.kill()
+            self._last[:] = [last]
+            with suppress(subprocess.TimeoutExpired):
+                self._child.wait(END_TIME)
+
+    def messages(
+        self, limits: WorkerLimits, stop: threading.Event | None = None, began: float | None = None
+    ) -> Iterator[tuple[str, Any]]:
         """All messages until the process ends; raises LimitExceeded if a limit is exceeded or `stop` set."""
-        begin = last_call = time.monotonic()
+        last_call = time.monotonic()
+        began = last_call if began is None else began
         count = -1
         while True:
             try:
@@ -223,7 +265,7 @@ class Worker:
             if count and now - last_call > limits.call_time:  # count is 0 while Python starts
                 raise LimitExceeded(f"hang: no return within {limits.call_time:g} s {activity}")
             try:
-                self.check_limits(limits, begin)
+                self.check_limits(limits, began)
             except LimitExceeded as limit:
                 raise LimitExceeded(f"{limit}, stopped {self.where}", limit.timed_out) from None
             if stop is not None and stop.is_set():
@@ -234,9 +276,7 @@ class Worker:
 
         began   beginning of the work, by `time.monotonic` [s]
         """
-        with suppress(OSError):
-            if (self.folder / "errors").stat().st_size > MAX_STDERR:
-                self.forget_printed(MAX_STDERR // 256)
+        self.cut_printed()
         if self.memory > limits.memory:
             raise LimitExceeded(f"uses more than {limits.memory / 1e9:.3g} GB of memory")
         if time.monotonic() - began > limits.total_time:
@@ -245,6 +285,20 @@ class Worker:
     def kill(self) -> None:
         """End the process and its children at once; messages that it has sent can still be read."""
         _kill(self._child, self.folder)
+
+
+def read_file(path: Path, most: int) -> bytes:
+    """The first bytes of a file that another process writes; none if it is not a usual file.
+
+    It is not mapped into memory: reading beyond the end of a file that was cut ends a process.
+    """
+    flags = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_BINARY", "O_NONBLOCK", "O_NOFOLLOW"))
+    try:
+        with open(os.open(path, flags), "rb") as file:
+            usual = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
+            return file.read(most) if usual else b""
+    except OSError:
+        return b""
 
 
 def machine_memory() -> float:
@@ -284,32 +338,48 @@ def _enlarge(pipe: Any) -> None:
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
 
 
-def _read(source: Any, messages: Queue[Any]) -> None:
-    """Queue all complete messages until the process ends."""
-    unreadable = pickle.UnpicklingError, AttributeError, ImportError, TypeError
+def _read(source: Any, messages: Queue[Any], contents: Callable[[], Mapping[str, Any]]) -> None:
+    """Queue all complete messages until the process ends, then why there are no more; empty for its end."""
     buffered = io.BufferedReader(io.FileIO(source.fileno(), closefd=False))
-    with suppress(EOFError, OSError, ValueError, *unreadable):
-        while True:
-            messages.put(pickle.load(buffered))
-    messages.put(_END_OF_MESSAGES)
+    end = ""
+    try:
+        for number in count():
+            messages.put(read_message(buffered, number, contents))
+    except (EOFError, OSError, ValueError):
+        pass
+    except (Garbled, MemoryError):
+        end = GARBLED
+    messages.put(end)
 
 
-def _where(folder: Path, activity: ActivityRecord) -> str:
+def _write(target: Any, messages: SimpleQueue[bytes | None]) -> None:
+    """Send messages until None, or until the process ends; then its pipe is closed."""
+    with suppress(OSError, ValueError):  # the next `get` reports the end of the process
+        while (message := messages.get()) is not None:
+            rest = memoryview(message)
+            while rest:
+                rest = rest[target.write(rest) or 0 :]
+    with suppress(OSError):
+        target.close()
+
+
+def _where(folder: Path) -> str:
     """The last activity that a process has stored, else the FMI calls in progress."""
-    if (last := activity.read()).count:
-        return str(last)
-    calls = [f"in {call} of {call.instance}" for call in calls_in_progress(folder / "calls")]
-    return "; ".join(calls) or "outside of the FMUs"
+    last = activity_in(read_file(folder / "activity", ACTIVITY_SIZE))
+    return str(last) if last.count else calls_in(read_file(folder / "calls", CALLS_SIZE))
 
 
 def _kill(child: subprocess.Popen[bytes], folder: Path) -> None:
     """Kill a process and those that it has started, on Linux also those in sessions of their own."""
+    started = [*_started_in(folder), *_descendants(child.pid)]
+    if sys.platform == "win32":
+        subprocess.run(["taskkill", "/T", "/F", "/PID", str(child.pid)], capture_output=True, check=False)
     if hasattr(os, "killpg"):
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, signal.SIGKILL)
     if child.poll() is None:
         child.kill()
-    for pid in _started_in(folder):
+    for pid in {*started, *_started_in(folder)}:
         with suppress(ProcessLookupError, PermissionError):
             os.kill(pid, signal.SIGKILL)
 
@@ -323,12 +393,21 @@ def _started_in(folder: Path) -> Iterator[int]:
                 yield int(process.name)
 
 
+def _descendants(pid: int) -> Iterator[int]:
+    """The processes below a process that runs (Linux): a worker adopts those whose parents have ended."""
+    with suppress(OSError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            for child in (task / "children").read_text("ascii").split():
+                yield int(child)
+                yield from _descendants(int(child))
+
+
 def _end(
     owner: int,
     child: subprocess.Popen[bytes],
     reader: threading.Thread,
     messages: Queue[Any],
-    activity: ActivityRecord,
+    to_send: SimpleQueue[bytes | None],
     folder: Path,
     grace: float,
     last: list[str],
@@ -336,13 +415,12 @@ def _end(
     """Close the pipe, wait, kill the process and its children, and remove the files."""
     if os.getpid() != owner:  # this process was forked from the parent, which still uses the worker
         return
-    with suppress(OSError):
-        if child.stdin is not None:
-            child.stdin.close()
+    to_send.put(None)
     with suppress(subprocess.TimeoutExpired):
         child.wait(grace)
     _kill(child, folder)
-    child.wait()
+    with suppress(subprocess.TimeoutExpired):
+        child.wait(END_TIME)
     until = time.monotonic() + 1.0
     while reader.is_alive() and time.monotonic() < until:
         with suppress(Empty):  # the reader may wait for a place in the queue
@@ -351,6 +429,5 @@ def _end(
     with suppress(OSError):
         if child.stdout is not None and not reader.is_alive():  # closing it would wait for the reader
             child.stdout.close()
-    last.append(_where(folder, activity))
-    activity.close()
+    last.append(_where(folder))
     shutil.rmtree(folder, ignore_errors=True)

@@ -3,7 +3,7 @@
  * Compile with -DFMI=2 or -DFMI=3. Every function of the standard is there; those for what the FMU cannot do
  * return an error. With -DLACKING one of these is left out. Value references: 0 time, 1 u, 2 rate, 3 x, 4 der_x, 5 y.
  * The instantiation token begins with TOKEN. A file that includes this one may define PHASE, which is called at
- * instantiation and before the end of initialisation, each step and the release of an instance.
+ * instantiation and before the end of initialisation, each step and the release of an instance, and LOGGER.
  */
 #include <stdlib.h>
 #include <string.h>
@@ -56,6 +56,9 @@ int DllMainCRTStartup(void *library, unsigned reason, void *reserved) {
 
 #ifndef PHASE
 #define PHASE(phase, lag, t, token)
+#endif
+#ifndef LOGGER
+#define LOGGER(environment, function)
 #endif
 
 enum { TIME, U, RATE, X, DER_X, Y, COUNT };
@@ -132,6 +135,7 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *call, fmi2Boolean visible, fmi2Boolean logging) {
     IGNORE(name), IGNORE(type), IGNORE(resources), IGNORE(call), IGNORE(visible), IGNORE(logging);
+    LOGGER(call->componentEnvironment, call->logger);
     return new_lag(guid);
 }
 void fmi2FreeInstance(C c) { free_lag(c); }
@@ -229,6 +233,7 @@ fmi3Status fmi3SetDebugLogging(C c, fmi3Boolean on, size_t n, const fmi3String s
 C fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String path, fmi3Boolean visible,
                                fmi3Boolean logging, fmi3InstanceEnvironment e, fmi3LogMessageCallback log) {
     IGNORE(name), IGNORE(path), IGNORE(visible), IGNORE(logging), IGNORE(e), IGNORE(log);
+    LOGGER(e, log);
     return new_lag(token);
 }
 C fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String path, fmi3Boolean visible,
@@ -237,6 +242,7 @@ C fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String path
                               fmi3IntermediateUpdateCallback update_) {
     IGNORE(name), IGNORE(path), IGNORE(visible), IGNORE(logging), IGNORE(events), IGNORE(early);
     IGNORE(r), IGNORE(n), IGNORE(e), IGNORE(log), IGNORE(update_);
+    LOGGER(e, log);
     return new_lag(token);
 }
 #ifndef LACKING

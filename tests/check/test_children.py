@@ -66,7 +66,7 @@ def test_an_fmu_that_eats_memory_is_stopped(oscillators, tmp_path):
 def sleeper(monkeypatch):
     """A child that never ends by itself."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1] / "worker"))
-    child = Worker("jobs:sleep")
+    child = Worker("jobs:sleep", dict)
     yield child
     child.close()
 
@@ -76,6 +76,7 @@ def test_an_fmu_that_prints_without_end_does_not_fill_the_disk(sleeper):
     """Only the beginning of the stderr of a child process is kept if it becomes very long."""
     errors = sleeper.folder / "errors"
     errors.write_bytes(bytes(MAX_STDERR + 1))
+    until((sleeper.folder / "activity").exists)
     ActivityRecord(sleeper.folder / "activity").call("fmi2DoStep")
     with pytest.raises(LimitExceeded, match=r"^hang: no return within 0.2 s in fmi2DoStep$") as exceeded:
         list(sleeper.messages(WorkerLimits(call_time=0.2)))

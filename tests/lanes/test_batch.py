@@ -1,6 +1,7 @@
 """`batch`: results in lanes equal those of single runs, whatever the other machines do; mistakes."""
 
 import re
+import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 from kit import shards
 from kit.mistakes import problem, table
+from zoo.faulty import MEMORY, faulty
 
 from orchestrator import Coupling, Interrupted, batch, load, run, with_swaps
 from orchestrator.base.compiler import CompilerError, host
 from orchestrator.base.files import Location, write_zip
 from orchestrator.lanes import compiled
 from orchestrator.lanes.compiled import NotInLanes, sources_of
+from orchestrator.worker.process import CLOSED
 
 # full strokes: cylinders hit their stops, chambers cavitate, and valves close fast
 STROKES = {
@@ -41,6 +44,33 @@ def test_an_interrupt_leaves_the_machines_that_are_complete(built, monkeypatch, 
     with pytest.raises(Interrupted) as caught:
         batch(built / "harvester.ssp", MASSES, stop=0.01, record="manipulator.boom_angle", lanes=lanes)
     assert caught.value.result.status.tolist() == ["interrupted"] * 3
+
+
+@pytest.mark.parametrize("lanes", [True, pytest.param(False, marks=shards.faults)])
+def test_a_limit_of_time_ends_the_machines_that_are_not_done(built, lanes):
+    """All of them together, with the reason; it is refused if it is not positive."""
+    options = {"stop": 1e4, "record": "manipulator.boom_angle", "record_step": 10.0, "lanes": lanes}
+    result = batch(built / "harvester.ssp", MASSES, **options, time_limit=0.3, workers=1)
+    assert result.status.tolist() == ["failed"] * 3
+    assert result.reasons[0].startswith("not done within 0.3 s")
+    problem(
+        lambda: batch(built / "harvester.ssp", MASSES, **options, time_limit=0.0),
+        "time_limit: expected a positive number",
+    )
+
+
+LOST = {"exec": CLOSED, "take": "uses more than 0.5 GB of memory", "sleep": "not done within 4 s"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="faults of POSIX")
+@pytest.mark.parametrize("fault", shards.few(["exec"], LOST, shards.faults))
+def test_a_machine_whose_process_is_lost_fails_alone(tmp_path, fault):
+    """Also one that takes too much memory or never ends; `rate` 3 commits no fault."""
+    fmu, rates = faulty(tmp_path, fault).fmu, {"lag.rate": [3.0, 1.0]}
+    result = batch(fmu, rates, stop=1.0, step=0.01, workers=1, memory_limit=MEMORY, time_limit=4.0)
+    assert result.status.tolist() == ["ok", "failed"]
+    assert result.reasons[1].startswith(LOST[fault])
+    assert f"in fmi2DoStep at t = 0.5 s of lag ({fmu})" in result.reasons[1]
 
 
 def single_run(system, scenario, machine, **options):

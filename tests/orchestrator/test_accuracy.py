@@ -10,6 +10,7 @@ from kit.mistakes import problem, table
 from orchestrator import Coupling, Problem, Result, Trace, reference, run
 from orchestrator.base.coupling import Suggestion
 from orchestrator.engine import accuracy as accuracy_search
+from orchestrator.engine.job import Execution
 from orchestrator.engine.result import Card, SignalError
 from orchestrator.engine.run import run_to_file
 
@@ -41,7 +42,7 @@ def test_steps_are_halved_without_an_estimate(moving, exact):
 
 def searched(system, accuracy, *errors):
     """The settings of the run that follows runs with these errors, over the accuracy; None if none does."""
-    search = accuracy_search.AccuracySearch(system, accuracy, ["a.x"], None)
+    search = accuracy_search.AccuracySearch(system, Execution(accuracy_of=["a.x"]), accuracy)
     for rms in accuracy * np.array(errors):
         found = {"errors": (SignalError("a.x", rms, rms, change=rms),), "errors_of_inputs": True}
         card = Card("any", search.settings.step, 0.0, 10, 1.0, 1.0, **found)

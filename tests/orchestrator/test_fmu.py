@@ -87,7 +87,7 @@ def test_restoring_a_state_repeats_the_step_exactly(each, started):
     state = first.save()
     first.step(0.1, 0.1)
     once = first.get("x")
-    for slave, saved in ((first, state), (second, second.deserialize(first.serialize(state)))):
+    for slave, saved in ((first, state), (second, second.fmu.deserialize(first.fmu.serialize(state)))):
         slave.restore(saved)
         slave.step(0.1, 0.1)
         assert slave.get("x") == once != 0.0

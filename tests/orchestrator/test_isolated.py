@@ -1,6 +1,7 @@
 """Runs in a process of their own, from Python: the same bits, failures with their rows, and the next run."""
 
 import multiprocessing
+import platform
 import sys
 
 import numpy as np
@@ -12,6 +13,9 @@ from zoo.faulty import faulty
 
 from orchestrator import Problem, RunFailed, assemble, load, read_trace, run, write_ssp
 from orchestrator.engine import isolated
+from orchestrator.engine import run as runs
+from orchestrator.engine.accuracy import AccuracySearch
+from orchestrator.engine.job import Execution
 from orchestrator.engine.run import run_to_file
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="faults and limits of POSIX")
@@ -101,6 +105,65 @@ def test_a_limit_of_time_ends_a_run_that_hangs(tmp_path):
         run(hanging.fmu, **STEPS, time_limit=1.0)
     told = "time_limit: expected a run in its own process"
     problem(lambda: run(good.fmu, **STEPS, isolate=False, time_limit=1.0), told)
+
+
+@posix
+def test_an_fmu_computes_in_its_own_rounding_mode(tmp_path):
+    """Another one has the bits of a run without it; a warning, once, names the one that changed the mode."""
+    good = faulty(tmp_path, name="good").fmu
+
+    def results(other, **options):
+        return run(assemble({"first": other, "second": good}, []), **STEPS, set={"second.u": 1e7}, **options)
+
+    for phase in ("instantiate", "initialise", "step"):
+        changing = faulty(tmp_path, "rounding", phase, name=phase).fmu
+        for options in ({}, {"isolate": False}, {"master": "jacobi"}):
+            usual, found = results(good, **options), results(changing, **options)
+            np.testing.assert_array_equal(found["second.y"], usual["second.y"])
+            (warning,) = found.card.warnings
+            assert warning.startswith("first")
+            assert "the FMU changed the floating-point environment" in warning
+            assert not usual.card.warnings
+
+
+@posix
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="sets a bit of that processor")
+def test_small_numbers_are_flushed_to_zero_by_no_fmu(tmp_path):
+    """That does not change the rounding mode, so it is found at the end of a block, among all FMUs."""
+    flushing, good = faulty(tmp_path, "flush", name="bad").fmu, faulty(tmp_path).fmu
+    system = assemble({"first": flushing, "second": good}, ["first.y -> second.u"])
+    (warning,) = run(system, **STEPS, isolate=False).card.warnings
+    assert "the FMU or second changed the floating-point environment" in warning
+    assert np.float64(5e-324) * 1.0 != 0.0
+    assert np.float64(2.3e-308) * 0.5 != 0.0
+
+
+def test_a_time_limit_is_one_for_all_runs(oscillator, monkeypatch):
+    """Those of a search for an accuracy, and those of an estimate of errors."""
+    deadlines = []
+
+    def noted(job, *arguments):
+        deadlines.append(job.execution.deadline)
+        return run_isolated(job, *arguments)
+
+    run_isolated = isolated.run_isolated
+    monkeypatch.setattr(runs, "run_isolated", noted)
+    run(oscillator, **STEPS, error_estimate=True, time_limit=LONG)
+    assert len(deadlines) > 1
+    assert len(set(deadlines)) == 1
+    deadlines.clear()
+    run(oscillator, stop=10.0, record_step=0.1, accuracy=1e-5, time_limit=LONG)
+    assert len(deadlines) > 1
+    assert len(set(deadlines)) == 1
+
+
+def test_a_search_ends_at_the_time_limit(oscillator):
+    """After a complete run that is not accurate enough, and after one that failed."""
+    late = Execution(accuracy=1e-6, time_limit=1.0, deadline=0.0)
+    search = AccuracySearch(oscillator, late, 1e-6)
+    assert not search.goes_on()
+    coarse = run(oscillator, **STEPS)
+    problem(lambda: search.judge(coarse), "accuracy 1e-06: not reached in 1 s; the last run has an error of")
 
 
 @posix

@@ -150,7 +150,8 @@ def test_warnings_that_differ_in_numbers_only_are_merged():
 def test_card_counts_and_times(monkeypatch, oscillator):
     """Steps, simulated time, wall time and real-time factor, with a clock that goes on by 0.25 s a look."""
     clock = count()
-    monkeypatch.setattr(job, "time", SimpleNamespace(perf_counter=lambda: 0.25 * next(clock)))
+    times = {"perf_counter": lambda: 0.25 * next(clock), "monotonic": lambda: 0.0}
+    monkeypatch.setattr(job, "time", SimpleNamespace(**times))
     card = run(oscillator, step=1e-2, stop=1.0, isolate=False).card
     assert (card.steps, card.simulated) == (100, 1.0)
     assert (card.wall, card.real_time_factor) == (0.25, 4.0)

@@ -3,14 +3,17 @@
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from kit.wait import LONG, runs, until
 
 from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.process import Worker, WorkerLimits, machine_memory
+from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits, machine_memory
 
+CONTENTS = {"echo": Any, "said": str}
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")
 
 
@@ -26,7 +29,7 @@ def start():
     workers = []
 
     def started(target, *arguments, **options):
-        workers.append(Worker(f"jobs:{target}", *arguments, **options))
+        workers.append(Worker(f"jobs:{target}", lambda: CONTENTS, *arguments, **options))
         return workers[-1]
 
     yield started
@@ -35,12 +38,12 @@ def start():
 
 
 def test_messages_go_there_and_back(start):
-    """What can be pickled arrives as it was, in order; a million bytes too."""
+    """Plain data arrives as it was, in order; a million bytes too."""
     worker = start("echo")
-    messages = [1.5, {"a": (1, "µ")}, bytes(10**6), None]
+    messages = [1.5, {"a": [1, "µ"]}, bytes(10**6), None]
     for message in messages:
         worker.put([message])
-    assert [worker.get(LONG) for _ in messages] == [[m] for m in messages]
+    assert [worker.get(LONG) for _ in messages] == [("echo", [m]) for m in messages]
     assert worker.alive
     assert not worker.ending
 
@@ -65,7 +68,7 @@ def test_a_worker_tells_how_it_ended(start, how, ending):
     """What it said before is there, then its end in words, its last line on stderr, and what it was doing."""
     worker = start("end")
     worker.put(how)
-    assert worker.get(LONG) == "before the end"
+    assert worker.get(LONG) == ("said", "before the end")
     with pytest.raises(EOFError, match=ending):
         worker.get(LONG)
     assert worker.ending == ending
@@ -87,7 +90,7 @@ def test_closing_ends_it_and_removes_its_files(start):
 
 def test_a_worker_that_nobody_knows_ends():
     """No reference, no process."""
-    worker = Worker("jobs:sleep")
+    worker = Worker("jobs:sleep", dict)
     pid, folder = worker.pid, worker.folder
     del worker
     assert until(lambda: not folder.exists())
@@ -109,7 +112,7 @@ def test_a_worker_may_end_in_an_orderly_way(start, tmp_path):
 def test_a_process_that_it_left_behind_does_not_hold_the_parent(start):
     """Its end is seen although an orphan holds its pipe, and the orphan ends with it."""
     worker = start("orphan")
-    group = worker.get(LONG)
+    _, group = worker.get(LONG)
     with pytest.raises(EOFError):
         worker.get(LONG)
     worker.close()
@@ -119,10 +122,62 @@ def test_a_process_that_it_left_behind_does_not_hold_the_parent(start):
 
 
 @linux
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [("replaced", CLOSED), ("closed", CLOSED), ("garbage", GARBLED), ("code", GARBLED)],
+)
+def test_a_connection_that_is_lost_ends_the_process(start, tmp_path, how, told):
+    """No wait is longer than asked for, nothing is executed, and the end has a name."""
+    worker = start("spoilt")
+    worker.put((how, str(tmp_path / "executed")))
+    assert worker.get(LONG) == ("said", "before")
+    with pytest.raises(EOFError) if how in ("garbage", "code") else pytest.raises(TimeoutError):
+        worker.get(0.01 if told == CLOSED else LONG)  # CLOSE_TIME is longer
+    with pytest.raises(EOFError):
+        worker.get(LONG)
+    assert (worker.ending, worker.alive) == (told, False)
+    assert not (tmp_path / "executed").exists()
+
+
+@linux
+def test_messages_of_a_forked_process_do_not_count(start):
+    """Each message is there once."""
+    worker = start("twin")
+    assert [worker.get(LONG) for _ in range(2)] == [("echo", [1, 2]), ("echo", "end")]
+
+
+@linux
+def test_nothing_that_it_started_goes_on(start, tmp_path):
+    """Also a process in a session of its own, without a parent and with other environment variables."""
+    mark = f"MARK={tmp_path}\0".encode()
+
+    def left():
+        for folder in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if mark in (folder / "environ").read_bytes():
+                    yield folder
+
+    worker = start("spoilt")
+    worker.put(("daemon", str(tmp_path)))
+    assert until(lambda: [*left()])
+    worker.close()
+    assert until(lambda: not [*left()])
+
+
+def test_a_process_that_does_not_read_does_not_hold_the_parent(start):
+    """More than a pipe takes."""
+    worker = start("sleep")
+    for _ in range(3):
+        worker.put(bytes(1 << 20))
+    with pytest.raises(TimeoutError):
+        worker.get(0.01)
+
+
+@linux
 def test_a_worker_ends_when_its_parent_is_killed(start):
     """And it removes its own files then, as nobody else can."""
     middle = start("parent")
-    pid, folder = middle.get(LONG)
+    _, (pid, folder) = middle.get(LONG)
     os.kill(middle.pid, signal.SIGKILL)
     assert until(lambda: not Path(folder).exists())
     assert until(lambda: not runs(pid))

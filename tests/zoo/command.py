@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,12 +23,15 @@ class Ended:
     """The end of a command.
 
     left   temporary files, and command lines of descendants, that are still there
+    at     time of the end, as of files [s]; signalled: time of the signal, 0 without one
     """
 
     status: int
     out: str
     err: str
     left: tuple[str, ...]
+    at: float = 0.0
+    signalled: float = 0.0
 
     @property
     def lines(self) -> list[str]:
@@ -63,11 +67,13 @@ def command(
             start_new_session=True,
             preexec_fn=_usual_signals,
         )
+    signalled = 0.0
     try:
         if interrupt is not None:
             until(lambda: interrupt() or child.poll() is not None)
             child.send_signal(number)
-        status = child.wait(LONG)
+            signalled = time.time()
+        status, at = child.wait(LONG), time.time()
         until(lambda: not (_marked(mark) or _files(temporary)), VANISH)
         left = tuple(map(_command_line, _marked(mark)))
     finally:
@@ -75,7 +81,7 @@ def command(
             os.kill(pid, signal.SIGKILL)
         child.wait(LONG)
     texts = [(folder / name).read_text("utf-8", "replace") for name in ("stdout", "stderr")]
-    return Ended(status, *texts, (*_files(temporary), *left))
+    return Ended(status, *texts, (*_files(temporary), *left), at, signalled)
 
 
 def _usual_signals() -> None:

@@ -5,18 +5,26 @@
  * The fault is committed in a phase (instantiate, initialise, step, free), in a step from t = 0.5 s on, unless the
  * parameter `rate` is 3. Before, the process id (after a fork: that of the child) is written to the file.
  */
+#include <fenv.h>
 #include <math.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 static void phase(const char *name, double *values, double t, const char *token);
+static void *environment;
+static void (*logger)(void);
 #define PHASE(name, values, t, token) phase(name, values, t, token)
+#define LOGGER(e, function) environment = (void *)e, logger = (void (*)(void))function
 #include "good.c"
 
-enum { MEGABYTE = 1 << 20, PRINTED = 64, LEAKED = 4096 }; /* [MB]; more than any limit of the tests */
+/* [MB]; more than any limit of the tests, which `TAKEN` passes at once */
+enum { MEGABYTE = 1 << 20, PRINTED = 64, LEAKED = 4096, TAKEN = 2048, SAID = 64 };
+enum { DESCRIPTORS = 64 }; /* more than a process has */
 static const double BEGIN = 0.5 - 1e-9;                   /* [s]; steps do not add up exactly */
 static char fault[16], where[16], file[512];
 static volatile int zero = 0;
@@ -65,6 +73,58 @@ static void leave_child(int own_session) {
     sleep_for_ever();
 }
 
+static void say(const char *text) {
+#if FMI == 2
+    ((fmi2CallbackLogger)logger)(environment, "lag", fmi2Warning, "logStatusWarning", text);
+#else
+    ((fmi3LogMessageCallback)logger)(environment, fmi3Warning, "logStatusWarning", text);
+#endif
+}
+
+static void say_much(void) {
+    char *text = malloc((size_t)SAID * MEGABYTE);
+    memset(text, 'x', (size_t)SAID * MEGABYTE);
+    text[(size_t)SAID * MEGABYTE - 1] = 0;
+    say(text);
+    free(text);
+}
+
+static void take(void) {
+    volatile char *block = malloc((size_t)TAKEN * MEGABYTE);
+    for (size_t k = 0; k < (size_t)TAKEN * MEGABYTE; k += 4096) block[k] = 1;
+    usleep(200000); /* a limit is checked every 50 ms */
+    free((void *)block);
+}
+
+static void write_garbage(void) {
+    char garbage[4099];
+    for (size_t i = 0; i < sizeof garbage; i++) garbage[i] = (char)(i * i + i / 7);
+    for (int k = 0; k < 16; k++)
+        for (int fd = 3; fd < DESCRIPTORS; fd++)
+            if (write(fd, garbage, sizeof garbage) < 0) continue;
+}
+
+static void close_all(void) {
+    for (int fd = 0; fd < DESCRIPTORS; fd++) close(fd);
+}
+
+static void ignore_signals(void) {
+    sigset_t all;
+    sigfillset(&all);
+    for (int number = 1; number < 32; number++) signal(number, SIG_IGN);
+    pthread_sigmask(SIG_SETMASK, &all, NULL);
+}
+
+static void set_limits(void) {
+    const struct rlimit none = {0, 0};
+    setrlimit(RLIMIT_NOFILE, &none), setrlimit(RLIMIT_FSIZE, &none), setrlimit(RLIMIT_CORE, &none);
+}
+
+static void *go_on(void *nothing) {
+    for (;;) usleep(1000);
+    return nothing;
+}
+
 static int is(const char *name) { return !strcmp(fault, name); }
 
 static void phase(const char *name, double *values, double t, const char *token) {
@@ -86,4 +146,22 @@ static void phase(const char *name, double *values, double t, const char *token)
     if (is("leak")) leak();
     if (is("print")) print(), where[0] = 0;
     if (is("nan")) values[X] = NAN;
+    if (is("exec")) execl("/bin/sleep", "sleep", "1000", (char *)NULL);
+    if (is("twin")) where[0] = 0, fork(); /* both return */
+    if (is("garbage")) write_garbage(), where[0] = 0;
+    if (is("close")) close_all(), where[0] = 0;
+    while (is("chatter")) say("and so on");
+    while (is("babble")) puts("and so on");
+    if (is("text")) say_much(), where[0] = 0;
+    if (is("take")) take(), where[0] = 0;
+    if (is("rounding")) fesetround(FE_UPWARD), where[0] = 0;
+#ifdef __x86_64__
+    if (is("flush")) __builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() | 0x8040), where[0] = 0; /* both bits of it */
+#endif
+    if (is("signals")) ignore_signals(), where[0] = 0;
+    if (is("limits")) set_limits(), where[0] = 0;
+    if (is("thread")) {
+        pthread_t thread;
+        pthread_create(&thread, NULL, go_on, NULL), where[0] = 0;
+    }
 }

@@ -16,6 +16,21 @@ from orchestrator.base.compiler import SUFFIX
 
 FLAGS = ("-std=gnu11", "-fno-sanitize=undefined", "-Wno-unused-parameter", "-Wno-infinite-recursion", "-s")
 HANGS = ("spin", "sleep")
+# An FMU that does not fail, but does what no FMU may. benchmarks/hostile.py runs each through each command.
+MISUSES = {
+    "exec": "replaces the process by another program",
+    "twin": "forks, and both processes return from the step",
+    "garbage": "writes to all open files",
+    "close": "closes all files",
+    "chatter": "logs without end",
+    "babble": "prints without end",
+    "text": "logs a message of 64 MB",
+    "take": "allocates and frees 2 GB",
+    "rounding": "changes the rounding mode",
+    "signals": "ignores and blocks all signals",
+    "limits": "sets the limits of open files and of their size to 0",
+    "thread": "leaves a thread that never ends",
+}
 HARMLESS = ("none", "fork", "daemon", "print")  # the run ends as if nothing had happened
 CAUSES = {  # what a message calls a fault that ends the process
     "exit_0": "exit status 0",

@@ -110,7 +110,7 @@ def main(channel: Channel) -> None:
     own = {*channel.folder.iterdir()}
     while job := channel.get():
         channel.activity.clear()
-        if not FORKS or not (pid := os.fork()):
+        if not FORKS or not (pid := channel.fork()):
             break
         end = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         if end != FINISHED:
@@ -118,14 +118,14 @@ def main(channel: Channel) -> None:
             os._exit(end)
         for left in {*channel.folder.iterdir()} - own:
             shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
-        channel.put({"idle": True})
-    channel.put({"pid": os.getpid()})
-    trial = Trial(**job["trial"], activity=channel.activity, begin_case=lambda n: channel.put({"case": n}))
+        channel.put("idle")
+    channel.put("pid", os.getpid())
+    trial = Trial(**job["trial"], activity=channel.activity, begin_case=lambda n: channel.put("case", n))
     module, _, name = job["task"].partition(":")
     task: Task = getattr(import_module(f"orchestrator.check.tasks.{module}"), name)
     try:
         for severity, text in task(trial):
-            channel.put({"severity": severity, "text": text})
+            channel.put("remark", (severity, text))
     except OnlyOnce:
         pass  # the rest of the task needs another instance
     except Problem as problem:
@@ -134,15 +134,15 @@ def main(channel: Channel) -> None:
             grave, why = ("note", "not measured: ")
         elif not trial._instances and trial.interface.declares("needsExecutionTool"):
             grave, why = ("warning", "the tool that the FMU needs may be missing: ")
-        channel.put({"severity": grave, "text": f"{why}{problem}"})
+        channel.put("remark", (grave, f"{why}{problem}"))
     except Crashed as problem:
-        channel.put({"crash": str(problem)})
+        channel.put("crash", str(problem))
     except OSError as problem:
         path, _, reason = str(problem).partition(": ")  # the message omits the path of the temporary folder
         message = reason if reason and "/" in path else problem
-        channel.put({"severity": "error", "text": f"the binary cannot be loaded: {message}"})
+        channel.put("remark", ("error", f"the binary cannot be loaded: {message}"))
     except Exception as problem:  # a defect of the check, not of the FMU: the other probes continue
         text = f"the probe failed (a defect of this check): {problem!r}"
-        channel.put({"severity": "warning", "text": text})
-    channel.put({"done": True, "result": trial.result})
+        channel.put("remark", ("warning", text))
+    channel.put("done", trial.result)
     os._exit(FINISHED)

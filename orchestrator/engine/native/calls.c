@@ -121,6 +121,7 @@ static int exchange_call(Simulation *sim, const ExchangeCall *e) {
     } else if (e->kind == VECTOR) status = ((Vector *)e->function)(e->instance, e->values, (size_t)e->count);
     else status = call_completed_step(e);
     *e->call = 0;
+    if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
     return status ? sim->check_status(e, 0, status) : CONTINUE;
 }
 
@@ -185,6 +186,7 @@ int component_step(Simulation *sim, int k, double t, double h) {
         status = ((Step3 *)p->do_step)(p->instance, t, h, p->never_restored != 0, p->event, p->terminate, p->early,
                                        p->last);
     *p->call = 0;
+    if (!rounds_to_nearest()) environment_restore(sim, k);
     if (status || (p->flags && *p->flags)) return sim->check_status(0, k, status);
     return CONTINUE;
 }

@@ -11,6 +11,7 @@
  *     scenario.c             inputs that a scenario drives
  *     plant.c                all components in Model Exchange, as one ODE
  *     calls.c                calls into FMUs and into Python
+ *     environment.c          the rounding mode and its like, which an FMU may change
  *     threads.c              components that step at the same time
  *
  * Python owns all arrays. c_library.py reads the structures from this file; Python fills them before a run and
@@ -31,8 +32,9 @@ enum { SET_TIME, VECTOR, COMPLETED_STEP };                        /* kinds of ca
 enum { DRIVEN = -1, LINE = 1, DEGREE = 3 };
 enum { CONTINUE, STOP, DISCARDED, ABORT };                 /* verdicts; ABORT: the cause is not an FMU */
 enum { CALL, STEP, SAVE, RESTORE };                        /* requests to Python; also numbers of FMI functions */
-enum { OUT_OF_RANGE = -1, WITHDRAWN = -3 };                /* further statuses: an integer that the other type cannot
-                                    hold; a step that is repeated, so that its messages do not count */
+enum { OUT_OF_RANGE = -1, WITHDRAWN = -3, CHANGED = -5 };  /* further statuses: an integer that the other type cannot
+                                    hold; a step that is repeated, so that its messages do not count; an FMU has changed
+                                    the floating-point environment, which was restored */
 enum { SOLVED = 0, SINGULAR = -1, NOT_CONVERGED = -2, NEEDS_INVERSE = -4 }; /* outcomes for an algebraic loop */
 enum { JACOBIAN_VALID, CIRCULAR, INITIALISED };            /* flags of a loop; CIRCULAR: values that were copied along
                                     the connections did not settle */
@@ -341,6 +343,7 @@ typedef struct Simulation {
     int32_t threads;
     CheckStatus *check_status;
     CallPython *call_python;
+    uint64_t control; /* words of the floating-point environment at the beginning of the run */
     double reached; /* time that an FMU reached in a discarded step */
 } Simulation;
 
@@ -368,6 +371,16 @@ int component_restore(Simulation *, int k);
 int directional_derivative(Simulation *, const Derivative *);
 int linearise(Simulation *, const JacobianColumn *, int32_t count, double *matrices);
 double seconds(void);
+
+/* environment.c; k: the component that may have changed it */
+enum { ANY_COMPONENT = -1 };
+void environment_restore(Simulation *, int k);
+EXPORT int32_t environment_begin(Simulation *);
+EXPORT int32_t environment_check(Simulation *);
+static inline int rounds_to_nearest(void) {
+    static const volatile double one = 1.0, little = 0x1p-60;
+    return one + little == one && one - little == one;
+}
 
 /* algebraic_loop.c */
 EXPORT int32_t loop_solve(Simulation *, AlgebraicLoop *);

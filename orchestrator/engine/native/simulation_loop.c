@@ -119,6 +119,7 @@ static int try_step(Simulation *sim, double h, int *accepted) {
     sim->all_passes += passes;
     verdict = store_used_inputs(sim);
     if (!verdict) verdict = exchange_at_end(sim, h);
+    if (!rounds_to_nearest()) environment_restore(sim, ANY_COMPONENT);
     if (verdict) return verdict;
     if (sim->step_size) {
         const double e = (sim->by_energy ? power_error(sim, h) : step_error(sim, h)) / sim->error_tolerance;
@@ -214,6 +215,7 @@ int32_t simulation_advance(Simulation *sim) {
         if (verdict) return verdict;
         if (sim->diverged || errors_are_full(sim->errors) || seconds() > until) break;
     }
+    environment_restore(sim, ANY_COMPONENT);
     return CONTINUE;
 }
 

@@ -1,0 +1,39 @@
+"""FMUs that do what no FMU may, through every command; the table in docs/run.md says how each ends."""
+
+import random
+import sys
+from pathlib import Path
+
+import pytest
+from kit import shards
+
+from benchmarks.hostile import COMMANDS, MOST_DELAY, SEED, play
+from zoo.faulty import MISUSES
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="misuses and signals of Linux")
+PAGE = Path(__file__).parents[2] / "docs/run.md"
+CASES = [(misuse, name) for misuse in MISUSES for name in COMMANDS]
+# a process that is replaced, one that is copied, a connection that is written to
+QUICK = [("exec", "run"), ("twin", "run"), ("garbage", "accuracy")]
+
+
+def documented(misuse: str, name: str) -> str:
+    """The word in the table."""
+    rows = (
+        line for line in PAGE.read_text("utf-8").splitlines() if line.startswith(f"| {MISUSES[misuse]} |")
+    )
+    return next(rows).split("|")[2 + COMMANDS.index(name)].strip()
+
+
+@pytest.mark.parametrize(("misuse", "name"), shards.few(QUICK, CASES, shards.faults))
+def test_a_misuse_ends_as_documented(tmp_path: Path, misuse: str, name: str) -> None:
+    """In at most one line that names the FMU, with each row until then once, and nothing is left."""
+    assert play(misuse, name, tmp_path).word == documented(misuse, name)
+
+
+@pytest.mark.parametrize(
+    ("misuse", "name"), shards.few([("exec", "batch"), ("signals", "run")], CASES, shards.faults)
+)
+def test_an_interrupt_at_any_time_leaves_nothing(tmp_path: Path, misuse: str, name: str) -> None:
+    """And the same holds."""
+    play(misuse, name, tmp_path, random.Random(f"{SEED} {misuse} {name}").uniform(0.0, MOST_DELAY))
