@@ -23,7 +23,8 @@ from dataclasses import dataclass
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
+from orchestrator.base.room import machine_memory
+from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 
 if TYPE_CHECKING:
     from orchestrator.data.trace_writer import RowLayout, TraceSink

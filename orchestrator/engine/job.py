@@ -192,6 +192,7 @@ class Job:
                 interrupted = True
             except Ended as ended:
                 opened.notes += (f"{ENDS_EARLY}{ended}",)
+                self._record_end(opened, ended.reached)
             except Problem as raised:
                 problem = raised
             opened.recorder.finish()
@@ -232,6 +233,17 @@ class Job:
                     opened.errors.collect(sink)
                 between(loop.state.t)
 
+    def _record_end(self, opened: OpenJob, t: float) -> None:
+        """Record the time [s] at which an FMU ended the run inside a step (FMI 2.0.5, 4.2.2: fmi2Terminated).
+
+        In a system of several FMUs the others are not there, so its last row is the last communication point.
+        """
+        state = opened.loop.state
+        if len(opened.network.slaves) == 1 and t > state.t:
+            opened.recorder.collect()
+            opened.recorder.end_at(t, self.scenario.initial(self.system, t) if self.scenario else {})
+            state.t = t
+
     @contextmanager
     def opened(self, times: Grid, sink: PointSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
         """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
@@ -254,7 +266,8 @@ class Job:
             if plan.prediction:
                 prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
             driven = self.scenario.initial(self.system, times.start) if self.scenario else {}
-            initialise(self.system, slaves, driven, (times.start, times.stop), self.execution.tolerance)
+            tolerances = {n: self.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
+            initialise(self.system, slaves, driven, (times.start, times.stop), tolerances)
             energy = EnergyMonitor(network, inputs.varying, self._bonds(network))
             recorder = Recorder(network, times, sink, selected)
             control = self.control(inputs, times)

@@ -273,15 +273,17 @@ def initialise(
     slaves: Mapping[str, Slave],
     driven: Mapping[Port, Value],
     span: tuple[float, float],
-    tolerance: float | None = None,
+    tolerances: Mapping[str, float | None] | None = None,
 ) -> None:
     """Initialise all FMUs, which are instantiated.
 
-    driven   input -> value at the start time, for inputs that a scenario drives
-    span     start and stop time [s]
+    driven       input -> value at the start time, for inputs that a scenario drives
+    span         start and stop time [s]
+    tolerances   component -> tolerance of the solver in its FMU
     """
     for name, slave in slaves.items():
-        slave.setup(span[0], _announced_stop(slave.interface, span[1]), tolerance)
+        stop = _announced_stop(slave.interface, span[1])
+        slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
     _set(slaves, driven)  # some FMUs compute start values when they enter initialisation mode

@@ -247,14 +247,6 @@ class Worker:
         _kill(self._child, self.folder)
 
 
-def machine_memory() -> float:
-    """Memory of this machine [bytes]; infinite if unknown."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):
-        return float("inf")
-
-
 def _start(
     target: str, folder: Path, environment: Mapping[str, str], **options: Any
 ) -> subprocess.Popen[bytes]:

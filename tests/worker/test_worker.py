@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from kit.wait import LONG, runs, until
 
+from orchestrator.base.room import machine_memory
 from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.process import Worker, WorkerLimits, machine_memory
+from orchestrator.worker.process import Worker, WorkerLimits
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")
 
