@@ -59,7 +59,7 @@ class Experience:
     order: float
 
 
-EXTRAPOLATING = Experience(0.8, 0.45, 3.0)
+EXTRAPOLATING = Experience(0.6, 0.35, 3.0)
 HERMITE = Experience(0.5, 0.35, 2.0)  # where it is not accurate enough, cavities and friction limit the order
 
 

@@ -167,8 +167,13 @@ class Recorder:
 
 
 def _is_applied(network: Network, port: Port) -> bool:
-    """False for a command that is replaced: an output of a source that feeds nothing, named as an input."""
+    """False for a rate that follows from a scenario, and for a command that is replaced.
+
+    That is an output of a source that feeds nothing, named as an input.
+    """
     system = network.system
+    if port in network.rates:
+        return False
     if system.components[port.component].interface.of("input") or port in (
         *(c.source for c in system.connections),
         *(outlet.source for outlet in system.outputs.values()),

@@ -176,7 +176,7 @@ def _trial(
     settings = search.settings
     if record.signals is not None:
         record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
-    execution = replace(execution, tolerance=settings.tolerance, error_estimate="fast")
+    execution = replace(execution, tolerance=settings.tolerance, error_estimate=True)
     system = system.coupled(settings.coupling)
     return _job(system, scenario, record, execution, **{**given, "step": settings.step})
 
