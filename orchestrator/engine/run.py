@@ -173,12 +173,15 @@ def _trial(
     """The job of the next run of a search, or of the only run without one, and its communication points."""
     if search is None:
         return _job(system, scenario, record, execution, **given)
-    settings = search.settings
+    settings, again = search.settings, search.runs > 0
     if record.signals is not None:
         record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
     execution = replace(execution, tolerance=settings.tolerance, error_estimate=True)
     system = system.coupled(settings.coupling)
-    return _job(system, scenario, record, execution, **{**given, "step": settings.step})
+    job, times = _job(system, scenario, record, execution, **{**given, "step": settings.step})
+    if again and execution.progress:
+        tell_once(f"note: {search.cost(times.stop - times.start)}")
+    return job, times
 
 
 def prepare(
