@@ -12,12 +12,16 @@ accuracy and from what the FMUs can do, later ones from the error of the last ru
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
+import numpy as np
+
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import first_names
+from orchestrator.data.trace import Trace
 from orchestrator.engine.result import Result, RunFailed, SignalError, compare
 from orchestrator.engine.time_grid import step_length
 from orchestrator.ssp.dependencies import influential_inputs
@@ -45,6 +49,7 @@ SHORT_STEP = 1.0  # over the suggested one; below it adaptive steps are cheaper
 FIRST_TOLERANCE = 0.1  # of adaptive steps, over the accuracy
 STRICTEST = 1e-10  # tolerance of adaptive steps
 SHORTEST = 0.01  # of adaptive steps, over the suggested step: where a signal jumps, no step is short enough
+JUMP, LEAST_JUMP = 10.0, 0.01  # change of a signal over that of the steps around it, and over its range
 STAGNATION, PATIENCE = (
     0.7,
     2,
@@ -115,8 +120,8 @@ class AccuracySearch:
         if not low <= accuracy <= high:
             raise Problem(f"accuracy: expected {low:g} to {high:g}, got {accuracy:g}")
         interfaces = [component.interface for component in system.components.values()]
-        self.accuracy, self.signals = accuracy, decisive_signals(system, patterns)
-        nominals = {name: system.variable(system.port(name)).nominal for name in self.signals}
+        self.accuracy, self.decisive = accuracy, decisive_signals(system, patterns)
+        nominals = {name: system.variable(system.port(name)).nominal for name in self.decisive}
         self._scales = {name: LEAST_RANGE * abs(nominal or 0.0) for name, nominal in nominals.items()}
         self._base, self.runs = step_length(system.coupled(Coupling()), None), 0
         self._least, self._idle = math.inf, 0
@@ -129,8 +134,26 @@ class AccuracySearch:
         rates = [
             Port(c.name, r) for c in system.components.values() for r in c.interface.rate_inputs.values()
         ]
+        self._causes = list(self._possible_jumps(system))
         self._has_rate_wires = not targets.isdisjoint(rates)
         self.settings = self._best = self._first()
+
+    def _possible_jumps(self, system: System) -> Iterator[str]:
+        """The outputs whose jumps the estimate would not see.
+
+        They feed an input that influences a state, and are not continuous, or their FMUs declare no
+        derivatives: an estimate by derivatives sees a jump of a continuous output as a defect of the input.
+        """
+        influential = influential_inputs(system)
+        for source in dict.fromkeys(c.source for c in system.connections if c.target in influential):
+            variable = system.variable(source)
+            if variable.kind != "String" and not (variable.is_continuous and self._estimates):
+                yield str(source)
+
+    @property
+    def signals(self) -> list[str]:
+        """The signals that have to be recorded."""
+        return list(dict.fromkeys((*self.decisive, *self._causes)))
 
     def _first(self) -> Settings:
         if not self._estimates:
@@ -154,8 +177,10 @@ class AccuracySearch:
         known = result.card.errors_of_inputs or previous is not None
         if known and error <= self.settings.experience.accepted * self.accuracy:
             reached = f"estimated RMS error {error:.1e} of the range in run {self.runs}"
+            if jumping := [name for name in self._causes if _jumps(result.trace, name)]:
+                reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
             tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
-            note = f"accuracy {self.accuracy:g} of {_named(self.signals)}: {reached}, {tolerance}"
+            note = f"accuracy {self.accuracy:g} of {_named(self.decisive)}: {reached}, {tolerance}"
             return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
         self._continue(error if known else math.inf, result)
         return None
@@ -236,6 +261,14 @@ def fmu_tolerance(accuracy: float) -> float:
 def within(value: float, low: float, high: float) -> float:
     """The nearest value between both limits."""
     return min(max(value, low), high)
+
+
+def _jumps(trace: Trace, name: str) -> bool:
+    """Does a signal change in one step by much more than in the steps around it would do?"""
+    changes, lengths = np.abs(np.diff(trace[name])), np.diff(trace.time)
+    rates = np.pad(changes / lengths, 1)
+    around = np.maximum(rates[:-2], rates[2:]) * lengths
+    return bool((changes > np.maximum(JUMP * around, LEAST_JUMP * np.ptp(trace[name]))).any())
 
 
 def _named(signals: Sequence[str]) -> str:

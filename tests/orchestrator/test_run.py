@@ -127,6 +127,20 @@ def test_by_default_outputs_and_inputs_that_nothing_feeds_are_recorded(fmus):
     np.testing.assert_array_equal(trace["gain.u"], 3.0)
 
 
+def test_the_rate_input_of_a_driven_input_has_its_slope(each):
+    """Just after each communication point; without it rate outputs that depend on it are wrong.
+
+    The load pressure of a valve that opens had 1/200 of its slope, and adaptive steps shrank to 1e-7 s.
+    """
+    drift = str(each["drift"])
+    scenario = {"time": [0.5, 1.0, 1.5], "u": [0.0, 2.0, 1.0]}
+    trace = run(drift, scenario, step=0.25, stop=2.0, record=["drift.u", "drift.u_rate"]).trace
+    np.testing.assert_array_equal(trace["drift.u_rate"], [0, 0, 4, 4, -2, -2, 0, 0, 0])
+    assert "drift.u_rate" not in run(drift, scenario, step=0.25).trace.signals  # it follows from the scenario
+    given = run(drift, scenario | {"u_rate": [7.0, 7.0, 7.0]}, step=0.25).trace
+    np.testing.assert_array_equal(given["drift.u_rate"], 7.0)
+
+
 def test_outside_its_scenario_a_run_holds_the_first_and_last_values(fmus):
     """Notes report it, and that a start value of a driven input has no effect.
 
