@@ -48,6 +48,7 @@ class Kind:
 
 Seconds: TypeAlias = Annotated[float | str | None, Kind("T", "s")]
 Number: TypeAlias = Annotated[float | None, Kind("TOL")]
+Tolerance: TypeAlias = Annotated[float | None, Kind("TOL", least=1e-16, most=1.0)]
 Whole: TypeAlias = Annotated[int | None, Kind("N")]
 Patterns: TypeAlias = Annotated[str | Sequence[str] | None, Kind("PATTERN")]
 Sets: TypeAlias = Annotated[
@@ -126,6 +127,16 @@ class AccuracyArguments(TypedDict, total=False):
     accuracy_of: Patterns
 
 
+class SolverArguments(TypedDict, total=False):
+    """The solvers in the FMUs.
+
+    tolerance   Relative tolerance of the solvers in the FMUs; default: with `accuracy` 0.03 of it, else the
+                tolerance in the DefaultExperiment of each FMU.
+    """
+
+    tolerance: Tolerance
+
+
 class LimitArguments(TypedDict, total=False):
     """Estimate of errors, and limits of a run.
 
@@ -188,7 +199,6 @@ class ProcessArguments(TypedDict, total=False):
 
     bonds       Power bonds, as pairs of input names, whose energy error is recorded; default: those that
                 follow from the units.
-    tolerance   Relative tolerance of the solvers in the FMUs.
     progress    Show a progress bar if the run takes longer than a second.
     isolate     Run in a process of its own, so that an FMU that crashes ends only that process; default: yes.
     open        Opens a component: returns an FMU, or any object with the methods of
@@ -196,7 +206,6 @@ class ProcessArguments(TypedDict, total=False):
     """
 
     bonds: Sequence[tuple[str, str]] | None
-    tolerance: float | None
     progress: bool | None
     isolate: bool | None
     open: Callable[[Any], Any] | None
@@ -210,7 +219,7 @@ class CoupledArguments(CaseArguments, StepArguments, AccuracyArguments, Coupling
     """What a co-simulation runs, how accurate, and how it is coupled."""
 
 
-class CommandArguments(CoupledArguments, LimitArguments, total=False):
+class CommandArguments(CoupledArguments, SolverArguments, LimitArguments, total=False):
     """Options of the command `run`."""
 
 
@@ -218,13 +227,12 @@ class RunArguments(CommandArguments, ProcessArguments, total=False):
     """Options of `run`."""
 
 
-class MachinesArguments(SystemArguments, StepArguments, CouplingArguments, total=False):
+class MachinesArguments(SystemArguments, StepArguments, SolverArguments, CouplingArguments, total=False):
     """Options of machines that are simulated at once.
 
     workers   Number of cores to use; default: all.
     """
 
-    tolerance: float | None
     workers: int | None
 
 
@@ -279,7 +287,7 @@ class LinearArguments(SystemArguments, total=False):
 
 FIELDS = {"coupling_tolerance": "tolerance"}  # option -> field of `Coupling`, where they differ
 GROUPS = (
-    *(SystemArguments, SpanArguments, StepArguments, AccuracyArguments, LimitArguments),
+    *(SystemArguments, SpanArguments, StepArguments, AccuracyArguments, SolverArguments, LimitArguments),
     *(CouplingArguments, ProcessArguments, MachinesArguments),
 )
 

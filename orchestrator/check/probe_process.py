@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from orchestrator.base.room import machine_memory
 from orchestrator.fmi.raw_description import ModelDescription
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
+from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 
 ELSEWHERE = "time_and_state:elsewhere"  # needs a process with other addresses
 CONTENTS = {"pid": int, "remark": tuple[str, str], "case": int, "crash": str, "done": Any, "idle": type(None)}

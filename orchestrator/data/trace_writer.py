@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, csv_header
+from orchestrator.base.room import check_room
 from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, check_suffix, read_trace
@@ -191,12 +192,8 @@ class TraceInMemory(TraceSink):
             self._errors.append((times[finite], values[finite]))
 
     def _allocate(self, rows: int) -> None:
-        try:
-            times, values = np.zeros(rows), np.zeros((len(self._values), rows))
-        except (MemoryError, ValueError):  # ValueError: NumPy has no index for so many
-            size = f"{rows:.3g} points of {len(self._values)} signals"
-            advice = "choose a longer record step or stop earlier"
-            raise Problem(f"{size} do not fit into memory; {advice}") from None
+        check_room(rows, len(self._values))
+        times, values = np.zeros(rows), np.zeros((len(self._values), rows))
         stored = len(self._times)
         times[:stored], values[:, :stored] = self._times, self._values
         self._times, self._values = times, values
@@ -271,7 +268,11 @@ class TraceFile(TraceSink):
         self.accept: Callable[[RowLayout], None] = lambda _: None
 
     def begin(self, layout: RowLayout, rows: int = 0) -> None:
-        """Make the partial file; that of an earlier run is removed, unless `accept` refuses the signals."""
+        """Make the partial file; that of an earlier run is removed, unless `accept` refuses the signals.
+
+        Raises Problem if the rows do not fit on the disk.
+        """
+        check_room(rows, len(layout.names), next(p for p in self.path.absolute().parents if p.is_dir()))
         self.accept(layout)
         super().begin(layout, rows)
         self._peaks, self._peak_times = np.zeros(len(layout.names)), np.zeros(len(layout.names))

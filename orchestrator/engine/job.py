@@ -14,6 +14,7 @@ from typing import Literal
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.room import machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import PointSink, TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
@@ -32,7 +33,7 @@ from orchestrator.fmi.messages import WARNING, Log
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System
-from orchestrator.worker.process import WorkerLimits, machine_memory
+from orchestrator.worker.process import WorkerLimits
 
 ENDS_EARLY = "the run ends early: "  # begins the note on a run that an FMU asked to end
 FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
@@ -223,6 +224,7 @@ class Job:
                 interrupted = True
             except Ended as ended:
                 opened.notes += (f"{ENDS_EARLY}{ended}",)
+                self._record_end(opened, ended.reached)
             except Problem as raised:
                 problem = raised
             opened.recorder.finish()
@@ -263,6 +265,17 @@ class Job:
                     opened.errors.collect(sink)
                 between(loop.state.t)
 
+    def _record_end(self, opened: OpenJob, t: float) -> None:
+        """Record the time [s] at which an FMU ended the run inside a step (FMI 2.0.5, 4.2.2: fmi2Terminated).
+
+        In a system of several FMUs the others are not there, so its last row is the last communication point.
+        """
+        state = opened.loop.state
+        if len(opened.network.slaves) == 1 and t > state.t:
+            opened.recorder.collect()
+            opened.recorder.end_at(t, self.scenario.initial(self.system, t) if self.scenario else {})
+            state.t = t
+
     @contextmanager
     def opened(self, times: Grid, sink: PointSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
         """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
@@ -288,7 +301,8 @@ class Job:
                 prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
             driven = self.scenario.initial(self.system, times.start) if self.scenario else {}
             span, restore = (times.start, times.stop), partial(_restore_environment, binding)
-            initialise(self.system, slaves, driven, span, self.execution.tolerance, restore)
+            tolerances = {n: self.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
+            initialise(self.system, slaves, driven, span, tolerances, restore)
             binding.changed = partial(_warn_of_change, [*slaves.values()])
             energy = EnergyMonitor(network, inputs.varying, self._bonds(network))
             recorder = Recorder(network, times, sink, selected)

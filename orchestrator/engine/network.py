@@ -116,7 +116,7 @@ class Network:
 
     binding          the C library and the objects that it refers to
     components       by name
-    driven           the inputs that a scenario drives
+    driven           the inputs that a scenario drives; rates: their rate inputs, and they themselves
     reals, integers  arrays of the Real values, and of all others (Integer, Enumeration, Boolean)
     input_ends       shape (2, Real values): coupling inputs at both ends of a step; NaN for other signals
     connections      connections to inputs
@@ -146,13 +146,16 @@ class Network:
         self._influential = influential_inputs(system)
         self.connections = [c for c in system.connections if system.variable(c.target).causality == "input"]
         self.reals, self.integers = SignalArray(np.float64), SignalArray(np.int32)
-        output_blocks, input_blocks = self._allocate(recorded, scenario.columns if scenario else ())
+        self.rates = scenario.rates(system) if scenario else {}
+        output_blocks, input_blocks = self._allocate(
+            recorded, [*scenario.columns, *self.rates] if scenario else ()
+        )
         self.input_ends = np.full((2, len(self.reals.values)), np.nan)
         self.loops = [AlgebraicLoop(self.binding, slaves, cycle) for cycle, _ in self.order.cycles]
         self.exchange_calls = self._exchange(output_blocks, input_blocks)
         self.driven: DrivenInputs | None = None
         if scenario:
-            calls = self.set_calls(set(scenario.columns))
+            calls = self.set_calls({*scenario.columns, *self.rates})
             self.driven = DrivenInputs(scenario, system, self.reals.index, self.integers.index, calls)
 
     @property
@@ -273,17 +276,19 @@ def initialise(
     slaves: Mapping[str, Slave],
     driven: Mapping[Port, Value],
     span: tuple[float, float],
-    tolerance: float | None = None,
+    tolerances: Mapping[str, float | None] | None = None,
     after: Callable[[Slave], None] = lambda _: None,
 ) -> None:
     """Initialise all FMUs, which are instantiated.
 
-    driven   input -> value at the start time, for inputs that a scenario drives
-    span     start and stop time [s]
-    after    called when one FMU has been called several times
+    driven       input -> value at the start time, for inputs that a scenario drives
+    span         start and stop time [s]
+    tolerances   component -> tolerance of the solver in its FMU
+    after        called when one FMU has been called several times
     """
     for name, slave in slaves.items():
-        slave.setup(span[0], _announced_stop(slave.interface, span[1]), tolerance)
+        stop = _announced_stop(slave.interface, span[1])
+        slave.setup(span[0], stop, tolerances.get(name) if tolerances else None)
         for variable, value in system.components[name].start.items():
             slave.set(variable, value)
         after(slave)

@@ -14,7 +14,7 @@ the step.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -29,6 +29,7 @@ from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Call
+from orchestrator.fmi.description import Value
 from orchestrator.ssp.power_bonds import Bond
 from orchestrator.ssp.system import Port
 
@@ -157,10 +158,22 @@ class Recorder:
             self._sink.append_points(*self._between)
             self._between = None
 
+    def end_at(self, t: float, driven: Mapping[Port, Value]) -> None:
+        """Make a last point at t [s] from the values that the FMUs have now, and those of driven inputs."""
+        values = {p: driven[p] if p in driven else self._network.slaves[p.component].get(p.variable)
+                  for p in (*self._reals, *self._integers)}  # fmt: skip
+        reals = np.array([[values[p] for p in self._reals]], float)
+        self._between = np.array([t]), reals, np.array([[values[p] for p in self._integers]], np.int32)
+
 
 def _is_applied(network: Network, port: Port) -> bool:
-    """False for a command that is replaced: an output of a source that feeds nothing, named as an input."""
+    """False for a rate that follows from a scenario, and for a command that is replaced.
+
+    That is an output of a source that feeds nothing, named as an input.
+    """
     system = network.system
+    if port in network.rates:
+        return False
     if system.components[port.component].interface.of("input") or port in (
         *(c.source for c in system.connections),
         *(outlet.source for outlet in system.outputs.values()),

@@ -28,6 +28,7 @@ from orchestrator.base.options import (
     documented,
 )
 from orchestrator.base.progress import Doing, overwrites
+from orchestrator.base.room import size_text
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
@@ -62,6 +63,8 @@ from orchestrator.ssp.plausible import doubtful_columns, doubtful_end, doubtful_
 from orchestrator.ssp.provenance import built_notes, provenance
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
+
+MANY_STEPS = 10**7  # 20 s of the harvester's FMUs: from here on a run says in advance what it will take
 
 ScenarioSource: TypeAlias = "Data | str | Path | Location | None"
 
@@ -171,12 +174,15 @@ def _trial(
     """The job of the next run of a search, or of the only run without one, and its communication points."""
     if search is None:
         return _job(system, scenario, record, execution, **given)
-    settings = search.settings
+    settings, again = search.settings, search.runs > 0
     if record.signals is not None:
         record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
-    execution = replace(execution, tolerance=settings.tolerance, error_estimate="fast")
+    execution = replace(execution, tolerance=settings.tolerance, error_estimate=True)
     system = system.coupled(settings.coupling)
-    return _job(system, scenario, record, execution, **{**given, "step": settings.step})
+    job, times = _job(system, scenario, record, execution, **{**given, "step": settings.step})
+    if again and execution.progress:
+        tell_once(f"note: {search.cost(times.stop - times.start)}")
+    return job, times
 
 
 def prepare(
@@ -397,8 +403,7 @@ def run_to_file(
     while True:
         file = TraceFile(out)
         job, times = _trial(search, loaded, scenario, record, execution, given)
-        if accept is not None:
-            file.accept = partial(accept, job.system, times)
+        file.accept = partial(_begins, times, partial(accept, job.system, times) if accept else None)
         result, summary = None, ""
         try:
             outcome = simulate(job, times, file)
@@ -416,6 +421,15 @@ def run_to_file(
         except BaseException:
             file.close()
             raise
+
+
+def _begins(times: Grid, accept: Callable[[RowLayout], None] | None, layout: RowLayout) -> None:
+    """Say what a long run will take, before its first step."""
+    if times.steps >= MANY_STEPS:
+        rows = size_text(times.rows, len(layout.names))
+        tell_once(f"note: {times.steps:.3g} steps of {times.step:g} s up to {times.stop:g} s, {rows}")
+    if accept is not None:
+        accept(layout)
 
 
 def chooses_freely(system: System, step: float | None, coupling: Mapping[str, Any] | None) -> bool:

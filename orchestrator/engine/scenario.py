@@ -67,6 +67,11 @@ class ScenarioTable:
         is_corner = ((relative > ALWAYS_CORNER) | isolated).any(axis=1)
         return [float(t) for t in self.arrays[0][is_corner]]
 
+    def slope(self, t: float) -> NDArray[np.float64]:
+        """The slopes just after t, shape (k,)."""
+        values: NDArray[np.float64] = self._slopes[self.interval(t)]
+        return values
+
     def sample(self, t: float) -> NDArray[np.float64]:
         """The last sample at or before t, for inputs that are not continuous, shape (k,)."""
         values: NDArray[np.float64] = self._base[self.interval(t)]
@@ -88,7 +93,7 @@ class Scenario:
         the declared rate input of a driven input is removed too. A connection to an undeclared rate input
         stays: the slope that the run sets takes precedence over it.
         """
-        targets = {*self.columns, *self._rates(system)}
+        targets = {*self.columns, *self.rates(system)}
         replaced = [c for c in system.connections if c.target in targets]
         sources = dict.fromkeys(c.source.component for c in replaced)
         signal_sources = [name for name in sources if not system.components[name].interface.of("input")]
@@ -100,12 +105,14 @@ class Scenario:
         )
         return replace(system, connections=tuple(kept), notes=(*system.notes, *notes))
 
-    def _rates(self, system: System) -> Iterator[Port]:
-        """The inputs that are declared as time derivatives of driven inputs."""
+    def rates(self, system: System) -> dict[Port, Port]:
+        """The inputs that are declared as time derivatives of driven inputs, and these inputs."""
+        found = dict[Port, Port]()
         for port in self.columns:
             rates = system.components[port.component].interface.rate_inputs
-            if port.variable in rates:
-                yield Port(port.component, rates[port.variable])
+            if port.variable in rates and system.variable(port).is_continuous:
+                found[Port(port.component, rates[port.variable])] = port
+        return {rate: port for rate, port in found.items() if rate not in self.columns}
 
     def _slopes(self, system: System) -> Iterator[Port]:
         """The rate inputs, by name, of driven inputs whose slope is set by the run."""
@@ -115,7 +122,7 @@ class Scenario:
 
     def _replacement_note(self, system: System, component: str) -> str:
         targets = [c.target for c in system.connections if c.source.component == component]
-        covered = {*self.columns, *self._rates(system), *self._slopes(system)}
+        covered = {*self.columns, *self.rates(system), *self._slopes(system)}
         uncovered = ", ".join(str(port) for port in targets if port not in covered)
         consequence = (
             f"; inputs that are not in the scenario keep their start values: {uncovered}" if uncovered else ""
@@ -132,6 +139,9 @@ class Scenario:
                 values[port] = linear(float((interpolated if variable.is_continuous else sampled)[column]))
             else:
                 values[port] = round(float(sampled[column]))
+        for rate, port in self.rates(system).items():
+            column, linear = self.columns[port]
+            values[rate] = linear.factor * float(self.table.slope(t)[column])
         return values
 
     def overruled(self, system: System, start: Mapping[str, Value | str]) -> tuple[str, ...]:
@@ -193,7 +203,8 @@ def _targets(system: System, name: str, label: str) -> tuple[tuple[Port, LinearT
 class DrivenInputs:
     """The inputs that a scenario drives, for native/scenario.c.
 
-    continuous   continuous Real inputs, which follow a straight line over a step; discrete Real inputs, and
+    continuous   continuous Real inputs, which follow a straight line over a step; their rate inputs have the
+                 slope at communication points, because rate outputs depend on it; discrete Real inputs, and
                  Integer, Enumeration and Boolean inputs, keep the value of the last sample
     """
 
@@ -219,6 +230,10 @@ class DrivenInputs:
             np.array([columns[p][0] for p in ports], dtype=np.int64)
             for ports in (self.continuous, discrete, others)
         )
+        rates = {r: columns[p] for r, p in scenario.rates(system).items()}
+        self.rates = np.array([reals[r] for r in rates], dtype=np.int64)
+        self.rate_columns = np.array([column for column, _ in rates.values()], dtype=np.int64)
+        self.rate_factor = np.array([linear.factor for _, linear in rates.values()])
         maps = [[columns[p][1] for p in ports] for ports in (self.continuous, discrete)]
         self.factor, self.discrete_factor = (np.array([m.factor for m in group]) for group in maps)
         self.offset, self.discrete_offset = (np.array([m.offset for m in group]) for group in maps)
@@ -231,13 +246,14 @@ class DrivenInputs:
             **{name: binding.at(array) for name, array in arrays},
             **binding.all_at(self, "columns targets factor offset discrete_columns discrete"),
             **binding.all_at(self, "discrete_factor discrete_offset integer_columns integers"),
-            **binding.all_at(self, "at_end at_midpoint"),
+            **binding.all_at(self, "at_end at_midpoint rates rate_columns rate_factor"),
             samples=len(self.table.arrays[0]),
             width=self.table.arrays[1].shape[1],
             inputs=binding.at(np.array(inputs, np.int32)),
             count=len(self.continuous),
             discrete_count=len(self.discrete),
             integer_count=len(self.integers),
+            rate_count=len(self.rates),
             evaluated_at=np.nan,
             input_writes=binding.program(self.set_calls),
         )

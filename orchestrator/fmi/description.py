@@ -280,7 +280,7 @@ def _interface(description: ModelDescription, element: str) -> FmuInterface:
         start=_number(experiment, "startTime"),
         step=_number(experiment, "stepSize") or _number(capabilities.attributes, "fixedInternalStepSize"),
         stop=_number(experiment, "stopTime"),
-        tolerance=_number(experiment, "tolerance"),
+        tolerance=max(_number(experiment, "tolerance") or 0.0, 0.0) or None,
         version=attributes.get("version", ""),
         tool=attributes.get("generationTool", ""),
         description=attributes.get("description", ""),

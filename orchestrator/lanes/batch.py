@@ -20,6 +20,7 @@ from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.interrupts import in_threads
 from orchestrator.base.options import BatchArguments, chosen, documented
 from orchestrator.base.processes import available_cores
+from orchestrator.base.room import machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Execution, Job
@@ -32,7 +33,6 @@ from orchestrator.lanes.one_by_one import run_one_by_one
 from orchestrator.lanes.plan import Lanes
 from orchestrator.ssp.plausible import doubtful, with_doubts
 from orchestrator.ssp.system import Port, System, check_bounds, check_settable
-from orchestrator.worker.process import machine_memory
 
 MEMORY_SHARE = 0.5  # of the memory of this computer, for the arrays of a result
 

@@ -31,6 +31,7 @@ from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.options import ReferenceArguments, chosen, documented
+from orchestrator.base.room import check_room
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import Card, Result
 from orchestrator.engine.run import ProgressBar, ScenarioSource, opened, prepare, run
@@ -226,6 +227,7 @@ class _Integration:
         )
         if self.scenario:
             plant.drive(self.scenario)
+        check_room(times.rows, len([*plant.outputs, *plant.inputs, *plant.states, *self._discrete]))
         self._points = (times.start + times.step * np.arange(times.steps + 1)).tolist()
         self._same = SAME_TIME * max(times.stop - times.start, abs(times.stop), 1e-9)
         self._rows = list[Array]()

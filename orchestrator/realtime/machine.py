@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.room import machine_memory
 from orchestrator.data.trace import Trace
 from orchestrator.realtime.deadlines import latency_quantile, speed_factor
 from orchestrator.realtime.setup import Array, Frame, Setup, Task, Timing
@@ -26,7 +27,7 @@ from orchestrator.realtime.shared_memory import (
     SharedState,
     size,
 )
-from orchestrator.worker.process import Worker, machine_memory
+from orchestrator.worker.process import Worker
 
 KEPT = 1800.0  # [s]; frames of this time are kept
 MOST = 256 << 20  # bytes of memory for frames, at most

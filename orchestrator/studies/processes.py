@@ -17,12 +17,13 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 
 from orchestrator.base.errors import Problem
+from orchestrator.base.room import machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.lanes.one_by_one import with_originals
 from orchestrator.studies.cases import Unit
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
-from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits, machine_memory
+from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 
 # Each process uses one thread, because there is a process on every core.
 THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")

@@ -301,14 +301,6 @@ def read_file(path: Path, most: int) -> bytes:
         return b""
 
 
-def machine_memory() -> float:
-    """Memory of this machine [bytes]; infinite if unknown."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):
-        return float("inf")
-
-
 def _start(
     target: str, folder: Path, environment: Mapping[str, str], **options: Any
 ) -> subprocess.Popen[bytes]:

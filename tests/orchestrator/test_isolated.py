@@ -28,6 +28,27 @@ def process():
     return worker.pid
 
 
+def test_a_run_says_in_advance_what_it_takes_and_is_refused_if_it_cannot_fit(fmus, tmp_path, capfd):
+    """Steps, rows and bytes, in one line, before the first step."""
+
+    def told(**options):
+        def accept(*_):
+            raise Problem("not now")
+
+        return problem(lambda: run_to_file(fmus["gain"], None, tmp_path / "t.csv", accept=accept, **options))
+
+    assert told(step=1e-7, stop=2.0, record_step=1.0) == "not now"
+    assert (
+        capfd.readouterr().err
+        == "note: 2e+07 steps of 1e-07 s up to 2 s, 3 points of 2 signals, 7.2e-08 GB\n"
+    )
+    assert told(step=1e-3, stop=2.0) == "not now"
+    assert capfd.readouterr().err == ""
+    refused = told(step=1e-3, stop=5e8)  # 1e11 rows of time and two signals are 2400 GB
+    assert refused.startswith("1e+11 points of 2 signals, 2.4e+03 GB, do not fit on the disk of ")
+    assert refused.endswith("; choose a longer record step or stop earlier")
+
+
 def test_the_numbers_are_those_of_a_run_in_this_process(oscillator):
     """Bit by bit; so are card and metadata, except for wall times."""
     one, other = (run(oscillator, **STEPS, isolate=isolate) for isolate in (True, False))

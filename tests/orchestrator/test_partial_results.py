@@ -25,7 +25,7 @@ from orchestrator.engine.result import read_metadata
 posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
 WRITER = "orchestrator.data.trace_writer"
 FORMATS = (".csv", ".parquet")
-ENDLESS = ("--stop", "1e7", "--step", "1e-3", "--record-step", "1e-3")
+ENDLESS = ("--stop", "9e3", "--step", "1e-3", "--record-step", "1e-3")
 
 
 def rows(first, last):

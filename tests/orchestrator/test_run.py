@@ -9,6 +9,7 @@ import pytest
 from kit.mistakes import problem, table
 
 from orchestrator import Execution, Interrupted, Problem, Record, Trace, assemble, run
+from orchestrator.base.errors import Ended
 from orchestrator.data.trace_writer import RowLayout, TraceInMemory
 from orchestrator.engine import job
 from orchestrator.engine.result import Card, compare
@@ -26,8 +27,8 @@ class Mock:
         self.action, self.growth = action, growth
         self.steps, self.value, self.closed = [], 0.0, False
 
-    def setup(self, start, stop, _tolerance):
-        self.span = (start, stop)
+    def setup(self, start, stop, tolerance):
+        self.span, self.tolerance = (start, stop), tolerance
 
     def nothing(self, *_): ...
 
@@ -43,18 +44,19 @@ class Mock:
         return self.nothing
 
     def step(self, t, h):
+        self.value += self.growth
         if self.action:
             self.action(t)
         self.steps.append((t, h))
-        self.value += self.growth
 
     def close(self):
         self.closed = True
 
 
-def mocked(action=None, growth=1.0, **options):
-    """A run of one mock; returns the result and the mock."""
-    face = FmuInterface({"y": FmuVariable("y", causality="output")}, {"y": frozenset()}, {"y": frozenset()})
+def mocked(action=None, growth=1.0, own=None, **options):
+    """A run of one mock, with the tolerance `own` in its file; returns the result and the mock."""
+    y = {"y": FmuVariable("y", causality="output")}
+    face = FmuInterface(y, {"y": frozenset()}, {"y": frozenset()}, tolerance=own)
     component = Component("m", face)
     made = Mock(component, action, growth)
     try:
@@ -83,6 +85,35 @@ def test_time_starts_and_ends_where_it_is_told(fmus):
     assert result.card.notes == ("0.25 s is not a multiple of the step: the run ends at 0.2 s",)
 
 
+@pytest.mark.parametrize("mine", [None, 1e-9])
+@pytest.mark.parametrize("own", [None, 1e-4])
+def test_an_fmu_solves_to_the_tolerance_asked_for_else_to_its_own(own, mine):
+    """Its own is that of its DefaultExperiment; an FMU by Dymola is 3.4e-3 of its range off without."""
+    assert mocked(own=own, tolerance=mine, step=0.1, stop=0.2)[1].tolerance == (mine or own)
+
+
+@pytest.mark.parametrize(("reached", "last"), [(0.45, (0.45, 5)), (0.4, (0.4, 4)), (np.nan, (0.4, 4))])
+@pytest.mark.parametrize("record_step", [0.1, 0.3])
+def test_the_time_at_which_an_fmu_ends_the_run_is_its_last_row(reached, last, record_step):
+    """With the values of then (FMI 2.0.5, 4.2.2), unless it did nothing in its last step."""
+
+    def end(t):
+        if t > 0.35:
+            ended = Ended("enough")
+            ended.reached = reached
+            raise ended
+
+    result, _ = mocked(end, step=0.1, stop=1.0, record_step=record_step)
+    assert (result.trace.time[-1], result.trace["m.y"][-1]) == last
+    before = [0.0, 0.1, 0.2, 0.3, 0.4] if record_step == 0.1 else [0.0, 0.3]
+    # products of the step: rounding
+    np.testing.assert_allclose(
+        result.trace.time[:-1], before[: None if last[1] == 5 or record_step > 0.1 else -1]
+    )
+    assert result.complete
+    assert result.card.simulated == last[0]
+
+
 @table(__file__, "wrong_options", "options, message")
 def test_wrong_options_are_told(oscillator, options, message):
     """Name, expected, got."""
@@ -94,6 +125,20 @@ def test_by_default_outputs_and_inputs_that_nothing_feeds_are_recorded(fmus):
     trace = run(str(fmus["gain"]), step=0.5, stop=1.0, set={"u": 3.0}).trace
     assert list(trace.signals) == ["gain.y", "gain.u"]
     np.testing.assert_array_equal(trace["gain.u"], 3.0)
+
+
+def test_the_rate_input_of_a_driven_input_has_its_slope(each):
+    """Just after each communication point; without it rate outputs that depend on it are wrong.
+
+    The load pressure of a valve that opens had 1/200 of its slope, and adaptive steps shrank to 1e-7 s.
+    """
+    drift = str(each["drift"])
+    scenario = {"time": [0.5, 1.0, 1.5], "u": [0.0, 2.0, 1.0]}
+    trace = run(drift, scenario, step=0.25, stop=2.0, record=["drift.u", "drift.u_rate"]).trace
+    np.testing.assert_array_equal(trace["drift.u_rate"], [0, 0, 4, 4, -2, -2, 0, 0, 0])
+    assert "drift.u_rate" not in run(drift, scenario, step=0.25).trace.signals  # it follows from the scenario
+    given = run(drift, scenario | {"u_rate": [7.0, 7.0, 7.0]}, step=0.25).trace
+    np.testing.assert_array_equal(given["drift.u_rate"], 7.0)
 
 
 def test_outside_its_scenario_a_run_holds_the_first_and_last_values(fmus):

@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 from kit.wait import LONG, runs, until
 
+from orchestrator.base.room import machine_memory
 from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits, machine_memory
+from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits
 
 CONTENTS = {"echo": Any, "said": str}
 linux = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked at in /proc")

@@ -243,9 +243,11 @@ typedef struct Scenario { /* a table of columns over time, linear between the sa
     const double *time, *base, *slopes, *anchor;
     const int64_t *columns, *targets, *discrete_columns, *discrete, *integer_columns, *integers;
     const double *factor, *offset, *discrete_factor, *discrete_offset;
+    const int64_t *rate_columns, *rates; /* rate inputs of continuous inputs, which get the slope of their column */
+    const double *rate_factor;
     double *at_end, *at_midpoint; /* continuous inputs at the end and at the middle of the step */
     const int32_t *inputs;        /* the coupling inputs of the continuous ones */
-    int32_t count, discrete_count, integer_count;
+    int32_t count, discrete_count, integer_count, rate_count;
     double evaluated_at;
     Program input_writes;
 } Scenario;

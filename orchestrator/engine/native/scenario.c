@@ -29,13 +29,16 @@ void scenario_evaluate(Scenario *d, double t) {
     d->evaluated_at = t;
 }
 
-/* Sets all driven inputs at t [s]: continuous ones are interpolated, the others have the value of the last sample. */
+/* Sets all driven inputs at t [s]: continuous ones are interpolated, their rate inputs have the slope just after t, the
+ * others have the value of the last sample. */
 int scenario_set_inputs(Simulation *sim, double t) {
     Scenario *d = sim->scenario;
     if (!d) return CONTINUE;
     scenario_evaluate(d, t);
     for (int32_t i = 0; i < d->count; i++) sim->reals[d->targets[i]] = d->at_end[i];
     const double *base = d->base + interval_at(d, t) * d->width;
+    const double *slopes = d->slopes + interval_at(d, t) * d->width;
+    for (int32_t i = 0; i < d->rate_count; i++) sim->reals[d->rates[i]] = slopes[d->rate_columns[i]] * d->rate_factor[i];
     for (int32_t i = 0; i < d->discrete_count; i++)
         sim->reals[d->discrete[i]] = base[d->discrete_columns[i]] * d->discrete_factor[i] + d->discrete_offset[i];
     for (int32_t i = 0; i < d->integer_count; i++)
