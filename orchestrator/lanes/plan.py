@@ -5,7 +5,7 @@ The machines of a group take equal steps, by the plan of the engine's master. Wh
 """
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Any
@@ -150,8 +150,11 @@ class Lanes:
         if len(driven.discrete) or len(driven.integers):
             raise NotInLanes("the scenario drives inputs that are not continuous")
         columns = zip(driven.continuous, driven.columns, driven.factor, driven.offset, strict=True)
+        rates = {port: self._input(rate)[1] for rate, port in driven.rates_of.items()}
         drives = [
-            header().Drive(column, *self._input(port), self._inputs.ports.index(port), *linear)
+            header().Drive(
+                column, *self._input(port), self._inputs.ports.index(port), rates.get(port, -1), 0, *linear
+            )
             for port, column, *linear in columns
         ]
         arrays = dict(zip(("time", "base", "slopes", "anchor"), driven.table.arrays, strict=True))
@@ -175,7 +178,8 @@ class Lanes:
         if network.loops:
             raise NotInLanes(network.loops[0].cycle.text)
         source = {c.target: c.source for c in network.connections}
-        settled, known = _settled(system, self._plan, self._inputs)
+        driven_rates = network.driven.rates_of if network.driven else {}
+        settled, known = _settled(system, self._plan, self._inputs, driven_rates)
         needed = {*source.values()} | {*network.order.stages}.intersection(self.signals)
         checked = {u for y in needed for u in _direct(system, y)} - settled
         pending, program, ordered = needed - known, list[Any](), list[Any]()
@@ -224,10 +228,13 @@ def _direct(system: System, output: Port) -> list[Port]:
     return [Port(output.component, name) for name in names]
 
 
-def _settled(system: System, plan: Plan, inputs: CouplingInputs) -> tuple[set[Port], set[Port]]:
+def _settled(
+    system: System, plan: Plan, inputs: CouplingInputs, rates: Collection[Port]
+) -> tuple[set[Port], set[Port]]:
     """Inputs that end a step at their final value, and outputs that depend directly on no others.
 
     These inputs are open, driven, or end at an output of this kind of a component that steps before.
+    `rates` are inputs that get the slope of a driven one.
     """
     source = {c.target: c.source for c in system.connections}
     varied = inputs.varying - {*inputs.driven}
@@ -236,7 +243,7 @@ def _settled(system: System, plan: Plan, inputs: CouplingInputs) -> tuple[set[Po
         interface = system.components[names[k]].interface
         for port in (Port(names[k], v.name) for v in interface.of("input")):
             follows = port in varied and source[port].component in before and source[port] in known
-            if port in inputs.driven or port not in source or follows:
+            if port not in rates and (port in inputs.driven or port not in source or follows):
                 settled.add(port)
         ports = (Port(names[k], name) for name in interface.variables)
         known |= {port for port in ports if settled.issuperset(_direct(system, port))}

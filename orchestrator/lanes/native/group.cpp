@@ -146,9 +146,19 @@ static Lanes command(const Plan *plan, Group *g, int i, double t) {
     return (plan->base[column] + (t - plan->anchor[k]) * plan->slopes[column]) * d->factor + d->offset;
 }
 
+static double slope(const Plan *plan, Group *g, const Drive *d, double t) {
+    return g->commands ? 0.0 : plan->slopes[interval_at(plan, g, t) * plan->width + d->column] * d->factor;
+}
+
 static void set_driven_inputs(const Plan *plan, Group *g, double t) {
-    for (int i = 0; i < plan->drive_count; i++)
-        set_input(g, plan, plan->drives[i].component, plan->drives[i].input, command(plan, g, i, t));
+    for (int i = 0; i < plan->drive_count; i++) {
+        const Drive *d = &plan->drives[i];
+        set_input(g, plan, d->component, d->input, command(plan, g, i, t));
+        if (d->rate < 0) continue;
+        const Lanes rate = slope(plan, g, d, t);
+        if (any(input_value(g, plan, d->component, d->rate) != rate)) g->changed[d->component] = 1;
+        set_input(g, plan, d->component, d->rate, rate);
+    }
 }
 
 static void set_driven_courses(const Plan *plan, Group *g, double h) {

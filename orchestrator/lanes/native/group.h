@@ -83,6 +83,7 @@ typedef struct Instruction {
 
 typedef struct Drive { /* a column of the scenario that drives an input */
     int32_t column, component, input, coupling_input;
+    int32_t rate, unused; /* rate: the input for its slope; negative: none */
     double factor, offset;
 } Drive;
 
