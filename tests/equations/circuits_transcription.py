@@ -113,6 +113,18 @@ def section(
     return found[0], found[1]
 
 
+def air(p: Group, pressure: float) -> float:
+    """kappa_air [1/Pa] of section 4.2: the polytropic law, below 20 kPa absolute its tangent."""
+    n, p_0 = p.air_exponent, 101325.0
+
+    def law(absolute: float) -> float:
+        return p.air_share / (n * absolute) * (p_0 / absolute) ** (1 / n)
+
+    at = pressure + p_0
+    slope = -(1 + 1 / n) * law(2e4) / 2e4  # of the power law with the exponent -(1 + 1/n)
+    return law(at) if at > 2e4 else law(2e4) + slope * (at - 2e4)
+
+
 def relief(p: Group, name: str, drop: float) -> float:
     """Flow of a relief or anti-cavitation valve, section 4.4."""
     v = part(vars(p), f"{name}_")
@@ -136,7 +148,9 @@ def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     fill = relief(p, "anti_cavitation", tank - a), relief(p, "anti_cavitation", tank - b)
     net_a = in_a - out_a - d * w - (a - b) / inner - (a - tank) / outer - cross + fill[0]
     net_b = in_b - out_b + d * w + (a - b) / inner - (b - tank) / outer + cross + fill[1]
-    da, db = net_a / (p.line_capacitance + void(a)), net_b / (p.line_capacitance + void(b))
+    volume = pi / 4 * p.line_bore**2 * p.line_length + p.motor_volume
+    da = net_a / (p.line_capacitance + volume * air(p, a) + void(a))
+    db = net_b / (p.line_capacitance + volume * air(p, b) + void(b))
     held, width = p.brake_torque * q, 1e-3 * p.brake_torque
     slip = (ramp(torque - held, width) - ramp(-torque - held, width)) / p.brake_drag
     pressed = step(2 * (u["supply_pressure"] - tank) / p.brake_release_pressure - 1)
@@ -196,15 +210,18 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         returns = own.head_return_area, own.rod_return_area
         ports = section(p, own.section_flow, returns, p.neutral_area, 0.0, u, command, lines)
         volumes = own.dead_volume + head * s, own.dead_volume + rod * (own.stroke - s)
+        inside = pi / 4 * own.hose_bore**2 * own.hose_length
         slopes = []
         for i, side in enumerate(("head", "rod")):
             line, chamber, (q_in, q_out) = lines[i], chambers[i], ports[i]
             q = counterbalance(p, own.hose_resistance, openings[i], line, chamber)
             out, back = relief(p, "port_relief", line - tank), relief(p, "anti_cavitation", tank - line)
             swept = (-head * v, rod * v)[i]
-            slopes.append((q_in - q_out - q - out + back) / (own.hose_capacitance + void(line)))
+            soft = own.hose_capacitance + inside * air(p, line) + void(line)
+            slopes.append((q_in - q_out - q - out + back) / soft)
             rates[f"{axis}_{side}_valve_pressure"] = slopes[-1]
-            rates[f"{axis}_{side}_pressure"] = (q + swept) / (volumes[i] / p.bulk_modulus + void(chamber))
+            kappa = 1 / p.bulk_modulus + air(p, chamber)
+            rates[f"{axis}_{side}_pressure"] = (q + swept) / (volumes[i] * kappa + void(chamber))
             settled = at_rest(p, chamber, lines[1 - i], line, tank)
             rates[f"{axis}_{side}_counterbalance_opening"] = (settled - openings[i]) / p.counterbalance_lag
             y[f"{axis}_{side}_flow"] = q
