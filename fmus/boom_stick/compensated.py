@@ -41,6 +41,7 @@ from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
 from fmus.components.load_sensing import LoadPressure
+from fmus.components.oil import at_temperature
 from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar, Subsystem, family
@@ -340,7 +341,7 @@ def _subsystem() -> Subsystem:
         " no spool dynamics",
         terminals=drive.TERMINALS,
     )
-    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=sub)["compensated"]
+    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=at_temperature(sub))["compensated"]
 
 
 BOOM_STICK = _subsystem()

@@ -27,13 +27,13 @@ Valid for the mean torque over a cycle, above about 800 rpm; no turbocharger lag
     s_target = lim((P_set - p) / band)
 
 Loss model of Wilson (Transactions of the ASME 68 (1946) 371; also in Merritt, Hydraulic Control Systems,
-1967): laminar leakage, friction of the bearing surfaces proportional to the pressure at any stroke, viscous
-drag. The compensator senses the outlet pressure p. Its setting is the pressure at which the stroke would be
-zero (dead head); at `band` below the setting the stroke is full. The stroke follows with the lag tau, limited
-by the speed of the control piston: r_max = 1/t_on for increasing, 1/t_off for decreasing stroke. As s_target
-is within 0 ... 1, so is s for any p. Smoothing: s_target is above the straight line by rounding^2 / (4 s),
-which raises the dead head by band rounding^2 / (4 s_0) with the stroke s_0 that covers the leakage (a
-thousandth of the band for s_0 = 2.5 %), and is rounded at full stroke.
+1967): laminar leakage k ~ 1/mu, friction of the bearing surfaces proportional to the pressure at any stroke,
+viscous drag c_v ~ mu. The compensator senses the outlet pressure p. Its setting is the pressure at which the
+stroke would be zero (dead head); at `band` below the setting the stroke is full. The stroke follows with the
+lag tau, limited by the speed of the control piston: r_max = 1/t_on for increasing, 1/t_off for decreasing
+stroke. As s_target is within 0 ... 1, so is s for any p. Smoothing: s_target is above the straight line by
+rounding^2 / (4 s), which raises the dead head by band rounding^2 / (4 s_0) with the stroke s_0 that covers
+the leakage (a thousandth of the band for s_0 = 2.5 %), and is rounded at full stroke.
 
 **Several regulators** move the swash plate of a load-sensing pump. P_set is then the pressure of the
 load-sensing line plus a margin, and the lowest of three strokes counts:
@@ -49,7 +49,7 @@ Reference: Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001, ch. 9
 Valid for mean flows: no piston ripple, no flow to the control piston, no cavitation at the inlet.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
@@ -134,6 +134,11 @@ class Pump:
     lag: Scalar
     stroke_time: Scalar
     destroke_time: Scalar
+
+
+def at_viscosity(d: Pump, ratio: Scalar) -> Pump:
+    """The pump with oil of `ratio` times the viscosity: less leakage, more drag."""
+    return replace(d, leakage=d.leakage / ratio, viscous_friction=d.viscous_friction * ratio)
 
 
 def suction_flow(d: Pump, stroke: Scalar, speed: Scalar) -> Scalar:

@@ -21,6 +21,7 @@ from fmus.components.brake import Brake, BrakeTorque
 from fmus.components.chamber import AeratedOil
 from fmus.components.hose import HoseWall
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
@@ -223,7 +224,7 @@ def _subsystem() -> Subsystem:
         " no spool dynamics",
         terminals=drive.TERMINALS,
     )
-    return family("swing", lumped=lumped.SWING, compensated=sub)["compensated"]
+    return family("swing", lumped=lumped.SWING, compensated=at_temperature(sub))["compensated"]
 
 
 SWING = _subsystem()
