@@ -4,7 +4,8 @@
     rho(T) = rho_ref / (1 + alpha (T - T_ref))                                 mu = nu rho
 
 A and B follow from 46 mm2/s at 40 degC, the middle of the grade (ISO 3448), and 6.8 mm2/s at 100 degC, a
-viscosity index of 100 by ISO 2909. Valid from -20 to 100 degC; below, waxes make the oil thicker.
+viscosity index of 100 by ISO 2909. Valid from -20 to 100 degC; below, waxes make the oil thicker. Beyond
+-50 and 150 degC the temperature is limited, so that a trial state of a solver gives finite rates.
 
 Parameters are given at T_ref = 60 degC, where 20.6 mm2/s is the paper's density with 20 mPa.s. At another
 temperature they are multiplied, with m = mu(T)/mu(T_ref) and r = rho(T)/rho(T_ref):
@@ -27,6 +28,7 @@ import casadi as ca
 from fmus.contract import Group, Quantity, Scalar, Subsystem, quantities
 
 REFERENCE = 333.15  # T_ref [K]
+_LIMITS = (223.15, 423.15)  # [K], -50 and 150 degC
 _POINTS = ((313.15, 46.0), (373.15, 6.8))  # T [K], nu [mm2/s]
 _EXPANSION = 7e-4  # alpha [1/K], mineral oils; density over temperature as in ISO 91
 _NEPERS = [math.log(math.log(nu + 0.7)) for _, nu in _POINTS]
@@ -46,14 +48,18 @@ class OilTemperature(Group):
     )
 
 
+def _limited(temperature: Scalar) -> Scalar:
+    return ca.fmin(ca.fmax(temperature, _LIMITS[0]), _LIMITS[1])
+
+
 def kinematic_viscosity(temperature: Scalar) -> Scalar:
     """nu [mm2/s] at a temperature [K]."""
-    return ca.exp(ca.exp(_NEPERS[0] - _SLOPE * ca.log(temperature / _POINTS[0][0]))) - 0.7
+    return ca.exp(ca.exp(_NEPERS[0] - _SLOPE * ca.log(_limited(temperature) / _POINTS[0][0]))) - 0.7
 
 
 def density_ratio(temperature: Scalar) -> Scalar:
     """r at a temperature [K]."""
-    return 1 / (1 + _EXPANSION * (temperature - REFERENCE))
+    return 1 / (1 + _EXPANSION * (_limited(temperature) - REFERENCE))
 
 
 def viscosity_ratio(temperature: Scalar) -> Scalar:

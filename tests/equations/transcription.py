@@ -79,6 +79,8 @@ def line(p: Group) -> Group:
 def oil(temperature: float) -> tuple[float, float]:
     """m and r of section 4.10: a straight line through two points of lg lg (nu + 0.7) over lg T."""
 
+    temperature = min(max(temperature, 223.15), 423.15)
+
     def product(kelvin: float) -> float:
         low, high = log10(313.15), log10(373.15)
         share = (log10(kelvin) - low) / (high - low)

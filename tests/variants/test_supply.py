@@ -181,14 +181,18 @@ def test_limits_hold_for_any_row_of_loads(flows, hold):
 def any_state(bench: Bench, pressures: list[float], strokes: list[float], shaft: list[float]) -> list[float]:
     """The states of a variant from pools of numbers."""
     pools = {"pressure": iter(pressures), "stroke": iter(strokes)}
-    named = dict(zip(("engine_speed", "engine_torque", "reservoir_volume"), shaft, strict=True))
+    names = ("engine_speed", "engine_torque", "reservoir_volume", "tank_pressure", "oil_temperature")
+    named = dict(zip(names, shaft, strict=True))
     return [named[n] if n in named else next(pools[n.rpartition("_")[2]]) for n in bench.states]
 
 
 STATE = (
     st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3),
     st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2),
-    st.tuples(st.floats(0.0, 300.0), st.floats(0.0, 600.0), st.floats(0.1, 0.3)),
+    st.tuples(
+        *(st.floats(0.0, 300.0), st.floats(0.0, 600.0), st.floats(0.1, 0.3)),
+        *(st.floats(-1e5, 3e6), st.floats(253.0, 373.0)),
+    ),
 )
 PUMPS = {"engine_pump": ("pump_1", "pump_2"), "load_sensing": ("pump",)}
 
@@ -215,7 +219,7 @@ def test_strokes_turn_back_at_their_ends(bench, pressures, shaft, end):
 
 
 @pumps
-@given(st.lists(st.floats(-1e12, 1e12), min_size=8, max_size=8), FLOWS)
+@given(st.lists(st.floats(-1e12, 1e12), min_size=10, max_size=10), FLOWS)
 def test_any_trial_state_gives_finite_rates(bench, x, flows):
     """A solver may try anything: neither infinity nor not-a-number comes back, nor from the derivatives."""
     found = bench.jacobian(x[: len(bench.states)], inputs_of(bench, flows), bench.constants())
@@ -241,8 +245,8 @@ def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
     rate = bench.rates(x, inputs_of(bench, flows), bench.constants())
     own = p.get("pump_line_capacitance", p.get("main_pump_line_capacitance"))
     gained = rate["reservoir_volume"]
-    for name in ("supply", *PUMPS[bench.sub.variant]):
-        c = p["rail_capacitance"] if name == "supply" else own
+    for name in ("supply", "tank", *PUMPS[bench.sub.variant]):
+        c = {"supply": p["rail_capacitance"], "tank": p["return_capacitance"]}.get(name, own)
         gained += (c + cavity(bench.state(x, f"{name}_pressure"))) * rate[f"{name}_pressure"]
     taken_1, back_1, taken_2, back_2 = flows
     # rounding of 0.1 m3/s
