@@ -159,7 +159,8 @@ def capacitance(
     length: Scalar, diameter: Scalar, bulk_modulus: Scalar, wall_modulus: Scalar = math.inf
 ) -> Scalar:
     """C = A l (1/beta + 1/E_wall) [m3/Pa]; E_wall is infinite for a rigid wall."""
-    return area(diameter) * length * (1 / bulk_modulus + 1 / wall_modulus)
+    volume = area(diameter) * length
+    return volume / bulk_modulus + volume / wall_modulus
 
 
 def scaled_resistance(resistance: Scalar, length_ratio: Scalar, diameter_ratio: Scalar) -> Scalar:

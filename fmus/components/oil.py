@@ -14,9 +14,9 @@ temperature they are multiplied, with m = mu(T)/mu(T_ref) and r = rho(T)/rho(T_r
     leakage conductances              1/m           turbulent resistances of hoses         r^0.75 m^0.25
     transition flows of edges         m/r           (Blasius, as in eq. (10); edges: r, through eq. (2))
 
-Leakage is laminar flow through narrow gaps, in proportion to pressure over viscosity, and drag is in
-proportion to viscosity: Wilson, Transactions of the ASME 68 (1946) 371. The change of viscosity with
-pressure, 20 % at 10 MPa, and of the gaps is neglected; they have opposite effects on the leakage.
+Leakage is laminar flow through narrow gaps, in proportion to pressure over viscosity: Wilson, Transactions of
+the ASME 68 (1946) 371. The change of viscosity with pressure, 20 % at 10 MPa, and that of the gaps is
+neglected; they have opposite effects on the leakage. Drag of pumps: `engine_and_pump.at_viscosity`.
 """
 
 import math

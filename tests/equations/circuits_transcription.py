@@ -263,7 +263,8 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
     back = u["return_flow_swing"] + u["return_flow_boom_stick"]
     sign = w / sqrt(w**2 + 1)
-    friction = d.pressure_friction * d.displacement * foot(rise, 1e4) * sign + d.viscous_friction * m * w
+    friction = d.pressure_friction * d.displacement * foot(rise, 1e4) * sign
+    friction += d.viscous_friction * (0.18 * m + 0.82) * w
     torque = s * d.displacement * rise + friction
     net, dry = engine_torque(e, w)
     z = (dry + net * (e.no_load_speed - w) / (e.no_load_speed - e.rated_speed)) / (net + dry)

@@ -120,6 +120,28 @@ def test_staggered_settings_let_one_pump_do_the_small_flows():
     assert 0.2 * large["pump_1_flow"] < large["pump_2_flow"] < large["pump_1_flow"]
 
 
+@pumps
+def test_the_return_line_has_its_preload_and_the_drop_to_the_tank(bench):
+    """P_b = P_t + p_b + R_b Q + w/2 above the foot of the check valve, p_b without flow."""
+    p = bench.constants(reservoir_pressure=2e4)
+    assert bench.state(bench.rest(p), "tank_pressure") == pytest.approx(2e4 + 4e5, rel=1e-12)
+    y = bench.settled(Load(100 * L_MIN / 1e3, 5e6), reservoir_pressure=2e4)
+    expected = 2e4 + 4e5 + 4e7 * y["return_flow"] + 5e4 / 2
+    assert y["return_flow"] > 5e4 / 4e7  # above the foot
+    assert y["tank_pressure"] == pytest.approx(expected, rel=1e-5)  # what is left of the transient
+
+
+@pumps
+def test_the_oil_settles_where_cooler_and_tank_give_off_the_heat(bench):
+    """T = T_a + (engine power - engine friction) / (G + G_c), cooler at full speed, and without a cooler."""
+    for own in ({"cooler_setting": 250.0}, {"cooler_conductance": 0.0, "tank_conductance": 1050.0}):
+        y = bench.settled(Load(20 * L_MIN / 1e3, 5e6), heat_capacity=140.0, **own)
+        heat = y["engine_power"] - (40.0 + 0.17 * y["engine_speed"]) * y["engine_speed"]
+        # 30 time constants; the dry friction of the engine is rounded by 7e-6
+        assert y["oil_temperature"] == pytest.approx(293.15 + heat / 1050.0, rel=1e-6)
+        assert y["cooling_power"] == pytest.approx(heat, rel=1e-4)
+
+
 # ---- dynamics
 
 
