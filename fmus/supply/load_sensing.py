@@ -266,7 +266,7 @@ def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
 def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> dict[str, Scalar]:
     """Requirements: order of the pressures, of the speeds, an engine that can carry the power limit."""
     idle, tank = p.engine_rated_speed, p.reservoir_pressure
-    friction = engine_and_pump.pump_friction(rail.at_start(p.pump(tank), p), idle, p.pressure_cut_off - tank)
+    friction = engine_and_pump.pump_friction(p.pump(tank), idle, p.pressure_cut_off - tank)
     return {
         "margin exceeds margin_band": p.margin - p.margin_band,
         "load_sensing_relief_difference is not above margin": p.margin - p.load_sensing_relief_difference + 1,
