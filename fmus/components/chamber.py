@@ -114,9 +114,9 @@ def _floored(pressure: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _air(fluid: AeratedOil, absolute: Scalar) -> tuple[Scalar, Scalar]:
-    """Volume [1] of the air per volume of oil, and its compliance [1/Pa]."""
+    """Volume [1] of the air per volume of oil, and its compliance [1/Pa]; exp() is its own derivative."""
     s = 1 / fluid.air_exponent
-    volume = fluid.air_share * (ATMOSPHERE / absolute) ** s
+    volume = fluid.air_share * ca.exp(s * ca.log(ATMOSPHERE / absolute))
     return volume, s * volume / absolute
 
 

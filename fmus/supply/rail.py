@@ -18,7 +18,7 @@ the arm, 0.1 K. Friction outside the oil is counted too.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fmus.components import chamber, engine_and_pump, oil, orifice
@@ -95,7 +95,7 @@ class ShaftState(Group):
 
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
-    tank_pressure: Scalar = quantities(SupplyOutputs)["tank_pressure"]
+    tank_pressure: Scalar = replace(quantities(SupplyOutputs)["tank_pressure"], absolute=1e6)
     oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
