@@ -76,9 +76,12 @@ def _engine(s: Sheet, x: float, y: float, ends: float, speed: float, power: floa
         s.line([(x + 26, y + shift), (ends, y + shift)], width=1)
 
 
-def _return_line(s: Sheet, x: float) -> None:
+def _return_line(s: Sheet, x: float, preload: float) -> None:
     s.text(x, 122, "T", "middle")
-    s.line([(x, 128), (x, 200)])
+    s.line([(x, 128), (x, 155)])
+    s.check(x, 164, "down")
+    s.text(x + 14, 168, bar(preload))
+    s.line([(x, 173), (x, 200)])
     s.tank(x, 208)
 
 
@@ -106,7 +109,7 @@ def supply_engine_pump() -> Sheet:
     s.node(300, 70)
     s.text(588, 74, "P")
     _main_relief(s, 450, f"main relief\n{bar(p.relief_pressure)}")
-    _return_line(s, 580)
+    _return_line(s, 580, p.return_preload)
     return s
 
 
@@ -139,7 +142,7 @@ def supply_load_sensing() -> Sheet:
     s.line([(444, 172), (444, 200)], pilot=True)
     s.tank(444, 208)
     _main_relief(s, 570, f"main relief\n{bar(p.relief_pressure)}")
-    _return_line(s, 690)
+    _return_line(s, 690, p.return_preload)
     return s
 
 

@@ -3,10 +3,11 @@
 For each side of each cylinder, head (port A) or rod (port B), with the pressures P_V of the hose at the valve
 and P_C of the chamber:
 
-    C_hose dP_V/dt = Q_port - Q_C - Q_relief + Q_anti         Q_port = Q_in - Q_out of `pressure_compensator`
-    C_C dP_C/dt    = Q_C -+ A x'                              C_C = V_C(x)/beta
+    C_V dP_V/dt    = Q_port - Q_C - Q_relief + Q_anti         Q_port = Q_in - Q_out of `pressure_compensator`
+    C_C dP_C/dt    = Q_C -+ A x'                              C_C = V_C(x) kappa(P_C)
     dy/dt          = (y_0 - y)/T                              Q_C, y_0 of `counterbalance_valve`
 
+C_V = A l (kappa(P_V) + 1/E_wall), with kappa of `chamber`: the walls are elastic, and the oil has air.
 The counterbalance valves are mounted at the cylinder, each piloted by the hose of the other side. Relief and
 anti-cavitation valves of `orifice` are mounted at the valve. Hoses are volumes, and resistances in series
 with the counterbalance valves, as in `quasistatic`; flows follow from pressures. The sections sense the
@@ -33,13 +34,14 @@ from fmus.boom_stick.variables import (
     Pressures,
     QuasistaticDriveParameters,
 )
-from fmus.components import chamber, counterbalance_valve, cylinder, load_sensing, orifice, spool_valve
+from fmus.components import chamber, counterbalance_valve, cylinder, hose, load_sensing, orifice, spool_valve
 from fmus.components import pressure_compensator as compensator
-from fmus.components.chamber import Oil
+from fmus.components.chamber import AeratedOil
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.cylinder import Cylinder
-from fmus.components.hose import ReferenceHose, VolumeHose
+from fmus.components.hose import HoseWall, ReferenceHose, VolumeHose
 from fmus.components.load_sensing import LoadPressure
+from fmus.components.oil import at_temperature
 from fmus.components.orifice import AntiCavitationParameters, PortRelief, PressureValve
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
 from fmus.contract import Group, Quantity, Scalar, Subsystem, family
@@ -60,9 +62,10 @@ class AxisParameters(QuasistaticDriveParameters):
 
 
 class CompensatedBoomStickParameters(
-    Oil,
+    AeratedOil,
     Preload,
     ReferenceHose,
+    HoseWall,
     AntiCavitationParameters,
     valve=SectionValve,
     compensator=Compensator,
@@ -135,7 +138,7 @@ class CompensatedDrive:
     hose: VolumeHose
     section: Section
     counterbalance: Counterbalance
-    bulk_modulus: Scalar
+    oil: AeratedOil
     x: AxisState
     u: DriveInterface
     ports: tuple[SectionPort, SectionPort]
@@ -144,21 +147,29 @@ class CompensatedDrive:
     anti_cavitation: Pair
 
     @property
-    def capacitances(self) -> Pair:
-        """C_C [m3/Pa] of both chambers."""
-        head, rod = self.cylinder.volumes(self.u.position)
-        return head / self.bulk_modulus, rod / self.bulk_modulus
+    def volumes(self) -> Pair:
+        """Volumes [m3] of both chambers."""
+        return self.cylinder.volumes(self.u.position)
+
+    @property
+    def hose_volume(self) -> Scalar:
+        """Volume [m3] of each hose."""
+        return hose.area(self.hose.bore) * self.hose.length
 
     def rates(self) -> AxisState:
         """Time derivative of the state."""
         head, rod = self.cylinder.areas
         swept = (-head * self.u.velocity, rod * self.u.velocity)
         chambers = (
-            chamber.pressure_rate(p, q + s, c)
-            for p, q, s, c in zip(self.x.pair("pressure"), self.flows, swept, self.capacitances, strict=True)
+            chamber.pressure_rate(p, q + s, v * chamber.compliance(self.oil, p))
+            for p, q, s, v in zip(self.x.pair("pressure"), self.flows, swept, self.volumes, strict=True)
         )
         lines = (
-            chamber.pressure_rate(p, port.edges.line - q - out + back, self.hose.capacitance)
+            chamber.pressure_rate(
+                p,
+                port.edges.line - q - out + back,
+                self.hose.capacitance + self.hose_volume * chamber.air_compliance(self.oil, p),
+            )
             for p, port, q, out, back in zip(
                 *(self.x.pair("valve_pressure"), self.ports, self.flows),
                 *(self.relief, self.anti_cavitation),
@@ -197,11 +208,14 @@ class CompensatedDrive:
             q * (line - p) + out * (line - tank)
             for q, line, p, out in zip(self.flows, lines, chambers, relieved, strict=True)
         )
+        densities = tuple(chamber.energy_density(self.oil, p) for p in chambers)
         compression = sum(
-            chamber.stored_energy(p, c)
-            for p, c in zip(
-                (*chambers, *lines), (*self.capacitances, *(self.hose.capacitance,) * 2), strict=True
-            )
+            v * e + chamber.stored_energy(p, 0.0)
+            for v, e, p in zip(self.volumes, densities, chambers, strict=True)
+        ) + sum(
+            chamber.stored_energy(p, self.hose.capacitance)
+            + self.hose_volume * chamber.air_energy_density(self.oil, p)
+            for p in lines
         )
         outputs = {
             **vars(self.x),
@@ -217,9 +231,7 @@ class CompensatedDrive:
             "return_flow": sum(port.edges.tank for port in self.ports) + sum(relieved),
             "stored_energy": compression,
             "dissipated_power": heat,
-            "convected_power": (head * chambers[0] ** 2 - rod * chambers[1] ** 2)
-            * self.u.velocity
-            / (2 * self.bulk_modulus),
+            "convected_power": (head * densities[0] - rod * densities[1]) * self.u.velocity,
             drive.LOAD: self.load_pressure(rates),
         }
         for side, port, q in zip(SIDES, self.ports, self.flows, strict=True):
@@ -246,10 +258,10 @@ def _drives(
     counterbalance = Counterbalance.of(p, "counterbalance")
     relief, anti = PortRelief.of(p, "port_relief"), PressureValve.of(p, "anti_cavitation")
     for axis, inputs in zip(AXES, drive.interfaces(u), strict=True):
-        state, hose, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
+        state, line, own = AxisState.of(x, axis), VolumeHose.of(p, f"{axis}_hose"), section(p, axis)
         lines, tank = state.pair("valve_pressure"), inputs.tank_pressure
         around = Restriction(
-            own.valve.discharge_coefficient, p.density, hose.resistance, own.valve.transition_flow
+            own.valve.discharge_coefficient, p.density, line.resistance, own.valve.transition_flow
         )
         head, rod = (
             counterbalance_valve.flow(counterbalance, y, line, pressure, around)
@@ -258,7 +270,7 @@ def _drives(
             )
         )
         yield CompensatedDrive(
-            *(Cylinder.of(p, axis), hose, own, counterbalance, p.bulk_modulus, state, inputs),
+            *(Cylinder.of(p, axis), line, own, counterbalance, AeratedOil.of(p), state, inputs),
             ports=compensator.section_ports(
                 *(own, inputs.command, lines),
                 *(inputs.supply_pressure, u.load_sensing_pressure, tank),
@@ -329,7 +341,7 @@ def _subsystem() -> Subsystem:
         " no spool dynamics",
         terminals=drive.TERMINALS,
     )
-    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=sub)["compensated"]
+    return family("boom_stick", lumped=lumped.BOOM_STICK, compensated=at_temperature(sub))["compensated"]
 
 
 BOOM_STICK = _subsystem()

@@ -14,6 +14,7 @@ C_R Q): 10 ms for 3 m of 3/4 in hose at 40 L/min through an edge of 40 mm2, less
 Signs: line flows are positive into the cylinder; x from the closed end; x' and F extend.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -87,8 +88,11 @@ def interfaces(u: BoomStickInputs) -> tuple[DriveInterface, DriveInterface]:
 
 
 def derive(hose_group: type[Hose], p: Any) -> dict[str, Scalar]:
-    """Parameters of the hoses that are derived from length and bore; hose_group: `Hose` or a sub-group."""
-    oil = (p.density, p.bulk_modulus, p.hose_reference_resistance)
+    """Parameters of the hoses that are derived from length and bore; hose_group: `Hose` or a sub-group.
+
+    Walls are rigid in variants without a modulus for them.
+    """
+    oil = (p.density, p.bulk_modulus, p.hose_reference_resistance, getattr(p, "hose_wall_modulus", math.inf))
     return {
         f"{axis}_hose_{name}": value
         for axis in AXES

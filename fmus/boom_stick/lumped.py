@@ -17,6 +17,7 @@ from fmus.boom_stick.variables import (
     OilState,
 )
 from fmus.components.hose import LumpedHose
+from fmus.components.oil import at_temperature
 from fmus.contract import Scalar, Subsystem, quantities
 
 
@@ -50,19 +51,21 @@ def initial(x: BoomStickState, u: BoomStickInputs, p: BoomStickParameters) -> di
     return dict.fromkeys(quantities(BoomStickState), 0) | drive.holding_pressures(u, p)
 
 
-BOOM_STICK = Subsystem(
-    name="boom_stick",
-    text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
-    parameters=BoomStickParameters,
-    states=BoomStickState,
-    inputs=BoomStickInputs,
-    outputs=BoomStickOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=drive.require,
-    derive=partial(drive.derive, LumpedHose),
-    values=Path(__file__).with_name("parameters.toml"),
-    validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
-    terminals=drive.TERMINALS,
+BOOM_STICK = at_temperature(
+    Subsystem(
+        name="boom_stick",
+        text="Hydraulic drives of boom and stick: spool valves, hoses, cylinders",
+        parameters=BoomStickParameters,
+        states=BoomStickState,
+        inputs=BoomStickInputs,
+        outputs=BoomStickOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=drive.require,
+        derive=partial(drive.derive, LumpedHose),
+        values=Path(__file__).with_name("parameters.toml"),
+        validity="below 51 Hz, eq. (3) for the longest hose; spool faster than the motion",
+        terminals=drive.TERMINALS,
+    )
 )

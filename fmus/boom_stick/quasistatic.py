@@ -20,6 +20,7 @@ from fmus.boom_stick.variables import (
     QuasistaticBoomStickState,
 )
 from fmus.components.hose import LumpedHose, VolumeHose
+from fmus.components.oil import at_temperature
 from fmus.components.spool_valve import EdgeFlows
 from fmus.contract import Scalar, Subsystem
 
@@ -72,21 +73,23 @@ def initial(
     return drive.holding_pressures(u, p)
 
 
-BOOM_STICK = Subsystem(
-    name="boom_stick",
-    text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
-    parameters=QuasistaticBoomStickParameters,
-    states=QuasistaticBoomStickState,
-    inputs=BoomStickInputs,
-    outputs=BoomStickOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=drive.require,
-    derive=partial(drive.derive, VolumeHose),
-    values=Path(__file__).with_name("parameters.toml"),
-    validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
-    " spool faster than the motion",
-    terminals=drive.TERMINALS,
-    stiff=False,
+BOOM_STICK = at_temperature(
+    Subsystem(
+        name="boom_stick",
+        text="Hydraulic drives of boom and stick without line dynamics: spool valves, cylinders",
+        parameters=QuasistaticBoomStickParameters,
+        states=QuasistaticBoomStickState,
+        inputs=BoomStickInputs,
+        outputs=BoomStickOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=drive.require,
+        derive=partial(drive.derive, VolumeHose),
+        values=Path(__file__).with_name("parameters.toml"),
+        validity="motions slow compared with the oil in the hoses, below about 10 Hz;"
+        " spool faster than the motion",
+        terminals=drive.TERMINALS,
+        stiff=False,
+    )
 )

@@ -9,6 +9,7 @@ from fmus.components.chamber import Fluid, Oil
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, HoseWall, LumpedHose, ReferenceHose, VolumeHose
 from fmus.components.load_sensing import NOT_SHARED
+from fmus.components.oil import OilTemperature
 from fmus.components.orifice import ReliefParameters
 from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
@@ -17,8 +18,8 @@ AXES = ("boom", "stick")
 SIDES = ("head", "rod")
 
 
-class Preload(Group):
-    """Initial pressure of the drives."""
+class Preload(OilTemperature):
+    """Initial pressure of the drives, and temperature of their oil."""
 
     initial_preload: Scalar = Quantity(
         "Pa", "Initial pressure of the unloaded side of a cylinder", 1e6, minimum=1e3, group="Start"

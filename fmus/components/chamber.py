@@ -92,14 +92,19 @@ class Oil(Group):
     bulk_modulus: Scalar = Quantity("Pa", "Bulk modulus of the oil", 1e9, minimum=1e7)
 
 
-class Fluid(Oil):
-    """Parameters of the oil with its viscosity and entrained air."""
+class AeratedOil(Oil):
+    """Parameters of the oil with entrained air."""
 
-    viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7)
     air_share: Scalar = Quantity(
         "1", "Volume of free air at atmospheric pressure per volume of oil", 1e-2, minimum=0.0, maximum=0.2
     )
     air_exponent: Scalar = Quantity("1", "Polytropic exponent of the air", minimum=1.01, maximum=1.7)
+
+
+class Fluid(AeratedOil):
+    """Parameters of the oil with entrained air and its viscosity."""
+
+    viscosity: Scalar = Quantity("Pa.s", "Dynamic viscosity of the oil", 1e-2, minimum=1e-7)
 
 
 def _floored(pressure: Scalar) -> tuple[Scalar, Scalar]:
@@ -108,32 +113,41 @@ def _floored(pressure: Scalar) -> tuple[Scalar, Scalar]:
     return ca.fmax(absolute, FLOOR), ca.fmax(FLOOR - absolute, 0)
 
 
-def _air(fluid: Fluid, absolute: Scalar) -> tuple[Scalar, Scalar]:
-    """Volume [1] of the air per volume of oil, and its compliance [1/Pa]."""
+def _air(fluid: AeratedOil, absolute: Scalar) -> tuple[Scalar, Scalar]:
+    """Volume [1] of the air per volume of oil, and its compliance [1/Pa]; exp() is its own derivative."""
     s = 1 / fluid.air_exponent
-    volume = fluid.air_share * (ATMOSPHERE / absolute) ** s
+    volume = fluid.air_share * ca.exp(s * ca.log(ATMOSPHERE / absolute))
     return volume, s * volume / absolute
 
 
-def compliance(fluid: Fluid, pressure: Scalar) -> Scalar:
-    """kappa [1/Pa] at a gauge pressure."""
+def air_compliance(fluid: AeratedOil, pressure: Scalar) -> Scalar:
+    """kappa - 1/beta [1/Pa] at a gauge pressure."""
     absolute, depth = _floored(pressure)
     _, air = _air(fluid, absolute)
-    tangent = 1 + (1 + 1 / fluid.air_exponent) * depth / absolute
-    return 1 / fluid.bulk_modulus + air * tangent
+    return air * (1 + (1 + 1 / fluid.air_exponent) * depth / absolute)
 
 
-def bulk_modulus(fluid: Fluid, pressure: Scalar) -> Scalar:
+def compliance(fluid: AeratedOil, pressure: Scalar) -> Scalar:
+    """kappa [1/Pa] at a gauge pressure."""
+    return 1 / fluid.bulk_modulus + air_compliance(fluid, pressure)
+
+
+def bulk_modulus(fluid: AeratedOil, pressure: Scalar) -> Scalar:
     """beta_eff [Pa] at a gauge pressure, for rigid walls."""
     return 1 / compliance(fluid, pressure)
 
 
-def energy_density(fluid: Fluid, pressure: Scalar) -> Scalar:
+def energy_density(fluid: AeratedOil, pressure: Scalar) -> Scalar:
     """e [J/m3], the energy per volume at a gauge pressure."""
+    return pressure**2 / (2 * fluid.bulk_modulus) + air_energy_density(fluid, pressure)
+
+
+def air_energy_density(fluid: AeratedOil, pressure: Scalar) -> Scalar:
+    """e - P^2/(2 beta) [J/m3], the energy of the air per volume of oil at a gauge pressure."""
     s, (absolute, d) = 1 / fluid.air_exponent, _floored(pressure)
     volume, air = _air(fluid, absolute)
     polytropic = s * (absolute * volume / (1 - s) + ATMOSPHERE * volume / s)
     at_zero = fluid.air_share * ATMOSPHERE * (s / (1 - s) + 1)
     gauge, c = absolute - ATMOSPHERE, (1 + s) / absolute  # kappa of the tangent: air (1 + c depth)
     tangent = air * (gauge * d + (gauge * c - 1) * d**2 / 2 - c * d**3 / 3)
-    return pressure**2 / (2 * fluid.bulk_modulus) + polytropic - at_zero - tangent
+    return polytropic - at_zero - tangent

@@ -1,6 +1,6 @@
 """Hoses: parameters derived from length and bore, one lump, and a line of many lumps with friction.
 
-    I = rho l/A       C = A l/beta       C_R = C_R0 (l/l_0) (D_0/D)^4.75       R = 128 mu l/(pi D^4)
+    I = rho l/A     C = A l (1/beta + 1/E_wall)     C_R = C_R0 (l/l_0) (D_0/D)^4.75     R = 128 mu l/(pi D^4)
 
 **One lump** is valid below the frequency of eq. (3), C0/(2 pi l): 51 Hz for the longest hose.
 
@@ -121,13 +121,13 @@ class HoseWall(Group):
 
 
 def derived_parameters(
-    h: Hose, density: Scalar, bulk_modulus: Scalar, reference_resistance: Scalar
+    h: Hose, density: Scalar, bulk_modulus: Scalar, reference_resistance: Scalar, wall_modulus: Scalar
 ) -> dict[str, Scalar]:
     """Parameters of a hose that are derived from its length and bore."""
     ratios = (h.length / REFERENCE_LENGTH, h.bore / REFERENCE_BORE)
     parameters = {
         "resistance": scaled_resistance(reference_resistance, *ratios),
-        "capacitance": capacitance(h.length, h.bore, bulk_modulus),
+        "capacitance": capacitance(h.length, h.bore, bulk_modulus, wall_modulus),
         "inertance": inertance(h.length, h.bore, density),
     }
     return {name: value for name, value in parameters.items() if hasattr(h, name)}
@@ -155,9 +155,12 @@ def inertance(length: Scalar, diameter: Scalar, density: Scalar) -> Scalar:
     return density * length / area(diameter)
 
 
-def capacitance(length: Scalar, diameter: Scalar, bulk_modulus: Scalar) -> Scalar:
-    """C = A l / beta [m3/Pa] with a rigid wall."""
-    return area(diameter) * length / bulk_modulus
+def capacitance(
+    length: Scalar, diameter: Scalar, bulk_modulus: Scalar, wall_modulus: Scalar = math.inf
+) -> Scalar:
+    """C = A l (1/beta + 1/E_wall) [m3/Pa]; E_wall is infinite for a rigid wall."""
+    volume = area(diameter) * length
+    return volume / bulk_modulus + volume / wall_modulus
 
 
 def scaled_resistance(resistance: Scalar, length_ratio: Scalar, diameter_ratio: Scalar) -> Scalar:

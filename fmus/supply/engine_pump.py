@@ -4,12 +4,13 @@
     q_i      = r(p_i - P) / R_c                  its check valve: no flow back into the pump
     C_s P'   = q_1 + q_2 - Q - Q_r               supply line: flow Q into the drives, main relief valve
     J w'     = T - T_f(w) - T_1 - T_2            engine and pumps on one shaft
-    V'       = return flow + leakage + relief - x_1 - x_2          oil in the tank, at constant pressure
+    V'       = Q_b + leakage + relief - x_1 - x_2        oil in the tank, at constant pressure
 
 with x, T, T_i and the strokes from `fmus.components.engine_and_pump`, Q_r from `fmus.components.orifice`, r
-the `ramp` of `fmus.components.smooth`. Cavities in the lines as in `fmus.components.chamber`.
+the `ramp` of `fmus.components.smooth`; return line (P_b, Q_b) and temperature of the oil from `rail`.
+Cavities in the lines as in `fmus.components.chamber`.
 
-    engine_power + P_t return_flow = P supply_flow + dE/dt + heat
+    engine_power + P_b return_flow = P supply_flow + dE/dt + heat
 
 engine_power is the power of the combustion, T w. The heat is that of engine friction, friction and leakage of
 the pumps, check valves and relief valve. E is the energy of compression and rotation, and P_t V of the tank.
@@ -122,6 +123,8 @@ class EnginePumpOutputs(SupplyOutputs):
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pumps", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
     engine_load: Scalar = Quantity("N.m", "Torque of both pumps on the engine", 100.0)
+    oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
+    cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
@@ -142,7 +145,7 @@ def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> En
         pump_2_pressure=b.pressure_rate,
         pump_1_stroke=engine_and_pump.stroke_rate(a.pump, x.pump_1_stroke, x.pump_1_pressure),
         pump_2_stroke=engine_and_pump.stroke_rate(b.pump, x.pump_2_stroke, x.pump_2_pressure),
-        **rail.shaft_rate((a, b), return_flow(u), x, p),
+        **rail.shaft_rate((a, b), 0, u, x, p),
     )
 
 
@@ -154,12 +157,11 @@ def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Eng
     return EnginePumpOutputs(
         **vars(x),
         supply_pressure_rate=dynamics(x, u, p).supply_pressure,
-        tank_pressure=p.reservoir_pressure,
         load_sensing_pressure=load.value,
         load_sensing_pressure_rate=load.rate,
         supply_flow=supplied,
         return_flow=returned,
-        hydraulic_power=x.supply_pressure * supplied - p.reservoir_pressure * returned,
+        hydraulic_power=x.supply_pressure * supplied - x.tank_pressure * returned,
         engine_power=x.engine_torque * x.engine_speed,
         stored_energy=rail.stored_energy((a, b), x, p),
         dissipated_power=rail.dissipated_power((a, b), 0, x, p),
@@ -167,6 +169,7 @@ def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> Eng
         pump_2_flow=b.delivered,
         relief_flow=rail.relief_flow(x, p),
         engine_load=a.torque + b.torque,
+        cooling_power=rail.cooling_power(x, p),
     )
 
 
@@ -177,7 +180,7 @@ def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
     for _ in range(engine_and_pump.ITERATIONS):
         speed = engine_and_pump.idle_speed(engine, _idle_load(p, speed), speed)
     (stroke_1, pressure_1), (stroke_2, pressure_2) = (
-        engine_and_pump.dead_head(d, speed, tank) for d in p.pumps
+        engine_and_pump.dead_head(rail.at_start(d, p), speed, tank) for d in p.pumps
     )
     return {
         "supply_pressure": ca.fmax(pressure_1, pressure_2),
@@ -187,14 +190,14 @@ def initial(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> dic
         "pump_2_stroke": stroke_2,
         "engine_speed": speed,
         "engine_torque": engine_and_pump.governor_torque(engine, speed),
-        "reservoir_volume": p.reservoir_volume_start,
+        **rail.start(p),
     }
 
 
 def _idle_load(p: EnginePumpParameters, speed: Scalar) -> Scalar:
     """Torque [N.m] of both pumps at dead head."""
     load: Scalar = 0
-    for d in p.pumps:
+    for d in (rail.at_start(pump, p) for pump in p.pumps):
         stroke, pressure = engine_and_pump.dead_head(d, speed, p.reservoir_pressure)
         load = load + engine_and_pump.torque(d, stroke, speed, pressure - p.reservoir_pressure)
     return load

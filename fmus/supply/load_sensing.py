@@ -5,12 +5,13 @@
     q          = r(p - P) / R_c               its check valve
     C_s P'     = q - Q - Q_r - k_l (P - P_t)  supply line: drives, main relief valve, pilot oil and spools
     J w'       = T - T_f(w) - T_1             engine and pump on one shaft
-    V'         = return flow + leakage + relief - x          oil in the tank, at constant pressure
+    V'         = Q_b + leakage + relief - x          oil in the tank, at constant pressure
 
     s' : lag and speed limits of the swash plate towards
          lim(min((P_L + margin - p) / band,  (P_off - p) / band_off,  T_max / (D dp)))
 
-P_load is the highest load pressure (`fmus.components.load_sensing`). The orifice of the line and its relief
+Return line (Q_b) and temperature of the oil, from which k and k_l follow, are those of `rail`. P_load is the
+highest load pressure (`fmus.components.load_sensing`). The orifice of the line and its relief
 valve, P_max = P_off - difference, take no flow from the drives; in practice it is at most a few L/min. A
 stalled stroke raises P_L to P_max; with a difference below the margin the pump then runs at its cut-off.
 
@@ -35,7 +36,7 @@ Signs: supply flows are positive out of the supply line, return flows into the t
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fmus.components import engine_and_pump, load_sensing
+from fmus.components import engine_and_pump, load_sensing, oil
 from fmus.components.engine_and_pump import DieselEngine, Pump, StrokeLimits
 from fmus.components.load_sensing import LoadPressure
 from fmus.components.smooth import ramp_inverse
@@ -157,6 +158,8 @@ class LoadSensingOutputs(SupplyOutputs):
     engine_speed: Scalar = Quantity("rad/s", "Speed of engine and pump", 100.0)
     engine_torque: Scalar = Quantity("N.m", "Torque of the combustion", 100.0)
     engine_load: Scalar = Quantity("N.m", "Torque of the pump on the engine", 100.0)
+    oil_temperature: Scalar = Quantity("K", "Temperature of the oil in the tank", 300.0)
+    cooling_power: Scalar = Quantity("W", "Heat from tank and cooler to the air", 1e4)
     reservoir_volume: Scalar = Quantity("m3", "Volume of oil in the tank", 0.1)
 
 
@@ -166,7 +169,8 @@ def _outlet(x: LoadSensingState, p: LoadSensingParameters) -> Outlet:
 
 
 def _leakage(x: LoadSensingState, p: LoadSensingParameters) -> Scalar:
-    return p.rail_leakage * (x.supply_pressure - p.reservoir_pressure)
+    conductance = p.rail_leakage / oil.viscosity_ratio(x.oil_temperature)
+    return conductance * (x.supply_pressure - p.reservoir_pressure)
 
 
 def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> LoadSensingState:
@@ -179,7 +183,7 @@ def dynamics(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> 
         / p.load_sensing_lag,
         pump_pressure=pump.pressure_rate,
         pump_stroke=engine_and_pump.servo_rate(pump.pump, x.pump_stroke, target),
-        **rail.shaft_rate((pump,), return_flow(u) + leakage, x, p),
+        **rail.shaft_rate((pump,), leakage, u, x, p),
     )
 
 
@@ -190,11 +194,10 @@ def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> L
     return LoadSensingOutputs(
         **vars(x),
         supply_pressure_rate=rates.supply_pressure,
-        tank_pressure=p.reservoir_pressure,
         load_sensing_pressure_rate=rates.load_sensing_pressure,
         supply_flow=supplied,
         return_flow=returned,
-        hydraulic_power=x.supply_pressure * supplied - p.reservoir_pressure * returned,
+        hydraulic_power=x.supply_pressure * supplied - x.tank_pressure * returned,
         engine_power=x.engine_torque * x.engine_speed,
         stored_energy=rail.stored_energy((pump,), x, p),
         dissipated_power=rail.dissipated_power((pump,), _leakage(x, p), x, p),
@@ -203,12 +206,13 @@ def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> L
         relief_flow=rail.relief_flow(x, p),
         rail_leakage_flow=_leakage(x, p),
         engine_load=pump.torque,
+        cooling_power=rail.cooling_power(x, p),
     )
 
 
 def _standby_line(p: LoadSensingParameters) -> Scalar:
-    """Pressure [Pa] of the load-sensing line with all valves closed: that of the tank."""
-    closed = LoadPressure(p.reservoir_pressure, 0)
+    """Pressure [Pa] of the load-sensing line with all valves closed: that of the return line."""
+    closed = LoadPressure(rail.return_pressure(p), 0)
     return limited(load_sensing.highest(closed, closed), p, p.pressure_cut_off).value
 
 
@@ -229,14 +233,15 @@ def _standby(p: LoadSensingParameters, speed: Scalar, engine: DieselEngine | Non
     The flow of the pump only covers leakage. The check valve passes the leakage of the supply line with a
     drop z, so both leakages together are k + k_l (1 - z/dp) per pressure rise dp of the pump.
     """
-    tank, pump = p.reservoir_pressure, p.pump(_standby_line(p))
+    tank, pump = p.reservoir_pressure, rail.at_start(p.pump(_standby_line(p)), p)
+    bleed = p.rail_leakage / oil.viscosity_ratio(p.oil_temperature_start)
     passed: Scalar = 0  # leakage of the supply line per pressure rise of the pump
     for iteration in range(_ITERATIONS):
         leaking = replace(pump, leakage=pump.leakage + passed)
         stroke, pressure = engine_and_pump.dead_head(leaking, speed, tank)
         rise = pressure - tank
         drop = ramp_inverse(passed * rise * p.main_pump_check_resistance, p.check_opening)
-        passed = p.rail_leakage * (1 - drop / rise)
+        passed = bleed * (1 - drop / rise)
         load = engine_and_pump.torque(pump, stroke, speed, rise)
         if engine is not None and iteration < _ITERATIONS - 1:
             speed = engine_and_pump.idle_speed(engine, load, speed)
@@ -254,7 +259,7 @@ def initial(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
         "pump_stroke": found.stroke,
         "engine_speed": found.speed,
         "engine_torque": engine_and_pump.governor_torque(engine, found.speed),
-        "reservoir_volume": p.reservoir_volume_start,
+        **rail.start(p),
     }
 
 
@@ -265,8 +270,8 @@ def require(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> d
     return {
         "margin exceeds margin_band": p.margin - p.margin_band,
         "load_sensing_relief_difference is not above margin": p.margin - p.load_sensing_relief_difference + 1,
-        "pressure_cut_off exceeds reservoir_pressure plus margin and load_sensing_relief_difference": (
-            p.pressure_cut_off - p.load_sensing_relief_difference - tank - p.margin
+        "pressure_cut_off exceeds return line, margin and load_sensing_relief_difference": (
+            p.pressure_cut_off - p.load_sensing_relief_difference - rail.return_pressure(p) - p.margin
         ),
         "relief_pressure exceeds pressure_cut_off": p.relief_pressure - p.pressure_cut_off,
         "engine_rated_torque exceeds torque_limit with the friction of the pump": p.engine_rated_torque

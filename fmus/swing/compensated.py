@@ -8,18 +8,20 @@ with the flows Q_a, Q_b of the ports of `pressure_compensator`, the crossover re
 valves (make-up from the return line) of `orifice`, which are mounted at the motor, and the torque T of the
 `brake`. A closed valve blocks the ports, which have no counterbalance valves. The brake is released as soon
 as the command leaves the dead band and the supply has pressure. Lines as in `quasistatic`: volumes, no oil
-columns. The torque depends only on states.
+columns. C has elastic walls and the air of `chamber`. The torque depends only on states.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 
 from fmus.components import brake as holding
-from fmus.components import chamber, motor, orifice
+from fmus.components import chamber, hose, motor, orifice
 from fmus.components import pressure_compensator as compensator
 from fmus.components.brake import Brake, BrakeTorque
-from fmus.components.chamber import Oil
+from fmus.components.chamber import AeratedOil
+from fmus.components.hose import HoseWall
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.orifice import PressureValve, ReliefParameters
 from fmus.components.pressure_compensator import Compensator, Section, SectionPort, SectionValve
@@ -32,7 +34,8 @@ from fmus.swing.variables import DriveParameters, QuasistaticSwingParameters, Sw
 class CompensatedSwingParameters(
     DriveParameters,
     ReliefParameters,
-    Oil,
+    HoseWall,
+    AeratedOil,
     valve=SectionValve,
     compensator=Compensator,
     brake=(Brake, "swing"),
@@ -124,13 +127,22 @@ def _evaluate(x: CompensatedSwingState, u: SwingInputs, p: CompensatedSwingParam
     )
 
 
+def _volume(p: CompensatedSwingParameters) -> Scalar:
+    """Volume [m3] of a line with its motor side."""
+    return hose.area(p.line_bore) * p.line_length + p.motor_volume
+
+
 def _rates(n: _Evaluated, x: CompensatedSwingState, p: CompensatedSwingParameters) -> CompensatedSwingState:
-    (a, b), c = n.ports, p.line_capacitance
+    (a, b), volume = n.ports, _volume(p)
+    c_a, c_b = (
+        p.line_capacitance + volume * chamber.air_compliance(p, pressure)
+        for pressure in (x.swing_pressure_a, x.swing_pressure_b)
+    )
     net_a = a.edges.line - n.nodes.flow_1 - n.cross + n.anti[0]
     net_b = b.edges.line - n.nodes.flow_2 + n.cross + n.anti[1]
     return CompensatedSwingState(
-        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c),
-        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c),
+        swing_pressure_a=chamber.pressure_rate(x.swing_pressure_a, net_a, c_a),
+        swing_pressure_b=chamber.pressure_rate(x.swing_pressure_b, net_b, c_b),
         swing_brake_torque=n.brake.rate,
         swing_brake_applied=holding.applied_rate(Brake.of(p, "brake"), x.swing_brake_applied, n.release),
     )
@@ -160,7 +172,11 @@ def observe(
     outputs["return_flow"] -= sum(n.anti)
     make_up = sum(q * (tank - pressure) for q, pressure in zip(n.anti, pressures, strict=True))
     outputs["dissipated_power"] += n.cross * (pressures[0] - pressures[1]) + make_up + n.brake.heat
-    compression = sum(chamber.stored_energy(pressure, p.line_capacitance) for pressure in pressures)
+    compression = sum(
+        chamber.stored_energy(pressure, p.line_capacitance)
+        + _volume(p) * chamber.air_energy_density(p, pressure)
+        for pressure in pressures
+    )
     return CompensatedSwingOutputs(
         **outputs,
         stored_energy=compression + n.brake.stored,
@@ -208,7 +224,7 @@ def _subsystem() -> Subsystem:
         " no spool dynamics",
         terminals=drive.TERMINALS,
     )
-    return family("swing", lumped=lumped.SWING, compensated=sub)["compensated"]
+    return family("swing", lumped=lumped.SWING, compensated=at_temperature(sub))["compensated"]
 
 
 SWING = _subsystem()

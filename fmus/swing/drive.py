@@ -3,6 +3,7 @@
 torque = D (P_1 - P_2)           D = D_m N                                   eqs. (8), (11), (12)
 """
 
+import math
 from typing import Any
 
 from fmus.components import chamber, hose, load_sensing, motor, opening_curve, ports, spool_valve
@@ -27,8 +28,9 @@ def leakage(p: Any) -> Pair:
 
 
 def derive_capacitance(p: Any) -> dict[str, Scalar]:
-    """Capacitance of a line with its motor side, from their volumes."""
-    line = hose.capacitance(p.line_length, p.line_bore, p.bulk_modulus)
+    """Capacitance of a line with its motor side; walls are rigid in variants without a modulus for them."""
+    wall = getattr(p, "hose_wall_modulus", math.inf)
+    line = hose.capacitance(p.line_length, p.line_bore, p.bulk_modulus, wall)
     return {"line_capacitance": line + p.motor_volume / p.bulk_modulus}
 
 

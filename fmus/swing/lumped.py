@@ -14,6 +14,7 @@ from pathlib import Path
 
 from fmus.components import chamber, hose, motor, spool_valve
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Scalar, Subsystem
@@ -75,19 +76,21 @@ def initial(x: SwingState, u: SwingInputs, p: SwingParameters) -> dict[str, Scal
     return {"swing_pressure_a": preload, "swing_pressure_b": preload, "swing_flow_a": 0, "swing_flow_b": 0}
 
 
-SWING = Subsystem(
-    name="swing",
-    text="Hydraulic swing drive: spool valve, lines, motor and gear",
-    parameters=SwingParameters,
-    states=SwingState,
-    inputs=SwingInputs,
-    outputs=SwingOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=drive.require,
-    derive=drive.derive,
-    values=Path(__file__).with_name("parameters.toml"),
-    validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
-    terminals=drive.TERMINALS,
+SWING = at_temperature(
+    Subsystem(
+        name="swing",
+        text="Hydraulic swing drive: spool valve, lines, motor and gear",
+        parameters=SwingParameters,
+        states=SwingState,
+        inputs=SwingInputs,
+        outputs=SwingOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=drive.require,
+        derive=drive.derive,
+        values=Path(__file__).with_name("parameters.toml"),
+        validity="lines laminar and short against the wavelength, below 200 Hz; spool faster than the motion",
+        terminals=drive.TERMINALS,
+    )
 )

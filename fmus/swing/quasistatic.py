@@ -13,6 +13,7 @@ from pathlib import Path
 
 from fmus.components import chamber, motor, spool_valve
 from fmus.components.motor import MotorNodes
+from fmus.components.oil import at_temperature
 from fmus.components.opening_curve import OpeningCurves
 from fmus.components.spool_valve import EdgeFlows, Valve
 from fmus.contract import Group, Scalar, Subsystem
@@ -75,20 +76,22 @@ def initial(x: QuasistaticSwingState, u: SwingInputs, p: QuasistaticSwingParamet
     return {"swing_pressure_a": preload, "swing_pressure_b": preload}
 
 
-SWING = Subsystem(
-    name="swing",
-    text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
-    parameters=QuasistaticSwingParameters,
-    states=QuasistaticSwingState,
-    inputs=SwingInputs,
-    outputs=SwingOutputs,
-    dynamics=dynamics,
-    observe=observe,
-    initial=initial,
-    require=drive.require,
-    derive=drive.derive_capacitance,
-    values=Path(__file__).with_name("parameters.toml"),
-    validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
-    terminals=drive.TERMINALS,
-    stiff=False,
+SWING = at_temperature(
+    Subsystem(
+        name="swing",
+        text="Hydraulic swing drive without line dynamics: spool valve, motor and gear",
+        parameters=QuasistaticSwingParameters,
+        states=QuasistaticSwingState,
+        inputs=SwingInputs,
+        outputs=SwingOutputs,
+        dynamics=dynamics,
+        observe=observe,
+        initial=initial,
+        require=drive.require,
+        derive=drive.derive_capacitance,
+        values=Path(__file__).with_name("parameters.toml"),
+        validity="motions slow compared with the oil in the lines, below 10 Hz; spool faster than the motion",
+        terminals=drive.TERMINALS,
+        stiff=False,
+    )
 )

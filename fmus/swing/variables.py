@@ -8,6 +8,7 @@ from fmus.components import chamber
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.hose import HoseSize, HoseWall
 from fmus.components.load_sensing import NOT_SHARED
+from fmus.components.oil import OilTemperature
 from fmus.components.orifice import ReliefParameters
 from fmus.components.spool_valve import CurvedEdges, CurvedValve, Spool
 from fmus.contract import Group, Quantity, Scalar
@@ -15,7 +16,7 @@ from fmus.contract import Group, Quantity, Scalar
 SIDES = ("a", "b")
 
 
-class DriveParameters(Group, line=(HoseSize, "swing line")):
+class DriveParameters(OilTemperature, line=(HoseSize, "swing line")):
     """Parameters of lines, motor and gear in every variant."""
 
     line_turbulent_resistance: Scalar = Quantity(

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from math import pi, sqrt
 from types import SimpleNamespace as Group
 
-from equations.transcription import opening, ramp, void
+from equations.transcription import oil, opening, ramp, void, warmed
 
 Numbers = Mapping[str, float]
 Rates = dict[str, float]
@@ -113,6 +113,18 @@ def section(
     return found[0], found[1]
 
 
+def air(p: Group, pressure: float) -> float:
+    """kappa_air [1/Pa] of section 4.2: the polytropic law, below 20 kPa absolute its tangent."""
+    n, p_0 = p.air_exponent, 101325.0
+
+    def law(absolute: float) -> float:
+        return p.air_share / (n * absolute) * (p_0 / absolute) ** (1 / n)
+
+    at = pressure + p_0
+    slope = -(1 + 1 / n) * law(2e4) / 2e4  # of the power law with the exponent -(1 + 1/n)
+    return law(at) if at > 2e4 else law(2e4) + slope * (at - 2e4)
+
+
 def relief(p: Group, name: str, drop: float) -> float:
     """Flow of a relief or anti-cavitation valve, section 4.4."""
     v = part(vars(p), f"{name}_")
@@ -123,8 +135,8 @@ def relief(p: Group, name: str, drop: float) -> float:
 
 
 def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
-    """Rates and observables of the compensated swing, sections 4.5, 4.6, 4.8, 4.9."""
-    p, tank = Group(**p_), u["tank_pressure"]
+    """Rates and observables of the compensated swing, sections 4.5, 4.6, 4.8 to 4.10."""
+    p, tank = warmed(Group(**p_)), u["tank_pressure"]
     a, b, torque, q = (x[f"swing_{n}"] for n in ("pressure_a", "pressure_b", "brake_torque", "brake_applied"))
     areas = (p.swing_return_area, p.swing_return_area)
     (in_a, out_a), (in_b, out_b) = section(
@@ -136,7 +148,9 @@ def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     fill = relief(p, "anti_cavitation", tank - a), relief(p, "anti_cavitation", tank - b)
     net_a = in_a - out_a - d * w - (a - b) / inner - (a - tank) / outer - cross + fill[0]
     net_b = in_b - out_b + d * w + (a - b) / inner - (b - tank) / outer + cross + fill[1]
-    da, db = net_a / (p.line_capacitance + void(a)), net_b / (p.line_capacitance + void(b))
+    volume = pi / 4 * p.line_bore**2 * p.line_length + p.motor_volume
+    da = net_a / (p.line_capacitance + volume * air(p, a) + void(a))
+    db = net_b / (p.line_capacitance + volume * air(p, b) + void(b))
     held, width = p.brake_torque * q, 1e-3 * p.brake_torque
     slip = (ramp(torque - held, width) - ramp(-torque - held, width)) / p.brake_drag
     pressed = step(2 * (u["supply_pressure"] - tank) / p.brake_release_pressure - 1)
@@ -181,9 +195,9 @@ def at_rest(p: Group, chamber: float, pilot: float, line: float, tank: float) ->
 
 
 def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
-    """Rates and observables of both cylinders, sections 4.6 to 4.8."""
-    p, tank = Group(**p_), u["tank_pressure"]
-    rates: Rates = {}
+    """Rates and observables of both cylinders, sections 4.6 to 4.8 and 4.10."""
+    p, tank = warmed(Group(**p_)), u["tank_pressure"]
+    p_, rates = vars(p), {}
     y = {"supply_flow": 0.0, "return_flow": 0.0}
     loads = []
     for axis in ("boom", "stick"):
@@ -196,15 +210,18 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         returns = own.head_return_area, own.rod_return_area
         ports = section(p, own.section_flow, returns, p.neutral_area, 0.0, u, command, lines)
         volumes = own.dead_volume + head * s, own.dead_volume + rod * (own.stroke - s)
+        inside = pi / 4 * own.hose_bore**2 * own.hose_length
         slopes = []
         for i, side in enumerate(("head", "rod")):
             line, chamber, (q_in, q_out) = lines[i], chambers[i], ports[i]
             q = counterbalance(p, own.hose_resistance, openings[i], line, chamber)
             out, back = relief(p, "port_relief", line - tank), relief(p, "anti_cavitation", tank - line)
             swept = (-head * v, rod * v)[i]
-            slopes.append((q_in - q_out - q - out + back) / (own.hose_capacitance + void(line)))
+            soft = own.hose_capacitance + inside * air(p, line) + void(line)
+            slopes.append((q_in - q_out - q - out + back) / soft)
             rates[f"{axis}_{side}_valve_pressure"] = slopes[-1]
-            rates[f"{axis}_{side}_pressure"] = (q + swept) / (volumes[i] / p.bulk_modulus + void(chamber))
+            kappa = 1 / p.bulk_modulus + air(p, chamber)
+            rates[f"{axis}_{side}_pressure"] = (q + swept) / (volumes[i] * kappa + void(chamber))
             settled = at_rest(p, chamber, lines[1 - i], line, tank)
             rates[f"{axis}_{side}_counterbalance_opening"] = (settled - openings[i]) / p.counterbalance_lag
             y[f"{axis}_{side}_flow"] = q
@@ -236,16 +253,18 @@ def limited(z: float, e: float) -> float:
 def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     """Rates and observables of the load-sensing pump, sections 5.3 and 5.4."""
     p, d, e = Group(**p_), part(p_, "main_pump_"), part(p_, "engine_")
-    tank, w, s = p.reservoir_pressure, x["engine_speed"], x["pump_stroke"]
+    tank, w, s, m = p.reservoir_pressure, x["engine_speed"], x["pump_stroke"], oil(x["oil_temperature"])[0]
+    returning = x["tank_pressure"]
     out, rail, sensing = x["pump_pressure"], x["supply_pressure"], x["load_sensing_pressure"]
     rise, drawn = out - tank, s * d.displacement * w
     q = ramp(out - rail, p.check_opening) / d.check_resistance
     blown = p.relief_gain * ramp(rail - tank - p.relief_pressure, p.relief_rounding)
-    bled = p.rail_leakage * (rail - tank)
+    bled, leaking = p.rail_leakage / m * (rail - tank), d.leakage / m * rise
     taken = u["supply_flow_swing"] + u["supply_flow_boom_stick"]
     back = u["return_flow_swing"] + u["return_flow_boom_stick"]
     sign = w / sqrt(w**2 + 1)
-    friction = d.pressure_friction * d.displacement * foot(rise, 1e4) * sign + d.viscous_friction * w
+    friction = d.pressure_friction * d.displacement * foot(rise, 1e4) * sign
+    friction += d.viscous_friction * (0.18 * m + 0.82) * w
     torque = s * d.displacement * rise + friction
     net, dry = engine_torque(e, w)
     z = (dry + net * (e.no_load_speed - w) / (e.no_load_speed - e.rated_speed)) / (net + dry)
@@ -256,16 +275,27 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     lag = (target - s) / d.lag
     time = d.stroke_time if lag > 0 else d.destroke_time
     highest, _ = higher((u["swing_load_pressure"], 0.0), (u["boom_stick_load_pressure"], 0.0))
+    loaded = ramp(returning - tank - p.return_preload, p.check_opening)
+    into_tank = (loaded - ramp(tank - returning, p.check_opening)) / p.return_resistance
+    # heat, and with it what warms the oil: what the drives take, and the losses without those of the engine
+    warming = taken * rail - back * returning + leaking * rise + friction * w + q * (out - rail)
+    warming += (blown + bled) * (rail - tank) + into_tank * (returning - tank)
+    cooled = p.tank_conductance + p.cooler_conductance * limited(
+        (x["oil_temperature"] - p.cooler_setting) / p.cooler_band, 0.02
+    )
+    cooled *= x["oil_temperature"] - p.ambient_temperature
     limit = p.pressure_cut_off - p.load_sensing_relief_difference
     rates = {
         "supply_pressure": (q - taken - blown - bled) / (p.rail_capacitance + void(rail)),
         "load_sensing_pressure": (least(highest, limit, p.load_sensing_relief_rounding) - sensing)
         / p.load_sensing_lag,
-        "pump_pressure": (drawn - d.leakage * rise - q) / (d.line_capacitance + void(out)),
+        "pump_pressure": (drawn - leaking - q) / (d.line_capacitance + void(out)),
         "pump_stroke": lag / sqrt(1 + (lag * time) ** 2),
         "engine_speed": (x["engine_torque"] - dry - torque) / e.inertia,
         "engine_torque": ((net + dry) * limited(z, 0.02) - x["engine_torque"]) / e.lag,
-        "reservoir_volume": back + d.leakage * rise + blown + bled - drawn,
+        "tank_pressure": (back - into_tank) / (p.return_capacitance + void(returning)),
+        "oil_temperature": (warming - cooled) / p.heat_capacity,
+        "reservoir_volume": into_tank + leaking + blown + bled - drawn,
     }
     return rates, {
         "supply_pressure_rate": rates["supply_pressure"],

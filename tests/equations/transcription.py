@@ -8,7 +8,7 @@ states, inputs and observables are the project's; section numbers are those of t
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from math import atan2, cos, exp, hypot, pi, sin, sqrt
+from math import atan2, cos, exp, hypot, log10, pi, sin, sqrt
 from pathlib import Path
 from types import SimpleNamespace as Group  # the parameters of one part by name
 
@@ -76,12 +76,38 @@ def line(p: Group) -> Group:
     return sized(p, "line", p.line_length, p.line_bore, p.motor_volume, resistance)
 
 
+def oil(temperature: float) -> tuple[float, float]:
+    """m and r of section 4.10: a straight line through two points of lg lg (nu + 0.7) over lg T."""
+
+    temperature = min(max(temperature, 223.15), 423.15)
+
+    def product(kelvin: float) -> float:
+        low, high = log10(313.15), log10(373.15)
+        share = (log10(kelvin) - low) / (high - low)
+        y = log10(log10(46.7)) * (1 - share) + log10(log10(7.5)) * share
+        return (10**10**y - 0.7) / (1 + 7e-4 * (kelvin - 333.15))
+
+    return product(temperature) / product(333.15), 1 / (1 + 7e-4 * (temperature - 333.15))
+
+
+def warmed(p: Group) -> Group:
+    """Its numbers at the temperature of the oil, the table of section 4.10."""
+    m, r = oil(p.oil_temperature)
+    mixed = r**0.75 * m**0.25
+    factors = {"density": r, "viscosity": m, "valve_leakage": 1 / m, "valve_transition_flow": m / r}
+    factors |= {"line_inertance": r, "line_resistance": m, "line_turbulent_resistance": mixed}
+    factors |= {"hose_inertance": r, "hose_resistance": mixed, "counterbalance_leakage": 1 / m}
+    factors |= {f"{a}_hose_{n}": f for a in ("boom", "stick") for n, f in (("resistance", mixed),)}
+    factors |= {"internal_leakage_resistance": m, "external_leakage_resistance": m}
+    return Group(**{name: value * factors.get(name, 1.0) for name, value in vars(p).items()})
+
+
 class Machine:
     """The parameters in groups, and the arm as particles."""
 
     def __init__(self, table: Mapping[str, float]) -> None:
-        self.swing = line(group(table, "swing"))
-        self.hydraulic = [hose(group(table, "boom_stick", prefix)) for prefix in ("boom_", "stick_")]
+        self.swing = warmed(line(group(table, "swing")))
+        self.hydraulic = [warmed(hose(group(table, "boom_stick", a))) for a in ("boom_", "stick_")]
         self.linkage = [group(table, "manipulator", prefix) for prefix in ("boom_", "stick_")]
         a = self.arm = group(table, "manipulator")
         radius, g, elbow = a.boom_pivot_x, a.gravity, (a.stick_pivot_x, a.stick_pivot_z)

@@ -21,10 +21,13 @@ class Load(NamedTuple):
 
 
 class Bench(Part):
-    """One variant of the supply, its parameters and inputs given as lists."""
+    """One variant of the supply, its parameters and inputs given as lists.
+
+    The heat capacity is infinite, because the closed forms of the tests have one temperature of the oil.
+    """
 
     def __init__(self, variant: str) -> None:
-        super().__init__(VARIANTS[variant])
+        super().__init__(VARIANTS[variant], heat_capacity=1e30)
 
     def constants(self, **changes: float) -> list[float]:
         """The parameters in order, some of them changed."""

@@ -1,10 +1,12 @@
 """Every drive at random states: what any variant of swing, boom and stick must keep, whatever its circuit."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
+from equations.circuits_transcription import air
 from kit.equations import Part, cavity, piston_areas
 
 from fmus.boom_stick.detailed import detailed as detailed_boom_stick
@@ -101,9 +103,11 @@ def test_oil_is_neither_made_nor_lost(name):
         x, u = random_point(part, rng)
         dx, y = part(x, **u)
         state, rate = (dict(zip(part.states, column, strict=True)) for column in (x, dx))
-        capacitance, swept = {}, []
+        capacitance, swept, aerated = {}, [], {}
         if part.sub.part == "swing":
             capacitance = {f"swing_pressure_{line}": p["line_capacitance"] for line in ("a", "b")}
+            inside = np.pi / 4 * p["line_bore"] ** 2 * p["line_length"] + p["motor_volume"]
+            aerated = dict.fromkeys(capacitance, inside)
         else:
             for a in ("boom", "stick"):
                 head, rod = piston_areas(p, a)
@@ -116,7 +120,12 @@ def test_oil_is_neither_made_nor_lost(name):
                     chamber = f"{a}_{side}_pressure"
                     capacitance[chamber] = volume / p["bulk_modulus"]
                     capacitance[hose] = capacitance.get(hose, 0.0) + p[f"{a}_hose_capacitance"]
+                    inside = np.pi / 4 * p[f"{a}_hose_bore"] ** 2 * p[f"{a}_hose_length"]
+                    aerated |= {chamber: volume, hose: inside} if own else {}
                 swept.append((head - rod) * u[f"{a}_velocity"])
+        if "air_share" in p:
+            for n, volume in aerated.items():
+                capacitance[n] += volume * air(SimpleNamespace(**p), state[n])
         filled = [(c + cavity(state[n])) * rate[n] for n, c in capacitance.items()]
         terms = [y["supply_flow"], -y["return_flow"], *(-q for q in (*filled, *swept))]
         # exact identity; rounding of the largest term, which a cavity makes large

@@ -35,9 +35,10 @@ def drawn(rng, name, nominal):
     """A state or an input: in and beyond the working range, voids, open reliefs, broken supply."""
     ranges = {"opening": (0, 1), "applied": (0, 1), "stroke": (0, 1), "position": (0, 0.6)}
     ranges |= {"speed": (0, 300)} if name == "engine_speed" else {}
+    ranges |= {"temperature": (200, 450)}
     kind = name.rpartition("_")[2]
     if name == "tank_pressure":
-        return rng.uniform(0.0, 1e6)
+        return rng.uniform(-1e5, 1e6)
     if kind == "command":
         return rng.choice([rng.uniform(-11.0, 11.0), rng.uniform(-0.7, 0.7)])
     if kind == "pressure" or ("_pressure_" in name and kind in "ab"):

@@ -1,4 +1,4 @@
-"""Oil with air: its modulus, its energy, and the chamber of `lumped` when there is none."""
+"""Oil with air: its modulus, its energy, and the chamber of `lumped` when there is none; its viscosity."""
 
 import math
 
@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.components import chamber
+from fmus.components import chamber, oil
 from fmus.components.chamber import ATMOSPHERE, FLOOR, Fluid
+from fmus.machine.parts import FAMILIES
+from fmus.parameters import values
 
 BETA = 1.6e9
 pressures = st.floats(-1.5e5, 4e7)
@@ -100,3 +102,50 @@ def test_compliance_has_no_kink_at_the_floor():
     # 2 mPa apart: the curvature there changes the slope by 1e-6 of it
     assert float(below[0]) == pytest.approx(float(above[0]), rel=1e-6, abs=0)
     assert float(below[2]) == pytest.approx(float(above[2]), rel=1e-6, abs=0)
+
+
+@given(st.floats(-20.0, 100.0))
+def test_viscosity_is_a_straight_line_on_the_chart_of_astm_d341(celsius):
+    """lg lg (nu + 0.7) over lg T, through the middle of ISO VG 46 at 40 degC and 6.8 mm2/s at 100 degC."""
+
+    def chart(kelvin):
+        return math.log10(math.log10(number(oil.kinematic_viscosity(kelvin)) + 0.7))
+
+    kelvin, (cold, hot) = celsius + 273.15, (313.15, 373.15)
+    share = (math.log10(kelvin) - math.log10(cold)) / (math.log10(hot) - math.log10(cold))
+    expected = (1 - share) * math.log10(math.log10(46.7)) + share * math.log10(math.log10(7.5))
+    assert chart(kelvin) == pytest.approx(expected, rel=1e-12)  # exact identity, rounding
+
+
+# mPa.s at 30, 60, 100 degC of oils near ISO VG 46: Stachowiak and Batchelor, Engineering Tribology, table 2.3
+PUBLISHED = [(107.0, 23.3, 6.4), (122.0, 26.3, 7.3), (45.0, 12.0, 3.9), (38.0, 12.1, 5.3)]
+
+
+def test_viscosity_falls_as_that_of_published_oils():
+    """From 30 to 60 and from 60 to 100 degC by a factor between those of the four published oils."""
+    cold, warm, hot = (number(oil.viscosity_ratio(t + 273.15)) for t in (30.0, 60.0, 100.0))
+    assert warm == 1.0
+    for found, ratios in ((cold, [a / b for a, b, _ in PUBLISHED]), (hot, [c / b for _, b, c in PUBLISHED])):
+        assert min(ratios) < found < max(ratios)
+
+
+def test_density_falls_by_seven_permille_in_ten_kelvin():
+    """alpha = 7e-4/K, of mineral oils, from 60 degC on: one at 60 degC, 0.9930 at 70 degC."""
+    assert number(oil.density_ratio(333.15)) == 1.0
+    assert 1 / number(oil.density_ratio(343.15)) - 1 == pytest.approx(7e-3, rel=1e-9)  # rounding
+
+
+@pytest.mark.parametrize("length", [("boom", 3.0), ("stick", 4.0)])
+def test_hoses_of_compensated_drives_have_walls(length):
+    """A l (1/beta + 1/E_wall) of 3/4 in with 1.6e9 and 0.6e9 Pa: 3.67 times that of a rigid hose."""
+    axis, metres = length
+    soft, rigid = (
+        values(FAMILIES["boom_stick"][v]).p[f"{axis}_hose_capacitance"] for v in ("compensated", "lumped")
+    )
+    volume = math.pi / 4 * 0.01905**2 * metres
+    assert soft == pytest.approx(volume * (1 / 1.6e9 + 1 / 6e8), rel=1e-12)
+    assert soft / rigid == pytest.approx(1 + 16 / 6, rel=1e-12)
+    swing = values(FAMILIES["swing"]["compensated"]).p["line_capacitance"]
+    assert swing == pytest.approx(
+        math.pi / 4 * 0.01905**2 * (1 / 1.6e9 + 1 / 6e8) + 1.215e-3 / 1.6e9, rel=1e-12
+    )

@@ -120,6 +120,28 @@ def test_staggered_settings_let_one_pump_do_the_small_flows():
     assert 0.2 * large["pump_1_flow"] < large["pump_2_flow"] < large["pump_1_flow"]
 
 
+@pumps
+def test_the_return_line_has_its_preload_and_the_drop_to_the_tank(bench):
+    """P_b = P_t + p_b + R_b Q + w/2 above the foot of the check valve, p_b without flow."""
+    p = bench.constants(reservoir_pressure=2e4)
+    assert bench.state(bench.rest(p), "tank_pressure") == pytest.approx(2e4 + 4e5, rel=1e-12)
+    y = bench.settled(Load(100 * L_MIN / 1e3, 5e6), reservoir_pressure=2e4)
+    expected = 2e4 + 4e5 + 4e7 * y["return_flow"] + 5e4 / 2
+    assert y["return_flow"] > 5e4 / 4e7  # above the foot
+    assert y["tank_pressure"] == pytest.approx(expected, rel=1e-5)  # what is left of the transient
+
+
+@pumps
+def test_the_oil_settles_where_cooler_and_tank_give_off_the_heat(bench):
+    """T = T_a + (engine power - engine friction) / (G + G_c), cooler at full speed, and without a cooler."""
+    for own in ({"cooler_setting": 250.0}, {"cooler_conductance": 0.0, "tank_conductance": 1050.0}):
+        y = bench.settled(Load(20 * L_MIN / 1e3, 5e6), heat_capacity=140.0, **own)
+        heat = y["engine_power"] - (40.0 + 0.17 * y["engine_speed"]) * y["engine_speed"]
+        # 30 time constants; the dry friction of the engine is rounded by 7e-6
+        assert y["oil_temperature"] == pytest.approx(293.15 + heat / 1050.0, rel=1e-6)
+        assert y["cooling_power"] == pytest.approx(heat, rel=1e-4)
+
+
 # ---- dynamics
 
 
@@ -181,14 +203,18 @@ def test_limits_hold_for_any_row_of_loads(flows, hold):
 def any_state(bench: Bench, pressures: list[float], strokes: list[float], shaft: list[float]) -> list[float]:
     """The states of a variant from pools of numbers."""
     pools = {"pressure": iter(pressures), "stroke": iter(strokes)}
-    named = dict(zip(("engine_speed", "engine_torque", "reservoir_volume"), shaft, strict=True))
+    names = ("engine_speed", "engine_torque", "reservoir_volume", "tank_pressure", "oil_temperature")
+    named = dict(zip(names, shaft, strict=True))
     return [named[n] if n in named else next(pools[n.rpartition("_")[2]]) for n in bench.states]
 
 
 STATE = (
     st.lists(st.floats(-1e5, 3e7), min_size=3, max_size=3),
     st.lists(st.floats(0.0, 1.0), min_size=2, max_size=2),
-    st.tuples(st.floats(0.0, 300.0), st.floats(0.0, 600.0), st.floats(0.1, 0.3)),
+    st.tuples(
+        *(st.floats(0.0, 300.0), st.floats(0.0, 600.0), st.floats(0.1, 0.3)),
+        *(st.floats(-1e5, 3e6), st.floats(253.0, 373.0)),
+    ),
 )
 PUMPS = {"engine_pump": ("pump_1", "pump_2"), "load_sensing": ("pump",)}
 
@@ -215,7 +241,7 @@ def test_strokes_turn_back_at_their_ends(bench, pressures, shaft, end):
 
 
 @pumps
-@given(st.lists(st.floats(-1e12, 1e12), min_size=8, max_size=8), FLOWS)
+@given(st.lists(st.floats(-1e12, 1e12), min_size=10, max_size=10), FLOWS)
 def test_any_trial_state_gives_finite_rates(bench, x, flows):
     """A solver may try anything: neither infinity nor not-a-number comes back, nor from the derivatives."""
     found = bench.jacobian(x[: len(bench.states)], inputs_of(bench, flows), bench.constants())
@@ -241,8 +267,8 @@ def test_oil_is_conserved(bench, pressures, strokes, shaft, flows):
     rate = bench.rates(x, inputs_of(bench, flows), bench.constants())
     own = p.get("pump_line_capacitance", p.get("main_pump_line_capacitance"))
     gained = rate["reservoir_volume"]
-    for name in ("supply", *PUMPS[bench.sub.variant]):
-        c = p["rail_capacitance"] if name == "supply" else own
+    for name in ("supply", "tank", *PUMPS[bench.sub.variant]):
+        c = {"supply": p["rail_capacitance"], "tank": p["return_capacitance"]}.get(name, own)
         gained += (c + cavity(bench.state(x, f"{name}_pressure"))) * rate[f"{name}_pressure"]
     taken_1, back_1, taken_2, back_2 = flows
     # rounding of 0.1 m3/s
