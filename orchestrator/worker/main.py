@@ -70,11 +70,13 @@ class Channel:
             if os.getpid() != self._owner:  # an FMU has forked this process
                 os._exit(0)
             (number,) = NUMBER.unpack(self._numbers[:])
-            rest = memoryview(packed(number, name, content))
+            parts = packed(number, name, content)
             self._numbers[:] = NUMBER.pack(number + 1)
             try:
-                while rest:
-                    rest = rest[os.write(self._answers, rest) :]
+                for part in parts:
+                    rest = memoryview(part)
+                    while rest:
+                        rest = rest[os.write(self._answers, rest) :]
             except OSError:
                 os._exit(DISCONNECTED)
 

@@ -41,9 +41,9 @@ class Garbled(Exception):
 # ---- the worker
 
 
-def packed(number: int, name: str, content: Any) -> bytes:
-    """A message as a frame; its content: numbers, texts, lists, mappings, arrays, dataclasses, errors."""
-    arrays: list[bytes] = []
+def packed(number: int, name: str, content: Any) -> list[bytes | memoryview]:
+    """A message as the parts of a frame; content: numbers, texts, lists, mappings, arrays, dataclasses."""
+    arrays: list[bytes | memoryview] = []
 
     def other(value: Any) -> Any:
         """What JSON has no form for."""
@@ -56,7 +56,8 @@ def packed(number: int, name: str, content: Any) -> bytes:
         elif not value.shape:  # a number of NumPy
             return value.item()
         else:
-            kind, shape, value = value.dtype.str, value.shape, value.tobytes()
+            kind, shape, whole = value.dtype.str, value.shape, value.size and value.flags.c_contiguous
+            value = memoryview(value).cast("B") if whole else value.tobytes()
         arrays.append(value)
         return {ARRAY: [sum(map(len, arrays[:-1])), kind, shape]}
 
@@ -65,7 +66,7 @@ def packed(number: int, name: str, content: Any) -> bytes:
     if len(text) > MOST_TEXT or size > MOST_BYTES:
         raise ValueError(f"{name}: a message of {len(text)} + {size} bytes is too long")
     head = HEAD.pack(MAGIC, number, len(text), size, _checksum(number, text, size))
-    return b"".join((head, text, *arrays, TAIL.pack(MAGIC[::-1], number)))
+    return [head + text, *arrays, TAIL.pack(MAGIC[::-1], number)]
 
 
 def _checksum(number: int, text: bytes, size: int) -> int:

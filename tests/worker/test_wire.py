@@ -33,7 +33,7 @@ CONTENTS = {"found": Found, "any": Any, "time": float, "flag": bool, "array": ND
 
 
 def frame(name: str, content: Any, number: int = 0) -> bytes:
-    return packed(number, name, content)
+    return b"".join(packed(number, name, content))
 
 
 def read(data: bytes, number: int = 0) -> tuple[str, Any]:
