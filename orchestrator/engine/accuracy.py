@@ -215,8 +215,9 @@ class AccuracySearch:
         if stagnates or late or self.runs >= MOST_RUNS:
             after = f"{self._execution.time_limit:g} s" if late else f"{MOST_RUNS} runs"
             why = "further runs hardly change it" * stagnates or f"after {after}"
-            reached = f"estimated RMS error {self._least:.1e} of the range with {self._best.text}; {why}"
-            raise RunFailed(Problem(f"accuracy {self.accuracy:g}: not reached: {reached}"), result)
+            known, settings = self._least < math.inf, self._best.text
+            reached = f"estimated RMS error {self._least:.1e} of the range with {settings}; " * known
+            raise RunFailed(Problem(f"accuracy {self.accuracy:g}: not reached: {reached}{why}"), result)
         self._next(error)
 
     def cost(self, span: float) -> str:

@@ -95,7 +95,8 @@ def test_adaptive_steps_follow_where_equal_ones_would_be_too_short(open_oscillat
 
 def test_the_error_inside_the_fmus_counts(open_oscillator):
     """It is taken for half of their tolerance, if the user wants a loose one."""
-    search = accuracy_search.AccuracySearch(open_oscillator, 1e-6, ["a.x"], 1e-5)
+    loose = Execution(accuracy_of=["a.x"], tolerance=1e-5)
+    search = accuracy_search.AccuracySearch(open_oscillator, loose, 1e-6)
     card = Card("any", search.settings.step, 0.0, 10, 1.0, 1.0, errors_of_inputs=True)
     assert search.judge(Result(open_oscillator, Trace(np.zeros(1), {}), card)) is None
     assert search.cost(10.0).startswith(
