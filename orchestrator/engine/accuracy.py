@@ -46,16 +46,12 @@ FURTHER = Coupling("gauss-seidel", order=2)  # coupling of further runs with equ
 GUARD = 0.01
 INSIDE = 0.5  # error inside the FMUs, over their tolerance
 SHORT_STEP = 1.0  # over the suggested one; below it adaptive steps are cheaper
-FIRST_TOLERANCE = (
-    0.5  # of adaptive steps, over the accuracy; their error is a tenth to a third of the tolerance
-)
+FIRST_TOLERANCE = 0.5  # of adaptive steps, over the accuracy; their error is up to a third of the tolerance
 STRICTEST = 1e-10  # tolerance of adaptive steps
 SHORTEST = 0.01  # of adaptive steps, over the suggested step: where a signal jumps, no step is short enough
 JUMP, LEAST_JUMP = 10.0, 0.01  # change of a signal over that of the steps around it, and over its range
-STAGNATION, PATIENCE = (
-    0.7,
-    2,
-)  # the search ends after so many runs that leave more than this part of the least error
+# The search ends after so many runs, adaptive ones if FMUs allow, that leave more than this of the error.
+STAGNATION, PATIENCE = 0.7, 2
 HALVED_STEP = 10  # first step of halving over the suggested one
 UNSTABLE = 50.0  # error over the accuracy from which a step is taken for unstable
 MOST_DIVISIONS = 10.0  # of a step, or of a tolerance, between two runs

@@ -117,7 +117,7 @@ def test_a_search_ends_where_further_runs_change_nothing(open_oscillator):
         searched(open_oscillator, 1e-3, 10.0, 8.0, 7.0, 6.0)
     assert str(failed.value) == (
         "accuracy 0.001: not reached: estimated RMS error 6.0e-03 of the range with hermite, adaptive steps, "
-        "0.00025; further runs hardly change it"
+        "5e-05; further runs hardly change it"
     )
     assert failed.value.result.card.master == "any"
     assert searched(open_oscillator, 1e-3, 10.0, 8.0, 7.0, 4.0) is not None  # 0.6 of the least is progress
