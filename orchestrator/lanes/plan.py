@@ -154,10 +154,18 @@ class Lanes:
             header().Drive(column, *self._input(port), self._inputs.ports.index(port), *linear)
             for port, column, *linear in columns
         ]
+        rates = [
+            header().Drive(column, *self._input(rate), -1, factor, 0.0)
+            for rate, column, factor in zip(
+                self._network.rates, driven.rate_columns, driven.rate_factor, strict=True
+            )
+        ]
         arrays = dict(zip(("time", "base", "slopes", "anchor"), driven.table.arrays, strict=True))
         return {
             "drives": self._array(header().Drive, drives),
             "drive_count": len(drives),
+            "rates": self._array(header().Drive, rates),
+            "rate_count": len(rates),
             "samples": len(arrays["time"]),
             "width": arrays["base"].shape[1],
             **{name: self._numbers(array, np.float64) for name, array in arrays.items()},

@@ -149,6 +149,12 @@ static Lanes command(const Plan *plan, Group *g, int i, double t) {
 static void set_driven_inputs(const Plan *plan, Group *g, double t) {
     for (int i = 0; i < plan->drive_count; i++)
         set_input(g, plan, plan->drives[i].component, plan->drives[i].input, command(plan, g, i, t));
+    if (g->commands) return; /* held: their rates stay 0 */
+    for (int i = 0; i < plan->rate_count; i++) {
+        const Drive *d = &plan->rates[i];
+        const Lanes slope = plan->slopes[interval_at(plan, g, t) * plan->width + d->column] * d->factor + d->offset;
+        set_input(g, plan, d->component, d->input, slope);
+    }
 }
 
 static void set_driven_courses(const Plan *plan, Group *g, double h) {

@@ -97,13 +97,13 @@ typedef struct Plan { /* what all groups of a system have in common */
     const Instruction *exchange;
     const int32_t *order, *first_input, *first_held; /* first_...: by component, and the end */
     const int32_t *repeated, *needs_slopes;          /* by component */
-    const Drive *drives;
+    const Drive *drives, *rates; /* rates: rate inputs, which get the slope of a column */
     const double *time, *base, *slopes, *anchor; /* of the scenario, see scenario.c */
     const Signal *signals;                       /* recorded */
     const double *events;
     int64_t samples, width, steps, every, event_count;
     double start, step, pass_tolerance, guard;
-    int32_t component_count, input_count, connection_count, exchange_count, drive_count, signal_count;
+    int32_t component_count, input_count, connection_count, exchange_count, drive_count, rate_count, signal_count;
     int32_t degree, sequential, passes, initial_rounds, adaptive;
 } Plan;
 
