@@ -95,9 +95,9 @@ def by_run(
     """The result of `run`, and why it ended early; raises Problem if it did not begin."""
     fmu = component.source
     assert fmu is not None
-    times = {"start": start, "stop": stop, "step": step}
     try:
-        return run(fmu.path, **times, tolerance=tolerance, time_limit=TIME).trace, ""
+        done = run(fmu.path, start=start, stop=stop, step=step, tolerance=tolerance, time_limit=TIME)
+        return done.trace, ""
     except RunFailed as failed:
         return failed.result.trace, str(failed)
 

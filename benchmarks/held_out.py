@@ -1,11 +1,11 @@
 """`--accuracy` on machines that its tuning never saw.
 
-    python -m benchmarks.held_out [--cases 300] [--tuning] [--processes 2] [--build build] [--out FILE]
+    python -m benchmarks.held_out [--cases 300] [--tuning] [--cost] [--processes 2] [--out FILE]
 
 A case is a random machine in the folder that `make demo` builds: a variant of each part, factors of 0.5 to 2
-on VARIED of the PARAMETERS, commands (the operator's work cycle, or strokes between random levels with corners
-at random times), and an accuracy of 1e-2 to 1e-5. The truth is `reference`, which has no coupling.
-The file, build/held_out.jsonl, has a line for each case:
+on VARIED of the PARAMETERS, commands (the operator's work cycle, or strokes between random levels with
+corners at random times), and an accuracy of 1e-2 to 1e-5. The truth is `reference`, which has no coupling.
+The file, docs/held-out.jsonl, has a line for each case:
 
     asked, error      the accuracy, and the largest true RMS error of a joint speed over its range
     estimate          what the card says of it
@@ -14,9 +14,9 @@ The file, build/held_out.jsonl, has a line for each case:
                       steps that are as accurate as asked, found by exhaustive search, without an estimate
     why               the message if the accuracy was not reached
 
-Case n of a seed is the same whatever ran before, and cases that the file has are not run again. So the command
-goes on where it was interrupted. The numbers in docs/coupling.md are those of the seed HELD_OUT. Constants may be
-tuned with `--tuning`, never with HELD_OUT.
+Case n of a seed is the same whatever ran before, and cases that the file has are not run again. So the
+command goes on where it was interrupted. The numbers in docs/coupling.md are those of the seed HELD_OUT.
+Constants may be tuned with `--tuning`, never with HELD_OUT.
 """
 
 from __future__ import annotations
@@ -44,6 +44,9 @@ from orchestrator.engine.job import RunEnd
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "held-out.jsonl"
+MARKS = "<!-- held out -->\n", "<!-- end -->"
 HELD_OUT, TUNING = 20261124, 1  # seeds
 STOP = 3.0  # s
 RECORD_STEP = 1e-3  # s, of the reference
@@ -215,23 +218,37 @@ def cheapest(system: System, chosen: Case, truth: Truth, options: Mapping[str, A
     return best
 
 
-def summary(outcomes: Sequence[Outcome]) -> str:
-    """The numbers of the page."""
-    moving = [o for o in outcomes if o.error == o.error or o.why]
-    met = [o for o in moving if o.error <= o.asked]
-    told = [o.estimate / o.error for o in moving if o.error == o.error and o.error > 1e-9]
-    near = [r for r in told if 0.5 <= r <= 2.0]
-    costs = np.array([o.cpu / o.cheapest for o in moving if o.cheapest > 0.0])
+def table(outcomes: Sequence[Outcome]) -> str:
+    """The numbers of the page; met: the true error is at most what was asked."""
     lines = [
-        f"{len(outcomes)} cases, {len(moving)} in which a joint moves",
-        f"as accurate as asked: {100 * len(met) / len(moving):.1f} %",
-        f"estimate within 0.5 to 2 of the truth: {100 * len(near) / len(told):.1f} %",
-        f"runs: {np.mean([o.runs for o in moving]):.2f}; most steps {max(o.steps for o in moving)}",
+        "|accuracy|machines|met|estimate 0.5 to 2 times the truth|steps over those of 1 ms: median|most|",
+        "|---|--:|--:|--:|--:|--:|",
     ]
-    if np.isfinite(costs).any():
-        quantiles = np.nanquantile(costs[np.isfinite(costs)], [0.5, 0.95, 1.0])
-        lines.append("cost over the cheapest: median {:.2f}, 95 % {:.2f}, most {:.2f}".format(*quantiles))
+    groups = [(f"{10.0**p:g} to {10.0 ** (p + 1):g}", 10.0**p, 10.0 ** (p + 1)) for p in range(-5, -2)]
+    for name, low, high in (*groups, ("all", 0.0, 1.0)):
+        of = [o for o in outcomes if low <= o.asked < high and (o.error == o.error or o.why)]
+        if not of:
+            continue
+        met = np.mean([o.error <= o.asked for o in of])
+        near = np.mean([0.5 <= o.estimate / o.error <= 2.0 for o in of if o.error == o.error])
+        work = np.array([o.steps for o in of]) * 1e-3 / STOP
+        shares = f"{100 * met:.1f} %|{100 * near:.1f} %|{np.median(work):.2f}|{np.max(work):.2f}"
+        lines.append(f"|{name}|{len(of)}|{shares}|")
     return "\n".join(lines)
+
+
+def read(file: Path) -> list[Outcome]:
+    """The outcomes in a file, by number."""
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return sorted((Outcome(**json.loads(line)) for line in lines), key=lambda o: o.number)
+
+
+def write(outcomes: Sequence[Outcome]) -> None:
+    """Write the table into docs/coupling.md."""
+    page = ROOT / "docs" / "coupling.md"
+    before, rest = page.read_text(encoding="utf-8").split(MARKS[0])
+    after = rest[rest.index(MARKS[1]) :]
+    page.write_text(f"{before}{MARKS[0]}{table(outcomes)}\n{after}", encoding="utf-8")
 
 
 def main() -> None:
@@ -242,21 +259,27 @@ def main() -> None:
     parser.add_argument("--cost", action="store_true")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--build", type=Path, default=Path("build"))
-    parser.add_argument("--out", type=Path, default=Path("build/held_out.jsonl"))
+    parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     seed, began = TUNING if given.tuning else HELD_OUT, time.monotonic()
-    lines = given.out.read_text().splitlines() if given.out.exists() else []
-    outcomes = {o.number: o for o in (Outcome(**json.loads(line)) for line in lines)}
+    file = given.out or (Path("build/tuning.jsonl") if given.tuning else RESULTS)
+    outcomes = {o.number: o for o in read(file)}
     missing = [n for n in range(given.cases) if n not in outcomes]
-    with ProcessPoolExecutor(given.processes) as pool, given.out.open("a") as file:
+    with ProcessPoolExecutor(given.processes) as pool, file.open("a") as lines:
         started = [pool.submit(outcome, seed, n, given.build, given.cost) for n in missing]
         for done in as_completed(started):
             found = done.result()
             outcomes[found.number] = found
-            file.write(json.dumps(asdict(found)) + "\n")
-            file.flush()
+            lines.write(json.dumps(asdict(found)) + "\n")
+            lines.flush()
             print(found, file=sys.stderr, flush=True)
-    print(summary([o for o in outcomes.values() if o.number < given.cases]))
+    chosen = [o for o in outcomes.values() if o.number < given.cases]
+    print(table(chosen))
+    costs = [o.cpu / o.cheapest for o in chosen if 0.0 < o.cheapest < float("inf")]
+    if costs:
+        print("cost over the cheapest: median {:.2f}, 95 % {:.2f}".format(*np.quantile(costs, [0.5, 0.95])))
+    if file == RESULTS:
+        write(chosen)
     print(f"{time.monotonic() - began:.0f} s for {len(missing)} cases in {given.processes} processes")
 
 

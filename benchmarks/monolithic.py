@@ -67,6 +67,10 @@ def by_equations(variants: Mapping[str, str], stop: float = STOP) -> Trace:
     inputs = np.tile(model.u, (len(time), 1))
     for name in VOLTS:
         inputs[:, model.inputs.index(name)] = np.interp(time, STROKES["time"], STROKES[name])
+        if f"{name}_rate" in model.inputs:  # just after each time; rate outputs alone depend on it
+            slopes = np.append(np.diff(STROKES[name]) / np.diff(STROKES["time"]), 0.0)
+            at = np.searchsorted(STROKES["time"], time, side="right") - 1
+            inputs[:, model.inputs.index(f"{name}_rate")] = slopes[at]
     solved = simulate(replace(model, nominal=SCALE * model.nominal), time, inputs, tolerance=EXACT)
     rows = np.column_stack(solved)[np.searchsorted(time, grid - RECORD / 2)]
     return Trace(grid, dict(zip((*model.states, *model.output_names), rows.T, strict=True)))

@@ -5,7 +5,7 @@ accuracy and from what the FMUs can do, later ones from the error of the last ru
 
 - FMUs with directional derivatives: each run estimates its error (`error_propagation`). Equal steps come
   first. If their error is too large, shorter ones follow that the order of convergence gives, and adaptive
-  steps by `hermite` where these would be very short.
+  steps by `hermite` after equal ones by `hermite`, or where these would be very short.
 - other FMUs: equal steps, halved until the change by halving is small enough.
 """
 
@@ -47,14 +47,12 @@ FURTHER = Coupling("gauss-seidel", order=2)  # coupling of further runs with equ
 GUARD = 0.01
 INSIDE = 0.5  # error inside the FMUs, over their tolerance
 SHORT_STEP = 1.0  # over the suggested one; below it adaptive steps are cheaper
-FIRST_TOLERANCE = 0.1  # of adaptive steps, over the accuracy
+FIRST_TOLERANCE = 0.5  # of adaptive steps, over the accuracy; their error is up to a third of the tolerance
 STRICTEST = 1e-10  # tolerance of adaptive steps
 SHORTEST = 0.01  # of adaptive steps, over the suggested step: where a signal jumps, no step is short enough
 JUMP, LEAST_JUMP = 10.0, 0.01  # change of a signal over that of the steps around it, and over its range
-STAGNATION, PATIENCE = (
-    0.7,
-    2,
-)  # the search ends after so many runs that leave more than this part of the least error
+# The search ends after so many runs, adaptive ones if FMUs allow, that leave more than this of the error.
+STAGNATION, PATIENCE = 0.7, 2
 HALVED_STEP = 10  # first step of halving over the suggested one
 UNSTABLE = 50.0  # error over the accuracy from which a step is taken for unstable
 MOST_DIVISIONS = 10.0  # of a step, or of a tolerance, between two runs
@@ -208,7 +206,8 @@ class AccuracySearch:
 
     def _continue(self, error: float, result: Result) -> None:
         """Choose stricter settings, or raise RunFailed with the last result if that is in vain."""
-        self._idle = self._idle + 1 if error > STAGNATION * self._least else 0
+        last_resort = self.settings.coupling.adaptive is not None or not self._adapts
+        self._idle = self._idle + 1 if last_resort and error > STAGNATION * self._least else 0
         if error < self._least:
             self._least, self._best = error, self.settings
         stagnates, late = self._idle >= PATIENCE and self._least < math.inf, self._execution.late
@@ -244,7 +243,7 @@ class AccuracySearch:
         known = last.experience
         ratio = within((known.aim / excess) ** (1.0 / known.order), 1.0 / MOST_DIVISIONS, 0.8)
         step = last.step * (0.5 if unstable else ratio)
-        if self._adapts and step < SHORT_STEP * self._base:
+        if self._adapts and (known is HERMITE or step < SHORT_STEP * self._base):
             self.settings = self._adaptive(FIRST_TOLERANCE * self.accuracy)
         else:
             coupling = last.coupling if known is HERMITE else self._guarded(FURTHER)

@@ -230,8 +230,7 @@ class DrivenInputs:
             np.array([columns[p][0] for p in ports], dtype=np.int64)
             for ports in (self.continuous, discrete, others)
         )
-        self.rates_of = scenario.rates(system)
-        rates = {r: columns[p] for r, p in self.rates_of.items()}
+        rates = {r: columns[p] for r, p in scenario.rates(system).items()}
         self.rates = np.array([reals[r] for r in rates], dtype=np.int64)
         self.rate_columns = np.array([column for column, _ in rates.values()], dtype=np.int64)
         self.rate_factor = np.array([linear.factor for _, linear in rates.values()])

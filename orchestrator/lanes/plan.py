@@ -150,7 +150,7 @@ class Lanes:
         if len(driven.discrete) or len(driven.integers):
             raise NotInLanes("the scenario drives inputs that are not continuous")
         columns = zip(driven.continuous, driven.columns, driven.factor, driven.offset, strict=True)
-        rates = {port: self._input(rate)[1] for rate, port in driven.rates_of.items()}
+        rates = {port: self._input(rate)[1] for rate, port in self._network.rates.items()}
         drives = [
             header().Drive(
                 column, *self._input(port), self._inputs.ports.index(port), rates.get(port, -1), 0, *linear
@@ -178,8 +178,7 @@ class Lanes:
         if network.loops:
             raise NotInLanes(network.loops[0].cycle.text)
         source = {c.target: c.source for c in network.connections}
-        driven_rates = network.driven.rates_of if network.driven else {}
-        settled, known = _settled(system, self._plan, self._inputs, driven_rates)
+        settled, known = _settled(system, self._plan, self._inputs, network.rates)
         needed = {*source.values()} | {*network.order.stages}.intersection(self.signals)
         checked = {u for y in needed for u in _direct(system, y)} - settled
         pending, program, ordered = needed - known, list[Any](), list[Any]()

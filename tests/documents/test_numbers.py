@@ -6,6 +6,7 @@ from pathlib import Path
 
 from kit import shards
 
+from benchmarks import held_out
 from orchestrator import load, run
 from orchestrator.__main__ import main
 from orchestrator.data.recording import read_recording
@@ -26,6 +27,12 @@ def test_readme_counts_the_numbers_of_the_machine(capsys):
     assert main(["parameters"]) == 0
     counted = re.search(r"^(\d+) numbers: (\d+) paper", capsys.readouterr().out, re.MULTILINE)
     assert [*map(float, counted.groups())] == told("README.md", r"has (\d+) numbers\. (\d+) of them")
+
+
+def test_the_table_of_held_out_machines_is_that_of_their_results():
+    """Of docs/held-out.jsonl, which `python -m benchmarks.held_out` writes."""
+    page = (ROOT / "docs/coupling.md").read_text(encoding="utf-8")
+    assert f"{held_out.MARKS[0]}{held_out.table(held_out.read(held_out.RESULTS))}\n" in page
 
 
 def test_readme_tells_how_near_the_tip_stays():

@@ -233,6 +233,18 @@ class Propagation(LinearSystem):
         library().error_advance(byref(self.state), c_double(h))
 
 
+@pytest.mark.parametrize(("rate", "growth"), [(4.0, 0.25), (0.2, 0.2), (-4.0, None)])
+def test_an_error_grows_by_a_quarter_of_an_exponent_in_a_step_at_most(rate, growth):
+    """A cavity that collapses has a positive eigenvalue beyond the inverse of the step; others are exact."""
+    p = Propagation(1, 1)
+    p.a[:, :1], p.c[:, :1] = rate / 0.1, 0.0
+    p.prepare()
+    p.e[0] = 1.0
+    p.advance(0.1)
+    # the fifth power of 0.25, of 4 without a limit, over 5!: 1e-5
+    assert p.e[0] == pytest.approx(np.exp(rate if growth is None else growth), abs=1e-4 if growth else 0.05)
+
+
 @pytest.mark.parametrize("direct", [False, True])
 def test_errors_are_carried_with_order_four(direct):
     """Against the exact solution with a defect that is a line: twice the steps, a sixteenth of the error."""
