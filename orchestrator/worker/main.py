@@ -29,6 +29,7 @@ from orchestrator.worker.wire import packed
 
 NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares
 DISCONNECTED = 94  # exit status: an FMU has closed the connection to the parent
+PATIENCE = 2.0  # [s] for the parent to end this process
 SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER of Linux
 _END_OF_INPUT = object()
 
@@ -115,7 +116,10 @@ class Channel:
         except (EOFError, pickle.UnpicklingError, OSError, AttributeError, ImportError, TypeError):
             self.ended.set()
             self._messages.put(_END_OF_INPUT)
+            end = time.monotonic() + self.grace + PATIENCE
             time.sleep(self.grace)
+            while os.getppid() == self._parent and time.monotonic() < end:
+                time.sleep(0.05)  # the parent also ends what this process has started
             self.end()
 
 
