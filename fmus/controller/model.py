@@ -29,7 +29,7 @@ from fmus.controller import actuator, geometry
 from fmus.controller.actuator import ActuatorCommand, LoopGains, MeasuredPressures, Setpoint
 from fmus.controller.reference import Reference, engaged, errors, measured_joints, reference
 from fmus.controller.values import FILE, controller_tables
-from fmus.controller.valve import Actuator, needed_pressures
+from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
     AXES,
     ControllerInputs,
@@ -95,12 +95,12 @@ def _actuator_commands(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Actu
 
 
 def _pressure_use(x: Any, u: Any, p: Any, ref: Reference) -> Scalar:
-    """Supply pressure that the loads need, in the directions demanded, over the one that there is."""
+    """Supply pressure that loads and valves need, in the directions demanded, over the one that there is."""
     (boom, _), (stick, _) = geometry.strokes_and_moment_arms(ref.joints, p)
     most: Scalar = 0
     for (name, a), sign in zip(actuators((boom, stick), p).items(), ref.directions, strict=True):
         up, down = needed_pressures(a, getattr(x, f"{name}_load"), u.tank_pressure)
-        most = ca.fmax(most, ca.fmax(ca.fmax(0, sign) * up, ca.fmax(0, -sign) * down))
+        most = ca.fmax(most, ca.fmax(ca.fmax(0, sign) * (up + MARGIN), ca.fmax(0, -sign) * (down + MARGIN)))
     return most / ca.fmax(u.supply_pressure, LEAST_SUPPLY)
 
 
