@@ -24,7 +24,7 @@ The swing motor is a cylinder with A_h = A_r = D, its displacement per angle of 
 series with the edge: with its turbulent resistance C_R (`Actuator.hose_resistance`), the speed at the opening
 a is v = W a/sqrt(1 + C_R K^2 a^2). Flows below the transition flow Q_t are laminar in the edges. Therefore,
 with the mean flow Q of both ports (of a section, its own flow), a is larger by the factor
-((Q^2 + Q_t^2)/Q^2)^(1/4), which follows from `spool_valve.turbulent_drop`. `opening_for` bounds this factor at small Q.
+((Q^2 + Q_t^2)/Q^2)^(1/4), which follows from `spool_valve.turbulent_drop`. `opening_for` bounds it there.
 """
 
 from dataclasses import dataclass
