@@ -70,7 +70,7 @@ def steady(p, command, position, load, mass):
         head = (load + ROD * rod) / HEAD
         y = HEAD * speed / (gain * math.sqrt(head))
         excess = p["counterbalance_pressure"] + (y + 0.05) * p["counterbalance_band"] - head
-        rod += 0.5 * (excess / p["counterbalance_pilot_ratio"] - rod)
+        rod += 0.5 * (excess / p["boom_head_pilot_ratio"] - rod)
     guess = {"boom_head_pressure": head, "boom_rod_pressure": rod, "boom_rod_valve_pressure": rod + 50.0}
     guess |= {"boom_head_valve_pressure": 10.0, "boom_head_counterbalance_opening": y}
     z = np.array([*(guess.get(n, 0.0) for n in STATES), -speed])
@@ -88,7 +88,7 @@ def margin(p, x, position):
     c_i += p["boom_hose_capacitance"]
     y, drop = x["boom_head_counterbalance_opening"], x["boom_head_pressure"] - x["boom_head_valve_pressure"]
     ratio = y * p["counterbalance_band"] / (2 * drop)  # S/k
-    return (1 + ratio) * HEAD * c_i / (ROD * c_o) - p["counterbalance_pilot_ratio"]
+    return (1 + ratio) * HEAD * c_i / (ROD * c_o) - p["boom_head_pilot_ratio"]
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_a_metering_counterbalance_valve_is_as_unstable_as_routh_says(area, band
 
     def growth(ratio):
         """Largest real part [1/s], and the state."""
-        own = p | {"counterbalance_pilot_ratio": ratio}
+        own = p | {"boom_head_pilot_ratio": ratio}
         x, slope = steady(own, 4.0, position, load, mass)
         return np.linalg.eigvals(slope).real.max(), margin(own, x, position)
 
@@ -167,11 +167,28 @@ def test_a_stopped_stroke_stays_below_290_bar(lever, command, pose):
     assert min(v.min() for v in found) > -0.9e5
 
 
-def test_lowering_keeps_the_counterbalance_valve_open_and_comes_to_rest():
-    """With the usual areas the boom goes down without bouncing: speed within 5 % after a second."""
-    y = moved(1.8, {"boom_command": ([0, 0.2, 0.5, 1.8], [0, 0, -5.0, -5.0])})
-    late = y["time"] > 1.2
-    speed = y["manipulator.boom_velocity"][late]
-    assert np.ptp(speed) < 0.05 * abs(speed.mean())
-    assert y["boom_stick.boom_head_counterbalance_opening"][late].min() > 0.99
-    assert y["boom_stick.boom_void_volume"][late].max() < 1e-7  # nothing cavitates
+def test_the_meter_out_edge_is_wide_and_the_counterbalance_valve_meters():
+    """At full command down the hose has the pressure of its orifice, 15 bar; nothing cavitates."""
+    y = moved(1.2, {"boom_command": ([0, 0.2, 0.5, 1.2], [0, 0, -10.0, -10.0])}, "folded")
+    late = y["time"] > 1.0
+    hose, flow = (y[f"boom_stick.boom_head_{n}"][late] for n in ("valve_pressure", "flow"))
+    area = P["valve_discharge_coefficient"] * P["boom_head_return_area"]
+    # Bernoulli; leakage and the oil that the hose takes up are below 1 % of the flow
+    assert hose == pytest.approx(P["density"] / 2 * (flow / area) ** 2, rel=0.02)
+    assert 10e5 < hose.mean() < 20e5
+    assert 0.05 < y["boom_stick.boom_head_counterbalance_opening"][late].mean() < 0.95
+    assert y["boom_stick.boom_void_volume"][late].max() < 1e-7
+
+
+def test_a_high_pilot_ratio_oscillates_five_times_as_much():
+    """A boom that starts down slowly: its speed, less a parabola, varies by 20 % with 1.5 : 1, not 100 %."""
+    found = {}
+    for ratio in (1.5, 4.5):
+        down = {"boom_command": ([0, 0.1, 0.4, 1.7], [0, 0, -2.5, -2.5])}
+        y = moved(1.7, down, "folded", {"boom_stick.boom_head_pilot_ratio": ratio})
+        late = y["time"] > 0.7
+        time, speed = y["time"][late], y["manipulator.boom_velocity"][late]
+        trend = np.polyval(np.polyfit(time, speed, 2), time)
+        found[ratio] = np.std(speed - trend) / abs(speed.mean())
+    assert found[1.5] < 0.25
+    assert found[4.5] > 5 * found[1.5]

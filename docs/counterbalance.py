@@ -1,0 +1,79 @@
+"""Lowering the boom behind counterbalance valves: power and oscillation over pilot ratio and meter-out edge.
+
+    python docs/counterbalance.py
+
+prints the table of docs/equations.md, section 4.8, and draws images/counterbalance.png. The machine is the
+load-sensing one with an empty head; the boom is lowered from the pose `folded`, at full command for the power
+and with 2.5 V for the oscillation.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from orchestrator import Trace, run
+from orchestrator.base.plotting import png
+
+SWAP = {"boom_stick": "compensated", "swing": "compensated", "supply": "load_sensing"}
+RATIOS = (1.5, 3.0, 4.5)
+WIDE, NARROW = 1.2e-4, 3.8e-5  # m2
+FILE = Path(__file__).with_name("images") / "counterbalance.png"
+SIGNALS = {
+    "speed": "manipulator.boom_velocity",
+    "supply": "supply.supply_pressure",
+    "flow": "boom_stick.boom_meter_in_flow",
+    "pilot": "boom_stick.boom_rod_valve_pressure",
+}
+
+
+def lowered(
+    ratio: float, area: float, command: float, stop: float, system: str = "build/harvester.ssp"
+) -> Trace:
+    """Signals of the boom, lowered from 0.5 s on."""
+    time = np.array([0.0, 0.5, 0.8, stop])
+    scenario = {"time": time, "boom_command": np.array([0.0, 0.0, -command, -command])}
+    changed = {"boom_stick.boom_head_pilot_ratio": ratio, "boom_stick.boom_head_return_area": area}
+    options = {"parameters": ["folded"], "swap": SWAP, "set": changed, "stop": stop}
+    return run(system, scenario, record=[*SIGNALS.values()], record_step=5e-3, **options).trace
+
+
+def power(trace: Trace) -> tuple[float, float, float]:
+    """Mean supply pressure [Pa], pilot pressure [Pa] and power [W] of the boom section in the last 0.15 s."""
+    late = trace.time > trace.time[-1] - 0.15
+    supply, flow, pilot = (trace[SIGNALS[n]][late] for n in ("supply", "flow", "pilot"))
+    return float(supply.mean()), float(pilot.mean()), float((supply * flow).mean())
+
+
+def ripple(trace: Trace, start: float, stop: float) -> float:
+    """Standard deviation of the piston speed less a parabola, over its mean."""
+    at = (trace.time >= start) & (trace.time < stop)
+    time, speed = trace.time[at], trace[SIGNALS["speed"]][at]
+    return float(np.std(speed - np.polyval(np.polyfit(time, speed, 2), time)) / abs(speed.mean()))
+
+
+def main() -> None:
+    """Print the table and draw the picture."""
+    print("|edge|pilot ratio|supply|pilot|power|oscillation after 1 s|after 3.5 s|")
+    print("|---" * 7 + "|")
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
+    axes = figure.add_subplot()
+    for area, ratio in ((NARROW, 4.5), *((WIDE, r) for r in RATIOS)):
+        supply, pilot, watts = power(lowered(ratio, area, 10.0, 1.2))
+        slow = lowered(ratio, area, 2.5, 4.5)
+        early, late = ripple(slow, 1.0, 2.0), ripple(slow, 3.5, 4.5)
+        name = f"{area * 1e6:.0f} mm2"
+        print(
+            f"|{name}|{ratio:g}|{supply / 1e5:.0f} bar|{pilot / 1e5:.0f} bar|{watts / 1e3:.0f} kW"
+            f"|{early:.1%}|{late:.1%}|",
+            flush=True,
+        )
+        axes.plot(slow.time, slow[SIGNALS["speed"]], label=f"{name}, {ratio:g} : 1", linewidth=1)
+    axes.set(xlabel="time [s]", ylabel="speed of the boom piston [m/s]")
+    axes.legend(loc="upper right")
+    FILE.write_bytes(png(figure))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
