@@ -42,8 +42,7 @@ def powers(part, signal):
         into = [signal("manipulator.swing_torque") * signal("manipulator.swing_speed")]
         into.append(signal("manipulator.payload_power"))
         for a in ("boom", "stick"):
-            force = signal(f"manipulator.{a}_force") + signal(f"manipulator.{a}_stop_force")
-            into.append(force * signal(f"manipulator.{a}_velocity"))
+            into.append(signal(f"manipulator.{a}_force") * signal(f"manipulator.{a}_velocity"))
         return into
     into = [
         signal(f"{part}.supply_pressure") * signal(f"{part}.supply_flow"),
@@ -57,7 +56,7 @@ def powers(part, signal):
 
 def stored(part, signal):
     """Energy of a part [J]."""
-    kinds = ("stored_energy", "kinetic_energy", "potential_energy")
+    kinds = ("stored_energy", "kinetic_energy", "potential_energy", "stop_energy")
     return sum(e for kind in kinds if (e := signal(f"{part}.{kind}")) is not None)
 
 
