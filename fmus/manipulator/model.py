@@ -169,7 +169,9 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
         potential_energy=motion.potential,
         swing_stop_torque=swing_stop.force,
         stop_energy=sum(s.stored for s in stops),
-        dissipated_power=sum((c.heat for c in (*r.values(), *stops)), joint.heat) + load.heat(x.payload_flow),
+        dissipated_power=sum((c.heat for c in r.values()), joint.heat)
+        + sum(s.heat for s in stops)
+        + load.heat(x.payload_flow),
         payload_power=load.inflow(x.payload_flow),
     )
 
