@@ -66,7 +66,7 @@ def test_a_port_below_the_vapour_pressure_is_a_warning(tmp_path):
     assert len(told) == 1
     assert "is below -20000 Pa" in told[0]
     (line,) = (n for n in result.card.text().splitlines() if f": swing_motor_pressure_{lowest[1]} = " in n)
-    assert f"largest recorded: {lowest[0]:.6g} Pa at t = " in line or "largest" not in line
+    assert " is below -20000 Pa" in line
 
 
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
