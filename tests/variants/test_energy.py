@@ -118,7 +118,7 @@ def _integrate(model, x, u, p, rates, moves, stop):
 
 @shards.machine
 def test_energy_balance_closes_in_the_end_stops():
-    """The column and the boom are driven into their stops: the manipulator's balance closes to the same bar."""
+    """The column and the boom are driven into their stops: the balance of the manipulator closes as well."""
     stops = [("manipulator.swing_stop_angle", 0.03), ("manipulator.boom_stroke", 0.33)]
     taken, turnover, heat, change = audit(0, "short", stops)["manipulator"]
     usual = audit(0, "short")["manipulator"]
