@@ -2,7 +2,7 @@
 
     python docs/counterbalance.py
 
-prints the table of docs/equations.md, section 4.8, and draws images/counterbalance.png. The machine is the
+fills in the table of docs/equations.md, section 4.8, and draws images/counterbalance.png. The machine is the
 load-sensing one with an empty head; the boom is lowered from the pose `folded`, at full command for the power
 and with 2.5 V for the oscillation.
 """
@@ -10,7 +10,10 @@ and with 2.5 V for the oscillation.
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parent))
+
 import numpy as np
+from convergence import fill
 from matplotlib.figure import Figure
 
 from orchestrator import Trace, run
@@ -19,6 +22,7 @@ from orchestrator.base.plotting import png
 SWAP = {"boom_stick": "compensated", "swing": "compensated", "supply": "load_sensing"}
 RATIOS = (1.5, 3.0, 4.5)
 WIDE, NARROW = 1.2e-4, 3.8e-5  # m2
+PAGE = Path(__file__).with_name("equations.md")
 FILE = Path(__file__).with_name("images") / "counterbalance.png"
 SIGNALS = {
     "speed": "manipulator.boom_velocity",
@@ -53,25 +57,29 @@ def ripple(trace: Trace, start: float, stop: float) -> float:
     return float(np.std(speed - np.polyval(np.polyfit(time, speed, 2), time)) / abs(speed.mean()))
 
 
+def row(ratio: float, area: float, slow: Trace) -> str:
+    """Row of the table; slow: the boom lowered with 2.5 V."""
+    supply, pilot, watts = power(lowered(ratio, area, 10.0, 1.2))
+    early, late = ripple(slow, 1.0, 2.0), ripple(slow, 3.5, 4.5)
+    pressures = f"{supply / 1e5:.0f} bar|{pilot / 1e5:.0f} bar|{watts / 1e3:.0f} kW"
+    return f"|{area * 1e6:.0f} mm2|{ratio:g}|{pressures}|{early:.1%}|{late:.1%}|"
+
+
 def main() -> None:
-    """Print the table and draw the picture."""
-    print("|edge|pilot ratio|supply|pilot|power|oscillation after 1 s|after 3.5 s|")
-    print("|---" * 7 + "|")
+    """Fill in the table and draw the picture."""
+    rows = ["|edge|pilot ratio|supply|pilot|power|oscillation after 1 s|after 3.5 s|", "|---" * 7 + "|"]
     figure = Figure(figsize=(8, 3.2), layout="constrained")
     axes = figure.add_subplot()
     for area, ratio in ((NARROW, 4.5), *((WIDE, r) for r in RATIOS)):
-        supply, pilot, watts = power(lowered(ratio, area, 10.0, 1.2))
         slow = lowered(ratio, area, 2.5, 4.5)
-        early, late = ripple(slow, 1.0, 2.0), ripple(slow, 3.5, 4.5)
-        name = f"{area * 1e6:.0f} mm2"
-        print(
-            f"|{name}|{ratio:g}|{supply / 1e5:.0f} bar|{pilot / 1e5:.0f} bar|{watts / 1e3:.0f} kW"
-            f"|{early:.1%}|{late:.1%}|",
-            flush=True,
+        rows.append(row(ratio, area, slow))
+        axes.plot(
+            slow.time, slow[SIGNALS["speed"]], label=f"{area * 1e6:.0f} mm2, {ratio:g} : 1", linewidth=1
         )
-        axes.plot(slow.time, slow[SIGNALS["speed"]], label=f"{name}, {ratio:g} : 1", linewidth=1)
     axes.set(xlabel="time [s]", ylabel="speed of the boom piston [m/s]")
     axes.legend(loc="upper right")
+    print("\n".join(rows))
+    fill(PAGE, "counterbalance", "\n".join(rows))
     FILE.write_bytes(png(figure))
 
 
