@@ -3,8 +3,8 @@
     python -m benchmarks.held_out [--cases 300] [--tuning] [--processes 2] [--build build] [--out FILE]
 
 A case is a random machine in the folder that `make demo` builds: a variant of each part, factors of 0.5 to 2
-on VARIED of the PARAMETERS, commands (the operator's work cycle, or strokes between random levels with corners
-at random times), and an accuracy of 1e-2 to 1e-5. The truth is `reference`, which has no coupling.
+on VARIED of the PARAMETERS, commands (the operator's work cycle, or strokes between random levels with
+corners at random times), and an accuracy of 1e-2 to 1e-5. The truth is `reference`, which has no coupling.
 The file, build/held_out.jsonl, has a line for each case:
 
     asked, error      the accuracy, and the largest true RMS error of a joint speed over its range
@@ -14,9 +14,9 @@ The file, build/held_out.jsonl, has a line for each case:
                       steps that are as accurate as asked, found by exhaustive search, without an estimate
     why               the message if the accuracy was not reached
 
-Case n of a seed is the same whatever ran before, and cases that the file has are not run again. So the command
-goes on where it was interrupted. The numbers in docs/coupling.md are those of the seed HELD_OUT. Constants may be
-tuned with `--tuning`, never with HELD_OUT.
+Case n of a seed is the same whatever ran before, and cases that the file has are not run again. So the
+command goes on where it was interrupted. The numbers in docs/coupling.md are those of the seed HELD_OUT.
+Constants may be tuned with `--tuning`, never with HELD_OUT.
 """
 
 from __future__ import annotations
