@@ -46,6 +46,7 @@ class Quantity:
     optional     inputs only: what it means for a system if nothing feeds this input, which then keeps its
                  start value; other FMUs in a system may lack the signal
     warn_above   inputs and outputs: |value| above which the FMU logs a warning, once per excursion
+    warn_below   inputs and outputs: value below which it logs a warning likewise
     group        parameters only: heading in documentation; default: heading of the previous parameter
     value        parameter or start value, for a subsystem without parameters.toml
     listed       parameters only, with a name such as point_3: description of the list points in
@@ -60,6 +61,7 @@ class Quantity:
     tunable: bool = False
     rate: str | None = None
     warn_above: float | None = None
+    warn_below: float | None = None
     group: str = ""
     absolute: float | None = None
     value: float | None = None
@@ -70,7 +72,7 @@ class Quantity:
         for name in ("unit", "text", "group", "listed", "optional"):
             if not isinstance(getattr(self, name), str):
                 raise Problem(f"Quantity: {name}: expected text, found {getattr(self, name)!r}")
-        for name in ("nominal", "minimum", "maximum", "warn_above", "absolute", "value"):
+        for name in ("nominal", "minimum", "maximum", "warn_above", "warn_below", "absolute", "value"):
             number = getattr(self, name)
             if number is not None and not isinstance(number, Real):
                 raise Problem(f"Quantity: {name} of {self.text!r}: expected a number, found {number!r}")
@@ -79,6 +81,11 @@ class Quantity:
             raise Problem(
                 f'Quantity: {self.text}: expected the unit "{normalised(self.unit)}", found "{self.unit}"'
             )
+
+    @property
+    def watched(self) -> bool:
+        """Whether the FMU warns of values beyond a limit."""
+        return self.warn_above is not None or self.warn_below is not None
 
     @property
     def absolute_scale(self) -> float:

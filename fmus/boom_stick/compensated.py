@@ -13,8 +13,10 @@ anti-cavitation valves of `orifice` are mounted at the valve. Hoses are volumes,
 with the counterbalance valves, as in `quasistatic`; flows follow from pressures. The sections sense the
 pressures of their ports. Forces depend only on the states. Signs as in `fmus.boom_stick.variables`.
 
-The meter-out edges are so small that the counterbalance valves are fully open while the cylinder moves: a
-counterbalance valve that meters the load behind a compensated section is unstable (docs/equations.md).
+The boom's counterbalance valve meters when the boom is lowered: its meter-out edge is wide, so that no more
+pressure is needed than opens the valve. Behind a compensated section this is stable only with a low pilot
+ratio (docs/equations.md). The other meter-out edges are so small that their counterbalance valves are fully
+open in motion.
 """
 
 from collections.abc import Iterator
@@ -58,6 +60,12 @@ class AxisParameters(QuasistaticDriveParameters):
     )
     rod_return_area: Scalar = Quantity(
         "m2", "Area of the meter-out edge from the rod side of the {} at full command", 1e-4, minimum=1e-9
+    )
+    head_pilot_ratio: Scalar = Quantity(
+        "1", "Pilot ratio R of the counterbalance valve at the head side of the {} cylinder", minimum=0.0
+    )
+    rod_pilot_ratio: Scalar = Quantity(
+        "1", "Pilot ratio R of the counterbalance valve at the rod side of the {} cylinder", minimum=0.0
     )
 
 
@@ -138,6 +146,7 @@ class CompensatedDrive:
     hose: VolumeHose
     section: Section
     counterbalance: Counterbalance
+    pilot_ratios: Pair
     oil: AeratedOil
     x: AxisState
     u: DriveInterface
@@ -183,8 +192,9 @@ class CompensatedDrive:
     def _opening_rates(self) -> Iterator[Scalar]:
         c, lines, tank = self.counterbalance, self.x.pair("valve_pressure"), self.u.tank_pressure
         pilots, openings = lines[::-1], self.x.pair("counterbalance_opening")
-        for p, pilot, line, y in zip(self.x.pair("pressure"), pilots, lines, openings, strict=True):
-            yield (counterbalance_valve.balance(c, p, pilot, line, tank) - y) / c.lag
+        valves = (self.pilot_ratios, self.x.pair("pressure"), pilots, lines, openings)
+        for ratio, p, pilot, line, y in zip(*valves, strict=True):
+            yield (counterbalance_valve.balance(c, ratio, p, pilot, line, tank) - y) / c.lag
 
     def load_pressure(self, rates: AxisState) -> LoadPressure:
         """Load pressure of the section."""
@@ -270,7 +280,9 @@ def _drives(
             )
         )
         yield CompensatedDrive(
-            *(Cylinder.of(p, axis), line, own, counterbalance, AeratedOil.of(p), state, inputs),
+            *(Cylinder.of(p, axis), line, own, counterbalance),
+            (getattr(p, f"{axis}_head_pilot_ratio"), getattr(p, f"{axis}_rod_pilot_ratio")),
+            *(AeratedOil.of(p), state, inputs),
             ports=compensator.section_ports(
                 *(own, inputs.command, lines),
                 *(inputs.supply_pressure, u.load_sensing_pressure, tank),

@@ -4,7 +4,7 @@ Signs: flows are positive into the cylinder; positions are measured from the clo
 are positive if they extend the rod; a positive command extends the rod.
 """
 
-from fmus.components import chamber
+from fmus.components import chamber, spool_valve
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.cylinder import Cylinder
 from fmus.components.hose import Hose, HoseWall, LumpedHose, ReferenceHose, VolumeHose
@@ -173,11 +173,11 @@ class DetailedBoomStickParameters(
 class DetailedAxisOutputs(Group):
     """Signals at the valve, where a machine has its sensors, and of the relief valves."""
 
-    spool_position: Scalar = Quantity("1", "Spool position of the {} valve, relative to its stroke")
+    spool_position: Scalar = spool_valve.position("Spool position of the {} valve")
     head_valve_flow: Scalar = Quantity("m3/s", "Flow from the valve into the head hose of the {}", 1e-3)
     rod_valve_flow: Scalar = Quantity("m3/s", "Flow from the valve into the rod hose of the {}", 1e-3)
-    head_valve_pressure: Scalar = Quantity("Pa", "Pressure at port A of the {} valve", 1e7)
-    rod_valve_pressure: Scalar = Quantity("Pa", "Pressure at port B of the {} valve", 1e7)
+    head_valve_pressure: Scalar = chamber.port_pressure("Pressure at port A of the {} valve")
+    rod_valve_pressure: Scalar = chamber.port_pressure("Pressure at port B of the {} valve")
     relief_flow: Scalar = Quantity("m3/s", "Flow of both relief valves of the {} cylinder", 1e-3)
     anti_cavitation_flow: Scalar = Quantity(
         "m3/s", "Flow of both anti-cavitation valves of the {} cylinder", 1e-3

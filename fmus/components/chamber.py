@@ -41,7 +41,7 @@ _LARGEST_EXPONENT = 40.0  # a cavity of 1e9 m3; keeps trial steps of a solver fi
 _SMALLEST_EXPONENT = -60.0  # 1e-26 of C_ref; keeps exp() out of the slow denormal numbers
 
 RATED_PRESSURE = 35e6  # Pa, of mobile valves, cylinders and hoses of the class; above it an FMU warns
-ATMOSPHERE = 101325.0  # p_0 [Pa], standard
+ATMOSPHERE = 101325.0  # p_0 [Pa], standard; a pressure below vacuum, -p_0, does not exist
 FLOOR = 20e3  # absolute pressure [Pa] down to which the polytropic law is used; 80 kPa below tank
 
 
@@ -53,8 +53,17 @@ def pressure(text: str) -> Quantity:
     from the nominal value it would be 0.35 % at the same cost.
 
     Only variants with relief valves limit it; if it is also an output, the FMU warns above RATED_PRESSURE.
+    Cavitation is reported by its volume (`cavity`).
     """
-    return Quantity("Pa", text, 1e7, absolute=1e5, warn_above=RATED_PRESSURE)
+    return Quantity("Pa", text, 1e7, absolute=1e5, warn_above=RATED_PRESSURE, warn_below=-ATMOSPHERE)
+
+
+def port_pressure(text: str) -> Quantity:
+    """Declaration of the pressure at a node without volume, as an output: nothing there can cavitate.
+
+    Below the vapour pressure the oil of its line would tear off, which the model of the node leaves out.
+    """
+    return Quantity("Pa", text, 1e7, warn_above=RATED_PRESSURE, warn_below=VAPOUR_PRESSURE)
 
 
 def cavity(text: str) -> Quantity:

@@ -40,7 +40,7 @@ ROUNDING = 0.1  # w
 
 
 class Counterbalance(Group):
-    """Parameters of the counterbalance valves."""
+    """Parameters that all counterbalance valves share; each has a pilot ratio R of its own."""
 
     pressure: Scalar = Quantity(
         "Pa",
@@ -49,7 +49,6 @@ class Counterbalance(Group):
         minimum=1e5,
         group="Counterbalance valves",
     )
-    pilot_ratio: Scalar = Quantity("1", "Pilot ratio R of the counterbalance valves", minimum=0.0)
     band: Scalar = Quantity(
         "Pa",
         "Load pressure above the setting at which a counterbalance valve is fully open",
@@ -91,10 +90,12 @@ class Restriction:
     transition_flow: Scalar
 
 
-def balance(c: Counterbalance, chamber: Scalar, pilot: Scalar, line: Scalar, tank: Scalar) -> Scalar:
-    """y_0 [1], the opening at rest, from the pressures [Pa] of chamber, pilot, own line and tank."""
+def balance(
+    c: Counterbalance, pilot_ratio: Scalar, chamber: Scalar, pilot: Scalar, line: Scalar, tank: Scalar
+) -> Scalar:
+    """y_0 [1], the opening at rest, from R and the pressures [Pa] of chamber, pilot, own line and tank."""
     reference = tank + c.back_pressure_share * (line - tank)
-    excess = chamber + c.pilot_ratio * pilot - (1 + c.pilot_ratio) * reference - c.pressure
+    excess = chamber + pilot_ratio * pilot - (1 + pilot_ratio) * reference - c.pressure
     z = excess / c.band
     return ramp(z, ROUNDING) - ramp(z - 1, ROUNDING)
 

@@ -5,9 +5,12 @@ Rigid walls, no piston leakage (paper section 3(d)).
 """
 
 import math
+from dataclasses import dataclass
 
-from fmus.components.smooth import positive, ramp
+from fmus.components.smooth import positive, ramp, ramp_integral
 from fmus.contract import Group, Quantity, Scalar
+
+STOP_WIDTH = 0.01  # width over which 1 + c d' of an end stop is rounded at zero
 
 
 class Cylinder(Group):
@@ -57,6 +60,22 @@ def holding_pressures(load: Scalar, head: Scalar, rod: Scalar, preload: Scalar) 
     return (load + rod * p_rod) / head, p_rod
 
 
+@dataclass(frozen=True)
+class Stop:
+    """End stops of a piston or joint: force [N, N.m], stored energy [J], heat [W]."""
+
+    force: Scalar
+    stored: Scalar
+    heat: Scalar
+
+
+def stop(x: Scalar, v: Scalar, stroke: Scalar, stiffness: Scalar, damping: Scalar, rounding: Scalar) -> Stop:
+    """End stops of a piston or joint: -F v = dE/dt + heat, where F(x, 0) = -dE/dx."""
+    force, elastic = (stop_force(x, w, stroke, stiffness, damping, rounding) for w in (v, 0))
+    springs = ramp_integral(-x, rounding) + ramp_integral(x - stroke, rounding)
+    return Stop(force, stiffness * positive(1, STOP_WIDTH) * springs, (elastic - force) * v)
+
+
 def stop_force(
     x: Scalar, v: Scalar, stroke: Scalar, stiffness: Scalar, damping: Scalar, rounding: Scalar
 ) -> Scalar:
@@ -65,6 +84,6 @@ def stop_force(
     F = k d (1 + c d') at each end with penetration d, rounded over `rounding` [m] (Hunt and
     Crossley, J. Appl. Mech. 42 (1975) 440). 1 + c d' is rounded at zero, so that a stop never pulls.
     """
-    low = stiffness * ramp(-x, rounding) * positive(1 - damping * v, 0.01)
-    high = stiffness * ramp(x - stroke, rounding) * positive(1 + damping * v, 0.01)
+    low = stiffness * ramp(-x, rounding) * positive(1 - damping * v, STOP_WIDTH)
+    high = stiffness * ramp(x - stroke, rounding) * positive(1 + damping * v, STOP_WIDTH)
     return low - high

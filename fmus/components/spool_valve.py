@@ -76,6 +76,11 @@ class CurvedValve(OpeningCurves, Valve):
     """Parameters of a valve without dynamics, each edge with an optional table of its opening curve."""
 
 
+def position(text: str) -> Quantity:
+    """Declaration of the position of a spool as an output: beyond its stroke there is no spool."""
+    return Quantity("1", f"{text}, relative to its stroke", warn_above=1.0001)  # 1: tolerance of a solver
+
+
 def _overlap(edge: str) -> Quantity:
     text = f"Overlap of the edge {edge}: fraction of the stroke up to which it stays closed"
     return Quantity("1", text, 0.1, minimum=0.0, maximum=0.9)

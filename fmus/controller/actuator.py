@@ -90,10 +90,16 @@ def actuator_command(
     commanded = setpoint.speed + p.feedback * correction
     nominal = valve.nominal_full_speeds(a, nominal_load, p.nominal_supply_pressure)
     actual = valve.full_speeds(a, *valve.pressures_at_load(a, m.head, m.rod, load), m.supply, m.tank)
-    full = tuple(n + p.feedback * (k - n) for n, k in zip(nominal, actual, strict=True))
-    up, down = valve.supply_margins(a, load, m.supply, m.tank)
-    factors = 1 + p.feedback * (up - 1), 1 + p.feedback * (down - 1)
-    opening = valve.opening_for(a, commanded, (full[0], full[1]), p.foot_share, factors)
+    compensated, sections = a.section_flow > 0, valve.section_speeds(a)
+    full = tuple(
+        ca.if_else(compensated, w, n + p.feedback * (k - n))
+        for w, n, k in zip(sections, nominal, actual, strict=True)
+    )
+    up, down = (
+        1 + p.feedback * ca.if_else(compensated, 0, factor - 1)
+        for factor in valve.supply_margins(a, load, m.supply, m.tank)
+    )
+    opening = valve.opening_for(a, commanded, (full[0], full[1]), p.foot_share, (up, down))
     possible = valve.limited(opening)
     excess = (opening - possible) * (full[0] + full[1]) / 2
     slow = p.learning_share * setpoint.limit

@@ -3,6 +3,11 @@
 from fmus.contract import Group, Quantity, Scalar
 
 
+def _section_flow(axis: str, group: str = "") -> Quantity:
+    text = f"Flow of the pressure-compensated {axis} section at full command; 0: its valve has no compensator"
+    return Quantity("m3/s", text, 1e-3, minimum=0.0, group=group)
+
+
 class Gains(Group):
     """Parameters that only the controller has; geometry and hydraulics come from the machine's subsystems."""
 
@@ -125,3 +130,6 @@ class Gains(Group):
     return_rate: Scalar = Quantity(
         "1/s", "Rate at which the reference returns to the machine beyond that error", minimum=0.0
     )
+    swing_section_flow: Scalar = _section_flow("swing", group="Compensated sections")
+    boom_section_flow: Scalar = _section_flow("boom")
+    stick_section_flow: Scalar = _section_flow("stick")

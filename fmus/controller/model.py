@@ -29,7 +29,7 @@ from fmus.controller import actuator, geometry
 from fmus.controller.actuator import ActuatorCommand, LoopGains, MeasuredPressures, Setpoint
 from fmus.controller.reference import Reference, engaged, errors, measured_joints, reference
 from fmus.controller.values import FILE, controller_tables
-from fmus.controller.valve import Actuator
+from fmus.controller.valve import MARGIN, Actuator, needed_pressures
 from fmus.controller.variables import (
     AXES,
     ControllerInputs,
@@ -41,6 +41,8 @@ from fmus.manipulator import MANIPULATOR
 from fmus.swing import SWING
 from fmus.swing import drive as swing_drive
 
+LEAST_SUPPLY = 1e5  # Pa: keeps the use of the supply pressure finite
+
 
 def derive(p: Any) -> dict[str, Scalar]:
     """Derived parameters of hoses and lines, by the equations of the drives."""
@@ -51,12 +53,14 @@ def actuators(positions: tuple[Scalar, Scalar], p: Any) -> dict[str, Actuator]:
     """Swing, boom and stick with the pistons at these positions [m]."""
     d = p.motor_displacement * p.gear_ratio
     lines = (p.line_capacitance, p.line_capacitance, p.line_turbulent_resistance)
-    result = {"swing": Actuator(d, d, *lines, Valve.of(p, "swing_valve"), p.swing_density)}
+    valve = Valve.of(p, "swing_valve")
+    result = {"swing": Actuator(d, d, *lines, valve, p.swing_density, p.swing_section_flow)}
     for name, position in zip(("boom", "stick"), positions, strict=True):
         cylinder, hose = Cylinder.of(p, name), getattr(p, f"{name}_hose_capacitance")
         c_head, c_rod = (hose + v / p.bulk_modulus for v in cylinder.volumes(position))
-        resistance = getattr(p, f"{name}_hose_resistance")
-        result[name] = Actuator(*cylinder.areas, c_head, c_rod, resistance, Valve.of(p, "valve"), p.density)
+        resistance, section = (getattr(p, f"{name}_{n}") for n in ("hose_resistance", "section_flow"))
+        valve = Valve.of(p, "valve")
+        result[name] = Actuator(*cylinder.areas, c_head, c_rod, resistance, valve, p.density, section)
     return result
 
 
@@ -88,6 +92,16 @@ def _actuator_commands(x: Any, u: Any, p: Any, ref: Reference) -> dict[str, Actu
             driven[name], measured[name], setpoint, loop, *state, nominal, p
         )
     return result
+
+
+def _pressure_use(x: Any, u: Any, p: Any, ref: Reference) -> Scalar:
+    """Supply pressure that loads and valves need, in the directions demanded, over the one that there is."""
+    (boom, _), (stick, _) = geometry.strokes_and_moment_arms(ref.joints, p)
+    most: Scalar = 0
+    for (name, a), sign in zip(actuators((boom, stick), p).items(), ref.directions, strict=True):
+        up, down = needed_pressures(a, getattr(x, f"{name}_load"), u.tank_pressure)
+        most = ca.fmax(most, ca.fmax(ca.fmax(0, sign) * (up + MARGIN), ca.fmax(0, -sign) * (down + MARGIN)))
+    return most / ca.fmax(u.supply_pressure, LEAST_SUPPLY)
 
 
 def _command_rates(x: Any, u: Any, p: Any, commands: Mapping[str, ActuatorCommand]) -> dict[str, Scalar]:
@@ -141,6 +155,7 @@ def observe(x: Any, u: ControllerInputs, p: Any) -> ControllerOutputs:
         speed_use=ref.utilisation.speed,
         stroke_use=ref.utilisation.stroke,
         wait_use=ref.lag_ratio,
+        pressure_use=_pressure_use(x, u, p, ref),
         reference_share=ref.speed_factor,
     )
 

@@ -70,6 +70,7 @@ class Reference:
 
     speeds         speeds of the joints for the feedforward [rad/s]
     rates          time derivatives of the reference angles, with the terms towards the machine [rad/s]
+    directions     rounded signs of the speeds of the actuators that the path demands
     lag_ratio      lag of the machine over the error limit
     speed_factor   f g, the factor on the commanded speed
     """
@@ -79,6 +80,7 @@ class Reference:
     speeds: tuple[Scalar, Scalar, Scalar]
     rates: tuple[Scalar, Scalar, Scalar]
     utilisation: Utilisation
+    directions: tuple[Scalar, ...]
     lag_ratio: Scalar
     speed_factor: Scalar
 
@@ -135,7 +137,7 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     used = utilisation(swing, pistons, p)
     error_limits = p.swing_error_limit, p.piston_error_limit, p.piston_error_limit
     relative = [e / limit for e, limit in zip(errors(x, u, p), error_limits, strict=True)]
-    directions = (
+    directions = tuple(
         direction(speed, p.learning_share * getattr(p, f"{name}_speed_limit"))
         for name, speed in (("swing", swing), *((name, velocity) for name, _, velocity in pistons))
     )
@@ -157,4 +159,4 @@ def reference(x: Any, u: Any, p: Any) -> Reference:
     ]
     feedforward = [on * v + (1 - on) * w for v, w in zip(speeds, machine_speeds, strict=True)]
     lag_ratio = ca.sqrt(lag_square + 1e-12) - 1e-6
-    return Reference(q, tip, tuple(feedforward), tuple(rates), used, lag_ratio, factor)
+    return Reference(q, tip, tuple(feedforward), tuple(rates), used, directions, lag_ratio, factor)

@@ -13,11 +13,18 @@ used, with the force F of the load and P_t = 0:
     W^2 (A_h^3 + A_r^3) = K^2 (A_h P_s - F)        extending
     W^2 (A_h^3 + A_r^3) = K^2 (A_r P_s + F)        retracting
 
+A pressure-compensated section holds its flow q_0 y at any load that the supply carries, so its W is
+
+    W = q_0/A_h        extending            W = q_0/A_r        retracting
+
+Its check valve and the counterbalance valves hold the load, so it opens at any supply pressure: the pump of a
+load-sensing machine waits for an open valve.
+
 The swing motor is a cylinder with A_h = A_r = D, its displacement per angle of the column. The hose is in
 series with the edge: with its turbulent resistance C_R (`Actuator.hose_resistance`), the speed at the opening
 a is v = W a/sqrt(1 + C_R K^2 a^2). Flows below the transition flow Q_t are laminar in the edges. Therefore,
-with the mean flow Q of both ports, a is larger by the factor ((Q^2 + Q_t^2)/Q^2)^(1/4), which follows from
-`spool_valve.turbulent_drop`. `opening_for` bounds this factor at small Q.
+with the mean flow Q of both ports (of a section, its own flow), a is larger by the factor
+((Q^2 + Q_t^2)/Q^2)^(1/4), which follows from `spool_valve.turbulent_drop`. `opening_for` bounds it there.
 """
 
 from dataclasses import dataclass
@@ -43,6 +50,7 @@ class Actuator:
     hose_resistance                     C_R, turbulent resistance of each hose [Pa.s2/m6]
     valve                               metering edges and command of the valve
     density                             density of the oil [kg/m3]
+    section_flow                        q_0 of a pressure-compensated section [m3/s], 0 of another valve
     """
 
     head_area: Scalar
@@ -52,6 +60,7 @@ class Actuator:
     hose_resistance: Scalar
     valve: Valve
     density: Scalar
+    section_flow: Scalar
 
     @property
     def stiffness(self) -> Scalar:
@@ -102,16 +111,24 @@ def nominal_full_speeds(a: Actuator, load: Scalar, supply: Scalar) -> tuple[Scal
     return a.gain * ca.sqrt(up / cubes), a.gain * ca.sqrt(down / cubes)
 
 
+def section_speeds(a: Actuator) -> tuple[Scalar, Scalar]:
+    """W [m/s, rad/s] of a pressure-compensated section, extending and retracting."""
+    return a.section_flow / a.head_area, a.section_flow / a.rod_area
+
+
+def needed_pressures(a: Actuator, load: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
+    """Supply pressure [Pa] that the load [N, N.m] needs, extending and retracting."""
+    extending, retracting = load + a.rod_area * tank, a.head_area * tank - load
+    return extending / a.head_area, retracting / a.rod_area
+
+
 def supply_margins(a: Actuator, load: Scalar, supply: Scalar, tank: Scalar) -> tuple[Scalar, Scalar]:
     """Factors on the opening, extending and retracting: 0 if the supply cannot move the load, else up to 1.
 
     With too little supply pressure an open valve would let the arm sink: oil would flow back into the supply.
     """
-
-    def factor(push: Scalar, behind: Scalar, against: Scalar) -> Scalar:
-        return s_curve((push * supply - behind * tank - against) / (push * MARGIN))
-
-    return factor(a.head_area, a.rod_area, load), factor(a.rod_area, a.head_area, -load)
+    up, down = (s_curve((supply - needed) / MARGIN) for needed in needed_pressures(a, load, tank))
+    return up, down
 
 
 def opening_for(
@@ -130,8 +147,9 @@ def opening_for(
     """
     size = speed * direction(speed, SLOW)
     plain = (speed + size) / 2 / full[0] * factors[0] + (speed - size) / 2 / full[1] * factors[1]
-    hose = a.hose_resistance * a.gain**2
-    flow = (a.head_area + a.rod_area) / 2 * speed
+    compensated = a.section_flow > 0
+    hose = ca.if_else(compensated, 0, a.hose_resistance * a.gain**2)
+    flow = ca.if_else(compensated, a.section_flow * plain, (a.head_area + a.rod_area) / 2 * speed)
     least = rounding_opening * (full[0] + full[1]) / 2 * (a.head_area + a.rod_area) / 2
     laminar = ((flow**2 + a.valve.transition_flow**2 + least**2) / (flow**2 + least**2)) ** 0.25
     return plain * laminar / ca.sqrt(1 - hose * ca.fmin(plain**2, 1))

@@ -153,4 +153,7 @@ class ControllerOutputs(Commands):
     wait_use: Scalar = Quantity(
         "1", "Lag of the machine over the lag at which the reference stops; limiting above 0.5"
     )
+    pressure_use: Scalar = Quantity(
+        "1", "Supply pressure that loads and valves need, over the supply pressure; above 1 the arm waits"
+    )
     reference_share: Scalar = Quantity("1", "Factor by which the limits reduce the speed of the reference")

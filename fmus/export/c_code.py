@@ -371,7 +371,7 @@ def _tables(interface: Interface) -> str:
             "",
             '#include "model.h"',
             "",
-            "/* name, unit, kind, minimum, maximum, nominal, absolute_scale, warn_above, rate */",
+            "/* name, unit, kind, minimum, maximum, nominal, absolute_scale, warn_above, warn_below, rate */",
             "SHARED const Variable model_variables[ROOM(NUMBER_OF_VARIABLES)] = {",
             *rows,
             "};",
@@ -390,13 +390,13 @@ def _tables(interface: Interface) -> str:
 
 def _watched(interface: Interface) -> list[Variable]:
     """The variables with a warning limit."""
-    return [v for v in interface.variables if _limit(v) < math.inf]
+    return [v for v in interface.variables if v.watched]
 
 
-def _limit(v: Variable) -> float:
-    """Magnitude above which a warning is logged; infinite for variables that are not inputs or outputs."""
-    limit = v.quantity.warn_above
-    return math.inf if limit is None or not (v.output or v.kind == "INPUT") else limit
+def _limits(v: Variable) -> tuple[float, float]:
+    """Magnitude above which and value below which a warning is logged; infinite without a limit."""
+    above, below = v.quantity.warn_above, v.quantity.warn_below
+    return math.inf if above is None else above, -math.inf if below is None else below
 
 
 def _row(v: Variable, inputs: Sequence[str]) -> str:
@@ -404,7 +404,7 @@ def _row(v: Variable, inputs: Sequence[str]) -> str:
     rate = inputs.index(q.rate) if v.kind == "INPUT" and q.rate is not None else -1
     low = -math.inf if q.minimum is None else q.minimum
     high = math.inf if q.maximum is None else q.maximum
-    values = (low, high, q.nominal, q.absolute_scale, _limit(v))
+    values = (low, high, q.nominal, q.absolute_scale, *(_limits(v) if v.watched else (math.inf, -math.inf)))
     literals = ", ".join(number(value) for value in values)
     return f"    {{{string(v.name)}, {string(q.unit)}, {v.kind}, {literals}, {rate}}},"
 

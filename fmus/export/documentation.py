@@ -258,6 +258,8 @@ def _remarks(v: Variable) -> Iterable[str]:
         yield f"without it {v.quantity.optional}"
     if v.quantity.warn_above is not None:
         yield f"warning above {printed(v.quantity.warn_above)} {pretty(v.quantity.unit)}"
+    if v.quantity.warn_below is not None:
+        yield f"warning below {printed(v.quantity.warn_below)} {pretty(v.quantity.unit)}"
 
 
 def _bounds(low: float | None, high: float | None) -> str:

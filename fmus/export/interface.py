@@ -34,6 +34,11 @@ class Variable:
     reference: int = 0
     output: bool = False  # whether its causality is output
 
+    @property
+    def watched(self) -> bool:
+        """Whether the FMU warns of values beyond a limit."""
+        return self.quantity.watched and (self.output or self.kind == "INPUT")
+
 
 @dataclass(frozen=True)
 class Interface:
@@ -112,8 +117,8 @@ def variable_groups(
 
     def state(name: str, q: Quantity) -> Variable:
         output = outputs.get(name)
-        if output is not None and output.warn_above is not None:
-            q = replace(q, warn_above=output.warn_above)
+        if output is not None and output.watched:
+            q = replace(q, warn_above=output.warn_above, warn_below=output.warn_below)
         if name in calculated:
             return Variable(name, "CALCULATED_STATE", q, None, output=output is not None)
         return Variable(name, "STATE", q, values.x[name], output=output is not None)

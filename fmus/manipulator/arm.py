@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from fmus.components import cylinder
+from fmus.components.cylinder import Stop
 from fmus.components.mechanics import (
     EquationsOfMotion,
     Point,
@@ -23,6 +24,8 @@ from fmus.components.mechanics import (
 from fmus.contract import Scalar, column
 from fmus.manipulator.design import Head, TipMotion
 from fmus.manipulator.variables import ArmLink, CylinderMount, ManipulatorParameters, ManipulatorState
+
+SWING_STOP_ROUNDING = 1e-3  # rad, smoothing angle of the torque of the column's end stops
 
 
 class Posture(Protocol):
@@ -135,12 +138,20 @@ def triangles(x: Posture, p: Any) -> tuple[Triangle, Triangle]:
 
 @dataclass(frozen=True)
 class Piston:
-    """Piston of a cylinder: geometry at the joint, position [m], velocity [m/s] and end stop force [N]."""
+    """Piston of a cylinder: geometry at the joint, position [m], velocity [m/s] and end stops."""
 
     triangle: Triangle
     position: Scalar
     velocity: Scalar
-    stop_force: Scalar
+    stop: Stop
+
+
+def swing_stop(x: ManipulatorState, p: ManipulatorParameters) -> Stop:
+    """End stops of the swing at +- `swing_stop_angle`, none if that is 0."""
+    end = p.swing_stop_angle
+    stiffness = ca.if_else(end > 0, p.swing_stop_stiffness, 0)
+    law = (stiffness, p.swing_stop_damping, SWING_STOP_ROUNDING)
+    return cylinder.stop(x.swing_angle + end, x.swing_speed, 2 * end, *law)
 
 
 def pistons(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Piston, Piston]:
@@ -150,7 +161,7 @@ def pistons(x: ManipulatorState, p: ManipulatorParameters) -> tuple[Piston, Pist
 
     def piston(t: Triangle, speed: Scalar, closed: Scalar, stroke: Scalar) -> Piston:
         position, velocity = t.length - closed, t.arm * speed
-        return Piston(t, position, velocity, cylinder.stop_force(position, velocity, stroke, *stops))
+        return Piston(t, position, velocity, cylinder.stop(position, velocity, stroke, *stops))
 
     return (
         piston(boom, x.boom_speed, p.boom_closed_length, p.boom_stroke),

@@ -1,7 +1,7 @@
 """Manipulator: equations of motion and subsystem, from the arm, a processing head and a friction law.
 
     M(q) q'' + V(q, q') + G(q) = tau + tau_pick-up             eq. (4), q = (swing, boom, stick, head)
-    tau_swing = swing_torque - R_swing                         eq. (8)
+    tau_swing = swing_torque - R_swing + tau_stop              eq. (8)
     tau_i     = J_i (F_i - R_piston,i + F_stop,i) - R_joint,i  eqs. (5) to (7), i = boom, stick
 
 with the friction forces R; the joint of the head also acts on stick and boom. M, V and G follow from the
@@ -107,11 +107,11 @@ def _forces(
 ) -> ca.SX:
     (boom, stick), joint = pistons, design.head.joint(x, p)
     tau: ca.SX = column(
-        u.swing_torque - r["swing"].force,
-        boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop_force)
+        u.swing_torque - r["swing"].force + arm.swing_stop(x, p).force,
+        boom.triangle.arm * (u.boom_force - r["boom_piston"].force + boom.stop.force)
         - r["boom_joint"].force
         + joint.on_stick,
-        stick.triangle.arm * (u.stick_force - r["stick_piston"].force + stick.stop_force)
+        stick.triangle.arm * (u.stick_force - r["stick_piston"].force + stick.stop.force)
         - r["stick_joint"].force
         + joint.on_stick,
         *joint.on_head,
@@ -149,6 +149,8 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
     r, joint = _resistances(design, x, p, boom, stick), design.head.joint(x, p)
     dx, motion = dynamics(design, x, u, p), arm.mechanics(x, p, design.head)
     load, declared = motion.per_kilogram, {f.name for f in fields(design.outputs)}
+    swing_stop = arm.swing_stop(x, p)
+    stops = (swing_stop, boom.stop, stick.stop)
     values: dict[str, Scalar] = {n: value for n, value in vars(x).items() if n in declared}
     if "stored_energy" in declared:
         values["stored_energy"] = sum((c.stored for c in r.values()), joint.stored)
@@ -165,7 +167,11 @@ def observe(design: Design, x: Any, u: ManipulatorInputs, p: Any) -> Any:
         stick_torque=stick.triangle.arm * u.stick_force,
         kinetic_energy=motion.kinetic,
         potential_energy=motion.potential,
-        dissipated_power=sum((c.heat for c in r.values()), joint.heat) + load.heat(x.payload_flow),
+        swing_stop_torque=swing_stop.force,
+        stop_energy=sum(s.stored for s in stops),
+        dissipated_power=sum((c.heat for c in r.values()), joint.heat)
+        + sum(s.heat for s in stops)
+        + load.heat(x.payload_flow),
         payload_power=load.inflow(x.payload_flow),
     )
 
@@ -198,7 +204,7 @@ def _piston_outputs(x: Any, dx: Any, boom: Piston, stick: Piston) -> dict[str, S
         values[f"{name}_acceleration"] = (
             piston.triangle.arm * acceleration + piston.triangle.arm_derivative * speed**2
         )
-        values[f"{name}_stop_force"] = piston.stop_force
+        values[f"{name}_stop_force"] = piston.stop.force
     return values
 
 

@@ -107,6 +107,15 @@ class ManipulatorParameters(Group, boom=ArmLink, stick=ArmLink):
         "s/m", "Contact damping of the end stops (Hunt and Crossley)", minimum=0.0
     )
     stop_rounding: Scalar = Quantity("m", "Smoothing length of the end stop force", 1e-3, minimum=1e-6)
+    swing_stop_angle: Scalar = Quantity(
+        "rad", "Swing angle, to both sides, at which the end stops of the column begin; 0: none", minimum=0.0
+    )
+    swing_stop_stiffness: Scalar = Quantity(
+        "N.m/rad", "Stiffness of the end stops of the column", 1e6, minimum=1.0
+    )
+    swing_stop_damping: Scalar = Quantity(
+        "s/rad", "Contact damping of the end stops of the column (Hunt and Crossley)", minimum=0.0
+    )
     ground_height: Scalar = Quantity(
         "m", "Ground, height above the foot of the column: negative", group="Ground"
     )
@@ -123,7 +132,7 @@ class ManipulatorState(Group):
     """Joint angles and speeds, and the payload."""
 
     swing_angle: Scalar = Quantity(
-        "rad", "Swing angle, counter-clockwise from above; the column has no stops"
+        "rad", "Swing angle, counter-clockwise from above; counts turns if there are no stops"
     )
     boom_angle: Scalar = Quantity("rad", "Boom angle above the horizontal")
     stick_angle: Scalar = Quantity("rad", "Stick angle relative to the boom, negative when folded")
@@ -190,14 +199,21 @@ class ManipulatorOutputs(ManipulatorState, boom=CylinderOutputs, stick=CylinderO
     tip_depth: Scalar = Quantity(
         "m", "Depth of the tip below the ground, else zero: nothing stops it there", 0.1, warn_above=0.01
     )
+    swing_stop_torque: Scalar = Quantity(
+        "N.m",
+        "Torque of the end stops of the column: zero except at the ends of its range",
+        1e4,
+        warn_above=1.0,
+    )
+    stop_energy: Scalar = Quantity("J", "Elastic energy in the end stops of cylinders and column", 1e3)
     kinetic_energy: Scalar = Quantity("J", "Kinetic energy", 1e3)
     potential_energy: Scalar = Quantity(
         "J", "Potential energy of gravity, zero at the foot of the column", 1e4
     )
     dissipated_power: Scalar = Quantity(
         "W",
-        "Power dissipated by friction of joints and pistons and by the inelastic pick-up of payload,"
-        " without the cylinders' end stops",
+        "Power dissipated by friction of joints and pistons, by end stops and by the inelastic pick-up of"
+        " payload",
         1e3,
     )
     payload_power: Scalar = Quantity(

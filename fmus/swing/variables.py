@@ -4,7 +4,7 @@ Signs: flows are positive towards the motor; angle, speed and torque are positiv
 seen from above; a positive command turns in the positive direction.
 """
 
-from fmus.components import chamber
+from fmus.components import chamber, spool_valve
 from fmus.components.chamber import Fluid, Oil
 from fmus.components.hose import HoseSize, HoseWall
 from fmus.components.load_sensing import NOT_SHARED
@@ -131,8 +131,8 @@ class SwingOutputs(SwingState):
     swing_load_pressure_rate: Scalar = Quantity(
         "Pa/s", "Rate port: exact time derivative of swing_load_pressure", 1e8
     )
-    swing_motor_pressure_a: Scalar = Quantity("Pa", "Pressure P_1 at motor port A", 1e7)
-    swing_motor_pressure_b: Scalar = Quantity("Pa", "Pressure P_2 at motor port B", 1e7)
+    swing_motor_pressure_a: Scalar = chamber.port_pressure("Pressure P_1 at motor port A")
+    swing_motor_pressure_b: Scalar = chamber.port_pressure("Pressure P_2 at motor port B")
     swing_drain_flow: Scalar = Quantity("m3/s", "Case drain flow of the motor: external leakage", 1e-5)
     swing_void_volume: Scalar = chamber.cavity("the swing lines")
     stored_energy: Scalar = Quantity("J", "Energy of oil compression and of the moving oil columns", 1e3)
@@ -142,11 +142,11 @@ class SwingOutputs(SwingState):
 class DetailedSwingOutputs(SwingOutputs):
     """Outputs of every variant, and signals of spool, both ends of the lines and relief valves."""
 
-    swing_spool_position: Scalar = Quantity("1", "Spool position of the swing valve, relative to its stroke")
+    swing_spool_position: Scalar = spool_valve.position("Spool position of the swing valve")
     swing_motor_flow_a: Scalar = Quantity("m3/s", "Flow from swing line A to the motor", 1e-3)
     swing_motor_flow_b: Scalar = Quantity("m3/s", "Flow from swing line B to the motor", 1e-3)
-    swing_valve_pressure_a: Scalar = Quantity("Pa", "Pressure at port A of the swing valve", 1e7)
-    swing_valve_pressure_b: Scalar = Quantity("Pa", "Pressure at port B of the swing valve", 1e7)
+    swing_valve_pressure_a: Scalar = chamber.port_pressure("Pressure at port A of the swing valve")
+    swing_valve_pressure_b: Scalar = chamber.port_pressure("Pressure at port B of the swing valve")
     swing_relief_flow: Scalar = Quantity(
         "m3/s", "Flow of the cross-port relief valves from line A to line B", 1e-3
     )

@@ -160,7 +160,7 @@ def _largest(message: LogMessage, recorded: TraceSink | None) -> str:
     match = _NAME.match(message.text)
     name = f"{message.component}.{match[1]}" if match else ""
     largest = recorded.largest(name) if recorded is not None else None
-    if recorded is None or largest is None:
-        return ""
+    if recorded is None or largest is None or (" is below " in message.text and largest[0] > 0):
+        return ""  # the largest magnitude is not the lowest value
     value = f"{largest[0]:.6g} {recorded.layout.units.get(name, '')}".rstrip()
     return f"largest recorded: {value} at t = {largest[1]:.6g} s"

@@ -31,14 +31,16 @@ MANIPULATOR, CONTROLLER = "manipulator", "controller"  # components
 TIP = tuple(f"{MANIPULATOR}.{name}" for name in ("tip_radius", "tip_height", "swing_angle"))
 FEEDBACK = f"{CONTROLLER}.feedback"  # 1: the controller uses measurements, 0: it does not
 # Use of each limit of the controller; above its threshold the limit acts.
-STROKE, SPEED, WAIT = (f"{CONTROLLER}.{name}_use" for name in ("stroke", "speed", "wait"))
+PRESSURE, STROKE, SPEED, WAIT = (f"{CONTROLLER}.{n}_use" for n in ("pressure", "stroke", "speed", "wait"))
 THRESHOLDS = {STROKE: 1.0, SPEED: 1.0, WAIT: 0.5}
 CAUSES = {
+    PRESSURE: "the supply pressure does not carry the load",
     STROKE: "the path leads beyond the end of a stroke",
     SPEED: "the path requires more speed than an actuator has",
     WAIT: "the machine does not follow",
 }
 RECORD_STEP = 5e-3  # [s], sampling interval of the paths
+PUMP_TIME = 1.0  # [s]; a load-sensing pump raises its pressure within a few tenths after a valve has opened
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,8 @@ class PathRun:
             return ""
         relative = {name: use / THRESHOLDS.get(name, 1.0) for name, use in self.uses.items()}
         worst = max(relative, key=lambda name: float(relative[name].max()))
+        if PRESSURE in relative and relative[PRESSURE].max() > 1:
+            worst = PRESSURE  # then the machine waits, and the path demands more speed
         if not relative[worst].max() > 1:
             return ": no limit of the controller acts"
         since = float(self.time[int((relative[worst] > 1).argmax())])
@@ -130,7 +134,17 @@ def follow(system: System, path: Path, machine: str, feedback: bool, **options: 
         raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
     commanded, tip = points(scenario.at(trace.time), PATH, str(path)), points(trace, TIP, MANIPULATOR)
     uses = {name: trace[name] for name in limits}
+    if PRESSURE in uses:
+        uses[PRESSURE] = _lasting(uses[PRESSURE], round(PUMP_TIME / RECORD_STEP))
     return PathRun(path.stem, machine, feedback, trace.time, commanded, tip, failure, uses)
+
+
+def _lasting(use: Array, count: int) -> Array:
+    """The least of the last `count` samples at each instant; 0 before there are so many."""
+    least = np.zeros_like(use)
+    if use.size >= count:
+        least[count - 1 :] = np.lib.stride_tricks.sliding_window_view(use, count).min(axis=1)
+    return least
 
 
 def completed(scenario: Trace) -> Trace:

@@ -22,6 +22,7 @@ from orchestrator.studies.path_figure import draw
 from orchestrator.studies.path_following import CONTROLLER, FEEDBACK, MANIPULATOR, PathRun, follow
 
 SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal
+SECTION_FLOW = "_section_flow"  # parameter of a pressure-compensated section, and of the controller
 FAR = 0.1  # [m]: a larger error is reported with its cause; usual errors are ten times smaller
 MM = 1e3
 HEAD = ("path", "machine", "feedback", "largest [mm]", "at [s]", "RMS [mm]", "last [mm]", "times as large")
@@ -99,7 +100,19 @@ def swapped_systems(
                 f" {' and '.join(having)} one; to run one machine alone:"
                 f" {[*swaps, '--swap swing=lumped'][0]}, for example"
             )
-    return {name: machine.with_start(start) for name, machine in systems.items()}
+    return {
+        name: machine.with_start({**section_flows(machine), **start}) for name, machine in systems.items()
+    }
+
+
+def section_flows(system: System) -> dict[str, float]:
+    """Parameters of the controller for the compensated sections of this machine: their flows."""
+    return {
+        f"{CONTROLLER}.{name}": value
+        for part, component in system.components.items()
+        for name, value in ({} if part == CONTROLLER else component.real_parameters()).items()
+        if name.endswith(SECTION_FLOW) and system.has(f"{CONTROLLER}.{name}")
+    }
 
 
 def differences(system: System) -> list[str]:

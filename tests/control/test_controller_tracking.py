@@ -13,6 +13,7 @@ DRIVES = {"swing": "detailed", "boom_stick": "detailed"}
 DETAILED = {**DRIVES, "manipulator": "pendulum_friction", "supply": "engine_pump"}
 TIP = [f"manipulator.tip_{n}" for n in ("x", "y", "height")]
 ANGLE = "manipulator.swing_angle"
+PRESSURE = "supply.supply_pressure"
 COMMANDS = [f"controller.{n}_command" for n in ("swing", "boom", "stick")]
 
 
@@ -57,6 +58,21 @@ def test_another_machine_than_assumed(machine, changed):
     _, error, _ = tracked(machine, "square", set=OTHERS[changed])
     assert error[0] < 1e-6  # the run starts on the path
     assert error.max() < 0.030
+    assert rms(error) < 0.010
+
+
+COMPENSATED = {"swing": "compensated", "boom_stick": "compensated", "supply": "load_sensing"}
+LOADS = [(path, head) for head in (350.0, 500.0, 700.0, 900.0) for path in ("line", "square")]
+
+
+@pytest.mark.parametrize(("path", "head"), shards.few([("square", 900.0)], LOADS, shards.machine))
+def test_a_pump_that_waits_for_a_valve(machine, path, head):
+    """Compensated drives from the standby of a load-sensing pump, heads from empty to a heavy stem: 65 mm."""
+    given = {"manipulator.head_mass": head}
+    options = {"parameters": [path, "compensated"], "swap": COMPENSATED}
+    _, error, trace = tracked(machine, path, set=given, record=[*TIP, ANGLE, PRESSURE], **options)
+    assert trace[PRESSURE][0] < 25e5  # standby
+    assert error.max() < 0.065
     assert rms(error) < 0.010
 
 

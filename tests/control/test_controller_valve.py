@@ -1,5 +1,6 @@
 """Inverse of valve and oil, from speed to command, against the equations of valve and oil."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -8,12 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.components import spool_valve
+from fmus.boom_stick import compensated as boom_stick
+from fmus.components import pressure_compensator, spool_valve
 from fmus.components.spool_valve import Valve
 from fmus.controller import valve
 from fmus.controller.model import CONTROLLER, actuators
 from fmus.controller.valve import Actuator
+from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
+from fmus.swing import compensated as swing
 
 P = values(CONTROLLER).p
 FOOT = P["foot_share"]
@@ -107,6 +111,28 @@ def test_opening_gives_the_speed_when_pressures_have_settled(name, share):
         full = valve.nominal_full_speeds(a, above_tank, SUPPLY - TANK)
         found = number(valve.opening_for(a, speed, full, FOOT))
         assert found == pytest.approx(share, rel=0.02 if abs(share) > 0.1 else 0.06)
+
+
+@pytest.mark.parametrize("share", [-0.8, -0.03, 0.03, 0.8])
+@pytest.mark.parametrize("name", ["swing", "boom", "stick"])
+def test_a_compensated_section_gets_the_command_for_its_flow(name, share):
+    """A section of the compensated drives, at the command for a speed, passes the flow of this speed.
+
+    With no droop, at 10 and 150 bar: 1 % of rounding where the valve opens, 0.1 % above it.
+    """
+    part = "swing" if name == "swing" else "boom_stick"
+    numbers = SimpleNamespace(**values(FAMILIES[part]["compensated"]).p | {"compensator_droop": 0.0})
+    section = swing.section(numbers) if name == "swing" else boom_stick.section(numbers, name)
+    a = replace(drives()[name], section_flow=section.flow)
+    fed, area = (0, a.head_area) if share > 0 else (1, a.rod_area)
+    full = valve.section_speeds(a)
+    speed = share * full[fed]
+    assert abs(speed) == pytest.approx(abs(share) * section.flow / area, rel=1e-12)  # rounding
+    command = number(valve.command(a.valve, valve.opening_for(a, speed, full, FOOT), FOOT))
+    for load in (1e6, 15e6):
+        ports = pressure_compensator.section_ports(section, command, (load, load), SUPPLY, load, TANK)
+        flow = number(ports[fed].edges.supply) - a.valve.leakage * (SUPPLY - load)
+        assert flow == pytest.approx(abs(speed) * area, rel=1e-2 if abs(share) < 0.1 else 1e-3)
 
 
 @pytest.mark.parametrize("name", ["swing", "boom", "stick"])

@@ -192,6 +192,23 @@ def test_the_cause_is_the_limit_that_is_exceeded_most(uses, cause):
     assert f"made, thing: the tip is up to 0.30 m away, 0.15 m at the end: {cause}" in told
 
 
+def test_a_load_that_the_supply_does_not_carry_is_told(track, capsys):
+    """Valves without compensators stay closed at the standby of a load-sensing pump: a line says why."""
+    assert track(*through("4,0,1", "4,0,2"), "--no-compare", "--swap=supply=load_sensing")[0] == 0
+    told = capsys.readouterr().out
+    assert ": the supply pressure does not carry the load, from" in told
+
+
+def test_compensated_drives_are_the_controllers(track, capsys):
+    """The command gives the controller the section flows of the drives; another value has a note."""
+    swaps = [f"--swap={part}=compensated" for part in ("swing", "boom_stick")]
+    line = [*through("4,0,1", "4,0.1,1"), "--no-compare", *swaps]
+    assert track(*line, "--limit", "30")[0] == 0
+    assert "the controller assumes another machine" not in capsys.readouterr().out
+    track(*line, "--set=boom_stick.boom_section_flow=0.002")
+    assert "note: controller.boom_section_flow is 0.0027 m3/s, boom_stick" in capsys.readouterr().out
+
+
 def test_a_tip_near_its_path_needs_no_cause():
     """A tip 3 cm away has no line of its own; without numbers of the controller none has a cause."""
     assert "the tip is" not in text([made(0.03, stroke=400)])

@@ -1,5 +1,6 @@
 """Numbers in sentences of README and docs are those of the command, script or table that computes them."""
 
+import json
 import re
 import runpy
 from pathlib import Path
@@ -74,3 +75,29 @@ def test_the_equations_tell_the_numbers_of_the_opening_curve(monkeypatch, tmp_pa
     )
     error = max(abs(1 - float(value)) for value in ratio.groups())
     assert [round(100 * error)] == told("docs/equations.md", r"errs by up to (\d+) %")
+
+
+@shards.documents
+def test_the_equations_tell_the_power_of_lowering_the_boom(built):
+    """Supply, pilot, power and oscillation of the shipped edge, as docs/counterbalance.py prints them."""
+    script = runpy.run_path(str(ROOT / "docs/counterbalance.py"))
+    system = str(built / "harvester.ssp")
+    supply, pilot, watts = script["power"](script["lowered"](1.5, 1.2e-4, 10.0, 1.9, system))
+    slow = script["lowered"](1.5, 1.2e-4, 2.5, 4.5, system)
+    ripples = (100 * script["ripple"](slow, start, start + 1) for start in (1.0, 3.5))
+    numbers = r"\|120 mm2\|1\.5\|(\d+) bar\|(\d+) bar\|(\d+) kW\|([\d.]+)%\|([\d.]+)%"
+    found = (supply / 1e5, pilot / 1e5, watts / 1e3, *ripples)
+    # of the last digit; other compilers round otherwise
+    assert all(abs(a - b) < 1 for a, b in zip(found, told("docs/equations.md", numbers), strict=True))
+
+
+@shards.documents
+def test_the_page_on_control_tells_the_errors_of_the_load_sensing_machine(built, tmp_path):
+    """The row of the heaviest head, in tenths of a millimetre."""
+    swaps = [f"--swap={p}" for p in ("swing=compensated", "boom_stick=compensated", "supply=load_sensing")]
+    arguments = [*swaps, "--no-compare", "--set=manipulator.head_mass=900", "--out", str(tmp_path)]
+    assert main(["track", str(built / "harvester_control.ssp"), *arguments]) == 0
+    runs = json.loads((tmp_path / "tracking.json").read_text())
+    found = [1e3 * r[f"{kind} error [m]"] for r in runs for kind in ("largest", "RMS")]
+    row = r"\|900 kg\|([\d.]+), ([\d.]+)\|([\d.]+), ([\d.]+)\|"
+    assert all(abs(a - b) < 0.11 for a, b in zip(found, told("docs/control.md", row), strict=True))

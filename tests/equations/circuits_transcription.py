@@ -186,11 +186,11 @@ def counterbalance(p: Group, resistance: float, y: float, line: float, chamber: 
     return root(square * (line - chamber), p.valve_transition_flow) + c.leakage * (line - chamber)
 
 
-def at_rest(p: Group, chamber: float, pilot: float, line: float, tank: float) -> float:
+def at_rest(p: Group, ratio: float, chamber: float, pilot: float, line: float, tank: float) -> float:
     """y_0, section 4.7."""
     c = part(vars(p), "counterbalance_")
     reference = tank + c.back_pressure_share * (line - tank)
-    z = (chamber + c.pilot_ratio * pilot - (1 + c.pilot_ratio) * reference - c.pressure) / c.band
+    z = (chamber + ratio * pilot - (1 + ratio) * reference - c.pressure) / c.band
     return ramp(z, 0.1) - ramp(z - 1, 0.1)
 
 
@@ -222,7 +222,7 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
             rates[f"{axis}_{side}_valve_pressure"] = slopes[-1]
             kappa = 1 / p.bulk_modulus + air(p, chamber)
             rates[f"{axis}_{side}_pressure"] = (q + swept) / (volumes[i] * kappa + void(chamber))
-            settled = at_rest(p, chamber, lines[1 - i], line, tank)
+            settled = at_rest(p, getattr(own, f"{side}_pilot_ratio"), chamber, lines[1 - i], line, tank)
             rates[f"{axis}_{side}_counterbalance_opening"] = (settled - openings[i]) / p.counterbalance_lag
             y[f"{axis}_{side}_flow"] = q
             y["supply_flow"] += q_in

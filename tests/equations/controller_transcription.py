@@ -64,6 +64,7 @@ def oil(name: str, piston: float, p: Group) -> Group:
     rho = getattr(p, f"{prefix}density")
     discharge, area = (getattr(p, f"{prefix}valve_{n}") for n in ("discharge_coefficient", "area"))
     valve["k_valve"] = discharge * area * np.sqrt(2 / rho)
+    valve["q"] = getattr(p, f"{name}_section_flow")
     if name == "swing":
         d, c = p.motor_displacement * p.gear_ratio, p.line_capacitance
         return Group(a=np.array([d, d]), c=np.array([c, c]), hose=p.line_turbulent_resistance, **valve)
@@ -118,6 +119,7 @@ def references(x: Group, u: Group, p: Group) -> Group:
     moving = np.array([*machine.velocity(*w_m[1:]), w_m[0]])
     return Group(
         e=e, arm=arm, errors=errors, at=at, there=there, use=use, ends=ends, share=share,
+        toward=y / np.sqrt(y**2 + (p.learning_share * limit) ** 2),
         wait=np.sqrt(wait + 1e-12) - 1e-6,
         speeds=e * share * speeds + (1 - e) * w_m,
         rates=e * own + (1 - e) * (w_m + (q_m - q) / p.tracking_time),
@@ -163,9 +165,13 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     size = v**2 / np.sqrt(v**2 + 1e-8)
     spare = o.a[0] * s - o.a[1] * t - load, o.a[1] * s - o.a[0] * t + load
     gates = [1 + p.feedback * (rise(f / (a * 5e5)) - 1) for f, a in zip(spare, o.a, strict=True)]
+    if o.q > 0:  # a compensated section
+        full, gates = o.q / o.a, [1.0, 1.0]
+        mean = full.mean()
     y = gates[0] * (v + size) / 2 / full[0] + gates[1] * (v - size) / 2 / full[1]
-    laminar = (1 + o.transition_flow**2 / ((area * v) ** 2 + (p.foot_share * area * mean) ** 2)) ** 0.25
-    wide = y * laminar / np.sqrt(1 - o.hose * o.k_valve**2 * min(y**2, 1))
+    flow, hose = (o.q * y, 0.0) if o.q > 0 else (area * v, o.hose)
+    laminar = (1 + o.transition_flow**2 / (flow**2 + (p.foot_share * area * mean) ** 2)) ** 0.25
+    wide = y * laminar / np.sqrt(1 - hose * o.k_valve**2 * min(y**2, 1))
     had = wide - r(wide - 0.95, 0.1)
     had += r(-had - 0.95, 0.1)
     lever = clip(getattr(u, f"{name}_lever"), -o.full_command, o.full_command)
@@ -184,6 +190,17 @@ def drive(i: int, ref: Group, x: Group, u: Group, p: Group) -> dict[str, float]:
     }
 
 
+def pressure_use(ref: Group, x: Group, u: Group, p: Group) -> float:
+    """Section reference: the pressure that the loads need over that of the supply."""
+    uses = [0.0]
+    for i, name in enumerate(AXES):
+        a, load = oil(name, ref.arm.pistons[i], p).a, getattr(x, f"{name}_load")
+        for push, behind, sign in ((a[0], a[1], 1), (a[1], a[0], -1)):
+            need = (sign * load + behind * u.tank_pressure) / push + 5e5
+            uses.append(max(0.0, sign * ref.toward[i]) * need / max(u.supply_pressure, 1e5))
+    return max(uses)
+
+
 def written(x: Group, u: Group, p: Group) -> tuple[dict[str, float], dict[str, float]]:
     """Rates of the states and outputs."""
     ref = references(x, u, p)
@@ -198,4 +215,4 @@ def written(x: Group, u: Group, p: Group) -> tuple[dict[str, float], dict[str, f
     shown |= {f"{n}_error": v for n, v in zip(("radial", "vertical", "angle"), apart, strict=True)}
     shown["tip_error"] = np.sqrt(((here - there) ** 2).sum() + 1e-12) - 1e-6
     uses = {"speed_use": ref.use, "stroke_use": ref.ends, "wait_use": ref.wait, "reference_share": ref.share}
-    return rates, shown | uses
+    return rates, shown | uses | {"pressure_use": pressure_use(ref, x, u, p)}

@@ -15,7 +15,7 @@ from fmus.monolith import join, simulate
 
 DATA = Path(__file__).parents[2] / "data"
 # parameters that are zero by choice get a size here, so that a wrong term with them shows
-SIZE_OF_ZEROS = {"swing.line_turbulent_resistance": 1e10}
+SIZE_OF_ZEROS = {"swing.line_turbulent_resistance": 1e10, "manipulator.swing_stop_angle": 2.0}
 # zeros that stand for what length and bore lead to, and measured numbers in their place
 HOSES = {
     **{f"boom_stick.{hose}_inertance": 1.2e7 for hose in ("boom_hose", "stick_hose")},

@@ -227,6 +227,16 @@ def stop(p: Group, arm: Group, s: float, v: float) -> float:
     return arm.stop_stiffness * (push - pull)
 
 
+def swing_stop(arm: Group, angle: float, speed: float) -> float:
+    """Torque [N.m] of the end stops of the swing, section 5."""
+    if arm.swing_stop_angle == 0:
+        return 0.0
+    low, high = 1 - arm.swing_stop_damping * speed, 1 + arm.swing_stop_damping * speed
+    left = ramp(angle - arm.swing_stop_angle, 1e-3) * (high + sqrt(high**2 + 1e-4)) / 2
+    right = ramp(-angle - arm.swing_stop_angle, 1e-3) * (low + sqrt(low**2 + 1e-4)) / 2
+    return arm.swing_stop_stiffness * (right - left)
+
+
 def payload(a: Group, mass: float) -> tuple[float, ...]:
     """A particle at the tip, section 5."""
     return mass, mass * a.gravity, a.boom_pivot_x, a.stick_pivot_x, a.stick_pivot_z, a.stick_length, 0.0
@@ -295,7 +305,8 @@ def evaluate(m: Machine, x: Floats, u: Floats) -> tuple[list[float], Group]:
         z.forces.append(force)
         z.stops.append(end)
     determinant = m22 * m33 - m23**2
-    turn = (torque + drag[0] - m.arm.swing_damping * w - v1) / m11
+    z.swing_stop = swing_stop(m.arm, x[12], w)
+    turn = (torque + z.swing_stop + drag[0] - m.arm.swing_damping * w - v1) / m11
     lift = (m33 * loads[0] - m23 * loads[1]) / determinant
     fold = (m22 * loads[1] - m23 * loads[0]) / determinant
     slow, fast = 2 / 3 * m.arm.payload_grip_time, 1 / 3 * m.arm.payload_grip_time  # lags in series
@@ -322,6 +333,7 @@ def observe(m: Machine, x: Floats, u: Floats) -> dict[str, float]:
         "boom_stick.supply_flow": sum(node[1] for pair in z.ports[1:] for node in pair),
         "boom_stick.return_flow": sum(node[2] for pair in z.ports[1:] for node in pair),
         "manipulator.swing_acceleration": dx[15],
+        "manipulator.swing_stop_torque": z.swing_stop,
     }
     for i, name in enumerate(("boom", "stick")):
         s, lever, bend = z.triangles[i]

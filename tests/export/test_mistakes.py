@@ -144,6 +144,18 @@ def test_watched_output_warns_once_per_excursion(open_fmu, start, targets, told)
     assert all(f"mixed = {words} is above 5" in text for words, text in zip(told, warnings, strict=True))
 
 
+def test_a_value_below_its_lowest_is_a_warning(open_fmu):
+    """A state that is an output: once while it is below, again after it was above; not at the limit."""
+    fmu = open_fmu("decay").start(rate=20.0)
+    for k, target in enumerate((-60.0, -70.0, -70.0, 0.0, -80.0)):
+        fmu.set(target=target)
+        fmu.fmu.doStep(float(k), 1.0)
+    said = [w for w in fmu.logged("logStatusWarning") if "level" in w]
+    assert [w.partition(": ")[2] for w in said] == [
+        f"level = {value} 1 at t = {time} s is below -60 1" for value, time in ((-70, 2), (-80, 5))
+    ]
+
+
 def test_a_repeated_warning_is_logged_three_times(open_fmu):
     """The third one says so; the other variables go on to warn."""
     fmu = open_fmu("decay").start()

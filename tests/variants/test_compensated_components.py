@@ -1,12 +1,18 @@
-"""Compensator: bounds and monotony; brake: test_balances.py, equations: test_circuits_transcription.py."""
+"""Compensator: bounds and monotony; counterbalance valve: its data sheet.
 
+Brake: test_balances.py, equations: test_circuits_transcription.py.
+"""
+
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fmus.components import counterbalance_valve
 from fmus.components import pressure_compensator as compensator
 from fmus.components.counterbalance_valve import Counterbalance, Restriction
 from fmus.components.pressure_compensator import Compensator
@@ -19,7 +25,7 @@ SWING = swing.CompensatedSwingParameters(**values(FAMILIES["swing"]["compensated
 SECTION = swing.section(SWING)
 COMPENSATOR = SECTION.compensator
 VALVE = Counterbalance(**{n: NUMBERS[f"counterbalance_{n}"] for n in Counterbalance.__dataclass_fields__})
-AROUND = Restriction(0.62, 970.0, 2.4e10, 1e-5)
+ALONE = Restriction(0.62, 970.0, 0.0, 1e-5)  # without hose
 PRESSURE = st.floats(0, 4e7)
 COMMAND = st.floats(-10, 10)
 
@@ -59,3 +65,51 @@ def test_the_parameters_that_the_law_excludes_are_refused():
     assert min(map(float, good.values())) > 0
     bad = Compensator(**{**vars(COMPENSATOR), "sharing": 0.95, "open_drop": 2e5})
     assert min(map(float, compensator.requirements(SECTION.valve, bad).values())) < 0
+
+
+# ---- counterbalance valve: what its data sheet says, in numbers of its own
+
+BAR, LITRES_PER_MINUTE, TANK = 1e5, 1 / 6e4, 4e5
+
+
+def cracking(ratio, pilot, line, share):
+    """Chamber pressure [Pa] at which the valve begins to open, by bisection."""
+    valve = replace(VALVE, back_pressure_share=share)
+    low, high = 0.0, 2e8
+    for _ in range(60):
+        middle = (low + high) / 2
+        opened = float(counterbalance_valve.balance(valve, ratio, middle, pilot, line, TANK)) > 0
+        low, high = (low, middle) if opened else (middle, high)
+    return high
+
+
+@pytest.mark.parametrize("ratio", [1.5, 4.5])
+def test_pilot_and_back_pressure_shift_the_setting_as_the_data_sheet_says(ratio):
+    """Pilot pressure lowers the setting by the ratio times itself; back pressure adds 1 + ratio times itself.
+
+    215 bar above the tank; a vented valve does not feel back pressure. 1 Pa: the foot of the smooth ramp.
+    """
+    usual = cracking(ratio, TANK, TANK, 1.0)
+    assert usual - TANK == pytest.approx(215 * BAR, abs=2e3)
+    assert usual - cracking(ratio, TANK + 20 * BAR, TANK, 1.0) == pytest.approx(ratio * 20 * BAR, abs=1.0)
+    raised = cracking(ratio, TANK, TANK + 10 * BAR, 1.0) - usual
+    assert raised == pytest.approx((1 + ratio) * 10 * BAR, abs=1.0)
+    assert cracking(ratio, TANK, TANK + 10 * BAR, 0.0) == pytest.approx(usual, abs=1.0)
+
+
+def test_it_is_open_20_percent_above_its_setting():
+    """Half open half a band, 40 bar, above the setting; fully open where the rounding of the end is left."""
+    at = [
+        float(counterbalance_valve.balance(VALVE, 3.0, TANK + (215 + d) * BAR, TANK, TANK, TANK))
+        for d in (-1, 22, 44)
+    ]
+    assert at == pytest.approx([0.0, 0.5, 1.0], abs=1e-12)  # exact: both ramps are straight there
+
+
+def test_rated_flows_are_those_of_the_cartridge():
+    """240 L/min at 14 bar through the open poppet, at 10 bar through the check valve, else nothing."""
+    cases = [(1.0, -14 * BAR, -240), (0.0, 10 * BAR, 240), (0.0, 0.3 * BAR, 0.0), (0.0, -200 * BAR, 0.0)]
+    for opening, drop, rated in cases:
+        flow = float(counterbalance_valve.flow(VALVE, opening, 100 * BAR + drop, 100 * BAR, ALONE))
+        # 5 %: the areas are rounded to two digits; a closed one leaks 0.4 mL/min
+        assert flow == pytest.approx(rated * LITRES_PER_MINUTE, rel=0.05, abs=1e-8)

@@ -1,7 +1,9 @@
 """The compensated drives in the machine: stability of load holding, a failed supply, stopped strokes."""
 
 import math
+import re
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
@@ -72,7 +74,7 @@ def steady(p, command, position, load, mass):
         head = (load + ROD * rod) / HEAD
         y = HEAD * speed / (gain * math.sqrt(head))
         excess = p["counterbalance_pressure"] + (y + 0.05) * p["counterbalance_band"] - head
-        rod += 0.5 * (excess / p["counterbalance_pilot_ratio"] - rod)
+        rod += 0.5 * (excess / p["boom_head_pilot_ratio"] - rod)
     guess = {"boom_head_pressure": head, "boom_rod_pressure": rod, "boom_rod_valve_pressure": rod + 50.0}
     guess |= {"boom_head_valve_pressure": 10.0, "boom_head_counterbalance_opening": y}
     z = np.array([*(guess.get(n, 0.0) for n in STATES), -speed])
@@ -83,8 +85,8 @@ def steady(p, command, position, load, mass):
     return dict(zip([*STATES, "speed"], z, strict=True)), f(z, others, list(p.values()), load, mass)[1].full()
 
 
-def margin(p, x, position):
-    """(1 + S/k)(A_o C_i)/(A_i C_o) - R, with the head side as outflow side."""
+def second_factor(p, x, position):
+    """(A_o C_i)/(A_i C_o), with the head side as outflow side."""
 
     def softness(side):
         """kappa [1/Pa] of the oil at the pressure of a chamber."""
@@ -92,16 +94,16 @@ def margin(p, x, position):
 
     c_o = (p["boom_dead_volume"] + HEAD * position) * softness("head")
     c_i = (p["boom_dead_volume"] + ROD * (p["boom_stroke"] - position)) * softness("rod")
-    c_i += (
-        np.pi
-        / 4
-        * p["boom_hose_bore"] ** 2
-        * p["boom_hose_length"]
-        * (softness("rod") + 1 / p["hose_wall_modulus"])
-    )
+    hose = np.pi / 4 * p["boom_hose_bore"] ** 2 * p["boom_hose_length"]
+    c_i += hose * (softness("rod") + 1 / p["hose_wall_modulus"])
+    return HEAD * c_i / (ROD * c_o)
+
+
+def margin(p, x, position):
+    """(1 + S/k)(A_o C_i)/(A_i C_o) - R."""
     y, drop = x["boom_head_counterbalance_opening"], x["boom_head_pressure"] - x["boom_head_valve_pressure"]
     ratio = y * p["counterbalance_band"] / (2 * drop)  # S/k
-    return (1 + ratio) * HEAD * c_i / (ROD * c_o) - p["counterbalance_pilot_ratio"]
+    return (1 + ratio) * second_factor(p, x, position) - p["boom_head_pilot_ratio"]
 
 
 @pytest.mark.parametrize(
@@ -115,7 +117,7 @@ def test_a_metering_counterbalance_valve_is_as_unstable_as_routh_says(area, band
 
     def growth(ratio):
         """Largest real part [1/s], and the state."""
-        own = p | {"counterbalance_pilot_ratio": ratio}
+        own = p | {"boom_head_pilot_ratio": ratio}
         x, slope = steady(own, 4.0, position, load, mass)
         return np.linalg.eigvals(slope).real.max(), margin(own, x, position)
 
@@ -127,6 +129,17 @@ def test_a_metering_counterbalance_valve_is_as_unstable_as_routh_says(area, band
     # no piston friction on either side; the lag of 1e-5 s turns the phase by 2e-4 at 22 1/s, and the check
     # valve has some 10 Pa
     assert growth(high)[1] == pytest.approx(0, abs=0.01 * high)
+
+
+def test_the_page_tells_how_much_the_elastic_hoses_help():
+    """The second factor at half and at 80 % of the stroke, with elastic hoses and air and without both."""
+    page = Path(__file__).parents[2].joinpath("docs/equations.md").read_text(encoding="utf-8")
+    pattern = r"it is\s+([\d.]+) at half stroke, and ([\d.]+) at 80 %.*?factors are ([\d.]+) and ([\d.]+)\."
+    told = [float(v) for v in re.search(pattern, page, re.DOTALL).groups()]
+    loaded = {"boom_head_pressure": 80e5, "boom_rod_pressure": 100e5}  # the air matters little at these
+    rigid = P | {"hose_wall_modulus": 1e15, "air_share": 0.0}
+    found = [second_factor(p, loaded, s * P["boom_stroke"]) for p in (P, rigid) for s in (0.5, 0.8)]
+    assert found == pytest.approx(told, abs=0.05)  # the last digit
 
 
 # ---- in the machine
@@ -192,11 +205,28 @@ def test_a_preloaded_return_line_refills_the_chamber_of_a_stopped_cylinder():
     assert voids[0] > 1e-7 > 100 * voids[1]  # m3, from there on the FMU warns
 
 
-def test_lowering_keeps_the_counterbalance_valve_open_and_comes_to_rest():
-    """With the usual areas the boom goes down without bouncing: speed within 5 % after a second."""
-    y = moved(1.8, {"boom_command": ([0, 0.2, 0.5, 1.8], [0, 0, -5.0, -5.0])})
-    late = y["time"] > 1.2
-    speed = y["manipulator.boom_velocity"][late]
-    assert np.ptp(speed) < 0.05 * abs(speed.mean())
-    assert y["boom_stick.boom_head_counterbalance_opening"][late].min() > 0.99
-    assert y["boom_stick.boom_void_volume"][late].max() < 1e-7  # nothing cavitates
+def test_the_meter_out_edge_is_wide_and_the_counterbalance_valve_meters():
+    """At full command down the hose has the pressure of its orifice, 15 bar; nothing cavitates."""
+    y = moved(1.2, {"boom_command": ([0, 0.2, 0.5, 1.2], [0, 0, -10.0, -10.0])}, "folded")
+    late = y["time"] > 1.0
+    hose, flow = (y[f"boom_stick.boom_head_{n}"][late] for n in ("valve_pressure", "flow"))
+    area = P["valve_discharge_coefficient"] * P["boom_head_return_area"]
+    # Bernoulli; leakage and the oil that the hose takes up are below 1 % of the flow
+    assert hose == pytest.approx(P["density"] / 2 * (flow / area) ** 2, rel=0.02)
+    assert 10e5 < hose.mean() < 20e5
+    assert 0.05 < y["boom_stick.boom_head_counterbalance_opening"][late].mean() < 0.95
+    assert y["boom_stick.boom_void_volume"][late].max() < 1e-7
+
+
+def test_a_high_pilot_ratio_oscillates_five_times_as_much():
+    """A boom that starts down slowly: its speed, less a parabola, varies by 13 % with 1.5 : 1, not 100 %."""
+    found = {}
+    for ratio in (1.5, 4.5):
+        down = {"boom_command": ([0, 0.1, 0.7, 2.0], [0, 0, -2.5, -2.5])}
+        y = moved(2.0, down, "folded", {"boom_stick.boom_head_pilot_ratio": ratio})
+        late = y["time"] > 1.0
+        time, speed = y["time"][late], y["manipulator.boom_velocity"][late]
+        trend = np.polyval(np.polyfit(time, speed, 2), time)
+        found[ratio] = np.std(speed - trend) / abs(speed.mean())
+    assert found[1.5] < 0.25
+    assert found[4.5] > 5 * found[1.5]

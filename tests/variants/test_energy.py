@@ -42,8 +42,7 @@ def powers(part, signal):
         into = [signal("manipulator.swing_torque") * signal("manipulator.swing_speed")]
         into.append(signal("manipulator.payload_power"))
         for a in ("boom", "stick"):
-            force = signal(f"manipulator.{a}_force") + signal(f"manipulator.{a}_stop_force")
-            into.append(force * signal(f"manipulator.{a}_velocity"))
+            into.append(signal(f"manipulator.{a}_force") * signal(f"manipulator.{a}_velocity"))
         return into
     into = [
         signal(f"{part}.supply_pressure") * signal(f"{part}.supply_flow"),
@@ -57,15 +56,20 @@ def powers(part, signal):
 
 def stored(part, signal):
     """Energy of a part [J]."""
-    kinds = ("stored_energy", "kinetic_energy", "potential_energy")
+    kinds = ("stored_energy", "kinetic_energy", "potential_energy", "stop_energy")
     return sum(e for kind in kinds if (e := signal(f"{part}.{kind}")) is not None)
 
 
-def audit(index, program):
-    """Part -> energy in, its gross turnover, heat and change of the stored energy [J] over the run."""
+def audit(index, program, changed=()):
+    """Part -> energy in, its gross turnover, heat and change of the stored energy [J] over the run.
+
+    changed   (parameter, value), other than in parameters.toml
+    """
     chosen = parts(**MACHINES[index])
     connections, inputs = wiring(chosen)
     model = join(chosen, connections, inputs)
+    for name, value in changed:
+        model.p[model.parameters.index(name)] = value
     x, u, p = (ca.SX.sym(n, k) for n, k in (("x", len(model.x)), ("u", len(model.u)), ("p", len(model.p))))
     shown = dict(zip(model.output_names, ca.vertsplit(model.outputs(x, u, p)), strict=True))
     constant = {f"{n}.{v}": 0.0 for n, s in chosen.items() for v in quantities(s.inputs)}
@@ -110,6 +114,16 @@ def _integrate(model, x, u, p, rates, moves, stop):
         state = found["xf"].full()[:, 0] * model.nominal
         total += found["qf"].full()[:, 0] * 1e3
     return state, total, start, inputs[-1]
+
+
+@shards.machine
+def test_energy_balance_closes_in_the_end_stops():
+    """The column and the boom are driven into their stops: the balance of the manipulator closes as well."""
+    stops = [("manipulator.swing_stop_angle", 0.03), ("manipulator.boom_stroke", 0.33)]
+    taken, turnover, heat, change = audit(0, "short", stops)["manipulator"]
+    usual = audit(0, "short")["manipulator"]
+    assert turnover < 0.5 * usual[1]  # the stops were hit
+    assert abs(taken - heat - change) < BAR * turnover
 
 
 @pytest.mark.parametrize("program", ["short", pytest.param("work cycle", marks=shards.machine)])

@@ -55,6 +55,20 @@ def test_anti_cavitation_valves_keep_the_oil_from_tearing():
     assert fine["boom_stick.boom_anti_cavitation_flow"].max() > 1e-5  # m3/s: they work
 
 
+def test_a_port_below_the_vapour_pressure_is_a_warning(tmp_path):
+    """Motor ports of a driven column, behind a closed valve: a message, and a line of the card."""
+    fmu = build_all([parts(swing="lumped")["swing"]], {2: tmp_path})[2][0]
+    time = np.array([0.0, 0.1, 0.11, 0.2])
+    result = run(str(fmu), Trace(time, {"swing_speed": np.array([0.0, 0.0, 5.0, 5.0])}), step=1e-3)
+    lowest = min((result.trace[f"swing.swing_motor_pressure_{line}"].min(), line) for line in "ab")
+    assert lowest[0] < -101325.0  # below vacuum, while the steps have the status OK
+    told = [m.text for m in result.messages if m.text.startswith(f"swing_motor_pressure_{lowest[1]} = ")]
+    assert len(told) == 1
+    assert "is below -20000 Pa" in told[0]
+    (line,) = (n for n in result.card.text().splitlines() if f": swing_motor_pressure_{lowest[1]} = " in n)
+    assert " is below -20000 Pa" in line
+
+
 @pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
 def test_a_pressure_beyond_the_class_is_a_warning_where_no_relief_limits_it(tmp_path, variant):
     """Closed valve, shaft driven: one message for each excursion above 350 bar; `detailed` stays below."""

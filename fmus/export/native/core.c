@@ -298,14 +298,16 @@ static void watch(Core *core) {
         const int r = model_watched[k];
         const Variable *v = &model_variables[r];
         const double value = value_of(core, r);
-        const int above = fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
-        if (above && !core->s.above[k] && core->s.warnings[k] < MOST_WARNINGS) {
+        const int below = value < v->warn_below - WARNING_MARGIN * fabs(v->warn_below);
+        const int beyond = below ? -1 : fabs(value) > (1.0 + WARNING_MARGIN) * v->warn_above;
+        if (beyond && beyond != core->s.beyond[k] && core->s.warnings[k] < MOST_WARNINGS) {
             const int last = ++core->s.warnings[k] == MOST_WARNINGS;
             tell_held_inputs(core, WARNING);
-            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is above %g %s%s", v->name, value, v->unit,
-                         core->s.time, v->warn_above, v->unit, last ? "; no further warning of it follows" : "");
+            core_message(core, WARNING, "%s = %.6g %s at t = %.9g s is %s %g %s%s", v->name, value, v->unit,
+                         core->s.time, below ? "below" : "above", below ? v->warn_below : v->warn_above, v->unit,
+                         last ? "; no further warning of it follows" : "");
         }
-        core->s.above[k] = above;
+        core->s.beyond[k] = beyond;
     }
 }
 

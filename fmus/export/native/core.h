@@ -29,7 +29,7 @@ typedef struct {
     double input_derivatives[ROOM(NU)][3]; /* derivatives of order 1 to 3 that were set for the next step */
     int has_derivatives[ROOM(NU)];         /* 1 if such derivatives were set */
     int had_derivatives[ROOM(NU)];         /* 1 if they were set for the last step */
-    int above[ROOM(NWATCHED)];             /* 1 while a watched input or output is above its limit */
+    int beyond[ROOM(NWATCHED)];            /* 1 while a watched variable is above its limit, -1 while below */
     int warnings[ROOM(NWATCHED)];          /* that were logged of it */
     int initial;     /* 1 while fixed parameters may be set and the states are computed from start values */
     int start_fixed; /* 1 once the importer has the initial states: inputs no longer change them */

@@ -56,6 +56,7 @@ typedef struct {
     double nominal;
     double absolute_scale;   /* states: absolute tolerance / relative tolerance */
     double warn_above;       /* magnitude above which a warning is logged; infinite if there is no limit */
+    double warn_below;       /* value below which a warning is logged; -infinite if there is no limit */
     int rate;                /* inputs: index of the input that is the time derivative of this one, or -1 */
 } Variable;
 

@@ -68,11 +68,7 @@ class Instance:
         self.references = {v.name: v.reference for v in self.variables}
         self.ends = np.cumsum([len(group) for group in model.interface.groups]).tolist()
         self.rates = input_polynomials.rate_indices(model.interface.inputs)
-        self._watched = [
-            v
-            for v in self.variables[self.ends[0] :]
-            if v.quantity.warn_above is not None and (v.output or v.kind == "INPUT")
-        ]
+        self._watched = [v for v in self.variables[self.ends[0] :] if v.watched]
         self.reset()
 
     # ---- state machine
@@ -90,7 +86,7 @@ class Instance:
             input_derivatives=np.zeros((u.size, 3)),
             has_derivatives=np.zeros(u.size, dtype=bool),
             had_derivatives=np.zeros(u.size, dtype=bool),
-            above=np.zeros(len(self.variables), dtype=bool),
+            beyond=np.zeros(len(self.variables), dtype=int),
             warnings=np.zeros(len(self.variables), dtype=int),
             tolerance=DEFAULT_TOLERANCE,
             phase=INSTANTIATED,
@@ -264,16 +260,21 @@ class Instance:
         """A warning for each of the first excursions of a watched input or output."""
         s = self.state
         for v in self._watched:
-            value, limit, unit = self._value(v.reference), v.quantity.warn_above or 0.0, v.quantity.unit
-            above = abs(value) > (1 + WARNING_MARGIN) * limit
-            if above and not s.above[v.reference] and s.warnings[v.reference] < MOST_WARNINGS:
+            value, q, unit = self._value(v.reference), v.quantity, v.quantity.unit
+            below, beyond, limit = q.warn_below, 0, 0.0
+            if below is not None and value < below - WARNING_MARGIN * abs(below):
+                beyond, limit = -1, below
+            elif q.warn_above is not None and abs(value) > (1 + WARNING_MARGIN) * q.warn_above:
+                beyond, limit = 1, q.warn_above
+            if beyond and beyond != s.beyond[v.reference] and s.warnings[v.reference] < MOST_WARNINGS:
                 s.warnings[v.reference] += 1
                 last = s.warnings[v.reference] == MOST_WARNINGS
                 end = "; no further warning of it follows" if last else ""
+                where = "below" if beyond < 0 else "above"
                 self.warn(
-                    f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is above {limit:g} {unit}{end}"
+                    f"{v.name} = {value:.6g} {unit} at t = {s.time:.9g} s is {where} {limit:g} {unit}{end}"
                 )
-            s.above[v.reference] = above
+            s.beyond[v.reference] = beyond
 
     # ---- steps
 

@@ -29,7 +29,7 @@ class InstanceState:
     input_derivatives   derivatives of order 1 to 3 that were set for the next step, shape (n, 3)
     has_derivatives     inputs for which such derivatives were set
     had_derivatives     inputs for which they were set for the last step
-    above               watched variables that are above their limit, by value reference
+    beyond              1 for watched variables above their limit, -1 for those below, by value reference
     warnings            that were logged of each variable
     time, start_time, stop_time   [s]; stop_time is infinite if it is not defined
     tolerance           relative tolerance of the solver
@@ -46,7 +46,7 @@ class InstanceState:
     input_derivatives: Array
     has_derivatives: NDArray[np.bool_]
     had_derivatives: NDArray[np.bool_]
-    above: NDArray[np.bool_]
+    beyond: NDArray[np.int_]
     warnings: NDArray[np.int_]
     time: float = 0.0
     start_time: float = 0.0
