@@ -55,7 +55,7 @@ from orchestrator.data.recording import Recording
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
 ROUNDING = "boom_stick.valve_command_rounding"
-UNREAL = 30.0  # times the full command, or a part of it
+UNREAL = 100.0  # times the full command, or a part of it
 METER_NOISE = 4.0  # standard deviations above its dead zone in which a meter may still read nothing
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
 
