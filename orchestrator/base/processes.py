@@ -1,13 +1,18 @@
-"""The cores of this computer, and a function like `map` whose work is done in several processes."""
+"""Cores and memory of this computer: work in several processes, refusal of results that cannot fit."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+import shutil
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
+
+from orchestrator.base.errors import Problem
+
+NUMBER = 8  # bytes of a float64; a CSV file has up to 24 characters for it, and rarely less than 8
 
 
 def available_cores() -> int:
@@ -27,6 +32,30 @@ def mapping(processes: int) -> Iterator[Callable[..., Iterable[Any]]]:
     if processes < 2:
         yield map
         return
+    import multiprocessing  # on first use, because a child process of `check` must start fast
+
     context = multiprocessing.get_context("spawn")  # the same on all systems
     with context.Pool(processes, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
         yield pool.imap
+
+
+def machine_memory() -> float:
+    """Memory of this machine [bytes]; infinite if unknown."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, OSError, ValueError):
+        return float("inf")
+
+
+def size_text(rows: int, signals: int) -> str:
+    """How much the rows of a trace are, in words."""
+    return f"{rows:.3g} points of {signals} signals, {NUMBER * rows * (signals + 1) / 1e9:.2g} GB"
+
+
+def check_room(rows: int, signals: int, folder: Path | None = None) -> None:
+    """Refuse rows that do not fit on the disk of a folder, or into memory if there is none."""
+    free = shutil.disk_usage(folder).free if folder else machine_memory()
+    if NUMBER * rows * (signals + 1) > free:
+        where = f"on the disk of {folder}" if folder else "into memory"
+        advice = "choose a longer record step or stop earlier"
+        raise Problem(f"{size_text(rows, signals)}, do not fit {where}, {free / 1e9:.2g} GB; {advice}")

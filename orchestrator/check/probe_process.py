@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from orchestrator.base.room import machine_memory
+from orchestrator.base.processes import machine_memory
 from orchestrator.fmi.raw_description import ModelDescription
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
 from orchestrator.base.files import Location, csv_header
-from orchestrator.base.room import check_room
+from orchestrator.base.processes import check_room
 from orchestrator.data.matlab import read_variables
 from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, check_suffix, read_trace

@@ -14,7 +14,7 @@ from typing import Literal
 from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.room import machine_memory
+from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.data.trace_writer import PointSink, TraceSink
 from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library

@@ -27,8 +27,8 @@ from orchestrator.base.options import (
     declarations,
     documented,
 )
+from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
-from orchestrator.base.room import size_text
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink

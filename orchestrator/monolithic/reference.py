@@ -31,7 +31,7 @@ from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.options import ReferenceArguments, chosen, documented
-from orchestrator.base.room import check_room
+from orchestrator.base.processes import check_room
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import Card, Result
 from orchestrator.engine.run import ProgressBar, ScenarioSource, opened, prepare, run

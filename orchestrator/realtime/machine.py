@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.room import machine_memory
+from orchestrator.base.processes import machine_memory
 from orchestrator.data.trace import Trace
 from orchestrator.realtime.deadlines import latency_quantile, speed_factor
 from orchestrator.realtime.setup import Array, Frame, Setup, Task, Timing

@@ -17,7 +17,7 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.room import machine_memory
+from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.lanes.one_by_one import with_originals
 from orchestrator.studies.cases import Unit

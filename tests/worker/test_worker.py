@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from kit.wait import LONG, runs, until
 
-from orchestrator.base.room import machine_memory
+from orchestrator.base.processes import machine_memory
 from orchestrator.worker.activity import ActivityRecord
 from orchestrator.worker.process import CLOSED, GARBLED, Worker, WorkerLimits
 

@@ -16,7 +16,7 @@ from zoo.faulty import CASES, CAUSES, HANGS, MEMORY, Faulty, faulty
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="faults and signals of POSIX")
 TIMEOUT = 1.0  # [s] for one call of an FMU that hangs; others may leak or print for a while
 # the limit is a quarter of the machine's memory
-LIMITS = f"import orchestrator.base.room as p; p.machine_memory = lambda: 4 * {MEMORY}e9"
+LIMITS = f"import orchestrator.base.processes as p; p.machine_memory = lambda: 4 * {MEMORY}e9"
 
 
 def _check(folder: Path, fmu: Faulty) -> None:
