@@ -8,6 +8,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 
+import numpy as np
+
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
@@ -37,7 +39,9 @@ FREE = (
 )
 PRIOR_SD = 0.3  # relative, of a value that was not measured: the scatter of the literature
 COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
-SMOOTHING = {"supply_pressure": 20.0}  # s, less if it would remove more than the noise of the sensor
+# s, less if it would remove more than the noise of the sensor
+SMOOTHING = {"supply_pressure": 20.0, "tank_pressure": 20.0}
+RETURN = INPUTS["tank_pressure"][0]
 
 
 def nominal() -> dict[str, Number]:
@@ -189,13 +193,24 @@ def _measured_outputs(recordings: Sequence[Recording]) -> tuple[str, ...]:
     return measured
 
 
+def with_return_line(recording: Recording) -> Recording:
+    """The recording, with the stated pressure of the return line as a signal if it was not measured."""
+    if RETURN in recording.signals or "tank_pressure" not in recording.conditions:
+        return recording
+    stated = np.full(recording.time.size, recording.numeric_condition("tank_pressure"))
+    signals, units = {**recording.signals, RETURN: stated}, {**recording.units, RETURN: "Pa"}
+    return replace(recording, signals=signals, units=units)
+
+
 def assumptions(recordings: Sequence[Recording]) -> list[str]:
-    """Sentences on inputs that are not measured and therefore constant."""
-    supply, constant = signal_names()["supply_pressure"], values(HARVESTER).u["supply_pressure"]
+    """Sentences on inputs that are neither measured nor stated and therefore constant."""
+    usual = values(HARVESTER).u
+    lines = {INPUTS[f"{line}_pressure"][0]: (line, usual[f"{line}_pressure"]) for line in ("supply", "tank")}
     return [
-        f"{r.source.name}: the supply pressure is not measured, assumed constant at {constant / 1e5:g} bar"
+        f"{r.source.name}: the {line} pressure is not measured, assumed constant at {constant / 1e5:g} bar"
         for r in recordings
-        if supply not in r.signals
+        for signal, (line, constant) in lines.items()
+        if signal not in r.signals
     ]
 
 

@@ -124,7 +124,8 @@ def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str,
     commands = {f"harvester build --parameters {out}": "FMUs with these parameters"}
     held_out = [r for r in identified.recordings if r.procedure == MACHINE and r.use == "test"]
     for recording in held_out[:1]:
-        supply = ' --play "*.supply_pressure"' if "swing.supply_pressure" in recording.signals else ""
-        command = f"harvester validate --reference {folder / recording.source.name}{supply}"
+        lines = [n for n in ("supply", "tank") if f"swing.{n}_pressure" in recording.signals]
+        play = "".join(f' --play "*.{line}_pressure"' for line in lines)
+        command = f"harvester validate --reference {folder / recording.source.name}{play}"
         commands[command] = "Validation of these FMUs against the held-out recording"
     return commands

@@ -134,7 +134,8 @@ def identify(
     check_units([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
     for remark in remarks:
         report(remark)
-    identified = Identified(recordings, dict(parameters or nominal()))
+    stated = [machine.with_return_line(r) if r.procedure == MACHINE else r for r in recordings]
+    identified = Identified(stated, dict(parameters or nominal()))
     try:
         _run_procedures(identified, procedures, inertial, report, show, activity)
         if joint and MACHINE in procedures:

@@ -18,7 +18,7 @@ from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
 from fmus.machine.work_cycle import COMMANDS, RATE, WORK_CYCLE, WORK_CYCLE_STOP, Move, sample
 from fmus.monolith import Monolith, join, simulate
 from fmus.rig.benches import EDGES, TOLERANCE, detailed, locked_motor, stick_hose, valve
-from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, Experiment, Instrument
+from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, RETURN, Experiment, Instrument
 from orchestrator.base.errors import Problem
 from orchestrator.data.description import Condition
 
@@ -307,6 +307,7 @@ def simulate_machine(
 
 INSTRUMENTS: Mapping[str, Instrument] = {
     **dict.fromkeys(("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"), COMMAND),
+    "swing.tank_pressure": RETURN,
     **dict.fromkeys(("swing.supply_pressure", "swing.swing_pressure_a", "swing.swing_pressure_b"), PRESSURE),
     **{
         f"boom_stick.{joint}_{side}_pressure": PRESSURE

@@ -29,8 +29,8 @@ DIGITS = 12  # significant digits: readings are exact to the resolution of each 
 DATE = date(2026, 11, 20)  # date of the last change of rig or model that changes recordings
 CHANGE = "first version"  # reason of that change
 LIMITS = {"angle": 0.01, "pressure": 0.1}  # NRMSE by group, for `harvester validate` on test recordings
-# signal -> other signals with the same sensor: one line supplies both drives
-SHARED = {"swing.supply_pressure": ("boom_stick.supply_pressure",)}
+# signal -> other signals with the same sensor: both drives have the same supply and return line
+SHARED = {f"swing.{line}_pressure": (f"boom_stick.{line}_pressure",) for line in ("supply", "tank")}
 SECONDS = {"lumped": 30, "detailed": 180}  # machine -> computing time of all experiments [s], roughly
 MANY = 4  # experiments that are worth the start of a process
 README = "README.md"
@@ -189,7 +189,7 @@ def _signal(instrument: Instrument, group: str) -> SignalDescription:
 
 
 def _group(signal: str) -> str:
-    """The group of a signal: the supply, which is an input of the model, or its physical quantity."""
+    """The group of a signal: the supply, whose lines are inputs of the model, or its physical quantity."""
     words = signal.partition(".")[2].split("_")
     quantity = next(w for w in reversed(words) if w in ("command", "pressure", "angle", "flow"))
-    return "supply" if words[0] == "supply" else quantity
+    return "supply" if words[0] in ("supply", "tank") else quantity

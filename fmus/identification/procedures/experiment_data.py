@@ -93,7 +93,9 @@ def parameter_value(parameters: Mapping[str, Number], name: str) -> float:
 
 
 def tank_pressure(recording: Recording) -> float:
-    """Gauge pressure of the tank [Pa], 0 if it is not recorded."""
+    """Gauge pressure of the return line [Pa]: mean of its signal, or the stated one, or 0."""
+    if "swing.tank_pressure" in recording.signals:
+        return float(np.nanmean(recording["swing.tank_pressure"]))
     return recording.numeric_condition("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
 
 

@@ -49,7 +49,7 @@ SMALL = 1e-3  # rms residual over the range of a signal below which it needs no 
 
 def candidate_effects(excitation: Excitation) -> dict[str, Mapping[str, str]]:
     """Effects that may explain a residual; a measured supply pressure includes those of the supply."""
-    measured = excitation.supply_pressure is not None
+    measured = "supply_pressure" in excitation.lines
     return {name: variants for name, variants in EFFECTS.items() if not (measured and "supply" in variants)}
 
 

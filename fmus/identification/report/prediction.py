@@ -1,7 +1,7 @@
 """Prediction of a recording: the machine simulated with its commands, parameter values and variants."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from orchestrator.data.recording import Recording, fill_gaps
 from orchestrator.data.table import Array
 
 Signals = Mapping[str, Array]
-SUPPLY = "swing.supply_pressure"
+LINES = ("supply_pressure", "tank_pressure")  # inputs of the machine that a recording may have measured
 REST = 0.5  # s at the beginning of a recording, over which the initial pose is averaged
-SMOOTHING = 0.05  # s, filter against the noise of the supply pressure; the pumps are slower
-SUPPLY_TOLERANCE = 5e4  # Pa, error of the supply pressure that changes flows by 0.1 %
+SMOOTHING = 0.05  # s, filter against the noise of the pressures of the lines; the pumps are slower
+LINE_TOLERANCE = 5e4  # Pa, error of the supply pressure that changes flows by 0.1 %
 COMMAND_TOLERANCE = 1e-4  # V, error of a command that changes the opening of a valve by 0.001 %
 TOLERANCE = 1e-8  # of CVODES, far below the resolution of sensors; dry friction requires it
 
@@ -28,13 +28,13 @@ TOLERANCE = 1e-8  # of CVODES, far below the resolution of sensors; dry friction
 class Excitation:
     """Inputs of the machine: commands [V] (n,) over time (n,) [s], and the initial pose [rad].
 
-    supply_pressure   samples (n,) [Pa], or None for the constant value of the parameter file
+    lines   measured pressures of supply and return line (n,) [Pa]; the others have their constant value
     """
 
     time: Array
     commands: Mapping[str, Array]
     pose: Mapping[str, float]
-    supply_pressure: Array | None = None
+    lines: Mapping[str, Array] = field(default_factory=dict)
 
 
 def excitation(recording: Recording) -> Excitation:
@@ -42,7 +42,8 @@ def excitation(recording: Recording) -> Excitation:
     pose = {joint: _initial_mean(recording, f"manipulator.{joint}_angle") for joint in JOINTS}
     samples = np.column_stack([fill_gaps(recording, signal) for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, simplify(recording.time, samples).T, strict=True))
-    return Excitation(recording.time, commands, pose, _supply_pressure(recording))
+    lines = {name: signal for name in LINES if (signal := f"swing.{name}") in recording.signals}
+    return Excitation(recording.time, commands, pose, {n: _smooth(recording, s) for n, s in lines.items()})
 
 
 def _initial_mean(recording: Recording, name: str) -> float:
@@ -54,15 +55,13 @@ def _initial_mean(recording: Recording, name: str) -> float:
     return float(valid.mean())
 
 
-def _supply_pressure(recording: Recording) -> Array | None:
-    """The measured supply pressure, smoothed, or None."""
-    if SUPPLY not in recording.signals:
-        return None
+def _smooth(recording: Recording, signal: str) -> Array:
+    """The measured pressure of a line, smoothed."""
     time = recording.time
-    smooth = filter_for(recording, SMOOTHING).apply(fill_gaps(recording, SUPPLY))
+    smooth = filter_for(recording, SMOOTHING).apply(fill_gaps(recording, signal))
     valid = np.isfinite(smooth)
     smooth = np.interp(time, time[valid], smooth[valid])
-    return simplify(time, smooth[:, None], SUPPLY_TOLERANCE)[:, 0]
+    return simplify(time, smooth[:, None], LINE_TOLERANCE)[:, 0]
 
 
 def simplify(time: Array, samples: Array, tolerance: float = COMMAND_TOLERANCE) -> Array:
@@ -101,11 +100,9 @@ def predict(
     replaced = _with_values(defaults, {**parameters, **pose}, allow_unused=bool(variants))
     model = join(machine, wires, inputs, replaced)
     u = np.tile(model.u, (excitation.time.size, 1))
-    samples_of = {**excitation.commands}
-    if excitation.supply_pressure is not None and "supply_pressure" in model.inputs:
-        samples_of["supply_pressure"] = excitation.supply_pressure
-    for name, samples in samples_of.items():
-        u[:, model.inputs.index(name)] = samples
+    for name, samples in {**excitation.commands, **excitation.lines}.items():
+        if name in model.inputs:  # a variant with a supply computes the pressures of its lines
+            u[:, model.inputs.index(name)] = samples
     try:
         _, y = simulate(model, excitation.time, u, tolerance=TOLERANCE)
     except RuntimeError as error:

@@ -84,7 +84,7 @@ def test_a_recording_gives_the_excitation():
     # measurement noise: mean of 100 samples, five standard deviations
     assert found.pose == pytest.approx(POSE, abs=5e-5)
     # the lines through the smoothed pressure may be 0.5 bar off
-    np.testing.assert_allclose(found.supply_pressure, 2e7, atol=6e4)
+    np.testing.assert_allclose(found.lines["supply_pressure"], 2e7, atol=6e4)
 
 
 def test_gaps_of_a_command_are_filled_or_refused():
@@ -110,7 +110,7 @@ def test_gaps_of_a_command_are_filled_or_refused():
 
 def test_a_measured_supply_pressure_drives_the_machine(usual):
     """A weak supply moves the boom more slowly; pump and engine are then not among the effects."""
-    weak = replace(boom_motion(), supply_pressure=np.full(boom_motion().time.size, 8e6))
+    weak = replace(boom_motion(), lines={"supply_pressure": np.full(boom_motion().time.size, 8e6)})
     assert np.ptp(predict(weak, {})["manipulator.boom_angle"]) < 0.8 * usual
     assert set(candidate_effects(boom_motion())) - set(candidate_effects(weak)) == {"pump and engine"}
 
