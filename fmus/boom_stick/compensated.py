@@ -201,7 +201,8 @@ class CompensatedDrive:
         return load_sensing.load_pressure(
             *(self.u.command, self.u.command_rate),
             *(self.section.dead_bands(), self.section.valve.full_command),
-            *(self.x.pair("valve_pressure"), rates.pair("valve_pressure"), self.u.tank_pressure),
+            *(self.x.pair("valve_pressure"), rates.pair("valve_pressure")),
+            (self.u.tank_pressure, self.u.tank_pressure_rate),
         )
 
     def observe(self) -> dict[str, Any]:

@@ -47,13 +47,15 @@ class CylinderDrive:
 class DriveInterface:
     """Inputs of a drive.
 
-    Command [V] and its rate, supply and tank pressure [Pa], piston position [m] and velocity [m/s].
+    Command [V] and its rate, supply and tank pressure [Pa], rate of the latter, piston position [m] and
+    velocity [m/s].
     """
 
     command: Scalar
     command_rate: Scalar
     supply_pressure: Scalar
     tank_pressure: Scalar
+    tank_pressure_rate: Scalar
     position: Scalar
     velocity: Scalar
 
@@ -76,7 +78,7 @@ def drives(p: Any, hose: Any = LumpedHose.of) -> tuple[CylinderDrive, CylinderDr
 
 def interfaces(u: BoomStickInputs) -> tuple[DriveInterface, DriveInterface]:
     """Inputs of the boom drive and of the stick drive."""
-    line_pressures = (u.supply_pressure, u.tank_pressure)
+    line_pressures = (u.supply_pressure, u.tank_pressure, u.tank_pressure_rate)
     return (
         DriveInterface(
             u.boom_command, u.boom_command_rate, *line_pressures, u.boom_position, u.boom_velocity
@@ -200,7 +202,8 @@ def _load_pressure(
     bands = opening_curve.meter_in_dead_bands(d.curves, d.valve.dead_band, d.valve.dead_band)
     curve = (bands, d.valve.full_command)
     return load_sensing.load_pressure(
-        u.command, u.command_rate, *curve, pressures, pressure_rates, u.tank_pressure
+        *(u.command, u.command_rate, *curve, pressures, pressure_rates),
+        (u.tank_pressure, u.tank_pressure_rate),
     )
 
 

@@ -61,7 +61,7 @@ def load_pressure(
     full: Scalar,
     pressures: tuple[Scalar, Scalar],
     pressure_rates: tuple[Scalar, Scalar],
-    tank: Scalar,
+    line: tuple[Scalar, Scalar],
 ) -> LoadPressure:
     """Load pressure of a section.
 
@@ -69,14 +69,15 @@ def load_pressure(
     dead_bands    of the edges P-A and P-B, in the unit of the command
     full          command at which the valve is fully open
     pressures     of the chambers at A and B [Pa], and their rates [Pa/s]
-    tank          pressure of the return line [Pa]
+    line          pressure of the return line [Pa] and its rate [Pa/s]
     """
-    value, rate = tank, ca.SX(0)
+    tank, tank_rate = line
+    value, rate = tank, tank_rate
     for sign, d, p, p_rate in zip((1, -1), dead_bands, pressures, pressure_rates, strict=True):
         least = ca.fmax(d, LEAST_DEAD_BAND * full)
         weight, weight_rate = _connected(sign * command, sign * command_rate, least)
         value += weight * (p - tank)
-        rate += weight * p_rate + weight_rate * (p - tank)
+        rate += weight * (p_rate - tank_rate) + weight_rate * (p - tank)
     return LoadPressure(value, rate)
 
 

@@ -68,7 +68,11 @@ def supply_line() -> Terminal:
 
 def return_line() -> Terminal:
     """Return line at the valves of a drive."""
-    members = (Member("pressure", "tank_pressure"), Member("flow", "return_flow", "out"))
+    members = (
+        Member("pressure", "tank_pressure"),
+        Member("pressure_rate", "tank_pressure_rate"),
+        Member("flow", "return_flow", "out"),
+    )
     return Terminal("return_line", "line", "Return line: pressure, and flow out of the drive", members)
 
 
@@ -105,5 +109,9 @@ def supply_line_to(drive: str) -> Terminal:
 
 def return_line_from(drive: str) -> Terminal:
     """Return line at the tank, for one of the drives; connects to `return_line`."""
-    members = (Member("pressure", "tank_pressure"), Member("flow", f"return_flow_{drive}", "in"))
+    members = (
+        Member("pressure", "tank_pressure"),
+        Member("pressure_rate", "tank_pressure_rate"),
+        Member("flow", f"return_flow_{drive}", "in"),
+    )
     return Terminal(f"return_line_{drive}", "line", f"Return line from {drive}", members)

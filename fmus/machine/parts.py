@@ -101,7 +101,7 @@ SUPPLY_WIRES: Connections = (
         (f"supply.{v}", f"{d}.{v}")
         for d in DRIVES
         for v in (
-            *("supply_pressure", "supply_pressure_rate", "tank_pressure"),
+            *("supply_pressure", "supply_pressure_rate", "tank_pressure", "tank_pressure_rate"),
             *("load_sensing_pressure", "load_sensing_pressure_rate"),
         )
     ),
@@ -119,6 +119,7 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
     "supply_pressure": ("swing.supply_pressure", "boom_stick.supply_pressure"),
     "supply_pressure_rate": ("swing.supply_pressure_rate", "boom_stick.supply_pressure_rate"),
     "tank_pressure": ("swing.tank_pressure", "boom_stick.tank_pressure"),
+    "tank_pressure_rate": ("swing.tank_pressure_rate", "boom_stick.tank_pressure_rate"),
     "load_sensing_pressure": ("swing.load_sensing_pressure", "boom_stick.load_sensing_pressure"),
     "load_sensing_pressure_rate": (
         "swing.load_sensing_pressure_rate",

@@ -151,12 +151,13 @@ def dynamics(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> En
 
 def observe(x: EnginePumpState, u: SupplyInputs, p: EnginePumpParameters) -> EnginePumpOutputs:
     """Outputs."""
-    a, b = _outlets(x, p)
+    (a, b), rates = _outlets(x, p), dynamics(x, u, p)
     supplied, returned = supply_flow(u), return_flow(u)
     load = line_pressure(u, p, ca.fmax(p.pump_1_pressure_setting, p.pump_2_pressure_setting))
     return EnginePumpOutputs(
         **vars(x),
-        supply_pressure_rate=dynamics(x, u, p).supply_pressure,
+        supply_pressure_rate=rates.supply_pressure,
+        tank_pressure_rate=rates.tank_pressure,
         load_sensing_pressure=load.value,
         load_sensing_pressure_rate=load.rate,
         supply_flow=supplied,

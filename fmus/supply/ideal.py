@@ -48,6 +48,7 @@ def observe(x: IdealState, u: SupplyInputs, p: IdealParameters) -> SupplyOutputs
         supply_pressure=p.pressure_setting,
         supply_pressure_rate=0,
         tank_pressure=p.reservoir_pressure,
+        tank_pressure_rate=0,
         load_sensing_pressure=load.value,
         load_sensing_pressure_rate=load.rate,
         supply_flow=supplied,

@@ -194,6 +194,7 @@ def observe(x: LoadSensingState, u: SupplyInputs, p: LoadSensingParameters) -> L
     return LoadSensingOutputs(
         **vars(x),
         supply_pressure_rate=rates.supply_pressure,
+        tank_pressure_rate=rates.tank_pressure,
         load_sensing_pressure_rate=rates.load_sensing_pressure,
         supply_flow=supplied,
         return_flow=returned,

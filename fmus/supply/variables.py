@@ -64,6 +64,7 @@ class SupplyOutputs(Group):
         "Pa/s", "Rate port: exact time derivative of supply_pressure", 1e8
     )
     tank_pressure: Scalar = Quantity("Pa", "Pressure of the return lines", 1e5)
+    tank_pressure_rate: Scalar = Quantity("Pa/s", "Rate port: exact time derivative of tank_pressure", 1e7)
     load_sensing_pressure: Scalar = Quantity("Pa", "Pressure of the load-sensing line", 1e7)
     load_sensing_pressure_rate: Scalar = Quantity(
         "Pa/s", "Rate port: exact time derivative of load_sensing_pressure", 1e8

@@ -89,7 +89,8 @@ def load_pressure(
     command = (u.swing_command, u.swing_command_rate)
     bands = opening_curve.meter_in_dead_bands(curves, p.valve_dead_band, p.valve_dead_band)
     curve = (bands, p.valve_full_command)
-    return load_sensing.load_pressure(*command, *curve, pressures, rates, u.tank_pressure)
+    line = (u.tank_pressure, u.tank_pressure_rate)
+    return load_sensing.load_pressure(*command, *curve, pressures, rates, line)
 
 
 def require_tables(x: object, u: object, p: Any) -> dict[str, Scalar]:

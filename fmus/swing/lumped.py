@@ -56,9 +56,9 @@ def observe(x: SwingState, u: SwingInputs, p: SwingParameters) -> SwingOutputs:
         (x.swing_flow_a, x.swing_flow_b),
     )
     nodes = _motor((*pressures, u.tank_pressure), u.swing_speed, p)
-    rates = _motor((dx.swing_pressure_a, dx.swing_pressure_b, 0), u.swing_acceleration, p)
-    line_rates, curves = (dx.swing_pressure_a, dx.swing_pressure_b), OpeningCurves.of(p, "valve")
-    load = drive.load_pressure(p, u, pressures, line_rates, curves)
+    line_rates = (dx.swing_pressure_a, dx.swing_pressure_b)
+    rates = _motor((*line_rates, u.tank_pressure_rate), u.swing_acceleration, p)
+    load = drive.load_pressure(p, u, pressures, line_rates, OpeningCurves.of(p, "valve"))
     outputs = drive.observe(
         p, u, pressures, flows, _ports(x, u, p), nodes, (rates.pressure_1, rates.pressure_2), load
     )

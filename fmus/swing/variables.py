@@ -101,7 +101,10 @@ class SwingInputs(Group):
     supply_pressure_rate: Scalar = Quantity(
         "Pa/s", "Rate port: time derivative of supply_pressure, may stay unconnected", 1e8
     )
-    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5)
+    tank_pressure: Scalar = Quantity("Pa", "Pressure of the return line", 1e5, rate="tank_pressure_rate")
+    tank_pressure_rate: Scalar = Quantity(
+        "Pa/s", "Rate port: time derivative of tank_pressure, may stay unconnected", 1e7
+    )
     load_sensing_pressure: Scalar = Quantity(
         "Pa",
         "Pressure of the load-sensing line, only used by compensated drives",

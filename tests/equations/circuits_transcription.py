@@ -63,15 +63,15 @@ def connected(p: Group, command: float) -> tuple[float, float]:
 
 
 def load(
-    p: Group, command: float, command_rate: float, pressures: tuple, rates: tuple, tank: float
+    p: Group, command: float, command_rate: float, pressures: tuple, rates: tuple, tank: tuple[float, float]
 ) -> tuple[float, float]:
     """P_load of section 5.4 and its rate, by the rules of sum and product."""
-    value, rate = tank, 0.0
+    (tank, moving), (value, rate) = tank, tank
     for sign, edge, pressure, dp in zip((1, -1), ("pa", "pb"), pressures, rates, strict=True):
         slope = 2 * sign / dead_band(p, edge)
         z = slope * command - 1
         value += step(z) * (pressure - tank)
-        rate += step(z) * dp + step_slope(z) * slope * command_rate * (pressure - tank)
+        rate += step(z) * (dp - moving) + step_slope(z) * slope * command_rate * (pressure - tank)
     return value, rate
 
 
@@ -137,6 +137,7 @@ def relief(p: Group, name: str, drop: float) -> float:
 def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     """Rates and observables of the compensated swing, sections 4.5, 4.6, 4.8 to 4.10."""
     p, tank = warmed(Group(**p_)), u["tank_pressure"]
+    sump = tank, u["tank_pressure_rate"]
     a, b, torque, q = (x[f"swing_{n}"] for n in ("pressure_a", "pressure_b", "brake_torque", "brake_applied"))
     areas = (p.swing_return_area, p.swing_return_area)
     (in_a, out_a), (in_b, out_b) = section(
@@ -161,7 +162,7 @@ def swing(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
         "swing_brake_torque": p.brake_stiffness * (w - slip),
         "swing_brake_applied": (1 - free) * (1 - q) / p.brake_apply_time - free * q / p.brake_release_time,
     }
-    value, rate = load(p, u["swing_command"], u["swing_command_rate"], (a, b), (da, db), tank)
+    value, rate = load(p, u["swing_command"], u["swing_command_rate"], (a, b), (da, db), sump)
     return rates, {
         "swing_torque": d * (a - b) - torque,
         "swing_torque_rate": d * (da - db) - rates["swing_brake_torque"],
@@ -197,6 +198,7 @@ def at_rest(p: Group, ratio: float, chamber: float, pilot: float, line: float, t
 def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     """Rates and observables of both cylinders, sections 4.6 to 4.8 and 4.10."""
     p, tank = warmed(Group(**p_)), u["tank_pressure"]
+    sump = tank, u["tank_pressure_rate"]
     p_, rates = vars(p), {}
     y = {"supply_flow": 0.0, "return_flow": 0.0}
     loads = []
@@ -227,7 +229,7 @@ def boom_stick(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
             y[f"{axis}_{side}_flow"] = q
             y["supply_flow"] += q_in
             y["return_flow"] += q_out + out - back
-        loads.append(load(p, command, command_rate, lines, tuple(slopes), tank))
+        loads.append(load(p, command, command_rate, lines, tuple(slopes), sump))
         y[f"{axis}_force"] = head * at.head_pressure - rod * at.rod_pressure
         y[f"{axis}_force_rate"] = head * rates[f"{axis}_head_pressure"] - rod * rates[f"{axis}_rod_pressure"]
     y["boom_stick_load_pressure"], y["boom_stick_load_pressure_rate"] = higher(*loads)
@@ -299,6 +301,7 @@ def supply(p_: Numbers, x: Numbers, u: Numbers) -> tuple[Rates, Rates]:
     }
     return rates, {
         "supply_pressure_rate": rates["supply_pressure"],
+        "tank_pressure_rate": rates["tank_pressure"],
         "load_sensing_pressure_rate": rates["load_sensing_pressure"],
         "pump_flow": q,
         "relief_flow": blown,

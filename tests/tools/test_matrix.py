@@ -130,7 +130,7 @@ def wires_of(content: bytes) -> list[tuple[str, str]]:
 
 
 def test_open_rate_ports_lose_their_wires_and_no_other_does(tmp_path):
-    """26 of 41 wires stay, and so do the other files."""
+    """26 of 43 wires stay, and so do the other files."""
     system = tmp_path / "a.ssp"
     with zipfile.ZipFile(system, "w") as archive:
         archive.writestr("SystemStructure.ssd", structure(systems.WIRES))
@@ -138,13 +138,13 @@ def test_open_rate_ports_lose_their_wires_and_no_other_does(tmp_path):
     with zipfile.ZipFile(systems.held(system, tmp_path)) as archive:
         left = wires_of(archive.read("SystemStructure.ssd"))
         assert archive.read("resources/swing.fmu") == b"swing"
-    assert (len(systems.WIRES), len(left)) == (41, 26)
+    assert (len(systems.WIRES), len(left)) == (43, 26)
     assert left == list(systems.OPEN_WIRES)
 
 
 def test_a_system_with_other_rate_ports_than_the_machine_is_refused():
     """Nobody would know what its row is about."""
-    with pytest.raises(ValueError, match="14 connections to rate ports, expected 15"):
+    with pytest.raises(ValueError, match="16 connections to rate ports, expected 17"):
         systems.without_rates(structure(w for w in systems.WIRES if not w[1].endswith("boom_acceleration")))
 
 

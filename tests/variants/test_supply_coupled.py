@@ -64,8 +64,8 @@ def test_co_simulation_at_1_ms_agrees_with_the_monolith(system, reference, maste
     wires = system.without(*(f"*.{name}" for name in cut)) if cut else system
     trace = run(wires, master=master, step=1e-3, stop=STOP, swap={"supply": variant}).trace
     # measured: 2e-4 and 3e-4, the error of the coupling at 1 ms; a load-sensing pressure moves more, 2.02e-4
-    # of the range of the stick, which the preloaded return line makes smaller; without the rate of that
-    # pressure the drives see it half a step late: 4e-4
+    # of the range of the stick, which the preloaded return line makes smaller (its rate port changes that in
+    # the third digit); without the rate of the supply pressure the drives see it half a step late: 4e-4
     speed = (5e-4 if cut else 2.1e-4) if variant == "load_sensing" else 2e-4
     limits = {f"manipulator.{j}_speed": speed for j in JOINTS}
     for name, limit in (limits | {"supply.supply_pressure": 1e-3, "supply.engine_speed": 1e-3}).items():
