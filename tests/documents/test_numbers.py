@@ -1,10 +1,13 @@
 """Numbers in sentences of README and docs are those of the command, script or table that computes them."""
 
 import json
+import math
 import re
 import runpy
 from pathlib import Path
 
+import numpy as np
+import pytest
 from kit import shards
 
 from benchmarks import held_out
@@ -75,6 +78,34 @@ def test_the_equations_tell_the_numbers_of_the_opening_curve(monkeypatch, tmp_pa
     )
     error = max(abs(1 - float(value)) for value in ratio.groups())
     assert [round(100 * error)] == told("docs/equations.md", r"errs by up to (\d+) %")
+
+
+def rows(page, head):
+    """The numbers of the table with this head, row by row."""
+    table = (ROOT / page).read_text(encoding="utf-8").split(f"\n{head}\n")[1].split("\n\n")[0].splitlines()
+    return [[float(cell) for cell in re.findall(r"[-\d.]+(?=[\s|,°])", row)] for row in table[1:]]
+
+
+def test_the_equations_tell_the_viscosity_and_the_efficiency_of_a_pump():
+    """Walther's law through both points of the grade; docs/pump_efficiency.py."""
+    viscosity, ratio = rows("docs/equations.md", "|°C|-20|0|20|40|60|80|")
+
+    def walther(celsius):
+        logs = [math.log10(math.log10(nu + 0.7)) for nu in (46.0, 6.8)]
+        slope = (logs[1] - logs[0]) / math.log10(373.15 / 313.15)
+        return 10**10 ** (logs[0] + slope * math.log10((celsius + 273.15) / 313.15)) - 0.7
+
+    usual = walther(60)
+    for celsius, nu, m in zip(range(-20, 81, 20), viscosity, ratio, strict=True):
+        assert nu == pytest.approx(walther(celsius), rel=5e-3)  # three digits
+        density = 1 / (1 + 7e-4 * (celsius - 60))
+        assert m == pytest.approx(walther(celsius) / usual * density, rel=5e-3)
+    script = runpy.run_path(str(ROOT / "docs/pump_efficiency.py"))
+    for celsius, bar, stroke, *shown in rows(
+        "docs/equations.md", "|oil, pressure, stroke|model|measured pump|"
+    ):
+        point = (np.array([bar * 1e5]), np.array([stroke]), celsius)
+        assert shown == pytest.approx([script[n](*point)[0] for n in ("ours", "measured")], abs=5.1e-4)
 
 
 @shards.documents
