@@ -413,7 +413,7 @@ void linear_system_respond(const LinearSystem *, const double *w, double *respon
 
 /* error_propagation.c */
 int error_begin(Simulation *);
-int error_propagate(Simulation *, double h);
+EXPORT int32_t error_propagate(Simulation *, double h);
 EXPORT void error_advance(ErrorPropagation *, double h);
 
 /* coupling_input.c */
