@@ -25,6 +25,7 @@ package HarvesterExamples "The FMUs of harvester-cosim in Modelica; README.md ha
       machine.supply_pressure = 20.684e6 "Pa";
       machine.supply_pressure_rate = 0 "Pa/s";
       machine.tank_pressure = 0 "Pa";
+      machine.tank_pressure_rate = 0 "Pa/s";
       machine.load_sensing_pressure = 0 "Pa";
       machine.load_sensing_pressure_rate = 0 "Pa/s";
       annotation(experiment(StopTime = 42, Interval = 0.02, Tolerance = 1e-8));

@@ -8,6 +8,7 @@ package Tested "The machine under sources and controllers of the Modelica Standa
     machine.supply_pressure = 20.684e6;
     machine.supply_pressure_rate = 0;
     machine.tank_pressure = 0;
+    machine.tank_pressure_rate = 0;
     machine.load_sensing_pressure = 0;
     machine.load_sensing_pressure_rate = 0;
     machine.payload_mass = 0;
