@@ -28,6 +28,7 @@ from orchestrator.base.text import TextTable, display_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
+AT_ZERO = 6.0  # standard deviations, which noise exceeds once in 5e8 samples
 # SI unit -> plausible range of the largest magnitude in a recording
 PLAUSIBLE: Mapping[str, tuple[float, float]] = {
     "Pa": (1e4, 1e8),  # a tenth of a bar; burst pressure of a hose
@@ -255,7 +256,8 @@ class SignalQuality:
             yield f"{self.name}: {self.stuck} stuck at one value, without the noise of the sensor; not used."
         largest = max(abs(self.lowest), abs(self.highest))
         low, high = PLAUSIBLE.get(self.unit, (0.0, math.inf))
-        if largest > 0 and not low <= largest <= high:
+        # what is zero up to the noise of its sensor tells nothing about its unit
+        if largest > AT_ZERO * self.sensor.sd and not low <= largest <= high:
             limits = f"{self._display(low)} to" if low else "up to"
             yield (
                 f"{self.name}: from {self._display(self.lowest)} to {self._display(self.highest)},"

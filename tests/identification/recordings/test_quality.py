@@ -188,13 +188,14 @@ def test_step_is_estimated_exactly_and_only_if_there_is_one():
 @table(__file__, "units", "unit, factor, limits")
 def test_an_implausible_unit_has_a_remark(clean, unit, factor, limits):
     """A remark on 150 of a quantity that is never that large or small; none on the right unit and on zero."""
-    made = replace(clean, units={**clean.units, "pressure": unit})
+    made = replace(clean, units={**clean.units, "pressure": unit}, sensors={})
     texts = remarks_on(plant(made, "pressure", factor * clean["pressure"], slice(None)), "pressure")
     (text,) = [text for text in texts if "is its unit right?" in text]
     assert limits in text
     usual = {"Pa": 1e5, "V": 0.05, "rad": 0.01, "m3/s": 1e-5}[unit]
-    for scale in (usual, 0.0):
-        made = plant(made, "pressure", scale * clean["pressure"], slice(None))
+    sd, noise = clean.sensor("pressure").sd, np.random.default_rng(3).normal(size=clean.time.size)
+    for values in (usual * clean["pressure"], 0.0 * clean["pressure"], sd * noise):
+        made = plant(replace(made, sensors=SENSORS), "pressure", values, slice(None))
         assert not [text for text in remarks_on(made, "pressure") if "unit" in text]
 
 
