@@ -292,7 +292,8 @@ class _Supervision:
         rows = recorded_rows(state.recorder.collected, filled, layout.every)
         rows = np.union1d(rows, np.arange(filled)[-1:])  # and the latest point of the block
         rows = rows[~(block.time[rows] <= sink.last)]  # those that were not sent; NaN without any row
-        if self._follow(points := block.points(rows)):
+        lost = sink.rows < -(-state.recorder.collected // layout.every)  # with a message that was cut off
+        if not lost and self._follow(points := block.points(rows)):
             sink.append_points(*points)
         outcome.wall = time.perf_counter() - self._began
         outcome.t, outcome.steps, outcome.passes = state.t, state.steps, state.all_passes
