@@ -54,23 +54,6 @@ class Panel:
         )
 
 
-class Finding(str):
-    """A sentence on a result that should not be used unseen, and the name of what was found.
-
-    name   "zero", "falling opening", "noise", "time", ...: the list is in docs/recordings.md
-    """
-
-    name: str
-
-    def __new__(cls, name: str, text: str) -> Finding:
-        self = super().__new__(cls, text)
-        self.name = name
-        return self
-
-    def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
-        return self.name, str(self)
-
-
 @dataclass(frozen=True)
 class ProcedureResult:
     """Estimates of one procedure, and what the report shows of them.

@@ -52,6 +52,7 @@ def _converter(
 
 
 PRESSURE = _converter("pressure transducer 0-400 bar, 12 bit", "bar", (0.0, 400.0), 0.1)
+# noise as a share of the range as above
 RETURN = _converter("pressure transducer -1 to 25 bar, 12 bit", "bar", (-1.0, 25.0), 0.0065)
 FLOW = _converter("turbine flow meter +-300 L/min, 12 bit", "L/min", (-300.0, 300.0), 0.3, 10.0)
 LEAKAGE = _converter("gear flow meter +-5 L/min, 12 bit", "L/min", (-5.0, 5.0), 0.005)

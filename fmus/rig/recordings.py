@@ -26,8 +26,10 @@ from orchestrator.base.processes import mapping
 from orchestrator.data.description import Description, Origin, SignalDescription, Tolerance, write_description
 
 DIGITS = 12  # significant digits: readings are exact to the resolution of each converter, commands to 1e-11 V
-DATE = date(2026, 11, 20)  # date of the last change of rig or model that changes recordings
-CHANGE = "first version"  # reason of that change
+DATE = date(2026, 11, 25)  # date of the last change of rig or model that changes recordings
+CHANGE = (
+    "pressure of the return line recorded; 4 bar in that of the detailed machine"  # reason of that change
+)
 LIMITS = {"angle": 0.01, "pressure": 0.1}  # NRMSE by group, for `harvester validate` on test recordings
 # signal -> other signals with the same sensor: both drives have the same supply and return line
 SHARED = {f"swing.{line}_pressure": (f"boom_stick.{line}_pressure",) for line in ("supply", "tank")}
