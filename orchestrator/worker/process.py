@@ -5,6 +5,7 @@ these are `ProbeLimits` in orchestrator/check/probe_process.py and the option --
 orchestrator/cli/check.py.
 """
 
+import _thread
 import io
 import math
 import os
@@ -26,6 +27,7 @@ from pathlib import Path
 from queue import Empty, Queue, SimpleQueue
 from typing import Any
 
+from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.worker.activity import SIZE as ACTIVITY_SIZE
 from orchestrator.worker.activity import Activity, activity_in
 from orchestrator.worker.call_slots import OUTSIDE, calls_in
@@ -124,7 +126,12 @@ class Worker:
         writer.start()
         self._last: list[str] = []  # `where` at the end, stored by the finalizer
         end = os.getpid(), self._child, reader, self._messages, to_send, self.folder, grace, self._last
-        self.close = weakref.finalize(self, _end, *end)
+        self._ends = weakref.finalize(self, _abandon, *end)
+
+    def close(self) -> None:
+        """End the process and remove its files."""
+        if of := self._ends.detach():
+            _end(*of[2])
 
     @property
     def pid(self) -> int:
@@ -392,6 +399,16 @@ def _descendants(pid: int) -> Iterator[int]:
             for child in (task / "children").read_text("ascii").split():
                 yield int(child)
                 yield from _descendants(int(child))
+
+
+def _abandon(*of: Any) -> None:
+    """End a process that nobody refers to: an interrupt, which would be lost here, is raised soon after."""
+    try:
+        with DeferredInterrupts(second_at_once=False):
+            _end(*of)
+    except KeyboardInterrupt:
+        with suppress(RuntimeError):  # Python exits
+            threading.Timer(POLL_INTERVAL, _thread.interrupt_main).start()
 
 
 def _end(

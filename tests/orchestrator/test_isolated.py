@@ -108,6 +108,25 @@ def test_a_crash_gives_the_rows_and_the_next_run_works(tmp_path):
 
 
 @posix
+def test_rows_behind_a_lost_message_are_left_out(tmp_path, monkeypatch):
+    """Bytes that an FMU writes to its connection may take rows with them: no gap in what is kept."""
+    receive, messages = isolated._Supervision._receive, []
+
+    def second_lost(supervision, name, content):
+        messages.append(name)
+        if name != "points" or messages.count("points") != 2:
+            receive(supervision, name, content)
+
+    monkeypatch.setattr(isolated._Supervision, "_receive", second_lost)
+    with pytest.raises(RunFailed) as failed:
+        run(faulty(tmp_path, "segfault").fmu, step=0.5 / 400, stop=1.0)  # it crashes at 0.5 s
+    times = failed.value.result.trace.time
+    assert messages.count("points") == 2
+    assert 0 < len(times) < 400
+    np.testing.assert_allclose(times, 0.5 / 400 * np.arange(len(times)), rtol=0, atol=1e-12)  # rounding
+
+
+@posix
 def test_a_crash_before_the_run_is_a_problem_without_a_result(tmp_path):
     """Nothing has been recorded."""
     crashing = faulty(tmp_path, "exit_0", "initialise")

@@ -3,6 +3,8 @@
 import os
 import signal
 import sys
+import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -97,6 +99,18 @@ def test_a_worker_that_nobody_knows_ends():
     assert until(lambda: not folder.exists())
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process sends SIGINT to itself")
+def test_an_interrupt_while_a_forgotten_worker_ends_is_raised_after_it():
+    """The garbage collector would print it with a traceback, and lose it."""
+    worker = Worker("jobs:sleep", dict, grace=0.5)
+    folder = worker.folder
+    threading.Timer(0.1, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        del worker
+        time.sleep(LONG)
+    assert not folder.exists()
 
 
 def test_a_worker_may_end_in_an_orderly_way(start, tmp_path):
