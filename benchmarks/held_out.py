@@ -47,7 +47,7 @@ from orchestrator.ssp.system import System
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "held-out.jsonl"
 MARKS = "<!-- held out -->\n", "<!-- end -->"
-HELD_OUT, TUNING = 20261124, 1  # seeds
+HELD_OUT, TUNING = 20261125, 1  # seeds
 STOP = 3.0  # s
 RECORD_STEP = 1e-3  # s, of the reference
 TOLERANCE = 1e-7  # of the reference, over the accuracy
@@ -153,7 +153,8 @@ class Measured:
         self.ends: list[RunEnd] = []
         self._simulate = engine_run.simulate
         engine_run.simulate = self._noted
-        job.time = SimpleNamespace(perf_counter=time.thread_time)  # type: ignore[assignment]
+        clocks = {**vars(time), "perf_counter": time.thread_time}
+        job.time = SimpleNamespace(**clocks)  # type: ignore[assignment]
 
     def _noted(self, *arguments: Any) -> RunEnd:
         self.ends.append(self._simulate(*arguments))

@@ -148,7 +148,7 @@ def _pieces() -> ca.Function:
     v: list[Scalar] = ca.vertsplit(given[0])
     a: list[Scalar] = [0, *ca.vertsplit(given[1])]
     used = [v[1] > 0, *(value > 0 for value in v[1:])]
-    for i in range(1, POINTS):
+    for i in range(2, POINTS):  # an unused point is the last one that is used
         v[i], a[i] = ca.if_else(used[i], v[i], v[i - 1]), ca.if_else(used[i], a[i], a[i - 1])
     gaps = [ca.if_else(used[i + 1], v[i + 1] - v[i], 1) for i in range(POINTS - 1)]
     secants = [(a[i + 1] - a[i]) / gaps[i] for i in range(POINTS - 1)]
@@ -157,7 +157,7 @@ def _pieces() -> ca.Function:
     for i in range(POINTS - 1):
         d, following, rise, gap = slopes[i], slopes[i + 1], secants[i], gaps[i]
         factors = (d, (3 * rise - 2 * d - following) / gap, (d + following - 2 * rise) / gap**2)
-        rows.append([a[i], *(ca.if_else(used[i + 1], factor, 0) for factor in factors)])
+        rows.append([a[i], *factors])
     first, *others = rows
     table = [*v, *first[2:], 0, *(x for row in others for x in row), a[-1]]
     line = _line_pieces(Line(*ca.vertsplit(given[2])))
@@ -242,17 +242,17 @@ def _ascending(v: Sequence[Scalar], full_command: Scalar) -> Scalar:
     margin: Scalar = 1.0
     for i in range(1, POINTS):
         step = ca.fmin(v[i] - v[i - 1] - gap, full_command * (1 + 1e-9) - v[i])
-        step = step if i == 1 else ca.if_else(v[i - 1] > 0, step, -1)
+        step = step if i == 1 else ca.if_else(v[i - 1] > 0, step, 0)
         margin = ca.fmin(margin, ca.if_else(v[i] > 0, step, 1))
     return margin
 
 
 def _monotone(v: Sequence[Scalar], a: Sequence[Scalar]) -> Scalar:
-    """1 if the first opening of a table is zero and none is below the one before, else -1."""
+    """1 if the first opening of a table is zero and none is below the one before, else 0."""
     wrong = ca.logic_and(v[1] > 0, a[0] > 0)
-    for i in range(1, POINTS):
+    for i in range(2, POINTS):  # none is negative
         wrong = ca.logic_or(wrong, ca.logic_and(v[i] > 0, a[i] < a[i - 1]))
-    return ca.if_else(wrong, -1, 1)
+    return ca.logic_not(wrong)
 
 
 ORDER = _order()

@@ -39,6 +39,18 @@ def test_the_table_of_held_out_machines_is_that_of_their_results():
     assert f"{held_out.MARKS[0]}{held_out.table(held_out.read(held_out.RESULTS))}\n" in page
 
 
+def test_a_case_of_the_held_out_machines_runs(built, monkeypatch):
+    """Each measure of a case of the tuning's seed is a number, and the accuracy is reached."""
+    monkeypatch.setattr(held_out.job, "time", held_out.job.time)  # the benchmark counts processor time
+    found = held_out.outcome(held_out.TUNING, 0, built, with_cost=False)
+    assert not found.why
+    assert 0.0 < found.error <= found.asked
+    assert 0.0 < found.estimate
+    assert 0.0 < found.cpu
+    assert found.runs > 0
+    assert found.steps > 0
+
+
 def test_readme_tells_how_near_the_tip_stays():
     """The largest errors with feedback in docs/control.md, which is run, rounded up to millimetres."""
     rows = re.findall(
