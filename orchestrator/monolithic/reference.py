@@ -228,7 +228,7 @@ class _Integration:
         if self.scenario:
             plant.drive(self.scenario)
         check_room(times.rows, len([*plant.outputs, *plant.inputs, *plant.states, *self._discrete]))
-        self._points = [*(times.start + times.step * np.arange(times.rows)).tolist(), np.inf]
+        self._points: list[float] = [*(times.start + times.step * np.arange(times.rows)).tolist(), np.inf]
         self._same = SAME_TIME * max(times.stop - times.start, abs(times.stop))
         self._rows = list[Array]()
         breaks = self._breaks()

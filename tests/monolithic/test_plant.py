@@ -97,9 +97,7 @@ def test_a_loop_through_components_with_states(fmu):
 def test_the_substitutions_are_as_many_as_the_components_in_a_row(fmu, length, closed):
     """Each takes the values on by one component; a loop has no such number."""
     names = [f"g{k}" for k in range(length)][::-1]
-    wires = [(f"{a}.y", f"{b}.u") for a, b in pairwise(names)] + [
-        (f"{names[-1]}.y", f"{names[0]}.u")
-    ] * closed
+    wires = [(f"{a}.y", f"{b}.u") for a, b in pairwise([*names, *names[:closed]])]
     with closing(Plant(assemble({n: fmu("gain", 2) for n in names}, wires, exchange=True))) as plant:
         assert plant._count_substitutions() == (0 if closed else length)
 

@@ -90,9 +90,8 @@ def test_the_best_run_is_taken(monkeypatch, errors, bound, best, tried):
     assert steps == [0.5**k for k in range(tried)]
     assert compared == [[*h] for h in zip([None, *steps], steps, steps[1:], strict=False)]
     assert result.card.step == 0.5**best
-    assert [estimated_error(e) for e in result.card.errors] == [
-        inf if e != e else e for e in errors[best:][:1]
-    ]
+    expected = [inf if e != e else e for e in errors[best:][:1]]
+    assert [estimated_error(e) for e in result.card.errors] == expected
 
 
 @pytest.mark.parametrize(
@@ -103,7 +102,7 @@ def test_all_runs_together_have_at_most_a_million_steps(steps, runs):
     """The next one has twice as many steps as the last."""
     done = []
 
-    def co_simulated(step, coupling):
+    def co_simulated(step, _):
         done.append(step)
         return outcome(step, steps[len(done) - 1] if len(done) <= len(steps) else 10**6)
 
@@ -118,7 +117,7 @@ def test_a_run_that_always_fails_at_the_start_is_tried_until_a_million_steps_wou
     """From one step on, 1 + 2 + 4 ... of them; then its own message is told."""
     done = []
 
-    def co_simulated(step, coupling):
+    def co_simulated(step, _):
         done.append(step)
         raise RunFailed(Problem("no solution"), outcome(step, 0))
 
