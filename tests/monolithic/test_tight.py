@@ -1,5 +1,6 @@
 """The tight co-simulation: its steps, its choice among the runs, the estimate of the error."""
 
+from contextlib import nullcontext
 from math import inf, nan
 
 import numpy as np
@@ -96,34 +97,22 @@ def test_the_best_run_is_taken(monkeypatch, errors, bound, best, tried):
 
 @pytest.mark.parametrize(
     ("steps", "runs"),
-    [([100_000, 300_000], 3), ([100_001, 300_000], 2), ([333_333], 2), ([333_334], 1)],
+    [([100_000, 300_000], 3), ([100_001, 300_000], 2), ([333_333], 2), ([333_334], 1), ([], 19)],
 )
-def test_all_runs_together_have_at_most_a_million_steps(steps, runs):
-    """The next one has twice as many steps as the last."""
-    done = []
+def test_all_runs_together_have_at_most_a_million_steps(monkeypatch, steps, runs):
+    """The next has twice as many as the last. Those that fail at the start count 1, 2, 4 ... up to 2^18."""
+    done, errors = [], iter([1.0, 0.1, 0.01, 0.001])
 
     def co_simulated(step, _):
         done.append(step)
-        return outcome(step, steps[len(done) - 1] if len(done) <= len(steps) else 10**6)
+        if not steps:
+            raise RunFailed(Problem("no solution"), outcome(step, 0))
+        return outcome(step, [*steps, 10**6][len(done) - 1])
 
-    errors = iter([1.0, 0.1, 0.01, 0.001])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tight, "changes", lambda *_: (SignalError("y", 1.0, next(errors)),))
+    monkeypatch.setattr(tight, "changes", lambda *_: (SignalError("y", 1.0, next(errors)),))
+    with nullcontext() if steps else pytest.raises(RunFailed, match="no solution"):
         tightened(co_simulated, 1.0, 0.0, "because")
     assert len(done) == runs
-
-
-def test_a_run_that_always_fails_at_the_start_is_tried_until_a_million_steps_would_be_needed():
-    """From one step on, 1 + 2 + 4 ... of them; then its own message is told."""
-    done = []
-
-    def co_simulated(step, _):
-        done.append(step)
-        raise RunFailed(Problem("no solution"), outcome(step, 0))
-
-    with pytest.raises(RunFailed, match="no solution"):
-        tightened(co_simulated, 1.0, 0.0, "because")
-    assert len(done) == 19  # 2^19 - 1 steps, and 2^19 more would be too many
 
 
 def test_the_solvers_in_the_fmus_get_a_tight_tolerance(fmus, monkeypatch):
