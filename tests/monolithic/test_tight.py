@@ -82,15 +82,15 @@ def test_the_best_run_is_taken(monkeypatch, errors, bound, best, tried):
         return tuple(SignalError("y", 1.0, e / 2) for e in errors[len(compared) - 1 :][:1])
 
     def co_simulated(step, coupling):
-        assert coupling == master(step)
+        assert coupling == master(step / 0.25)
         steps.append(step)
         return outcome(step, 1)
 
     monkeypatch.setattr(tight, "changes", changes)
-    result = tightened(co_simulated, 1.0, bound, "because")
-    assert steps == [0.5**k for k in range(tried)]
+    result = tightened(co_simulated, 0.25, bound, "because")
+    assert steps == [0.25 * 0.5**k for k in range(tried)]
     assert compared == [[*h] for h in zip([None, *steps], steps, steps[1:], strict=False)]
-    assert result.card.step == 0.5**best
+    assert result.card.step == 0.25 * 0.5**best
     expected = [inf if e != e else e for e in errors[best:][:1]]
     assert [estimated_error(e) for e in result.card.errors] == expected
 
@@ -105,6 +105,7 @@ def test_all_runs_together_have_at_most_a_million_steps(monkeypatch, steps, runs
 
     def co_simulated(step, _):
         done.append(step)
+        assert len(done) < 100
         if not steps:
             raise RunFailed(Problem("no solution"), outcome(step, 0))
         return outcome(step, [*steps, 10**6][len(done) - 1])
