@@ -87,7 +87,7 @@ def by_hermite(system: Path, variants: Mapping[str, str], stop: float = STOP) ->
     runs = [
         run(system, STROKES, master=master(h / STEP), step=h, **options) for h in (2 * STEP, STEP, STEP / 2)
     ]
-    return replace(runs[1], card=replace(runs[1].card, errors=changes(runs)))
+    return replace(runs[1], card=replace(runs[1].card, errors=changes(*runs)))
 
 
 def differences(truth: Result, other: Trace) -> dict[str, SignalError]:

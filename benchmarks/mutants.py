@@ -62,7 +62,7 @@ ROOMS = {
         *(f"tests/control/test_linear_{n}.py" for n in ("physics", "machine", "use")),
     )),
     "monolithic": Room("orchestrator/monolithic", "*.py", (
-        "tests/monolithic", ORCHESTRATOR + "test_judge.py",
+        *(f"tests/monolithic/test_{n}.py" for n in ("plant", "integration", "tight", "reference")),
     )),
 }  # fmt: skip
 SWAPPED = {

@@ -63,10 +63,13 @@ class PlantComponent:
     writes, reads, rates   calls that set the inputs, get the outputs, get the time derivatives of the states
     """
 
-    def __init__(self, slave: ExchangeFmu, x: slice, v: slice, y: slice) -> None:
-        self.slave, self.x, self.v, self.y = slave, x, v, y
+    def __init__(self, slave: ExchangeFmu, nx: int, nv: int, ny: int) -> None:
+        """nx, nv, ny: numbers of states, inputs and outputs of the components before it."""
+        self.slave = slave
         self.inputs = [u.name for u in slave.interface.of("input") if u.is_continuous]
         self.outputs = [u.name for u in slave.interface.of("output") if u.is_continuous]
+        self.x = slice(nx, nx + len(slave.interface.states))
+        self.v, self.y = slice(nv, nv + len(self.inputs)), slice(ny, ny + len(self.outputs))
 
     def open(self, plant: Plant) -> None:
         """Bind the calls of the component to the arrays of the plant."""
@@ -128,11 +131,8 @@ class Plant:
             raise
         nx = nv = ny = 0
         for slave in self.slaves.values():
-            member = PlantComponent(slave, slice(nx, 0), slice(nv, 0), slice(ny, 0))
-            ends = nx + len(slave.interface.states), nv + len(member.inputs), ny + len(member.outputs)
-            member.x, member.v, member.y = slice(nx, ends[0]), slice(nv, ends[1]), slice(ny, ends[2])
-            nx, nv, ny = ends
-            self.members.append(member)
+            self.members.append(member := PlantComponent(slave, nx, nv, ny))
+            nx, nv, ny = member.x.stop, member.v.stop, member.y.stop
         self.x, self.f, self.v, self.y = np.zeros(nx), np.zeros(nx), np.zeros(nv), np.zeros(ny)
         self.states = [Port(n, x) for n, s in self.slaves.items() for x in s.interface.states]
         self.inputs = [Port(m.slave.name, u) for m in self.members for u in m.inputs]
@@ -177,16 +177,15 @@ class Plant:
     def _count_substitutions(self) -> int:
         """How many substitutions solve the connections, by the declared dependencies; 0: a loop."""
         index = {p: i for i, p in enumerate(self.inputs)}
-        through = np.zeros((len(self.outputs), len(self.inputs)))
+        through = np.zeros((len(self.outputs), len(self.inputs)), bool)
         for row, port in enumerate(self.outputs):
             direct = self.slaves[port.component].interface.direct_inputs(port.variable)
-            through[row, [index[p] for u in direct if (p := Port(port.component, u)) in index]] = 1.0
-        step = (self.connections != 0.0).astype(float) @ through
-        power = (step != 0.0).astype(float)
-        for count in range(1, len(self.inputs) + 2):
+            through[row, [index[p] for u in direct if (p := Port(port.component, u)) in index]] = True
+        power = step = self.connections.astype(bool) @ through
+        for count, _ in enumerate(self.inputs, 1):
             if not power.any():
                 return count
-            power = ((power @ step) != 0.0).astype(float)
+            power = power @ step
         return 0
 
     # ---- the structure of the C engine
@@ -350,7 +349,7 @@ class Plant:
                 rows, columns = (
                     part[member.x.stop - member.x.start :] for part in member.indices(len(self.x))
                 )
-                substitute = partial(self._call, "plant_evaluate", k, 0)
+                substitute = partial(self._call, "plant_evaluate", k, False)
                 found = differences(substitute, (self.v[member.v],), (self.y[member.y],))
                 self._jacobian[np.ix_(rows, columns)] = found
         return self._jacobian[len(self.x) :, len(self.x) :]
@@ -361,7 +360,7 @@ class Plant:
         for k, member in enumerate(self.members):
             if not member.slave.interface.directional_derivatives:
                 knowns, unknowns = (self.x[member.x], self.v[member.v]), (self.f[member.x], self.y[member.y])
-                found = differences(partial(self._call, "plant_evaluate", k, 1), knowns, unknowns)
+                found = differences(partial(self._call, "plant_evaluate", k, True), knowns, unknowns)
                 self._jacobian[np.ix_(*member.indices(len(self.x)))] = found
         top, bottom = np.split(self._jacobian, [len(self.x)])
         return Matrices(*(part.copy() for half in (top, bottom) for part in np.split(half, [len(self.x)], 1)))
@@ -422,24 +421,24 @@ class Plant:
 
     def _update_discrete_states(self) -> None:
         """Copy values and update discrete states until nothing changes, and enter continuous-time mode."""
-        updated = False
-        for _ in range(MAX_EVENT_ITERATIONS):
+        updated, iterations = False, 0
+        while True:
             for k in range(len(self.members)):
-                self._call("plant_evaluate", k, 0)
+                self._call("plant_evaluate", k, False)
             self._call("plant_connect")
             if not self._copied_discrete() and updated:
                 break
-            again, self.next_event = False, np.inf
+            if iterations == MAX_EVENT_ITERATIONS:
+                raise Problem(
+                    f"{self.system.name}: expected at most {MAX_EVENT_ITERATIONS} event iterations, got more:"
+                    " the discrete states do not settle"
+                )
+            again, self.next_event, iterations = False, np.inf, iterations + 1
             for name, slave in self.slaves.items():
                 needed, ends, next_event = slave.fmu.update_discrete_states()
                 self.ended, self.next_event = name if ends else self.ended, min(self.next_event, next_event)
                 again |= needed
             updated = not again
-        else:
-            raise Problem(
-                f"{self.system.name}: expected at most {MAX_EVENT_ITERATIONS} event iterations, got more:"
-                " the discrete states do not settle"
-            )
         for member in self.members:
             member.slave.enter_continuous_time_mode()
             for call in member.starts:

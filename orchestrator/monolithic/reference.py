@@ -46,9 +46,9 @@ Array = NDArray[np.float64]
 
 SOLVER = "none, all FMUs as one ODE (CVODE)"  # on the card, in place of a master
 TOLERANCE = 2e-14  # default, relative; absolute: times the magnitude of the state
-MAX_STEPS = 10**6  # between two recorded times
 MAX_EVENTS = 1000  # at one time
 SAME_TIME = 1e-12  # times closer than this fraction of the span are equal
+ROOT = 2  # status of a step of CVODE that ends at a state event
 CORNER = 1e-9  # relative change of a slope that restarts the solver
 
 
@@ -228,8 +228,8 @@ class _Integration:
         if self.scenario:
             plant.drive(self.scenario)
         check_room(times.rows, len([*plant.outputs, *plant.inputs, *plant.states, *self._discrete]))
-        self._points = (times.start + times.step * np.arange(times.steps + 1)).tolist()
-        self._same = SAME_TIME * max(times.stop - times.start, abs(times.stop), 1e-9)
+        self._points: list[float] = [*(times.start + times.step * np.arange(times.rows)).tolist(), np.inf]
+        self._same = SAME_TIME * max(times.stop - times.start, abs(times.stop))
         self._rows = list[Array]()
         breaks = self._breaks()
         changes = {*breaks}
@@ -237,38 +237,36 @@ class _Integration:
         self.settle(t, x)
         self._record(t, x)
         with DeferredInterrupts() as interrupts:
-            while t < times.stop - self._same and not plant.ended:
+            while self._before(t, times.stop) and not plant.ended:
                 check(t)
-                target = min(
-                    times.stop, plant.next_event, *breaks[bisect_right(breaks, t + self._same) :][:1]
-                )
-                before = t
-                if target > t + self._same:
+                target = min(times.stop, plant.next_event, breaks[bisect_right(breaks, t + self._same)])
+                begin = t
+                if self._before(t, target):
                     t, x, event = self._advance(t, x, target, check)
                 else:
-                    t, event = target, True
-                event |= abs(t - plant.next_event) <= self._same or bool(self._sampled and t in changes)
-                if event:
-                    x = self._event(t, x)
-                repeated = repeated + 1 if t - before <= self._same else 0
+                    t, event = max(t, target), True
+                event |= self._equal(t, plant.next_event) or bool(self._sampled and t in changes)
+                repeated = 1 if self._before(begin, t) else repeated + 1
                 if repeated > MAX_EVENTS:
                     raise Problem(
                         f"{system.name}: t = {t:.9g} s: expected at most {MAX_EVENTS} events at one time"
                     )
+                if event:
+                    x = self._event(t, x)
                 self._record(t, x)
         return self._result(wall_time.perf_counter() - began)
 
     def _breaks(self) -> list[float]:
-        """Times [s] at which the slope of a scenario jumps, or the value of a discrete input."""
+        """Times [s] at which the slope of a scenario jumps, or the value of a discrete input; infinity."""
         if self.scenario is None:
-            return []
+            return [np.inf]
         time, base, slopes, _ = self.scenario.table.arrays
         change = np.abs(np.diff(slopes, axis=0))
-        scale = np.abs(slopes).max(axis=0, initial=0.0) + 1e-300
+        scale = np.abs(slopes).max(axis=0)
         corners = (change > CORNER * scale).any(axis=1)
         columns = [self.scenario.columns[p][0] for p in self._sampled]
         corners |= (np.diff(base, axis=0)[:, columns] != 0.0).any(axis=1)
-        return [float(t) for t in time[corners]]
+        return [*map(float, time[corners]), np.inf]
 
     def _solver(self, t: float, x: Array) -> Any:
         from sksundae.cvode import CVODE
@@ -281,7 +279,6 @@ class _Integration:
             jacfn=self._jacobian,
             rtol=self.tolerance,
             atol=self.tolerance * self.plant.magnitudes(),
-            max_num_steps=MAX_STEPS,
             **options,
         )
         solver.init_step(t, x)
@@ -290,37 +287,36 @@ class _Integration:
     def _advance(
         self, t: float, x: Array, target: float, check: Callable[[float], None]
     ) -> tuple[float, Array, bool]:
-        """Integrate to `target` [s] or to the first event; returns time, states, and True for an event."""
+        """Integrate to `target` [s], the first event or the end; returns time, states, True for an event."""
         if not len(x):
             return self._without_states(t, x, target)
         solver = self._solver(t, x)
-        while t < target - self._same:
+        while self._before(t, target):
             check(t)
             step = self._solved(solver.step(target, method="onestep", tstop=target), t)
-            if step.t <= t and step.status != 2:
+            if step.t <= t:  # after an interpolation the solver returns its last step once more
                 continue
             t, x = float(step.t), step.y
             self.counts.steps += 1
-            if self._next_point() < t - self._same:
-                self._interpolate(solver, t, target)
+            self._interpolate(solver, t, target)
             self._at = (np.nan, b"")
-            if self.plant.completed_step(t, x) or step.status == 2:
-                return t, x, True
+            event = self.plant.completed_step(t, x) or step.status == ROOT
+            if event or self.plant.ended:
+                return t, x, event
         return target, x, False
 
     def _without_states(self, t: float, x: Array, target: float) -> tuple[float, Array, bool]:
         """Outputs alone over the recorded points; an event indicator is evaluated only there."""
-        before, after = (np.zeros(self.plant.indicator_count) for _ in range(2))
+        before, after = np.zeros(self.plant.indicator_count), np.zeros(self.plant.indicator_count)
         self.plant.indicators(before)
-        points = self._points
-        first, last = (bisect_right(points, end) for end in (t + self._same, target - self._same))
-        for point in [*points[first:last], target]:
-            self.settle(point, x)
+        while self._before(t, target):
+            t = min(self._next_point(), target)
+            self.settle(t, x)
             self.plant.indicators(after)
-            if self.plant.completed_step(point, x) or ((before > 0) != (after > 0)).any():
-                return point, x, True
-            if point < target:
-                self._record(point, x)
+            event = self.plant.completed_step(t, x) or bool(((before > 0) != (after > 0)).any())
+            if event or self.plant.ended:
+                return t, x, event
+            self._record(t, x)
         return target, x, False
 
     def _solved(self, step: Any, t: float) -> Any:
@@ -337,10 +333,10 @@ class _Integration:
 
     def _interpolate(self, solver: Any, t: float, target: float) -> None:
         """Record the points before t, inside of the last step."""
-        while (point := self._next_point()) < t - self._same:
+        while self._before(point := self._next_point(), t):
             for _ in range(3):  # after an event the solver may report this event once more
                 inside = self._solved(solver.step(point, method="normal", tstop=target), t)
-                if abs(inside.t - point) <= self._same:
+                if self._equal(inside.t, point):
                     break
             self.settle(point, inside.y)
             self._record(point, inside.y)
@@ -362,16 +358,21 @@ class _Integration:
 
     # ---- the result
 
+    def _before(self, a: float, b: float) -> bool:
+        """Is a time earlier than another, and not the same?"""
+        return a < b - self._same
+
+    def _equal(self, a: float, b: float) -> bool:
+        return not (self._before(a, b) or self._before(b, a))
+
     def _next_point(self) -> float:
         """The time of the next row [s]; infinite if there is none."""
-        n = len(self._rows)
-        return self._points[n] if n < len(self._points) else np.inf
+        return self._points[len(self._rows)]
 
     def _record(self, t: float, x: Array) -> None:
         """Add a row if t is the next recorded point, or replace that of the same time."""
-        n = len(self._rows)
-        again = n > 0 and abs(t - self._points[n - 1]) <= self._same
-        if not again and (n == len(self._points) or abs(t - self._points[n]) > self._same):
+        again = self._equal(t, self._points[len(self._rows) - 1])  # of no row: infinity
+        if not again and not self._equal(t, self._next_point()):
             return
         self.settle(t, x)
         plant = self.plant

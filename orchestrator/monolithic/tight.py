@@ -7,7 +7,7 @@ depend on the step. So the solvers of the FMUs and the passes of the master get 
 which an input jumps are divided by a guard.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import ceil, inf
 
@@ -48,28 +48,24 @@ def tightened(run: CoSimulate, first: float, bound: float, reason: str) -> Resul
     bound    of the estimated RMS error of each signal, relative to its range; at least BOUND
     reason   why there is no monolithic solution, for the card
     """
-    runs: list[Result] = []
-    best, error = None, inf
-    for result in _runs(run, first):
-        runs = [*runs[-2:], result]
-        best = result if best is None else best
-        if len(runs) == 1:
-            continue
-        errors = changes(runs)
+    runs = _runs(run, first)
+    coarse, last, error = None, next(runs), inf
+    best = last
+    for finer in runs:
+        errors = changes(coarse, last, finer)
         largest = max(map(estimated_error, errors), default=0.0)
         if largest < error or error == inf:
-            best = replace(runs[-2], card=replace(runs[-2].card, errors=errors))
+            best = replace(last, card=replace(last.card, errors=errors))
         if largest <= max(bound, BOUND) or largest > STAGNATION * error:
             break
-        error = largest
-    assert best is not None
+        coarse, last, error = last, finer, largest
     return _with_note(best, reason)
 
 
 def _runs(run: CoSimulate, first: float) -> Iterator[Result]:
     """Complete runs, each at half the step of the one before; the first ones may fail at too large a step."""
     complete, failure, step = False, None, first
-    spent = last = 0
+    spent = last = 0.0
     while spent + 2 * last <= MAX_STEPS:
         try:
             result = run(step, master(step / first))
@@ -80,19 +76,18 @@ def _runs(run: CoSimulate, first: float) -> Iterator[Result]:
         else:
             complete = True
             yield result
-        last = max(result.card.steps, 1)
+        last = max(result.card.steps, first / step)  # also of runs that fail at the start
         spent, step = spent + last, step / 2
     if failure and not complete:
         raise failure
 
 
-def changes(runs: Sequence[Result]) -> tuple[SignalError, ...]:
-    """Changes of the outputs from the last run but one to the last; with the order if there are three."""
-    system = runs[-1].system
+def changes(coarse: Result | None, run: Result, fine: Result) -> tuple[SignalError, ...]:
+    """Changes of the outputs from a run to one at half the step; orders, if there is one at twice."""
+    system = run.system
     nominals = {str(p): system.variable(p).nominal for p in system.ports("output")}
-    outputs = runs[-2].trace.select(name for name in nominals if name in runs[-2].trace.signals)
-    coarse = runs[-3].trace if len(runs) > 2 else None
-    return compare(runs[-1].trace, outputs, coarse, nominals)
+    outputs = run.trace.select(name for name in nominals if name in run.trace.signals)
+    return compare(fine.trace, outputs, None if coarse is None else coarse.trace, nominals)
 
 
 def estimated_error(change: SignalError) -> float:

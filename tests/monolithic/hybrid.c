@@ -8,20 +8,21 @@
  *   room      T' = -T + power if on                                                       discrete input
  *   gain      y = a u + b u^3                                                             loops
  *   swing     x' = v, v' = mu (1 - x^2) v - x                                             none: not linear
+ *   lag       x' = a u - x, y = x + b u; x := 0 after a step to x > limit, or the end if `last`  step events
  */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-typedef enum { BALL, COUNTER, THERMO, ROOM, GAIN, SWING, MODELS } Model;
+typedef enum { BALL, COUNTER, THERMO, ROOM, GAIN, SWING, LAG, MODELS } Model;
 typedef struct {
     Model model;
-    double time, r[8]; /* variables of type Real by value reference */
+    double time, r[9]; /* variables of type Real by value reference */
     int i[8];          /* Integer and Boolean variables by value reference */
     int events;        /* in event mode */
 } Instance;
 
-static const char *const names[MODELS] = {"ball", "counter", "thermo", "room", "gain", "swing"};
+static const char *const names[MODELS] = {"ball", "counter", "thermo", "room", "gain", "swing", "lag"};
 
 static Instance *make(const char *token) {
     Instance *m = calloc(1, sizeof *m);
@@ -34,10 +35,11 @@ static Instance *make(const char *token) {
     if (m->model == ROOM) m->r[3] = 1.0;                  /* T T' power */
     if (m->model == GAIN) m->r[3] = 0.5;                  /* u y a b */
     if (m->model == SWING) m->r[1] = 2.0, m->r[5] = 1.0;  /* x v x' v' mu */
+    if (m->model == LAG) m->r[5] = 1.0, m->r[7] = 1e9; /* x x' u y a b limit last */
     return m;
 }
 
-static int count(const Instance *m) { return m->model == BALL || m->model == SWING ? 2 : m->model == ROOM; }
+static int count(const Instance *m) { return m->model == BALL || m->model == SWING ? 2 : m->model == ROOM || m->model == LAG; }
 
 static double indicator(const Instance *m) {
     double y = m->r[1];
@@ -55,8 +57,10 @@ static void calculate(Instance *m) {
         r[3] = r[2];
         r[4] = rests ? 0.0 : -9.81;
     }
+    if (m->model == COUNTER) r[3] = m->i[1];
     if (m->model == ROOM) r[2] = -r[1] + (m->i[5] ? r[3] : 0.0);
     if (m->model == GAIN) r[2] = r[3] * r[1] + r[4] * r[1] * r[1] * r[1];
+    if (m->model == LAG) r[2] = r[5] * r[3] - r[1], r[4] = r[1] + r[6] * r[3];
     if (m->model == SWING) r[3] = r[2], r[4] = r[5] * (1.0 - r[1] * r[1]) * r[2] - r[1];
 }
 
@@ -71,8 +75,15 @@ static double update(Instance *m, int *ends) {
         *ends = m->i[1] >= m->i[2];
         return m->i[1] + 1.0;
     }
+    if (m->model == LAG && m->r[1] > m->r[7]) m->r[1] = 0.0;
     if (m->model == THERMO) m->i[4] = m->i[4] ? m->r[1] < m->r[3] - 1e-9 : m->r[1] < m->r[2] + 1e-9;
     return INFINITY;
+}
+
+/* After a step: does it ask for an event, or for the end? */
+static void completed(const Instance *m, int *event, int *end) {
+    const int beyond = m->model == LAG && m->r[1] > m->r[7];
+    *event = beyond && m->r[8] == 0.0, *end = beyond && m->r[8] != 0.0;
 }
 
 #if FMI == 2
@@ -128,11 +139,11 @@ S fmi2NewDiscreteStates(C c, fmi2EventInfo *e) {
     return ((Instance *)c)->events ? OK : fmi2Error;
 }
 S fmi2EnterContinuousTimeMode(C c) { return ((Instance *)c)->events = 0, OK; }
-S fmi2CompletedIntegratorStep(C c, fmi2Boolean p, fmi2Boolean *e, fmi2Boolean *t) { return (void)c, (void)p, *e = *t = 0, OK; }
-S fmi2SetTime(C c, fmi2Real t) { return ((Instance *)c)->time = t, OK; }
+S fmi2CompletedIntegratorStep(C c, fmi2Boolean p, fmi2Boolean *e, fmi2Boolean *t) { return (void)p, completed(c, e, t), OK; }
+S fmi2SetTime(C c, fmi2Real t) { return ((Instance *)c)->time = ((Instance *)c)->r[0] = t, OK; }
 S fmi2SetContinuousStates(C c, const fmi2Real x[], size_t n) {
     memcpy(((Instance *)c)->r + 1, x, n * sizeof *x);
-    return ((Instance *)c)->events ? fmi2Error : OK;
+    return ((Instance *)c)->events || !n ? fmi2Error : OK; /* strict: not without states */
 }
 S fmi2GetContinuousStates(C c, fmi2Real x[], size_t n) { return memcpy(x, ((Instance *)c)->r + 1, n * sizeof *x), OK; }
 S fmi2GetNominalsOfContinuousStates(C c, fmi2Real x[], size_t n) {
@@ -145,7 +156,7 @@ S fmi2GetDerivatives(C c, fmi2Real x[], size_t n) {
 }
 S fmi2GetEventIndicators(C c, fmi2Real z[], size_t n) {
     for (size_t k = 0; k < n && indicators(c); k++) z[k] = indicator(c);
-    return OK;
+    return n ? OK : fmi2Error;
 }
 #else
 #include "fmi3Functions.h"
@@ -202,11 +213,15 @@ S fmi3UpdateDiscreteStates(C c, fmi3Boolean *a, fmi3Boolean *t, fmi3Boolean *n, 
     return ((Instance *)c)->events ? OK : fmi3Error;
 }
 S fmi3EnterContinuousTimeMode(C c) { return ((Instance *)c)->events = 0, OK; }
-S fmi3CompletedIntegratorStep(C c, fmi3Boolean p, fmi3Boolean *e, fmi3Boolean *t) { return (void)c, (void)p, *e = *t = 0, OK; }
-S fmi3SetTime(C c, fmi3Float64 t) { return ((Instance *)c)->time = t, OK; }
+S fmi3CompletedIntegratorStep(C c, fmi3Boolean p, fmi3Boolean *e, fmi3Boolean *t) {
+    int event, end;
+    completed(c, &event, &end);
+    return (void)p, *e = event != 0, *t = end != 0, OK;
+}
+S fmi3SetTime(C c, fmi3Float64 t) { return ((Instance *)c)->time = ((Instance *)c)->r[0] = t, OK; }
 S fmi3SetContinuousStates(C c, const fmi3Float64 x[], size_t n) {
     memcpy(((Instance *)c)->r + 1, x, n * sizeof *x);
-    return ((Instance *)c)->events ? fmi3Error : OK;
+    return ((Instance *)c)->events || !n ? fmi3Error : OK;
 }
 S fmi3GetContinuousStates(C c, fmi3Float64 x[], size_t n) { return memcpy(x, ((Instance *)c)->r + 1, n * sizeof *x), OK; }
 S fmi3GetNominalsOfContinuousStates(C c, fmi3Float64 x[], size_t n) {
@@ -219,6 +234,6 @@ S fmi3GetContinuousStateDerivatives(C c, fmi3Float64 x[], size_t n) {
 }
 S fmi3GetEventIndicators(C c, fmi3Float64 z[], size_t n) {
     for (size_t k = 0; k < n && indicators(c); k++) z[k] = indicator(c);
-    return OK;
+    return n ? OK : fmi3Error;
 }
 #endif

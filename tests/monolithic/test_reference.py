@@ -1,7 +1,6 @@
 """The monolithic solution of systems of FMUs: events, algebraic loops, mixed versions, the machine."""
 
 from collections.abc import Mapping
-from functools import partial
 from itertools import product
 from math import exp, log, sqrt
 
@@ -13,7 +12,6 @@ from kit.mistakes import table
 from scipy.integrate import solve_ivp
 
 from benchmarks import monolithic
-from monolithic.hybrid import build
 from orchestrator import Coupling, Result, RunFailed, Trace
 from orchestrator.base.errors import Problem
 from orchestrator.engine.result import Card
@@ -25,17 +23,6 @@ from orchestrator.ssp.system import Component, System
 
 VERSIONS = (2, 3)
 MIXED = list(product(VERSIONS, VERSIONS))
-
-
-@pytest.fixture
-def fmu(once):
-    """fmu("ball", 3): a model of hybrid.c, compiled once for all test processes."""
-
-    def made(model: str, version: int):
-        folder = once(f"hybrid-{model}{version}", partial(build, model=model, version=version))
-        return folder / f"{model}{version}.fmu"
-
-    return made
 
 
 # ---- states
