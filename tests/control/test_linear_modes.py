@@ -81,6 +81,7 @@ def test_main_states_are_the_fewest_with_80_percent(shares, count):
         (LEFT, "boom_flow m3/s 50, boom_pressure Pa 50", "pressure decay of boom"),
         (LEFT, "lag.x 1 100", "decay of lag x"),
         (LEFT, "speed 1 50, flow 1 50", "decay of speed and flow"),
+        (LEFT, "boom_x 1 50, stick_x 1 50", "decay of boom and stick"),
         (LEFT, "a_x 1 28, b_x 1 24, b_y 1 24, c_x 1 24", "decay of b and a"),
     ],
 )  # fmt: skip
