@@ -58,7 +58,7 @@ ROOMS = {
         *("tests/monolithic", "tests/orchestrator"),
     )),
     "linear": Room("orchestrator/linear", "*.py", (
-        *("tests/control/test_linear_by_hand.py", "tests/control/test_linear_systems.py"),
+        *(f"tests/control/test_linear_{n}.py" for n in ("modes", "search", "systems", "by_hand")),
         *(f"tests/control/test_linear_{n}.py" for n in ("physics", "machine", "use")),
     )),
     "monolithic": Room("orchestrator/monolithic", "*.py", (

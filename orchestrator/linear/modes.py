@@ -178,6 +178,8 @@ class Mode:
 
 def modes(a: Array, states: Sequence[LinearVariable]) -> tuple[Mode, ...]:
     """The modes of dx/dt = A x: oscillations, then the others, slowest first. Equal names are numbered."""
+    if not states:
+        return ()
     values, left, right = eigen(a, np.array([s.nominal for s in states]))
     labels, units, result = short_names(states), [s.unit for s in states], list[Mode]()
     for k in np.lexsort((values.imag, np.abs(values), values.imag == 0.0)):
@@ -203,15 +205,12 @@ def eigen(a: Array, nominal: Array) -> tuple[NDArray[np.complex128], ...]:
     LAPACK). The Rayleigh quotient with left and right eigenvector then removes the rounding error of slow
     eigenvalues in the presence of fast ones, up to an error of second order.
     """
-    if not len(a):
-        empty = np.zeros(0, complex)
-        return empty, np.zeros((0, 0), complex), np.zeros((0, 0), complex)
     scaled, _ = matrix_balance(a * nominal / nominal[:, None], permute=False)
     values, left, right = eig(scaled, left=True, right=True)
     denominator = np.einsum("ik,ik->k", left.conj(), right)
     numerator = np.einsum("ik,ij,jk->k", left.conj(), scaled, right)
     usable = np.abs(denominator) > 1e-6  # else the matrix is nearly defective: the vectors are orthogonal
-    values = np.where(usable, numerator / np.where(usable, denominator, 1.0), values)
+    values[usable] = numerator[usable] / denominator[usable]
     values[np.abs(values) <= ZERO_EIGENVALUE * np.linalg.norm(scaled)] = 0.0
     values.imag[np.abs(values.imag) <= 1e-12 * np.abs(values)] = 0.0
     return values, left, right

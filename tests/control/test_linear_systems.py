@@ -13,7 +13,7 @@ from kit.toy import toy
 from fmus.contract import quantities
 from fmus.export.build import build
 from fmus.parameters import Values
-from orchestrator import assemble, linearize
+from orchestrator import assemble, linearize, run
 
 # ---- a mass, a spring between two, a lag with feed-through
 
@@ -54,6 +54,13 @@ LAG = toy(  # dx/dt = u - x,  y = x + gain u
     f=lambda x, u, p: {"x": u.u + u.w - x.x},
     g=lambda x, u, p: {"y": x.x + p.gain * (u.u + u.w)},
 )
+OPERATOR = toy(
+    "operator",
+    p={"size": "N"},
+    **{"x": {}, "u": {}, "y": {"pull": "N"}},
+    f=lambda x, u, p: {},
+    g=lambda x, u, p: {"pull": p.size},
+)
 
 # ---- two masses on springs
 
@@ -68,7 +75,7 @@ def fmus(request, once):
     """Folder with the FMUs of the toys, of either version."""
 
     def make(folder):
-        for sub in (MASS, SPRING, LAG):
+        for sub in (MASS, SPRING, LAG, OPERATOR):
             build(sub, folder, values=ones(sub), fmi=request.param)
 
     return once(f"linear_parts{request.param}", make)
@@ -139,6 +146,55 @@ def test_a_steady_state_balances_what_pulls(fmus):
     assert np.abs(linear.f0).max() < 1e-9  # N/kg, of terms of some N
 
 
+@pytest.mark.parametrize(
+    ("time", "ends"), [(0.5 + 0.8e-9, 0.5), (0.5 + 1.2e-9, 0.0), (4.0 + 3.2e-9, 4.0), (4.0 + 4.8e-9, 0.0)]
+)
+def test_a_time_is_that_of_a_step_to_a_billionth(fmus, time, ends):
+    """Of the time, or of 1 s before 1 s: then the point is the end of the run; else the mistake is told."""
+    system = masses(fmus, a__pull=6.0, b__pull=6.0)
+    if not ends:
+        told = mistakes.problem(lambda: linearize(system, time=time, step=0.5))
+        assert "expected a multiple of the communication step" in told
+        return
+    linear = linearize(system, time=time, step=0.5)
+    names = [s.name for s in linear.states]
+    trace = run(system, step=0.5, stop=ends, record=names).trace
+    np.testing.assert_array_equal(linear.x0, [trace[n][-1] for n in names])
+
+
+def test_the_start_is_a_time(fmus):
+    """Time 0 is the start, nothing runs; without nominal values in the FMUs all are 1."""
+    system = masses(fmus, a__pull=6.0, b__pull=6.0)
+    start, at = linearize(system), linearize(system, time=0.0)
+    assert start.time == at.time == 0.0
+    np.testing.assert_array_equal(start.x0, np.zeros(4))
+    np.testing.assert_array_equal(at.f0, [0.0, 6.0, 0.0, 6.0])
+    assert {s.nominal for s in start.states} == {1.0}
+
+
+def test_inputs_that_an_operator_gives_are_inputs(fmus):
+    """Named by the variable if no other component has it, else with it; the operator is left out."""
+    parts = {n: fmus / f"{n}.fmu" for n in ("mass", "operator")}
+    one = linearize(assemble(parts, ["operator.pull -> mass.pull"]))
+    assert [i.name for i in one.inputs] == ["force", "pull"]
+    assert [n for n in one.notes if n.endswith("connected only to inputs of the linear model: operator")]
+    two = linearize(assemble(parts | {"other": fmus / "mass.fmu"}, ["operator.pull -> mass.pull"]))
+    assert [i.name for i in two.inputs] == ["force", "pull", "mass.pull"]
+    both = mistakes.problem(lambda: linearize(assemble({"m": fmus / "mass.fmu"}), inputs=["m.pull", "pull"]))
+    assert both.startswith("--input m.pull and pull: expected inputs with different targets")
+
+
+@pytest.mark.parametrize("count", [4, 5])
+def test_eight_outputs_are_listed(fmus, count):
+    """With more the first eight, and their number."""
+    parts = {f"m{k}": fmus / "mass.fmu" for k in range(count)}
+    told = mistakes.problem(lambda: linearize(assemble(parts), outputs=["zz"]))
+    listed = ", ".join(f"m{k}.{n}" for k in range(4) for n in ("position", "speed"))
+    assert told.endswith(
+        f"; there are {listed}" if count == 4 else f"; there are 10 outputs, such as {listed}"
+    )
+
+
 def test_without_directional_derivatives_differences_do_and_a_note_says_so(fmus, tmp_path):
     """The same model, whose description does not offer derivatives, differs by the error of differences."""
     no_derivatives = (r"providesDirectionalDerivatives?", "needsNothing")
@@ -157,6 +213,7 @@ def test_files_hold_the_arrays_and_the_names(fmus, tmp_path):
         for name, value in zip("ABCD", (linear.a, linear.b, linear.c, linear.d), strict=True):
             np.testing.assert_array_equal(stored[name], value)
     described = json.loads(names.read_text())
+    assert names.read_text().startswith('{\n "system": ')  # to read by eye: one blank for each level
     assert [s["name"] for s in described["states"]] == [s.name for s in linear.states]
     assert len(described["modes"]) == len(linear.modes) == 2
 

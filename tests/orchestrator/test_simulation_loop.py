@@ -3,7 +3,6 @@
 import ctypes
 import subprocess
 import sys
-import time
 from importlib.metadata import PackageNotFoundError
 from unittest.mock import Mock
 
@@ -43,17 +42,6 @@ def test_it_is_what_a_plain_jacobi_does(oscillator):
     trace = run(oscillator, master="jacobi", **STEPS).trace
     for name in names:
         np.testing.assert_array_equal(trace[name], expected[name], err_msg=name)
-
-
-@pytest.mark.skipif(sys.platform == "darwin", reason="perf_counter is another clock there")
-def test_wall_times_are_seconds():
-    """The clock of the loop is that of Python, also late in a second."""
-    clock = c_library.library().seconds
-    clock.restype = ctypes.c_double
-    for _ in range(3):
-        before, read, after = time.perf_counter(), clock(), time.perf_counter()
-        assert before - 1e-6 <= read <= after + 1e-6  # rounding
-        time.sleep(0.3)
 
 
 def test_structures_are_laid_out_as_in_c(tmp_path):
