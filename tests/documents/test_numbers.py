@@ -45,8 +45,8 @@ def test_a_case_of_the_held_out_machines_runs(built, monkeypatch):
     found = held_out.outcome(held_out.TUNING, 0, built, with_cost=False)
     assert not found.why
     assert 0.0 < found.error <= found.asked
-    assert 0.0 < found.estimate
-    assert 0.0 < found.cpu
+    assert found.estimate > 0.0
+    assert found.cpu > 0.0
     assert found.runs > 0
     assert found.steps > 0
 

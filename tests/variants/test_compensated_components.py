@@ -61,7 +61,7 @@ def test_a_section_never_flows_back_and_follows_its_pressures(command, port, sup
 
 @pytest.mark.parametrize("port", [1e5, 1.2e7, 1.79e7])
 def test_the_drops_of_a_section_are_what_the_supply_is_above_the_port(port):
-    """Over the metering edge and over the compensator, at 18 MPa, but for half the pressure that opens the check."""
+    """Over metering edge and compensator, at 18 MPa, but for half the pressure that opens the check valve."""
     a, _ = compensator.section_ports(SECTION, 5.0, (port, 0.0), 1.8e7, 1.6e7, 0.0)
     assert float(a.metering_drop) > 0
     assert float(a.compensator_drop) > 0

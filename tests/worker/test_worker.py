@@ -104,12 +104,16 @@ def test_a_worker_that_nobody_knows_ends():
 @pytest.mark.skipif(sys.platform == "win32", reason="no process sends SIGINT to itself")
 def test_an_interrupt_while_a_forgotten_worker_ends_is_raised_after_it():
     """The garbage collector would print it with a traceback, and lose it."""
-    worker = Worker("jobs:sleep", dict, grace=0.5)
-    folder = worker.folder
+    workers = [Worker("jobs:sleep", dict, grace=0.5)]
+    folder = workers[0].folder
     threading.Timer(0.1, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        del worker
+
+    def forget():
+        workers.clear()
         time.sleep(LONG)
+
+    with pytest.raises(KeyboardInterrupt):
+        forget()
     assert not folder.exists()
 
 
