@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from kit.mistakes import problem, table
 
-from orchestrator import Coupling, System, run
+from orchestrator import Coupling, System, assemble, run
 from orchestrator.base.units import DeclaredUnit
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.engine.result import Card
@@ -61,6 +61,21 @@ def test_energies_are_the_sums_over_the_recorded_steps(bounce):
     expected = [errors.sum(), np.abs(errors).sum(), 0.5e-2 * (power[1:] + power[:-1]).sum()]
     # the lengths of steps, differences of rounded times, and the order of a hundred summands: rounding
     assert [bond.residual, bond.turnover, bond.exchanged] == pytest.approx(expected, rel=1e-11)
+
+
+def test_each_bond_has_an_energy_of_its_own(fmus, bounce):
+    """Three equal pairs have the energies of one, to the bit."""
+    models = {"mass": "mass_b", "spring": "spring"}
+    files = {f"{n}{k}": fmus.make(m, f"{n}_False") for n, m in models.items() for k in range(3)}
+    wires = [w for k in range(3) for w in (f"spring{k}.force -> mass{k}.force", f"mass{k}.v -> spring{k}.v")]
+    three = assemble(files, wires, {f"mass{k}.spring": 0.0 for k in range(3)})
+    (alone,) = run(bounce(False), master="jacobi", step=1e-2, stop=1.0).card.bonds
+    for bond in run(three, master="jacobi", step=1e-2, stop=1.0).card.bonds:
+        assert (bond.residual, bond.turnover, bond.exchanged) == (
+            alone.residual,
+            alone.turnover,
+            alone.exchanged,
+        )
 
 
 def test_inputs_that_move_are_judged_as_what_they_were_at_both_ends(bounce):
