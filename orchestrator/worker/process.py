@@ -408,7 +408,15 @@ def _abandon(*of: Any) -> None:
             _end(*of)
     except KeyboardInterrupt:
         with suppress(RuntimeError):  # Python exits
-            threading.Timer(POLL_INTERVAL, _thread.interrupt_main).start()
+            threading.Timer(POLL_INTERVAL, _interrupt_main_thread).start()
+
+
+def _interrupt_main_thread() -> None:
+    """As Ctrl-C does: also a call that waits ends, except on Windows."""
+    if sys.platform == "win32":
+        _thread.interrupt_main()
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
 def _end(
