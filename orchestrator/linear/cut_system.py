@@ -134,9 +134,21 @@ def _default_inputs(system: System) -> tuple[Inlet, ...]:
     """Inputs of the system, unconnected inputs, and inputs connected to components without inputs."""
     sources = {n for n, c in system.components.items() if not c.interface.of("input")}
     targets = [c.target for c in system.connections if c.source.component in sources]
-    inlets = [*system.inputs.values(), *system.open.values()]
+    inlets = [*system.inputs.values(), *(i for joint in system.open.values() for i in _apart(system, joint))]
     inlets += [_inlet(system, name) for name in _names(system, _effective(system, targets))]
     return tuple(i for i in inlets if list(_effective(system, (p for p, _ in i.targets))))
+
+
+def _apart(system: System, inlet: Inlet) -> list[Inlet]:
+    """An unconnected input, or one for each component where these start at different values."""
+    starts = set()
+    for port, linear in inlet.targets:
+        component = system.components[port.component]
+        start = component.start.get(port.variable, component.interface.variables[port.variable].start) or 0.0
+        starts.add((float(start) - linear.offset) / linear.factor if not isinstance(start, str) else start)
+    if len(starts) == 1:
+        return [inlet]
+    return [Inlet(str(p), system.unit(p), ((p, linear),)) for p, linear in inlet.targets]
 
 
 def _effective(system: System, ports: Iterable[Port]) -> Iterable[Port]:

@@ -138,6 +138,15 @@ def test_wires_with_factors_scale_the_matrices(fmus):
     assert linear.x0[0] == pytest.approx(1 / 3, rel=1e-10)  # Newton's method stops at 1e-11 of the terms
 
 
+def test_unconnected_inputs_of_one_name_keep_their_values(fmus):
+    """A pull of 6 N at mass a alone: mass b stays at rest, and each input has its own column."""
+    linear = linearize(masses(fmus, a__pull=6.0))
+    rates = dict(zip([s.name for s in linear.states], linear.f0, strict=True))
+    assert (rates["a.speed"], rates["b.speed"]) == (6.0, 0.0)
+    assert {"a.pull", "b.pull"} <= {i.name for i in linear.inputs}
+    assert "pull" in {i.name for i in linearize(masses(fmus)).inputs}
+
+
 def test_a_steady_state_balances_what_pulls(fmus):
     """The masses hang where the springs balance a pull of 6 N: solved by hand, every rate zero."""
     system = masses(fmus, a__pull=6.0, spring__stiffness=1.0)
