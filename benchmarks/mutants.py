@@ -8,8 +8,8 @@
 
 A mutant is one arithmetic operator, comparison, sign or number in an expression of Python or C, but for the
 heads of loops in C. `--count` of them are drawn from each room with `--seed`. The tests of its room run in
-a copy of the last commit, in the order of `ROOMS`, until one fails. mutants.toml lists those that change
-nothing which can be observed, each with its reason; they are not run. No mutation tool changes both
+a copy of the last commit, in the order of `ROOMS`, until one fails. mutants.toml lists those that are
+not run, each with its reason: most change nothing that can be observed. No mutation tool changes both
 languages: mutmut and cosmic-ray know Python only.
 """
 

@@ -148,7 +148,7 @@ def _pieces() -> ca.Function:
     v: list[Scalar] = ca.vertsplit(given[0])
     a: list[Scalar] = [0, *ca.vertsplit(given[1])]
     used = [v[1] > 0, *(value > 0 for value in v[1:])]
-    for i in range(2, POINTS):  # an unused point is the last one that is used
+    for i in range(2, POINTS):  # an unused point repeats the one before
         v[i], a[i] = ca.if_else(used[i], v[i], v[i - 1]), ca.if_else(used[i], a[i], a[i - 1])
     gaps = [ca.if_else(used[i + 1], v[i + 1] - v[i], 1) for i in range(POINTS - 1)]
     secants = [(a[i + 1] - a[i]) / gaps[i] for i in range(POINTS - 1)]

@@ -143,9 +143,8 @@ def _apart(system: System, inlet: Inlet) -> list[Inlet]:
     """An unconnected input, or one for each component where these start at different values."""
     starts = set()
     for port, linear in inlet.targets:
-        component = system.components[port.component]
-        start = component.start.get(port.variable, component.interface.variables[port.variable].start) or 0.0
-        starts.add((float(start) - linear.offset) / linear.factor if not isinstance(start, str) else start)
+        start = system.components[port.component].start.get(port.variable, system.variable(port).start)
+        starts.add((float(start or 0.0) - linear.offset) / linear.factor)
     if len(starts) == 1:
         return [inlet]
     return [Inlet(str(p), system.unit(p), ((p, linear),)) for p, linear in inlet.targets]

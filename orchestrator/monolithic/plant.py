@@ -37,6 +37,7 @@ from orchestrator.fmi.model_exchange import ExchangeFmu, open_exchange
 from orchestrator.ssp.system import Connection, Inlet, Port, System
 
 Array = NDArray[np.float64]
+SAME_INPUT = 1e-9  # relative difference of equal inputs in different units: rounding
 RELATIVE_STEP = 6e-6  # of central differences: the cube root of the rounding error
 
 
@@ -321,10 +322,16 @@ class Plant:
 
     @property
     def u(self) -> Array:
-        """The current values of the external inputs."""
-        at = {p: i for i, p in enumerate(self.inputs)}
-        first = [(at[inlet.targets[0][0]], inlet.targets[0][1]) for inlet in self.inlets]
-        return np.array([(self.v[i] - linear.offset) / linear.factor for i, linear in first])
+        """The current values of the external inputs; raises Problem if the targets of one differ."""
+        at, result = {p: i for i, p in enumerate(self.inputs)}, list[float]()
+        for inlet in self.inlets:
+            found = {str(p): (self.v[at[p]] - linear.offset) / linear.factor for p, linear in inlet.targets}
+            low, high = min(found.values()), max(found.values())
+            if high - low > SAME_INPUT * max(abs(low), abs(high)):
+                got = ", ".join(f"{name} = {value:g}" for name, value in found.items())
+                raise Problem(f"input {inlet.name}: expected one value, got {got}; name them one by one")
+            result.append(next(iter(found.values())))
+        return np.array(result)
 
     def settle(self, x: Array, u: Array) -> None:
         """Set states and external inputs, and solve the connections v = L y + M u + constant for v."""

@@ -407,7 +407,7 @@ def _abandon(*of: Any) -> None:
         with DeferredInterrupts(second_at_once=False):
             _end(*of)
     except KeyboardInterrupt:
-        with suppress(RuntimeError):  # Python exits
+        if threading.main_thread().is_alive():  # else Python exits
             threading.Timer(POLL_INTERVAL, _interrupt_main_thread).start()
 
 

@@ -147,6 +147,17 @@ def test_unconnected_inputs_of_one_name_keep_their_values(fmus):
     assert "pull" in {i.name for i in linearize(masses(fmus)).inputs}
 
 
+def test_an_input_has_one_value(fmus):
+    """One name for two masses is refused where their pulls differ: at the start, or by a scenario later."""
+    told = mistakes.problem(lambda: linearize(masses(fmus, a__pull=6.0), inputs=["pull"]))
+    assert told == "input pull: expected one value, got a.pull = 6, b.pull = 0; name them one by one"
+    ramp = {"time": [0.0, 1.0], "a.pull": [0.0, 4.0]}
+    told = mistakes.problem(lambda: linearize(masses(fmus), ramp, time=0.5, step=0.5))
+    assert told == "input pull: expected one value, got a.pull = 2, b.pull = 0; name them one by one"
+    linear = linearize(masses(fmus), ramp, time=0.5, step=0.5, inputs=["a.pull", "b.pull"])
+    assert linear.u0.tolist() == [2.0, 0.0]
+
+
 def test_a_steady_state_balances_what_pulls(fmus):
     """The masses hang where the springs balance a pull of 6 N: solved by hand, every rate zero."""
     system = masses(fmus, a__pull=6.0, spring__stiffness=1.0)

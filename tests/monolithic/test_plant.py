@@ -84,9 +84,8 @@ def test_a_loop_through_components_with_states(fmu):
         plant.start((0.0, 1.0))
         plant.settle(np.array([2.0, 0.0, 3.0]), np.zeros(0))
         u = (1 - 3 - 22) / 56
-        assert plant.v == pytest.approx(
-            [u, 2 + 5 * u], rel=1e-12
-        )  # the tolerance of Newton's method is 1e-13
+        # the tolerance of Newton's method is 1e-13
+        assert plant.v == pytest.approx([u, 2 + 5 * u], rel=1e-12)
         wanted = [[0, 0], [5, 0], [0, 0], [0, 0], [0, 11]]
         np.testing.assert_allclose(plant._feedthrough(), wanted, rtol=0, atol=1e-9)
         assert plant.x.tolist() == [2.0, 0.0, 3.0]

@@ -70,12 +70,9 @@ def test_each_bond_has_an_energy_of_its_own(fmus, bounce):
     wires = [w for k in range(3) for w in (f"spring{k}.force -> mass{k}.force", f"mass{k}.v -> spring{k}.v")]
     three = assemble(files, wires, {f"mass{k}.spring": 0.0 for k in range(3)})
     (alone,) = run(bounce(False), master="jacobi", step=1e-2, stop=1.0).card.bonds
-    for bond in run(three, master="jacobi", step=1e-2, stop=1.0).card.bonds:
-        assert (bond.residual, bond.turnover, bond.exchanged) == (
-            alone.residual,
-            alone.turnover,
-            alone.exchanged,
-        )
+    bonds = run(three, master="jacobi", step=1e-2, stop=1.0).card.bonds
+    expected = alone.residual, alone.turnover, alone.exchanged
+    assert [(b.residual, b.turnover, b.exchanged) for b in bonds] == 3 * [expected]
 
 
 def test_inputs_that_move_are_judged_as_what_they_were_at_both_ends(bounce):

@@ -276,7 +276,7 @@ def test_fmus_called_by_python_and_by_c_agree_on_loops_of_several(each, both, un
 def test_linear_equations(n):
     """Exact up to rounding, also with zeros on the diagonal; a singular matrix and NaN are detected.
 
-    No row is subtracted more than once from another one: the largest number of a column is its pivot.
+    The pivot is the largest number of its column, so no multiplier exceeds 1.
     """
     random = np.random.default_rng(n)
     matrix, right = random.normal(size=(n, n)), random.normal(size=n)

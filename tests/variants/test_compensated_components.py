@@ -61,11 +61,11 @@ def test_a_section_never_flows_back_and_follows_its_pressures(command, port, sup
 
 @pytest.mark.parametrize("port", [1e5, 1.2e7, 1.79e7])
 def test_the_drops_of_a_section_are_what_the_supply_is_above_the_port(port):
-    """Over metering edge and compensator, at 18 MPa, but for half the pressure that opens the check valve."""
+    """Drops of metering edge and compensator add up, less half the pressure that opens the check valve."""
     a, _ = compensator.section_ports(SECTION, 5.0, (port, 0.0), 1.8e7, 1.6e7, 0.0)
     assert float(a.metering_drop) > 0
     assert float(a.compensator_drop) > 0
-    # rounding
+    # 0.1 bar opens the check valve; rounding
     assert float(a.metering_drop + a.compensator_drop) == pytest.approx(1.8e7 - port - 5e3, rel=1e-12)
 
 
