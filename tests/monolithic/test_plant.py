@@ -34,7 +34,7 @@ def test_differences_are_central(x0, step):
 def chain(fmu):
     """g and r of an input w = (g.u - 3) / 2 = (r.u - 1) / 10; from g to p, and back to front to q."""
     fmus = {"q": fmu("lag", 3), "g": fmu("gain", 2), "room": fmu("room", 3), "p": fmu("lag", 2)}
-    start = {"g.a": 2.0, "p.a": 3.0, "p.b": 5.0, "q.a": 7.0, "q.b": 11.0}
+    start = {"g.a": 2.0, "p.a": 3.0, "p.b": 5.0, "q.a": 7.0, "q.b": 11.0, "r.u": -14.0}
     wires = [("g.y", "p.u"), ("p.y", "q.u", -1.0, 4.0)]
     system = assemble(fmus | {"r": fmu("gain", 3)}, wires, start, exchange=True)
     w = [(Port("g", "u"), LinearTransformation(2.0, 3.0)), (Port("r", "u"), LinearTransformation(10.0, 1.0))]
@@ -44,7 +44,7 @@ def chain(fmu):
 
 
 def test_values_and_times_of_a_chain(chain):
-    """g.y = 4 w + 6, p.y = xp + 5 g.y, q.u = 4 - p.y; w at the start follows from g.u = 0."""
+    """g.y = 4 w + 6, p.y = xp + 5 g.y, q.u = 4 - p.y; w at the start follows from g.u = 0 or r.u = -14."""
     v = dict(zip(map(str, chain.inputs), range(4), strict=True))
     assert chain.u.tolist() == [-1.5]
     assert chain.v[v["r.u"]] == 10 * -1.5 + 1
