@@ -55,6 +55,7 @@ ROOMS = {
     "engine": Room("orchestrator/engine/native", "*.c", (
         *(ORCHESTRATOR + f"test_{n}.py" for n in ("coupling_input", "masters", "hermite", "orders", "loops")),
         *(ORCHESTRATOR + f"test_{n}.py" for n in ("error_estimate", "adaptive", "interface_jacobian")),
+        *(ORCHESTRATOR + f"test_{n}.py" for n in ("engine_parts", "error_sections", "joined_system")),
         *("tests/monolithic", "tests/orchestrator"),
     )),
     "linear": Room("orchestrator/linear", "*.py", (

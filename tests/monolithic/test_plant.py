@@ -91,6 +91,20 @@ def test_a_loop_through_components_with_states(fmu):
         assert plant.x.tolist() == [2.0, 0.0, 3.0]
 
 
+def test_the_slope_of_a_loop_is_renewed_where_it_has_changed(fmu):
+    """u = 10 - y with y = 0, then y = u^3: u = 2, where the slope 0 that was known before leads astray."""
+    system = assemble(
+        {"g": fmu("gain", 2)}, [("g.y", "g.u", -1.0, 10.0)], {"g.a": 0.0, "g.b": 0.0}, exchange=True
+    )
+    with closing(Plant(system)) as plant:
+        plant.start((0.0, 1.0))
+        assert plant.v.tolist() == [10.0]
+        plant.slaves["g"].set("b", 1.0)
+        plant.settle(np.zeros(0), np.zeros(0))
+        # the tolerance of Newton's method is 1e-13
+        assert plant.v == pytest.approx([2.0], rel=1e-12)
+
+
 @pytest.mark.parametrize("closed", [False, True])
 @pytest.mark.parametrize("length", [1, 2, 3, 5])
 def test_the_substitutions_are_as_many_as_the_components_in_a_row(fmu, length, closed):

@@ -8,6 +8,7 @@ from kit.any_fmu.models import RAMP, RATES, STATES, V, oscillator_of, telling
 from scipy.linalg import expm
 
 from orchestrator import Coupling, RunFailed, Trace, assemble, run
+from orchestrator.engine import error_propagation
 from orchestrator.engine.c_library import Binding, library
 from orchestrator.engine.error_propagation import STAGES
 from orchestrator.engine.linear_prediction import LinearSystem
@@ -18,6 +19,11 @@ MASTERS = [
     *((Coupling("hermite", passes=1, guard=0), 5e-3), (Coupling("hermite", adaptive=1e-4), None)),
     (Coupling("interface-jacobian", guard=0), 5e-2),
 ]
+
+
+def estimate_of(system):
+    """A run of a thousand steps with its estimated errors."""
+    return run(system, master="gauss-seidel", step=1e-3, stop=1.0, error_estimate=True)
 
 
 def estimate_over_truth(result, exact):
@@ -44,6 +50,17 @@ def test_the_estimate_is_the_error(open_oscillator, exact, master, step):
         band = result.band[signal]
         assert (error <= band + 1e-9).all()  # errors inside the FMUs are below 1e-9 m
         assert band.max() < 2.5 * error.max() + 1e-9  # twice the estimate; measured 1.5 to 2.2
+
+
+def test_no_estimated_error_is_lost_where_a_block_of_them_is_full(open_oscillator, monkeypatch):
+    """With blocks of four the same errors are recorded as with blocks of 256."""
+    many, few = (
+        (monkeypatch.setattr(error_propagation, "BLOCK", block), estimate_of(open_oscillator))[1]
+        for block in (256, 4)
+    )
+    assert len(many.errors.time) > 50
+    np.testing.assert_array_equal(few.errors.time, many.errors.time)
+    np.testing.assert_array_equal(few.errors["a.x"], many.errors["a.x"])
 
 
 @pytest.mark.parametrize(("master", "step"), MASTERS[:3])

@@ -11,16 +11,16 @@ from orchestrator.engine.linear_prediction import LinearSystem
 
 
 class Estimate(LinearSystem):
-    """One state x' = a x + u, whose input u is 0 while its source is not: the defect is the source itself."""
+    """States x' = a x + u, whose input u is 0 while its source is not: the defect is the source itself."""
 
-    def __init__(self, lag=10**6):
-        super().__init__(1, 1)
+    def __init__(self, lag=10**6, states=1):
+        super().__init__(states, 1)
         self.b[:, 0] = 1.0
         wide = self.n_padded
-        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((1, wide))
+        self.e, self.stages, self.factors = np.zeros(wide), np.zeros((STAGES, wide)), np.zeros((states, wide))
         self.w, self.middle = np.zeros(self.m_padded), np.zeros(self.m_padded)
         self.defects, self.lengths, self.starts = np.zeros((1, 2)), np.zeros(3), np.zeros(2)
-        self.diagonal, self.slope = np.zeros(1), np.zeros(1)
+        self.diagonal, self.slope = np.zeros(states), np.zeros(1)
         binding = self.binding = Binding()
         h = binding.h
         self.source = binding.array(h.CouplingInput, [h.CouplingInput(source_slope=binding.at(self.slope))])
@@ -123,18 +123,25 @@ def test_the_magnitude_of_a_slope_fades_by_a_twentieth_in_a_step():
         assert p.input[0].usual_slope == pytest.approx(0.95**k, rel=1e-12)
 
 
-@pytest.mark.parametrize(("change", "lag"), [(0.31, 4), (0.29, 8), (0.11, 8), (0.09, 16)])
-def test_linearisations_are_as_rare_as_the_system_changes(change, lag):
+@pytest.mark.parametrize(
+    ("change", "before", "after"),
+    [
+        *((0.31, 8, 4), (0.31, 3, 1), (0.31, 2, 1), (0.31, 1, 1)),
+        *((0.29, 8, 8), (0.11, 8, 8), (0.09, 8, 16), (0.09, 10, 20), (0.09, 11, 20)),
+    ],
+)
+def test_linearisations_are_as_rare_as_the_system_changes(change, before, after):
     """A diagonal element that changes by three tenths of its size halves their distance, a tenth doubles it.
 
-    The size is the sum of both magnitudes and of the rate that the distance itself resolves, 1/80 ms.
+    The size is the sum of both magnitudes and of the rate that the distance itself resolves. The distance
+    stays between 1 and 20 steps. Of two states one does not change.
     """
-    p, old, h = Estimate(lag=8), -100.0, 1e-2
-    p.a[0, 0] = old
+    p, old, h = Estimate(lag=before, states=2), -100.0, 1e-2
+    p.a[0, 0], p.a[1, 1] = 7.0, old
     library().linear_system_join(byref(p.state.system))
-    least = 1 / (8 * h)
+    least = 1 / (before * h)
     # |new - old| = change (|new| + |old| + least), where new is the larger one
-    p.a[0, 0] = (old * (1 + change) - change * least) / (1 - change)
-    for _ in range(10):
+    p.a[1, 1] = (old * (1 + change) - change * least) / (1 - change)
+    for _ in range(before + 1):
         p.step(h, 0.0, 0.0, 0.0, 0.0)
-    assert p.state.lag == lag
+    assert p.state.lag == after

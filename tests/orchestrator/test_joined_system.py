@@ -4,7 +4,7 @@ from ctypes import byref, c_double
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, lu_factor
 
 from orchestrator.engine.c_library import Binding, library
 from orchestrator.engine.linear_prediction import JoinedSystem
@@ -127,5 +127,6 @@ def test_inverse(n):
     assert library().matrix_invert(address(found), address(rows), n, wide)
     # rounding times the condition of the matrix, below 1e4
     np.testing.assert_allclose(found[:, :n] @ matrix, np.eye(n), atol=1e-11)
+    assert rows.tolist() == lu_factor(matrix)[1].tolist()  # the largest pivots
     if n > 1:
         assert not library().matrix_invert(address(np.ones((n, wide))), address(rows), n, wide)

@@ -51,6 +51,14 @@ def test_driven_inputs_move_inside_the_step(each, how):
     assert end == pytest.approx(0.5, abs=1e-12)  # exact for polynomials; rounding of 4000 inner steps
 
 
+def test_driven_inputs_move_inside_both_halves_of_a_step_of_two_seconds(each):
+    """The second half begins at 1 s, where the input is half of its end."""
+    system = assemble({"sum": integrator(each, "by a curve")})
+    ramp = Trace(np.array([0.0, 2.0]), {"u": np.array([0.0, 2.0])})
+    trace = run(system, ramp, step=2.0, factors={"sum": 2}).trace
+    assert trace["sum.y"][-1] == pytest.approx(2.0, abs=1e-12)  # as above
+
+
 def test_jacobi_is_what_it_should_be(oscillator):
     """The result equals that of the scheme with the exact solution of each mass over a step.
 
