@@ -22,8 +22,8 @@ MASTERS = [
 
 
 def estimate_of(system):
-    """A run of a thousand steps with its estimated errors."""
-    return run(system, master="gauss-seidel", step=1e-3, stop=1.0, error_estimate=True)
+    """A run of a thousand steps in this process, with its estimated errors."""
+    return run(system, master="gauss-seidel", step=1e-3, stop=1.0, error_estimate=True, isolate=False)
 
 
 def estimate_over_truth(result, exact):
