@@ -164,7 +164,8 @@ def _simulate(
             if lanes:
                 raise
             notes = (f"the machines ran one by one: {reason}",)
-    return run_one_by_one(job, times, values, count, signals, rows, workers), notes
+    points = recorded_times(times)
+    return run_one_by_one(job, times, values, count, signals, rows, points, workers), notes
 
 
 # ---- what differs and what is recorded

@@ -15,7 +15,7 @@ from orchestrator import Problem
 from orchestrator.__main__ import main
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.pool import outcomes
+from orchestrator.studies.processes import run_units
 from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
@@ -41,8 +41,9 @@ def done(finished, tmp_path):
 def rows(finished, one):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
-    batches = outcomes(one, ready.payload, [(sample,) for sample in ready.samples])
-    return {row.run: row for batch in batches for row in batch}
+    found = []
+    run_units(ready.payload, [(sample,) for sample in ready.samples], one, found.extend)
+    return {row.run: row for row in found}
 
 
 @pytest.fixture
