@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.deviation import rms
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
@@ -90,7 +91,7 @@ class PathRun:
     @property
     def rms(self) -> float:
         """Root mean square of the error over the equally spaced samples [m]."""
-        return float(np.sqrt(np.mean(self.error**2)))
+        return rms(self.error)
 
     @property
     def last(self) -> float:
