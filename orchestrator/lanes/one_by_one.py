@@ -50,7 +50,7 @@ def run_one_by_one(
             raise KeyboardInterrupt
 
     with temporary_folder("batch-", "the FMUs") as folder:
-        system, originals = unpacked(job.system, folder)
+        (system,), originals = unpacked([job.system], folder)
         record = Record([*map(str, signals)], job.record.step, ())
 
         def work() -> None:
@@ -87,23 +87,37 @@ def _simulate(
             recorded = np.abs(trace.time[:count] - points[:count]) < SAME_TIME * times.step
             for row, name in zip(rows, job.record.signals or (), strict=True):
                 row[:count][recorded] = trace[name][:count][recorded]
-    early = [note for note in result.card.notes if note.startswith(ENDS_EARLY)]
-    return Ended(EARLY, " ".join(early[0].removeprefix(ENDS_EARLY).split()), outcome.t) if early else None
+    reason = early_end(result.card.notes)
+    return Ended(EARLY, reason, outcome.t) if reason else None
 
 
-def unpacked(system: System, folder: Path) -> tuple[System, dict[str, str]]:
-    """The system with FMUs in folders, and folder -> original FMU.
+def early_end(notes: Sequence[str]) -> str:
+    """Why an FMU asked for the end of a run, in one line, from the notes of its card; empty if none did."""
+    early = [note.removeprefix(ENDS_EARLY) for note in notes if note.startswith(ENDS_EARLY)]
+    return " ".join(early[0].split()) if early else ""
+
+
+def unpacked(
+    systems: Sequence[System], folder: Path, extract: Callable[[Location, Path], None] = Location.extract
+) -> tuple[list[System], dict[str, str]]:
+    """The systems with FMUs in folders, and folder -> original FMU; extract: unpacks an FMU into a folder.
 
     Each component gets its own copy of its FMU: two instances in one library may share variables.
     """
-    components, originals = dict(system.components), dict[str, str]()
-    for number, (name, component) in enumerate(components.items()):
-        if component.source is not None:
-            place = folder / str(number)
-            component.source.extract(place)
-            components[name] = replace(component, source=Location(place))
-            originals[str(place)] = str(component.source)
-    return replace(system, components=components), originals
+    copies: dict[tuple[str, Location], Path] = {}
+    found = []
+    for system in systems:
+        components = dict(system.components)
+        for name, component in components.items():
+            if component.source is None:
+                continue
+            key = name, component.source
+            if key not in copies:
+                copies[key] = folder / f"{len(copies):06}"
+                extract(component.source, copies[key])
+            components[name] = replace(component, source=Location(copies[key]))
+        found.append(replace(system, components=components))
+    return found, {str(place): str(source) for (_, source), place in copies.items()}
 
 
 def with_originals(reason: str, originals: Mapping[str, str]) -> str:

@@ -27,11 +27,12 @@ from orchestrator.base.errors import Stopped
 from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit
 from orchestrator.lanes.compiled import lane_count
+from orchestrator.lanes.group import EARLY, FAILED, OK
 from orchestrator.studies import design, processes, store
 from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
 from orchestrator.studies.processes import Payload, payload
-from orchestrator.studies.single_run import EARLY, FAILED, OK, RunOutcome, group_size
+from orchestrator.studies.single_run import RunOutcome, group_size
 from orchestrator.studies.study import Study, read
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.engine import simulation_loop
 from orchestrator.engine.c_library import library
-from orchestrator.lanes.one_by_one import with_originals
+from orchestrator.lanes.one_by_one import unpacked, with_originals
 from orchestrator.studies.cases import Options, StudyCase, Unit
 from orchestrator.studies.single_run import RunOutcome, failed, outcomes
 from orchestrator.studies.study import Study
@@ -68,26 +68,12 @@ class Payload:
     archives: Mapping[str, bytes]
 
     def unpacked(self, folder: Path) -> tuple[dict[Options, StudyCase], dict[str, str]]:
-        """The cases with FMUs that are unpacked in a folder, and unpacked FMU -> original FMU.
+        """The cases with FMUs that are unpacked in a folder, and unpacked FMU -> original FMU."""
+        systems, originals = unpacked([case.system for case in self.cases.values()], folder, self._unpack)
+        pairs = zip(self.cases.items(), systems, strict=True)
+        return {options: replace(case, system=system) for (options, case), system in pairs}, originals
 
-        Each component gets its own copy of its FMU: two instances in one library may share variables.
-        """
-        copies: dict[tuple[str, Location], Location] = {}
-        cases = {}
-        for options, case in self.cases.items():
-            components = dict(case.system.components)
-            for name, component in components.items():
-                if component.source is None:
-                    continue
-                key = name, component.source
-                if key not in copies:
-                    copies[key] = self._unpack(component.source, folder / f"{len(copies):06}")
-                components[name] = replace(component, source=copies[key])
-            cases[options] = replace(case, system=replace(case.system, components=components))
-        return cases, {str(copy): str(source) for (_, source), copy in copies.items()}
-
-    def _unpack(self, source: Location, folder: Path) -> Location:
-        folder.mkdir(parents=True)
+    def _unpack(self, source: Location, folder: Path) -> None:
         archive = folder.with_suffix(".fmu")
         archive.write_bytes(self.archives[self.sources[source]])
         try:
@@ -95,7 +81,6 @@ class Payload:
         except Problem as problem:  # with the name of the source instead of that of the copy
             raise Problem(str(problem).replace(str(archive), str(source))) from None
         archive.unlink()
-        return Location(folder)
 
 
 def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import mannwhitneyu
 
 from orchestrator.data.deviation import moves
+from orchestrator.lanes.group import OK
 from orchestrator.studies.analysis import morris_sobol, sensitivity
 from orchestrator.studies.analysis.results import (
     Analysis,
@@ -21,7 +22,6 @@ from orchestrator.studies.analysis.results import (
     samples,
     without_numbers,
 )
-from orchestrator.studies.single_run import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Output, Study
 
