@@ -451,8 +451,8 @@ def judge(m: Machine, folder: Path) -> Verdict:
         words = {x["fault"] for x in findings if x["named"]}
         named = {fault for fault in FAULTS if word(fault) in words}
     else:
-        lines = [x for x in printed.getvalue().splitlines() if x.lstrip().startswith("warning:")]
-        named = {f for f, said in FAULTS.items() if any(re.search(said, x, re.IGNORECASE) for x in lines)}
+        said = printed.getvalue()
+        named = {fault for fault, words in FAULTS.items() if re.search(words, said, re.IGNORECASE)}
     found: dict[str, dict[str, Any]] = {}
     for table in _tables(content, "name", "value", "low", "high"):
         found.setdefault(table["name"], table)
