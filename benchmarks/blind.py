@@ -490,13 +490,14 @@ def _holds(row: Mapping[str, Any], true: float) -> bool:
 def _point(m: Machine, name: str, found: Mapping[str, Mapping[str, Any]]) -> Iterator[bool]:
     """Whether a point of a curve holds the truth, for each measured edge that it stands for.
 
-    C_R is left out if the oil of the bench is not that of the machine.
+    Points of the tables are relative to the estimated area. C_R is left out if the oil of the bench is not
+    that of the machine.
     """
     if (table := re.fullmatch(r"valve_(\w)(\w)_opening_(\d+)", name)) and table[3] != "1":
         edge = f"{table[1]}-{table[2]}".upper()
         if edge in m.curves:
             command = found[f"valve_{table[1]}{table[2]}_command_{table[3]}"]["value"]
-            yield _holds(found[name], float(m.curves[edge](command)) / m.truth["valve_area"])
+            yield _holds(found[name], float(m.curves[edge](command)) / found["valve_area"]["value"])
     elif (point := re.fullmatch(r"C_R\(([\d.]+) V\)(?:\[(.*)\])?", name)) and not m.has("density"):
         for edge, curve in m.curves.items():
             if point[2] in (None, "all", edge) and (area := float(curve(float(point[1])))) > 0:
