@@ -443,7 +443,7 @@ def judge(m: Machine, folder: Path) -> Verdict:
     out.mkdir(exist_ok=True)
     try:
         with contextlib.redirect_stdout(printed), patch.object(Figure, "savefig", _no_picture):
-            good = run(folder, out / "parameters.toml", out, joint=False)
+            answer: int = run(folder, out / "parameters.toml", out, joint=False)
     except Problem as refusal:
         return Verdict(f"2: {refusal}")
     content = json.loads((out / "identification.json").read_text(encoding="utf-8"))
@@ -458,7 +458,8 @@ def judge(m: Machine, folder: Path) -> Verdict:
         found.setdefault(table["name"], table)
     parameters = tuple(_holds(found[n], x) for n, x in m.truth.items() if n in found)
     points = tuple(hit for n in found for hit in _point(m, n, found))
-    return Verdict("0" if good else "1", frozenset(named), found, parameters, points)
+    status = str(int(not answer)) if isinstance(answer, bool) else str(answer)  # bool: whether to trust it
+    return Verdict(status, frozenset(named), found, parameters, points)
 
 
 def _no_picture(_: Figure, file: Any, **__: Any) -> None:
