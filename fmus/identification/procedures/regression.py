@@ -1,4 +1,4 @@
-"""Weighted least squares with known measurement errors: linear (statsmodels) and nonlinear (lmfit).
+"""Weighted least squares with known measurement errors: linear (statsmodels) and nonlinear (SciPy).
 
 Each residual is divided by its standard deviation, so chi-square is the sum of squared residuals, and the
 covariance of the estimates is (J'J)^-1 without scaling. Goodness of fit: if chi-square is less probable than
@@ -10,10 +10,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import lmfit
 import numpy as np
 import statsmodels.api as sm
-from scipy import stats
+from scipy import optimize, stats
 
 from fmus.identification.estimate import Estimate
 from orchestrator.base.errors import Problem
@@ -126,21 +125,21 @@ def fit(residual: Residual, start: Mapping[str, Guess], label: str) -> Regressio
     start   initial value of each parameter
     label   name of the fit in error messages
     """
-    nominal = {name: guess.nominal for name, guess in start.items()}
-    search = lmfit.Parameters()
-    for name, guess in start.items():
-        value, low, high = (x / nominal[name] for x in (guess.value, guess.low, guess.high))
-        search.add(name, value=value, min=low, max=high)
+    names, nominal = tuple(start), np.array([guess.nominal for guess in start.values()])
+    first, low, high = np.array([(g.value, g.low, g.high) for g in start.values()]).T / nominal
 
-    def scaled(parameters: lmfit.Parameters) -> Array:
-        return residual({name: parameters[name].value * unit for name, unit in nominal.items()})
+    def scaled(x: Array) -> Array:
+        return residual(dict(zip(names, x * nominal, strict=True)))
 
-    result = lmfit.minimize(scaled, search, scale_covar=False, nan_policy="propagate")
-    if not result.success or getattr(result, "covar", None) is None:
-        raise Problem(f"{label}: the fit of {', '.join(start)} to {result.ndata} values did not converge")
-    scale = np.array(list(nominal.values()))
-    values = scale * [result.params[name].value for name in nominal]
-    return _regression(tuple(nominal), values, result.covar * np.outer(scale, scale), result.residual)
+    problem = Problem(f"{label}: the fit of {', '.join(names)} to {scaled(first).size} values did not converge")
+    try:
+        found = optimize.least_squares(scaled, first, bounds=(low, high))
+        covariance = np.linalg.inv(found.jac.T @ found.jac) * np.outer(nominal, nominal)
+    except (ValueError, np.linalg.LinAlgError):  # not finite, singular
+        raise problem from None
+    if not found.success or not (np.diag(covariance) > 0).all():
+        raise problem
+    return _regression(names, nominal * found.x, covariance, found.fun)
 
 
 def linear(y: Array, regressors: Mapping[str, Array], sd: Array, label: str) -> Regression:
