@@ -131,7 +131,9 @@ def fit(residual: Residual, start: Mapping[str, Guess], label: str) -> Regressio
     def scaled(x: Array) -> Array:
         return residual(dict(zip(names, x * nominal, strict=True)))
 
-    problem = Problem(f"{label}: the fit of {', '.join(names)} to {scaled(first).size} values did not converge")
+    problem = Problem(
+        f"{label}: the fit of {', '.join(names)} to {scaled(first).size} values did not converge"
+    )
     try:
         found = optimize.least_squares(scaled, first, bounds=(low, high))
         covariance = np.linalg.inv(found.jac.T @ found.jac) * np.outer(nominal, nominal)
