@@ -29,7 +29,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy import linalg, stats
+from scipy import linalg, optimize, stats
 from scipy.signal import savgol_filter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
@@ -46,6 +46,7 @@ CONVERGED = 1e-2  # standard deviations, of the last step
 CORRELATION = 4  # lengths of a window over which residuals may be correlated
 NOISE_KNOWN = 2.0  # factor to which the noise of a sensor is known
 LAGS, CORRELATED = 5, 0.2  # windows, and correlation of whitened residuals that is no contradiction
+UNTOLD = 5.0  # limits of a zero above which its standard deviation allows no test
 SHIFT = 0.5  # sample times by which two sensors may be apart
 SMALLEST = 1e-6  # noise of a sensor over the largest of its samples, if it is described as perfect
 
@@ -167,6 +168,19 @@ def window_starts(good: Mask, half: int) -> Array:
     return starts[whole[starts]]
 
 
+def steady(
+    model: Law, sensors: Sequence[str], means: Array, errors: Array, known: Sequence[float] = (0.0,)
+) -> Samples:
+    """Means of sensors over n steady stretches, shape (k, n), with their standard errors, as `Samples`."""
+    smallest = SMALLEST * np.maximum(np.max(np.abs(means), axis=1, keepdims=True), 1e-30)
+    channels = [(k, np.ones(1)) for k in range(len(sensors))]
+    one, starts = np.ones(1), np.arange(means.shape[1])
+    sd = np.maximum(errors, smallest)
+    return Samples(
+        model, model.unknowns, tuple(sensors), means, sd, channels, np.array(known), one, 0 * one, starts
+    )
+
+
 @dataclass(frozen=True)
 class Linear:
     """The balance of one recording at some signals and parameters.
@@ -203,7 +217,7 @@ def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
 
 def covariance_bands(s: Samples, g: Array) -> Array:
     """Lower bands of S = sum of sd^2 G G', windows in order and the rows of each window together."""
-    k, r, m, size = g.shape
+    _, r, m, size = g.shape
     scaled = (g * s.windows(np.broadcast_to(s.sd, s.raw.shape))[:, None]).transpose(2, 1, 0, 3)
     lags = 1
     while lags < m and np.any(s.starts[lags:] - s.starts[:-lags] < size):
@@ -258,20 +272,31 @@ class Solution:
 
     fit        the estimates; their covariance is widened if there is a misfit
     zeros      sensor -> estimated zero and its standard deviation
+    covariance   of the estimates and the zeros
     by_noise   standard deviations of the estimates by the noise of the sensors alone
     parts      the balance of each recording at the solution
     prior      inverse variances of the unknowns and zeros by the data sheets
-    tested     names of unknowns of the law that are zero, and whose effect can be tested
+    names      all unknowns, also those that are not fitted and whose effect can be tested
+    limits     largest zero of each sensor by its data sheet
     """
 
     fit: Regression
     zeros: Mapping[str, tuple[float, float]]
+    covariance: Array
     by_noise: Array
     samples: tuple[Samples, ...]
     parts: tuple[Whitened, ...]
     prior: Array
     names: tuple[str, ...]
     limits: Mapping[str, float]
+
+    def difference_of_zeros(self, first: str, second: str) -> tuple[float, float]:
+        """Zero of one sensor less that of another, and its standard deviation."""
+        contrast = np.zeros(len(self.covariance))
+        for sensor, sign in ((first, 1.0), (second, -1.0)):
+            contrast[len(self.fit.names) + list(self.limits).index(sensor)] = sign
+        value = self.zeros[first][0] - self.zeros[second][0]
+        return value, math.sqrt(contrast @ self.covariance @ contrast)
 
     @cached_property
     def residual(self) -> Array:
@@ -369,20 +394,22 @@ def solve(
     label: str,
     limits: Mapping[str, float] | None = None,
     tested: Collection[str] = (),
-    free: Collection[str] = (),
+    priors: Mapping[str, float] | None = None,
 ) -> Solution:
     """Fit of the laws of all recordings; Problem if it does not converge.
 
     start    initial value of each unknown
     limits   sensor -> largest error of its zero by its data sheet; a sensor without one has no zero
     tested   unknowns that keep their initial value
-    free     sensors whose zeros have no prior
+    priors   unknown -> standard deviation of its initial value
     """
     limits = {n: x for n, x in (limits or {}).items() if x > 0}
     names, fitted = tuple(start), [k for k, n in enumerate(start) if n not in tested]
-    prior = np.array([0.0] * len(names) + [0.0 if n in free else 4 / x**2 for n, x in limits.items()])
+    weights = [1 / priors[n] ** 2 if priors and n in priors else 0.0 for n in names]
+    prior = np.array([*weights, *(4 / limit**2 for limit in limits.values())])
     columns = [*fitted, *range(len(names), len(prior))]
     x, k_square = np.array([*start.values(), *(0.0 for _ in limits)], dtype=float), 1.0
+    first, bound = x.copy(), np.array([*(np.inf for _ in fitted), *limits.values()])
     true = [s.raw for s in samples]
     problem = Problem(f"{label}: the fit of {', '.join(names[k] for k in fitted)} did not converge")
     for iteration in range(ITERATIONS):
@@ -401,7 +428,9 @@ def solve(
                 f"{label}: the {e.size} points cannot distinguish between {', '.join(names[k] for k in fitted)}"
             )
         inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-        step = -inverse @ (matrix @ e + weight * x[columns])
+        step = -inverse @ (matrix @ e + weight * (x - first)[columns])
+        if np.any(np.abs(x[columns] + step) > bound):  # a zero ends at its limit and keeps its interval
+            step = _bounded(matrix, e, weight, (x - first)[columns], scale, bound)
         x[columns] += step
         e = e + step @ matrix
         freedom = max(e.size - len(fitted), 1)
@@ -438,6 +467,7 @@ def solve(
     return Solution(
         fit=replace(fit, covariance=covariance[: len(fitted), : len(fitted)]),
         zeros={n: (float(v), float(sd)) for n, v, sd in zip(limits, values, sds[len(fitted) :], strict=True)},
+        covariance=covariance,
         by_noise=noise[: len(fitted)],
         samples=tuple(samples),
         parts=tuple(parts),
@@ -445,6 +475,15 @@ def solve(
         names=names,
         limits=limits,
     )
+
+
+def _bounded(matrix: Array, e: Array, weight: Array, x: Array, scale: Array, bound: Array) -> Array:
+    """The step for which no |x + step| exceeds its bound."""
+    rows = np.concatenate([matrix.T / scale, np.diag(np.sqrt(weight) / scale)])
+    right = -np.concatenate([e, np.sqrt(weight) * x])
+    margin = 1e-9 * np.where(np.isfinite(bound), bound, 0.0)
+    found = optimize.lsq_linear(rows, right, ((-bound - x - margin) * scale, (bound - x + margin) * scale))
+    return np.asarray(found.x / scale)
 
 
 def _whitened(
@@ -523,10 +562,11 @@ def zero_findings(solution: Solution, label: str) -> Iterator[Finding]:
         normal = (x @ x.T + np.diag(others)) / np.outer(scale, scale)
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) / np.outer(scale, scale)
         # the data want the estimate, and what its prior holds back
-        value, sd_now = solution.zeros[sensor]
-        zero = value * (1 + inverse[k, k] * prior[k])
+        zero = solution.zeros[sensor][0] * (1 + inverse[k, k] * prior[k])
         widening = max(1.0, solution.fit.chi_square / max(solution.fit.freedom, 1))
         sd = math.sqrt(inverse[k, k] * widening)
+        if sd > UNTOLD * limit:
+            continue  # the data tell nothing about this zero
         pressure = "pressure" in sensor
         name, (unit, one) = ("pressure sensor", BAR) if pressure else ("flow meter", LITRES_PER_MINUTE)
         if not (pressure or "flow" in sensor):
@@ -563,7 +603,7 @@ def model_finding(solution: Solution, label: str) -> Finding:
         rows = [p.e.reshape(-1, s.law.rows).T for s, p in zip(solution.samples, solution.parts, strict=True)]
         for lag in range(1, LAGS + 1):
             products = np.concatenate([(r[:, lag:] * r[:, :-lag]).ravel() for r in rows])
-            rho = float(products.sum() / (e @ e))
+            rho = float(products.sum() / max(e @ e, n))
             largest = max(largest, abs(rho))
             correlated = min(correlated, probability(rho, 1 / math.sqrt(products.size), CORRELATED))
     if LAGS * correlated < too_large:
@@ -593,11 +633,18 @@ def shift_finding(
 
 
 def drift_finding(
-    solution: Solution, name: str, course: Sequence[Array], label: str, quantity: str = "time"
+    solution: Solution,
+    name: str,
+    course: Sequence[Array],
+    label: str,
+    quantity: str = "time",
+    given: Array | None = None,
 ) -> Finding:
     """Whether an unknown changes along the `course` of each recording, one value per window, or temperature.
 
     A change of less than the standard deviation of the unknown is no contradiction.
+
+    given   whitened columns that are estimated together, (c, N)
     """
     ends = [p.e.size // s.law.rows for s, p in zip(solution.samples, solution.parts, strict=True)]
     all_of = np.concatenate([np.broadcast_to(c, n) for c, n in zip(course, ends, strict=True)])
@@ -605,7 +652,8 @@ def drift_finding(
     if not span > 0:
         return Finding("oil temperature", 1.0, f"{label}: {name} does not change with the {quantity}")
     along = np.repeat((all_of - all_of.mean()) / span, solution.samples[0].law.rows)
-    value, covariance = solution.effects((solution.column(name) * along)[None])
+    own = (solution.column(name) * along)[None]
+    value, covariance = solution.effects(own if given is None else np.concatenate([own, given]))
     change, sd = float(value[0]), math.sqrt(covariance[0, 0])
     percent = 100 / abs(solution.fit[name])
     return Finding(

@@ -38,6 +38,7 @@ from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.experiment_data import (
     condition,
+    declared_limits,
     noise_sd,
     tank_pressure,
     training_recordings,
@@ -53,7 +54,6 @@ from fmus.identification.procedures.momentum_balance import (
     JointRecording,
     KnownParameterEffect,
     all_good,
-    declared_limits,
     equation_of_motion,
     joint_recording,
     known_parameter_effects,

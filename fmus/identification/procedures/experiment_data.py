@@ -1,7 +1,7 @@
 """Data of an experiment: its training recordings, known parameters, steady stretches, means over steps."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -129,6 +129,17 @@ def difference_limit(recordings: Sequence[Recording], names: Sequence[str]) -> f
         sum(max(zero_limit(r, n), FINEST * float(np.nanmax(np.abs(r[n]), initial=0.0))) for n in names)
         for r in recordings
     )
+
+
+def zero_limits(recordings: Sequence[Recording], names: Iterable[str]) -> dict[str, float]:
+    """Largest error of each sensor's zero in any of the recordings, for a perfect one `FINEST` of its reading."""
+    return {n: difference_limit(recordings, (n,)) for n in names}
+
+
+def declared_limits(recordings: Sequence[Recording], names: Collection[str]) -> dict[str, float]:
+    """Largest errors of zeros that data sheets of these sensors give; other sensors count as exact."""
+    errors = {n: [r.sensor(n).zero_error for r in recordings] for n in names}
+    return {n: max(x for x in own if x is not None) for n, own in errors.items() if any(own)}
 
 
 def interpolated(samples: Array) -> Array:

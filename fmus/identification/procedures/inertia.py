@@ -39,13 +39,12 @@ from fmus.identification.balance import (
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.experiment_data import training_recordings
+from fmus.identification.procedures.experiment_data import declared_limits, training_recordings
 from fmus.identification.procedures.momentum_balance import (
     ALL_PRESSURES,
     JOINTS,
     PARAMETERS,
     JointRecording,
-    declared_limits,
     joint_recording,
     known_parameter_effects,
     parameter_vector,

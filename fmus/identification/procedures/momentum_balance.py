@@ -360,9 +360,3 @@ def known_parameter_effects(
 
 def _largest(changes: Mapping[str, float]) -> list[str]:
     return sorted(changes, key=lambda n: -abs(changes[n]))[:MAX_NAMES]
-
-
-def declared_limits(recordings: Sequence[Recording], names: Collection[str]) -> dict[str, float]:
-    """Largest errors of zeros that data sheets of these sensors give; other sensors count as exact."""
-    errors = {n: [r.sensor(n).zero_error for r in recordings] for n in names}
-    return {n: max(x for x in own if x is not None) for n, own in errors.items() if any(own)}
