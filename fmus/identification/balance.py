@@ -635,23 +635,20 @@ def shift_finding(
 def drift_finding(
     solution: Solution,
     name: str,
-    course: Sequence[Array],
+    courses: Sequence[tuple[Array, str]],
     label: str,
-    quantity: str = "time",
     given: Array | None = None,
 ) -> Finding:
-    """Whether an unknown changes along the `course` of each recording, one value per window, or temperature.
+    """Whether an unknown changes in time or with the temperature of the oil.
 
     A change of less than the standard deviation of the unknown is no contradiction.
 
-    given   whitened columns that are estimated together, (c, N)
+    courses   time or temperature of each window of each recording, and the word for it
+    given     whitened columns that are estimated together, (c, N)
     """
-    ends = [p.e.size // s.law.rows for s, p in zip(solution.samples, solution.parts, strict=True)]
-    all_of = np.concatenate([np.broadcast_to(c, n) for c, n in zip(course, ends, strict=True)])
-    span = float(np.ptp(all_of))
-    if not span > 0:
-        return Finding("oil temperature", 1.0, f"{label}: {name} does not change with the {quantity}")
-    along = np.repeat((all_of - all_of.mean()) / span, solution.samples[0].law.rows)
+    along, word = np.concatenate([values for values, _ in courses]), courses[0][1]
+    span = float(np.ptp(along))
+    along = np.repeat((along - along.mean()) / (span or 1.0), solution.samples[0].law.rows)
     own = (solution.column(name) * along)[None]
     value, covariance = solution.effects(own if given is None else np.concatenate([own, given]))
     change, sd = float(value[0]), math.sqrt(covariance[0, 0])
@@ -659,5 +656,5 @@ def drift_finding(
     return Finding(
         "oil temperature",
         probability(change, sd, solution.fit.sd(name)),
-        f"{label}: changes with the {quantity} by {percent * change:+.3g} +- {percent * sd:.2g} % in a recording",
+        f"{label} changes with the {word} by {percent * change:+.3g} +- {percent * sd:.2g} % over all of it",
     )

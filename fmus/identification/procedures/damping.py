@@ -40,6 +40,7 @@ from fmus.identification.procedures.experiment_data import (
     condition,
     declared_limits,
     noise_sd,
+    signal_findings,
     tank_pressure,
     training_recordings,
 )
@@ -236,11 +237,13 @@ def _findings(joint: JointDamping) -> Iterator[Finding]:
         f"{label}: the residual has the sign of the speed, a dry friction of {joint.dry:.3g} +- "
         f"{joint.dry_sd:.2g} {joint.contact.resistance_unit}",
     )
-    course = [r.time[r.samples.centres] - r.time[0] for r in joint.records]
-    yield drift_finding(solution, joint.contact.theta, course, label)
+    courses = [r.course for r in joint.records]
+    yield drift_finding(solution, joint.contact.theta, courses, label)
     step = [1 / uniform_rate(r.source) for r in joint.records]
     yield shift_finding(solution, PRESSURES[joint.contact.joint], step, label)
     yield from zero_findings(solution, label)
+    recordings = [r.source for r in joint.records]
+    yield from signal_findings(recordings, (*ANGLES, *PRESSURES[joint.contact.joint]), label)
     yield model_finding(solution, label)
 
 

@@ -2,17 +2,30 @@
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.stats import median_abs_deviation
+from scipy import stats
 
+from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR
 from fmus.identification.procedures.regression import SIGNIFICANT
+from fmus.identification.recording_names import TEMPERATURE
 from fmus.identification.recordings.clock import resample_uniformly
 from fmus.identification.recordings.derivatives import filter_for
-from fmus.identification.recordings.masks import averages, dead, good, noise
+from fmus.identification.recordings.masks import (
+    MAX_CHANCE,
+    MIN_CHANCE,
+    OVERSTATED,
+    averages,
+    dead,
+    equal_by_chance,
+    good,
+    noise,
+    noise_in_motion,
+    overstated,
+)
 from fmus.identification.recordings.reading import require
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -32,6 +45,9 @@ MARGIN, SHORTEST_CORE = 0.25, 0.25  # s cut off both ends of a steady stretch, a
 SHORTEST_STRETCH = 2 * MARGIN + SHORTEST_CORE
 SETTLING_TIME = 0.5  # s cut off the beginning of each step of the command
 SHORTEST_STEP = 0.3  # s, minimum length of the rest of a step
+NOISE_KNOWN = 2.0  # factor to which a description knows the noise of a sensor
+NOISE_ERROR = 3.0  # relative standard error of a noise estimate, times the root of the number of samples
+MIN_SAMPLES = 100  # for a test of noise
 FINEST = 1e-6  # smallest relative standard error of a mean, also of a signal without noise
 STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
 
@@ -100,10 +116,55 @@ def tank_pressure(recording: Recording) -> float:
 
 
 def noise_sd(recording: Recording, name: str) -> float:
-    """Standard deviation of the noise of a sample, as described for the sensor, else estimated."""
-    sensor = recording.sensor(name)
-    sd = sensor.sd or noise(recording[name], sensor)
-    return sd if math.isfinite(sd) else 0.0
+    """Standard deviation of the noise of a sample: as described for the sensor, unless the data show another.
+
+    The data decide if they show more than `NOISE_KNOWN` times the described noise, or far less of it.
+    """
+    sensor, values = recording.sensor(name), recording[name]
+    seen = noise(values, sensor)
+    if not math.isfinite(seen):
+        return sensor.sd
+    if not sensor.sd or seen > NOISE_KNOWN * sensor.sd or overstated(values, sensor):
+        return max(seen, sensor.resolution / math.sqrt(12))
+    return sensor.sd
+
+
+def signal_findings(recordings: Sequence[Recording], names: Collection[str], label: str) -> Iterator[Finding]:
+    """Whether the described noise is wrong by more than a factor, or a signal is held at an end of its range."""
+    every = [(r, n) for r in recordings for n in names if np.isfinite(r[n]).sum() > MIN_SAMPLES]
+    for test in (_noise_finding, _saturation_finding):
+        found = [test(r, n, label) for r, n in every]
+        if found:  # the least probable one of all signals, by Bonferroni's inequality
+            least = min(found, key=lambda finding: finding.p)
+            yield replace(least, p=min(1.0, least.p * len(found)))
+
+
+def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
+    values, sensor = recording[name], recording.sensor(name)
+    seen, moving = noise(values, sensor), noise_in_motion(values, sensor)
+    p = 1.0
+    if sensor.noise > 0 and seen > 0 and math.isfinite(moving):
+        error = NOISE_ERROR / math.sqrt(np.isfinite(values).sum())  # of the logarithm
+        less = sensor.noise / math.hypot(moving, sensor.resolution / 2)
+        excess = max(math.log(seen / sensor.sd / NOISE_KNOWN), math.log(less / OVERSTATED))
+        p = float(min(1.0, 2 * stats.norm.sf(excess / error)))
+    return Finding(
+        "noise",
+        p,
+        f"{label}: {recording.source.name}: the noise of {name} is described as {sensor.sd:.3g} "
+        f"{recording.units[name]}, the data show {seen:.3g}",
+    )
+
+
+def _saturation_finding(recording: Recording, name: str, label: str) -> Finding:
+    values, sensor = recording[name], recording.sensor(name)
+    ends = [float(np.nanmax(values))] + ([float(np.nanmin(values))] if np.nanmin(values) < 0 else [])
+    chance = max(equal_by_chance(values, sensor), MIN_CHANCE)
+    runs = [s.stop - s.start for end in ends for s in true_intervals((values == end) & (end != 0))]
+    longest = max(runs, default=0)
+    p = min(1.0, values.size * chance ** (longest - 1)) if longest and chance <= MAX_CHANCE else 1.0
+    held = f"{label}: {recording.source.name}: {name} is held at its extreme over {longest} samples"
+    return Finding("saturated signal", p, held)
 
 
 def zero_limit(recording: Recording, name: str) -> float:
@@ -151,6 +212,14 @@ def interpolated(samples: Array) -> Array:
     return np.interp(index, index[valid], samples[valid])
 
 
+def course(recording: Recording, time: Array) -> tuple[Array, str]:
+    """What may change a coefficient at times since the start [s]: the oil's temperature if recorded, or time."""
+    if TEMPERATURE not in recording.signals:
+        return time, "time"
+    values = interpolated(recording[TEMPERATURE])
+    return np.interp(recording.time[0] + time, recording.time, values), "oil temperature"
+
+
 def select(table: Table, mask: Mask) -> Table:
     """The rows of a dataclass of arrays for which a mask is true."""
     return type(table)(**{name: array[mask] for name, array in vars(table).items()})
@@ -173,7 +242,7 @@ def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
     steady = np.ones(recording.time.size, dtype=bool)
     for name in names:
         rate = derivative.apply(interpolated(recording[name]), 1)
-        ripple = float(median_abs_deviation(rate, scale="normal", nan_policy="omit"))
+        ripple = float(stats.median_abs_deviation(rate, scale="normal", nan_policy="omit"))
         noise_of_rate = derivative.gain(1) * noise_sd(recording, name)
         steady &= np.abs(rate) < STEADY * max(noise_of_rate, ripple)  # false if NaN
     cores = [slice(s.start + margin, s.stop - margin) for s in true_intervals(steady)]

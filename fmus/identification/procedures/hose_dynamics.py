@@ -54,11 +54,13 @@ from fmus.identification.estimate import Estimate, coverage_factor
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
+    course,
     density_ratio,
     hose_size,
     interpolated,
     noise_sd,
     parameter_value,
+    signal_findings,
     training_recordings,
     zero_limits,
 )
@@ -273,8 +275,10 @@ def _findings(inertances: GroupFits, capacitances: GroupFits) -> Iterator[Findin
         yield model_finding(fits.solution, label)
     solution, step = inertances.solution, [1 / uniform_rate(group) for group in inertances.recordings]
     yield shift_finding(solution, ("pressure_in", "pressure_out"), step, "hose_dynamics")
-    course = [s.centres * dt for s, dt in zip(solution.samples, step, strict=True)]
-    yield drift_finding(solution, "C_R", course, "hose_dynamics, resistance")
+    every = zip(inertances.recordings, solution.samples, step, strict=True)
+    courses = [course(group, s.centres * dt) for group, s, dt in every]
+    yield drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")
+    yield from signal_findings(inertances.recordings, SIGNALS, "hose_dynamics")
 
 
 def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array]:

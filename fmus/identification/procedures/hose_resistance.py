@@ -41,12 +41,14 @@ from fmus.identification.procedures.experiment_data import (
     SHORTEST_STRETCH,
     StepMeans,
     concatenate,
+    course,
     declared_limits,
     density_ratio,
     hose_size,
     parameter_value,
     pressure_offset_remark,
     select,
+    signal_findings,
     steady_stretches,
     step_means,
     training_recordings,
@@ -131,7 +133,7 @@ def scaled(resistance: float, length: float, diameter: float, to_length: float, 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """C_R of the stick's and the boom's hoses from that of the tested hose."""
     tests = training_recordings(recordings, "hose_resistance", SIGNALS)
-    steps, time = steady_steps(tests)
+    steps, along, word = steady_steps(tests)
     limits = zero_limits(tests, ("pressure_in", "pressure_out")) | declared_limits(tests, ["flow"])
     fits = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limits)
     length, bore = hose_size(tests)
@@ -153,13 +155,16 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(replace(steps, drop=steps.drop - fits.zero), fits),
         remarks=tuple(_remarks(steps, fits)),
         others=tuple(_others(fits, flow)),
-        findings=tuple(_findings(fits.square, steps.measured().flow, time[steps.good])),
+        findings=(
+            *_findings(fits.square, steps.measured().flow, (along[steps.good], word)),
+            *signal_findings(tests, SIGNALS, "hose_resistance"),
+        ),
     )
 
 
-def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array]:
-    """Means over the stretches of steady flow in all recordings, and the time of each in its recording [s]."""
-    means, times = [], []
+def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array, str]:
+    """Means over the stretches of steady flow in all recordings, with the `course` of each."""
+    means, along, word = [], list[Array](), ""
     for recording in recordings:
         steps = steady_stretches(recording, ["flow"])
         if not steps:
@@ -168,8 +173,10 @@ def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array]:
                 "none"
             )
         means.append(step_means(recording, steps))
-        times += [float(recording.time[step].mean() - recording.time[0]) for step in steps]
-    return concatenate(means), np.array(times)
+        times = np.array([recording.time[step].mean() - recording.time[0] for step in steps])
+        values, word = course(recording, times)
+        along.append(values)
+    return concatenate(means), np.concatenate(along), word
 
 
 def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> HoseFit:
@@ -224,7 +231,7 @@ def _aic(solution: Solution) -> float:
     return solution.fit.aic + zeros
 
 
-def _findings(square: Solution, flow: Array, time: Array) -> Iterator[Finding]:
+def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterator[Finding]:
     """Tests of the residual of eq. (1): a C_R that changes with the flow, or in time; zeros; the model."""
     size = np.abs(flow)
     level = square.column("resistance") * (size - size.mean()) / max(float(np.ptp(size)), TINY)
@@ -237,8 +244,8 @@ def _findings(square: Solution, flow: Array, time: Array) -> Iterator[Finding]:
         f"hose_resistance: C_R of eq. (1) changes by {percent * change:+.3g} +- {percent * sd:.2g} % from the "
         "smallest to the largest flow",
     )
-    if abs(float(stats.spearmanr(size, time)[0])) < ONE_WAY:  # else time and flow look alike
-        yield drift_finding(square, "resistance", [time], "hose_resistance: C_R", given=level[None])
+    if abs(float(stats.spearmanr(size, along[0])[0])) < ONE_WAY:  # else time and flow look alike
+        yield drift_finding(square, "resistance", [along], "hose_resistance: C_R", given=level[None])
     yield from zero_findings(square, "hose_resistance")
     yield model_finding(square, "hose_resistance: eq. (1)")
 

@@ -39,7 +39,11 @@ from fmus.identification.balance import (
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.experiment_data import declared_limits, training_recordings
+from fmus.identification.procedures.experiment_data import (
+    declared_limits,
+    signal_findings,
+    training_recordings,
+)
 from fmus.identification.procedures.momentum_balance import (
     ALL_PRESSURES,
     JOINTS,
@@ -124,6 +128,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         findings=(
             shift_finding(solution, ALL_PRESSURES, step, "inertia"),
             *zero_findings(solution, "inertia"),
+            *signal_findings(training, SIGNALS, "inertia"),
             model_finding(solution, "inertia"),
         ),
     )

@@ -12,7 +12,7 @@ Savitzky-Golay filter smooths angles and pressures first; the speeds are its der
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -33,6 +33,7 @@ from fmus.identification.balance import (
     window_starts,
 )
 from fmus.identification.procedures.experiment_data import (
+    course,
     interpolated,
     noise_sd,
     parameter_value,
@@ -193,11 +194,10 @@ class JointRecording:
     at_stroke_end: int
     possible: int
 
-    def speed(self, joint: str) -> Array:
-        """Speed of the swing or of the piston, shape (n,)."""
-        row = JOINTS.index(joint)
-        ratio = speed_ratio(joint, self.z[:3], self.samples.known[: len(PARAMETERS)])
-        return np.asarray(ratio * self.z[3 + row])
+    @property
+    def course(self) -> tuple[Array, str]:
+        """Time or temperature of the oil at each window, and the word for it."""
+        return course(self.source, self.time[self.samples.centres] - self.source.time[0])
 
 
 def angles(recording: Recording) -> Array:

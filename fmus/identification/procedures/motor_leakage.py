@@ -35,7 +35,9 @@ from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, 
 from fmus.identification.procedures.experiment_data import (
     SHORTEST_STRETCH,
     condition,
+    course,
     parameter_value,
+    signal_findings,
     steady_stretches,
     tank_pressure,
     training_recordings,
@@ -81,13 +83,14 @@ class SteadyPoints:
 
     means       pressures are above the tank pressure
     recording   index of the recording, shape (n,)
-    time        in the recording [s], shape (n,)
+    along       time or temperature of the oil, shape (n,), and the word for it
     """
 
     means: Array
     errors: Array
     recording: Array
-    time: Array
+    along: Array
+    word: str
 
     @property
     def size(self) -> int:
@@ -133,7 +136,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         others=tuple(
             fit.estimate(f"conductance, {name} leakage", "m3/(s.Pa)", "1/R", name) for name in EQUATIONS
         ),
-        findings=tuple(_findings(solution, points)),
+        findings=(*_findings(solution, points), *signal_findings(tests, SIGNALS, "motor_leakage")),
     )
 
 
@@ -159,7 +162,7 @@ def _findings(solution: Solution, points: SteadyPoints) -> Iterator[Finding]:
             f"motor_leakage: {QUADRATIC_TERMS[name]} of {value * largest:.2g} +- {sd * largest:.1g} L/min at most",
         )
     for name in EQUATIONS:
-        yield drift_finding(solution, name, [points.time], f"motor_leakage: {name} leakage")
+        yield drift_finding(solution, name, [(points.along, points.word)], f"motor_leakage: {name} leakage")
     yield from zero_findings(solution, "motor_leakage")
     yield model_finding(solution, "motor_leakage: the linear law")
 
@@ -176,7 +179,7 @@ def quadratic_terms(solution: Solution, points: SteadyPoints) -> dict[str, tuple
 
 def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
     """The steady points of all recordings; at least three."""
-    columns = [np.empty((10, 0))]
+    columns, word = [np.empty((10, 0))], ""
     for k, recording in enumerate(recordings):
         if "shaft" in recording.conditions:
             condition(recording, "shaft", ["locked"])
@@ -185,7 +188,8 @@ def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
             average = averages(recording, list(SIGNALS), steady)
             means, errors = (np.array([table[n] for n in SIGNALS]) for table in (average.mean, average.error))
             means[:2] -= tank_pressure(recording)
-            more = np.array([np.full(len(steady), k), average.time - recording.time[0]])
+            along, word = course(recording, average.time - recording.time[0])
+            more = np.array([np.full(len(steady), k), along])
             columns.append(np.concatenate([means, errors, more]))
     table = np.concatenate(columns, axis=1)
     table = table[:, np.isfinite(table).all(axis=0)]
@@ -194,7 +198,7 @@ def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
             f"{recordings[0].source}: expected {MIN_POINTS} or more stretches of "
             f"{SHORTEST_STRETCH:g} s with steady pressures, got {table.shape[1]}"
         )
-    return SteadyPoints(table[:4], table[4:8], table[8], table[9])
+    return SteadyPoints(table[:4], table[4:8], table[8], table[9], word)
 
 
 def panels(p: SteadyPoints, internal: float, external: float, titles: Sequence[str]) -> tuple[Panel, ...]:

@@ -25,7 +25,7 @@ import numpy as np
 from fmus.identification.balance import Solution, drift_finding, model_finding, solve, zero_findings
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
-from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
+from fmus.identification.procedures.experiment_data import signal_findings, training_recordings, zero_limit
 from fmus.identification.procedures.momentum_balance import (
     ANGLES,
     DRY,
@@ -91,7 +91,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         else "less the known mass of the head"
     )
     loaded = [k for k in range(len(weighed.records)) if k not in weighed.tares]
-    course = [r.time[r.samples.centres] - r.time[0] for r in weighed.records]
+    courses = [r.course for r in weighed.records]
     return ProcedureResult(
         procedure="weighing",
         title="Payload from the pressures of the boom's cylinder",
@@ -109,8 +109,9 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             fit.estimate("dry friction, further unknown", "N", how, DRY),
         ),
         findings=(
-            drift_finding(weighed.solution, DAMPING, course, "weighing"),
+            drift_finding(weighed.solution, DAMPING, courses, "weighing: friction"),
             *zero_findings(weighed.solution, "weighing"),
+            *signal_findings([r.source for r in weighed.records], SIGNALS, "weighing"),
             model_finding(weighed.solution, "weighing"),
         ),
     )

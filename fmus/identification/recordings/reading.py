@@ -22,7 +22,7 @@ from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
 PROCEDURES = (
-    *("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping"),
+    *("rest", "valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping"),
     *("weighing", "machine"),
 )
 FIRST_LINES = 50  # number of first lines of a text file from which its decimal mark is detected
