@@ -25,10 +25,12 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 from scipy.signal import savgol_filter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
@@ -39,6 +41,8 @@ from fmus.identification.procedures.regression import SINGULAR, Regression
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
+
+Indices: TypeAlias = NDArray[np.int64]
 
 HOP = 0.5  # distance of neighbouring windows over their half width; they overlap
 ITERATIONS = 60  # at most
@@ -124,7 +128,7 @@ class Samples:
     known: Array
     bump: Array
     slope: Array
-    starts: Array
+    starts: Indices
 
     @property
     def taps(self) -> int:
@@ -132,7 +136,7 @@ class Samples:
         return self.channels[0][1].size
 
     @property
-    def centres(self) -> Array:
+    def centres(self) -> Indices:
         """Filtered sample at the centre of each window, shape (m,)."""
         return self.starts + self.bump.size // 2
 
@@ -158,14 +162,13 @@ class Samples:
         return sliding_window_view(values, self.bump.size + self.taps - 1, axis=-1)[..., self.starts, :]
 
 
-def window_starts(good: Mask, half: int) -> Array:
+def window_starts(good: Mask, half: int) -> Indices:
     """First sample of each window of 2 half - 1 good samples, on one grid for the recording."""
     size, hop = 2 * half - 1, max(round(HOP * half), 1)
     if good.size < size:
         return np.zeros(0, dtype=int)
-    whole = sliding_window_view(good, size).all(axis=1)
-    starts = np.arange(0, whole.size, hop)
-    return starts[whole[starts]]
+    whole: Mask = np.asarray(sliding_window_view(good, size).all(axis=1))
+    return np.flatnonzero(whole & (np.arange(whole.size) % hop == 0))
 
 
 def steady(
@@ -401,7 +404,7 @@ def solve(
     start    initial value of each unknown
     limits   sensor -> largest error of its zero by its data sheet; a sensor without one has no zero
     tested   unknowns that keep their initial value
-    priors   unknown -> standard deviation of its initial value
+    priors   unknown -> standard deviation of its initial value, which is zero
     """
     limits = {n: x for n, x in (limits or {}).items() if x > 0}
     names, fitted = tuple(start), [k for k, n in enumerate(start) if n not in tested]
@@ -424,9 +427,8 @@ def solve(
             raise problem
         normal = matrix @ matrix.T + np.diag(weight)
         if not (scale > 0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > SINGULAR**2:
-            raise Problem(
-                f"{label}: the {e.size} points cannot distinguish between {', '.join(names[k] for k in fitted)}"
-            )
+            unknown = ", ".join(names[k] for k in fitted)
+            raise Problem(f"{label}: the {e.size} points cannot distinguish between {unknown}")
         inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
         step = -inverse @ (matrix @ e + weight * (x - first)[columns])
         if np.any(np.abs(x[columns] + step) > bound):  # a zero ends at its limit and keeps its interval
@@ -553,18 +555,21 @@ def zero_findings(solution: Solution, label: str) -> Iterator[Finding]:
 
     The zero is estimated without its own prior; the zeros of the other sensors keep theirs.
     """
-    x, prior, free = solution.columns, solution.prior[solution._free], solution._free
+    columns, prior, e = solution.columns, solution.prior[solution._free], solution.residual
+    x = np.array([*solution.fit.values, *(value for value, _ in solution.zeros.values())])
     for k, (sensor, limit) in enumerate(solution.limits.items(), len(solution.fit.names)):
-        others = np.where(np.arange(len(free)) == k, 0.0, prior)
-        scale = np.sqrt(np.sum(x**2, axis=1) + others)
-        if not scale[k] > 0:
+        if not ("pressure" in sensor or "flow" in sensor) or not np.any(columns[k]):
             continue
-        normal = (x @ x.T + np.diag(others)) / np.outer(scale, scale)
+        others = np.where(np.arange(x.size) == k, 0.0, prior)
+        scale = np.sqrt(np.sum(columns**2, axis=1) + others)
+        normal = (columns @ columns.T + np.diag(others)) / np.outer(scale, scale)
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-        # the data want the estimate, and what its prior holds back
-        zero = solution.zeros[sensor][0] * (1 + inverse[k, k] * prior[k])
-        widening = max(1.0, solution.fit.chi_square / max(solution.fit.freedom, 1))
-        sd = math.sqrt(inverse[k, k] * widening)
+        step = -inverse @ (columns @ e + others * x)
+        left = e + step @ columns
+        zero, scatter = x[k] + step[k], float(left @ left) / max(solution.fit.freedom, 1)
+        sd = math.sqrt(inverse[k, k] * max(1.0, scatter))
+        pressure = "pressure" in sensor
+        name, (unit, one) = ("pressure sensor", BAR) if pressure else ("flow meter", LITRES_PER_MINUTE)
         if sd > UNTOLD * limit:
             continue  # the data tell nothing about this zero
         pressure = "pressure" in sensor
@@ -574,8 +579,8 @@ def zero_findings(solution: Solution, label: str) -> Iterator[Finding]:
         yield Finding(
             f"zero of a {name}",
             probability(zero, sd, limit),
-            f"{label}: the data fit best with a zero of {sensor} of {zero / one:.3g} +- {sd / one:.2g} {unit}; "
-            f"the declared limit is {limit / one:.3g} {unit}",
+            f"{label}: the data fit best with a zero of {sensor} of {zero / one:.3g} +- {sd / one:.2g} "
+            f"{unit}; the declared limit is {limit / one:.3g} {unit}",
         )
 
 

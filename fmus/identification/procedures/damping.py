@@ -358,9 +358,9 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
         )
     elif joint.dry > CLEAR * joint.dry_sd:
         yield (
-            f"the residual has the sign of the speed. A dry friction of {joint.dry:.3g} +- {joint.dry_sd:.2g} "
-            f"{joint.contact.resistance_unit} would explain it; B includes the dry friction at the speeds of "
-            "these recordings."
+            f"the residual has the sign of the speed. A dry friction of {joint.dry:.3g} +- "
+            f"{joint.dry_sd:.2g} {joint.contact.resistance_unit} would explain it; B includes the dry "
+            "friction at the speeds of these recordings."
         )
 
 

@@ -130,7 +130,7 @@ def noise_sd(recording: Recording, name: str) -> float:
 
 
 def signal_findings(recordings: Sequence[Recording], names: Collection[str], label: str) -> Iterator[Finding]:
-    """Whether the described noise is wrong by more than a factor, or a signal is held at an end of its range."""
+    """Whether the described noise is wrong by more than a factor, or a signal is held at its extreme."""
     every = [(r, n) for r in recordings for n in names if np.isfinite(r[n]).sum() > MIN_SAMPLES]
     for test in (_noise_finding, _saturation_finding):
         found = [test(r, n, label) for r, n in every]
@@ -193,7 +193,7 @@ def difference_limit(recordings: Sequence[Recording], names: Sequence[str]) -> f
 
 
 def zero_limits(recordings: Sequence[Recording], names: Iterable[str]) -> dict[str, float]:
-    """Largest error of each sensor's zero in any of the recordings, for a perfect one `FINEST` of its reading."""
+    """Largest error of each sensor's zero in any recording, of a perfect one `FINEST` of its reading."""
     return {n: difference_limit(recordings, (n,)) for n in names}
 
 
@@ -213,7 +213,7 @@ def interpolated(samples: Array) -> Array:
 
 
 def course(recording: Recording, time: Array) -> tuple[Array, str]:
-    """What may change a coefficient at times since the start [s]: the oil's temperature if recorded, or time."""
+    """What may change a coefficient at these times since the start: the oil's temperature, or time."""
     if TEMPERATURE not in recording.signals:
         return time, "time"
     values = interpolated(recording[TEMPERATURE])

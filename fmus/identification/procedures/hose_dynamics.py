@@ -276,7 +276,7 @@ def _findings(inertances: GroupFits, capacitances: GroupFits) -> Iterator[Findin
     solution, step = inertances.solution, [1 / uniform_rate(group) for group in inertances.recordings]
     yield shift_finding(solution, ("pressure_in", "pressure_out"), step, "hose_dynamics")
     every = zip(inertances.recordings, solution.samples, step, strict=True)
-    courses = [course(group, s.centres * dt) for group, s, dt in every]
+    courses = [course(group, np.array(s.centres * dt, float)) for group, s, dt in every]
     yield drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")
     yield from signal_findings(inertances.recordings, SIGNALS, "hose_dynamics")
 

@@ -241,8 +241,8 @@ def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterat
     yield Finding(
         "model",
         probability(change, sd, LEVEL * square.fit["resistance"]),
-        f"hose_resistance: C_R of eq. (1) changes by {percent * change:+.3g} +- {percent * sd:.2g} % from the "
-        "smallest to the largest flow",
+        f"hose_resistance: C_R of eq. (1) changes by {percent * change:+.3g} +- {percent * sd:.2g} % from "
+        "the smallest to the largest flow",
     )
     if abs(float(stats.spearmanr(size, along[0])[0])) < ONE_WAY:  # else time and flow look alike
         yield drift_finding(square, "resistance", [along], "hose_resistance: C_R", given=level[None])
@@ -326,7 +326,7 @@ def _remarks(steps: StepMeans, fits: HoseFit) -> Iterator[str]:
     if fits.mixed is not None:
         yield (
             "The small flows show a laminar part: with Q sqrt(R^2 + (C_R Q)^2) chi-square is "
-            f"{fits.mixed.fit.chi_square:.4g}. The lumped hose has no such term, so C_R includes a part of it."
+            f"{fits.mixed.fit.chi_square:.4g}. The lumped hose has no such term: C_R includes a part of it."
         )
     yield from misfit_remark(square, "Eq. (1)")
     if "flow" not in fits.square.limits:

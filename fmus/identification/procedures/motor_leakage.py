@@ -95,7 +95,7 @@ class SteadyPoints:
     @property
     def size(self) -> int:
         """Number of points."""
-        return self.means.shape[1]
+        return int(self.means.shape[1])
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
@@ -141,7 +141,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
 
 
 def _check_signs(fit: Regression, points: SteadyPoints) -> None:
-    """Refuse a negative leakage, and a drain that falls with the pressures, which contradicts the other flow."""
+    """Refuse a negative leakage, and a drain that falls with the pressures."""
     slope, covariance = np.polyfit(points.means[0] + points.means[1], points.means[3], 1, cov=True)
     pairs = {name: (fit[name], fit.sd(name)) for name in EQUATIONS}
     pairs["external"] = min(pairs["external"], (slope[0], math.sqrt(covariance[0, 0])))
@@ -159,7 +159,7 @@ def _findings(solution: Solution, points: SteadyPoints) -> Iterator[Finding]:
         yield Finding(
             "model",
             probability(value, sd),
-            f"motor_leakage: {QUADRATIC_TERMS[name]} of {value * largest:.2g} +- {sd * largest:.1g} L/min at most",
+            f"motor_leakage: {QUADRATIC_TERMS[name]} of {value * largest:.2g} +- {sd * largest:.1g} L/min",
         )
     for name in EQUATIONS:
         yield drift_finding(solution, name, [(points.along, points.word)], f"motor_leakage: {name} leakage")
@@ -230,7 +230,7 @@ def _remarks(
         if abs(value) > SIGNIFICANT * sd:
             yield (
                 f"Without pressure a flow {location} of {value / LITRE:.2g} +- "
-                f"{sd / LITRE:.1g} L/min would remain. It is subtracted as the zeros of {meter} and the pressures."
+                f"{sd / LITRE:.1g} L/min would remain. It is subtracted as zeros of {meter} and pressures."
             )
     yield from _linearity_remarks(solution, p)
     for name in EQUATIONS:
@@ -266,13 +266,13 @@ def _linearity_remarks(solution: Solution, p: SteadyPoints) -> Iterator[str]:
     clear = {n: t for n, t in terms.items() if abs(t[0]) > SIGNIFICANT * t[1]}
     for n, (value, sd, largest) in clear.items():
         yield (
-            f"The flows have {QUADRATIC_TERMS[n]}: {value * largest:.2g} +- {sd * largest:.1g} L/min at most, "
-            "which the laminar law of eqs. (11), (12) neglects."
+            f"The flows have {QUADRATIC_TERMS[n]}: {value * largest:.2g} +- {sd * largest:.1g} L/min at "
+            "most, which the laminar law of eqs. (11), (12) neglects."
         )
     if not clear:
         visible = max(SIGNIFICANT * sd * largest for _, sd, largest in terms.values()) * LITRE
         percent = 100 * visible / np.abs(p.means[2:]).max()
         yield (
-            f"The leakage is linear: a quadratic part would be significant from {percent:.2g} % of the largest "
-            "flow on."
+            f"The leakage is linear: a quadratic part would be significant from {percent:.2g} % of the "
+            "largest flow on."
         )

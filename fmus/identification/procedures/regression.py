@@ -1,4 +1,4 @@
-"""Weighted least squares with known measurement errors: linear (statsmodels) and nonlinear (SciPy).
+"""Result of a weighted least squares fit with known measurement errors, and a nonlinear fit.
 
 Each residual is divided by its standard deviation, so chi-square is the sum of squared residuals, and the
 covariance of the estimates is (J'J)^-1 without scaling. Goodness of fit: if chi-square is less probable than
@@ -7,11 +7,10 @@ intervals then also cover the model error.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import statsmodels.api as sm
 from scipy import optimize, stats
 
 from fmus.identification.estimate import Estimate
@@ -144,35 +143,12 @@ def fit(residual: Residual, start: Mapping[str, Guess], label: str) -> Regressio
     return _regression(names, nominal * found.x, covariance, found.fun)
 
 
-def linear(y: Array, regressors: Mapping[str, Array], sd: Array, label: str) -> Regression:
-    """Weighted linear least squares of y = sum of parameter times regressor.
-
-    regressors   parameter -> its regressor, shape (n,) as y
-    sd           standard deviation of each y
-    label        name of the fit in error messages
-    """
-    matrix = np.column_stack(list(regressors.values()))
-    scale = np.linalg.norm(matrix, axis=0)
-    if not (scale > 0).all() or np.linalg.cond(matrix / scale) > SINGULAR:
-        raise Problem(f"{label}: the {len(y)} points cannot distinguish between {', '.join(regressors)}")
-    result = sm.WLS(y, matrix / scale, weights=1 / sd**2).fit()
-    covariance = result.normalized_cov_params / np.outer(scale, scale)
-    return _regression(tuple(regressors), result.params / scale, covariance, result.resid / sd)
-
-
 def _regression(names: tuple[str, ...], values: Array, covariance: Array, residual: Array) -> Regression:
     freedom, chi_square = len(residual) - len(names), float(residual @ residual)
     unscaled = Regression(names, values, covariance, residual, chi_square, freedom)
     if not unscaled.misfit:
         return unscaled
     return replace(unscaled, covariance=covariance * chi_square / freedom)
-
-
-def homogeneity(values: Sequence[float], sds: Sequence[float]) -> float:
-    """Probability (chi-square) that independent estimates of one quantity scatter as much as these."""
-    v, w = np.array(values), 1 / np.array(sds) ** 2
-    mean = np.sum(w * v) / np.sum(w)
-    return float(stats.chi2.sf(np.sum(w * (v - mean) ** 2), len(v) - 1))
 
 
 def misfit_remark(fit: Regression, equation: str) -> tuple[str, ...]:

@@ -50,8 +50,8 @@ def identify(recordings: Sequence[Recording], _parameters: Mapping[str, Number])
             kind, (display, one) = READ[unit]
             limit = zero_limit(recording, name)
             sentence = (
-                f"rest: the zero of {name} is {zero / one:.3g} +- {sd / one:.2g} {display}; the declared limit "
-                f"is {limit / one:.3g} {display}"
+                f"rest: the zero of {name} is {zero / one:.3g} +- {sd / one:.2g} {display}; the declared "
+                f"limit is {limit / one:.3g} {display}"
             )
             if abs(zero) > LARGEST * limit + 10 * sd:
                 raise Problem(f"{recording.source}: {name}: {LOADED}, got {zero / one:.3g} {display}")

@@ -142,8 +142,8 @@ def _check_motion(record: JointRecording) -> None:
     up, down = float(np.sum(np.maximum(speed, 0.0))), float(np.sum(np.maximum(-speed, 0.0)))
     if min(up, down) < BOTH_WAYS * (up + down) or not up + down:
         raise Problem(
-            f"{record.source.source}: manipulator.{JOINT}_angle: expected a slow motion up and down, in which "
-            f"friction averages out, got {100 * up / (up + down or 1.0):.0f} % of the way up"
+            f"{record.source.source}: manipulator.{JOINT}_angle: expected a slow motion up and down, in "
+            f"which friction averages out, got {100 * up / (up + down or 1.0):.0f} % of the way up"
         )
 
 
@@ -155,11 +155,11 @@ def _remarks(weighed: Weighed, loaded: Sequence[int]) -> Iterator[str]:
         stated, (value, sd) = weighed.stated(k), weighed.payload(k)
         if stated is not None:
             off = 100 * (value / stated - 1)
-            yield f"{fit.names[k]}: the recording states {stated:.6g} kg; the estimate differs by {off:+.2g} %."
+            yield f"{fit.names[k]}: the recording states {stated:.6g} kg; the estimate is {off:+.2g} % off."
         if not weighed.tares:
             yield (
                 f"{fit.names[k]}: there is no recording of the empty head, so errors of the arm's masses are "
-                f"not compensated; zeros of {', '.join(zeros)} are part of the standard deviation of {sd:.2g} kg."
+                f"not compensated; zeros of {', '.join(zeros)} are part of the interval, {sd:.2g} kg."
             )
     for k in weighed.tares:
         yield (
