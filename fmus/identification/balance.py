@@ -617,9 +617,12 @@ def model_finding(solution: Solution, label: str) -> Finding:
 
 
 def shift_finding(
-    solution: Solution, sensors: Collection[str], steps: Sequence[float], label: str
+    solution: Solution, sensors: Collection[str], step: float, label: str, given: Sequence[str] = ()
 ) -> Finding:
-    """Whether some sensors are late against the others, by more than `SHIFT` sample times `steps` [s]."""
+    """Whether some sensors are late against the others, by more than `SHIFT` sample times `step` [s].
+
+    given   tested unknowns that are estimated together with the delay
+    """
     rows = []
     for s, part in zip(solution.samples, solution.parts, strict=True):
         smooth = savgol_filter(s.raw, min(9, s.raw.shape[1] - 1 | 1), 3, deriv=1, axis=1)
@@ -628,11 +631,11 @@ def shift_finding(
     columns = solution.whitened(rows)[None]
     if not np.any(solution.without(columns)):
         return Finding("time shift", 1.0, label)
-    value, covariance = solution.effects(columns)
-    late_by, sd = float(value[0]) * steps[0], math.sqrt(covariance[0, 0]) * steps[0]
+    value, covariance = solution.effects(np.array([*columns, *(solution.column(n) for n in given)]))
+    late_by, sd = float(value[0]) * step, math.sqrt(covariance[0, 0]) * step
     return Finding(
         "time shift",
-        probability(late_by, sd, SHIFT * steps[0]),
+        probability(late_by, sd, SHIFT * step),
         f"{label}: {', '.join(sensors)} would have to be {1e3 * late_by:.3g} +- {1e3 * sd:.2g} ms late",
     )
 

@@ -239,8 +239,8 @@ def _findings(joint: JointDamping) -> Iterator[Finding]:
     )
     courses = [r.course for r in joint.records]
     yield drift_finding(solution, joint.contact.theta, courses, label)
-    step = [1 / uniform_rate(r.source) for r in joint.records]
-    yield shift_finding(solution, PRESSURES[joint.contact.joint], step, label)
+    step = 1 / uniform_rate(joint.records[0].source)
+    yield shift_finding(solution, PRESSURES[joint.contact.joint], step, label, given=(DRY, OFFSET))
     yield from zero_findings(solution, label)
     recordings = [r.source for r in joint.records]
     yield from signal_findings(recordings, (*ANGLES, *PRESSURES[joint.contact.joint]), label)

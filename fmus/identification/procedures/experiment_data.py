@@ -24,12 +24,11 @@ from fmus.identification.recordings.masks import (
     good,
     noise,
     noise_in_motion,
-    overstated,
 )
 from fmus.identification.recordings.reading import require
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Mask, Recording, true_intervals
+from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
 Table = TypeVar("Table")
@@ -91,9 +90,8 @@ def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
 
 def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> float:
     """Density of the machine's oil over that of the tested oil; 1 if the latter is not recorded."""
-    if "density" not in recordings[0].conditions:
-        return 1.0
-    return parameter_value(parameters, "boom_stick.density") / recordings[0].numeric_condition("density")
+    tested = tested_density(recordings)
+    return 1.0 if tested is None else parameter_value(parameters, "boom_stick.density") / tested
 
 
 def parameter(parameters: Mapping[str, Number], name: str) -> Number:
@@ -106,6 +104,19 @@ def parameter(parameters: Mapping[str, Number], name: str) -> Number:
 def parameter_value(parameters: Mapping[str, Number], name: str) -> float:
     """The value of a known parameter, in SI units."""
     return parameter(parameters, name).value
+
+
+def constants_remark(parameters: Mapping[str, Number], names: Iterable[str], tested: float | None) -> str:
+    """A sentence on known parameters `boom_stick.name` that a result depends on."""
+    values = ((name, parameter(parameters, f"boom_stick.{name}")) for name in names)
+    listed = ", ".join(f"{name.replace('_', ' ')} {n.value:.4g} {n.unit}" for name, n in values)
+    oil = "the same in the tests" if tested is None else f"{tested:.4g} kg/m3 in the tests"
+    return f"Constants that were used: {listed} (density: {oil})."
+
+
+def tested_density(recordings: Sequence[Recording]) -> float | None:
+    """Density of the tested oil [kg/m3], None if the recordings do not state it."""
+    return recordings[0].numeric_condition("density") if "density" in recordings[0].conditions else None
 
 
 def tank_pressure(recording: Recording) -> float:
@@ -124,9 +135,24 @@ def noise_sd(recording: Recording, name: str) -> float:
     seen = noise(values, sensor)
     if not math.isfinite(seen):
         return sensor.sd
-    if not sensor.sd or seen > NOISE_KNOWN * sensor.sd or overstated(values, sensor):
+    if not sensor.sd or seen > NOISE_KNOWN * sensor.sd:
         return max(seen, sensor.resolution / math.sqrt(12))
-    return sensor.sd
+    most = _most_noise(values, sensor)
+    return most if sensor.sd > OVERSTATED * most > 0 else sensor.sd
+
+
+def _most_noise(values: Array, sensor: Sensor) -> float:
+    """The noise of means of 1, 4 and 16 samples, as that of one sample; the largest, 0 if unknown.
+
+    Correlated noise shows itself in means; so does a fast motion, which makes the result too large. A
+    converter hides noise of half a step.
+    """
+    found = [noise_in_motion(values, sensor)]
+    for size in (4, 16):
+        blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
+        found.append(noise(blocks) * math.sqrt(size))
+    most = max((x for x in found if math.isfinite(x)), default=0.0)
+    return math.hypot(most, sensor.resolution / 2) if most > 0 else 0.0
 
 
 def signal_findings(recordings: Sequence[Recording], names: Collection[str], label: str) -> Iterator[Finding]:
@@ -141,12 +167,10 @@ def signal_findings(recordings: Sequence[Recording], names: Collection[str], lab
 
 def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
     values, sensor = recording[name], recording.sensor(name)
-    seen, moving = noise(values, sensor), noise_in_motion(values, sensor)
-    p = 1.0
-    if sensor.noise > 0 and seen > 0 and math.isfinite(moving):
+    seen, most, p = noise(values, sensor), _most_noise(values, sensor), 1.0
+    if sensor.noise > 0 and seen > 0 and most > 0:
         error = NOISE_ERROR / math.sqrt(np.isfinite(values).sum())  # of the logarithm
-        less = sensor.noise / math.hypot(moving, sensor.resolution / 2)
-        excess = max(math.log(seen / sensor.sd / NOISE_KNOWN), math.log(less / OVERSTATED))
+        excess = max(math.log(seen / sensor.sd / NOISE_KNOWN), math.log(sensor.noise / most / OVERSTATED))
         p = float(min(1.0, 2 * stats.norm.sf(excess / error)))
     return Finding(
         "noise",

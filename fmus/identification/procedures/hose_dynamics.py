@@ -54,6 +54,7 @@ from fmus.identification.estimate import Estimate, coverage_factor
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
+    constants_remark,
     course,
     density_ratio,
     hose_size,
@@ -61,6 +62,7 @@ from fmus.identification.procedures.experiment_data import (
     noise_sd,
     parameter_value,
     signal_findings,
+    tested_density,
     training_recordings,
     zero_limits,
 )
@@ -125,7 +127,10 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *_equation_panels(inertances, "dQ/dt [m3/s2]", "drop without friction", BAR),
             *_equation_panels(capacitances, "dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
         ),
-        remarks=tuple(_remarks(inertances, capacitances)),
+        remarks=(
+            *_remarks(inertances, capacitances),
+            constants_remark(parameters, ["density", "bulk_modulus"], tested_density(groups)),
+        ),
         others=tuple(_others(inertances, capacitances, defined)),
         findings=tuple(_findings(inertances, capacitances)),
     )
@@ -274,7 +279,7 @@ def _findings(inertances: GroupFits, capacitances: GroupFits) -> Iterator[Findin
         yield from zero_findings(fits.solution, label)
         yield model_finding(fits.solution, label)
     solution, step = inertances.solution, [1 / uniform_rate(group) for group in inertances.recordings]
-    yield shift_finding(solution, ("pressure_in", "pressure_out"), step, "hose_dynamics")
+    yield shift_finding(solution, ("pressure_in", "pressure_out"), step[0], "hose_dynamics")
     every = zip(inertances.recordings, solution.samples, step, strict=True)
     courses = [course(group, np.array(s.centres * dt, float)) for group, s, dt in every]
     yield drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")

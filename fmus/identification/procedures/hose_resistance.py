@@ -41,6 +41,7 @@ from fmus.identification.procedures.experiment_data import (
     SHORTEST_STRETCH,
     StepMeans,
     concatenate,
+    constants_remark,
     course,
     declared_limits,
     density_ratio,
@@ -51,6 +52,7 @@ from fmus.identification.procedures.experiment_data import (
     signal_findings,
     steady_stretches,
     step_means,
+    tested_density,
     training_recordings,
     zero_limits,
 )
@@ -153,7 +155,10 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         figure=6,
         estimates=tuple(estimates),
         panels=panels(replace(steps, drop=steps.drop - fits.zero), fits),
-        remarks=tuple(_remarks(steps, fits)),
+        remarks=(
+            *_remarks(steps, fits),
+            constants_remark(parameters, ["density"], tested_density(tests)),
+        ),
         others=tuple(_others(fits, flow)),
         findings=(
             *_findings(fits.square, steps.measured().flow, (along[steps.good], word)),

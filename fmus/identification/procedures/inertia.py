@@ -105,7 +105,6 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     values = {n: solution.fit[f"manipulator.{n}"] for n in (*names, *DAMPINGS)}
     units = {n: quantities(MANIPULATOR.parameters)[n].unit for n in values}
     note = "balance of the joints' momenta"
-    step = [1 / uniform_rate(r) for r in training]
     return ProcedureResult(
         procedure="inertia",
         title="Inertial parameters from the torques of the joints",
@@ -126,7 +125,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *base_estimates(records, solution, p),
         ),
         findings=(
-            shift_finding(solution, ALL_PRESSURES, step, "inertia"),
+            shift_finding(solution, ALL_PRESSURES, 1 / uniform_rate(training[0]), "inertia"),
             *zero_findings(solution, "inertia"),
             *signal_findings(training, SIGNALS, "inertia"),
             model_finding(solution, "inertia"),

@@ -22,8 +22,8 @@ from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
 
 PROCEDURES = (
-    *("rest", "valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping"),
-    *("weighing", "machine"),
+    *("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping"),
+    *("weighing", "machine", "rest"),
 )
 FIRST_LINES = 50  # number of first lines of a text file from which its decimal mark is detected
 DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
