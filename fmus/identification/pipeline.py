@@ -18,10 +18,11 @@ from fmus.identification.procedures import (
     hose_resistance,
     inertia,
     motor_leakage,
+    rest,
     valve,
     weighing,
 )
-from fmus.identification.recording_names import MACHINE, check_units, name_remarks
+from fmus.identification.recording_names import MACHINE, check_names, check_units
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.multistart import SPREAD, MultistartResult, multistart
 from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
@@ -30,8 +31,9 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.recording import Recording
 
-# in the paper's order: section 4 (a) to (e); the paper weighs nothing
+# zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
 PROCEDURES: Mapping[str, ModuleType] = {
+    "rest": rest,
     "valve": valve,
     "hose_resistance": hose_resistance,
     "hose_dynamics": hose_dynamics,
@@ -130,10 +132,8 @@ def identify(
         raise Problem(f"[experiment] procedure: expected one of {expected}, got {unknown[0]!r}")
     machine.check_free(names)
     signals = {name: module.SIGNALS for name, module in PROCEDURES.items()}
-    remarks = list(name_remarks(recordings, signals))  # refuses misspelt names, before their units
+    check_names(recordings, signals)  # before their units
     check_units([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
-    for remark in remarks:
-        report(remark)
     stated = [machine.with_return_line(r) if r.procedure == MACHINE else r for r in recordings]
     identified = Identified(stated, dict(parameters or nominal()))
     try:
@@ -178,6 +178,8 @@ def _run_procedures(
             identified.skip(name, error, report)
             continue
         identified.results.append(result)
+        if procedure is rest:
+            identified.recordings = rest.subtracted(identified.recordings, result)
         identified.parameters = updated(identified.parameters, (*result.estimates, *result.listed))
         show(result)
 

@@ -154,6 +154,7 @@ def weighing_strokes(pairs: int = 3) -> list[Move]:
 
 # ---- experiments on the benches --------------------------------------------------------------------
 
+REST = 10.0  # s
 HOLD = 2.0  # s: 0.5 s to settle and 300 samples
 RAMP = 0.05  # s, between levels
 
@@ -186,6 +187,23 @@ def _instruments(signals: Mapping[str, Array], flow: Instrument = FLOW) -> dict[
     return {name: by_quantity.get(name.split("_")[0], flow) for name in signals}
 
 
+def _rest(machine: str) -> Experiment:
+    """Ten seconds with the pump off: every pressure and flow is zero."""
+    bench = {
+        "pressure_in": PRESSURE,
+        "pressure_out": PRESSURE,
+        "pressure_a": PRESSURE,
+        "pressure_b": PRESSURE,
+    }
+    bench |= dict.fromkeys(("flow", "flow_in", "flow_out"), FLOW) | dict.fromkeys(
+        ("flow_a", "drain_flow"), LEAKAGE
+    )
+    sensors = bench | {n: i for n, i in INSTRUMENTS.items() if i not in (COMMAND, ANGLE)}
+    time = np.arange(round(REST * RATE) + 1) / RATE
+    signals = {n: np.zeros_like(time) for n in sensors}
+    return Experiment("rest", "Pump off, at rest", "rest", "train", machine, {}, time, signals, sensors)
+
+
 def _edge(edge: str, machine: str) -> Experiment:
     time, steps = levels(up_and_down(VALVE_STEPS), HOLD, RAMP)
     command = EDGES[edge] * steps
@@ -211,7 +229,6 @@ def _hose(
         "length": Condition(p.stick_hose_length, "m"),
         "diameter": Condition(p.stick_hose_bore, "m"),
         "density": Condition(p.density, "kg/m3"),
-        "viscosity": Condition(p.viscosity, "Pa.s"),
     }
     return Experiment(
         name, title, procedure, "train", machine, conditions, time, signals, _instruments(signals)
@@ -256,6 +273,7 @@ def _motor(stepped: str, machine: str) -> Experiment:
 
 
 BENCH_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
+    "rest": _rest,
     **{f"valve_{edge.replace('-', '').lower()}": partial(_edge, edge) for edge in EDGES},
     "hose_resistance": _hose_resistance,
     **{f"hose_dynamics_{n}": partial(_hose_dynamics, n) for n in range(1, len(GROUPS) + 1)},

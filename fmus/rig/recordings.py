@@ -54,6 +54,7 @@ Each NAME.csv is described by its NAME.toml: the experiment, the columns with th
 
 | files | experiment (paper, section 4) |
 |---|---|
+| rest | pump off, everything at rest: zeros of the sensors |
 | valve_pa, valve_bt, valve_pb, valve_at | (a) one metering edge of the valve at stepped commands |
 | hose_resistance | (b) the 4 m hose at stepped flows |
 | hose_dynamics_1 to _4 | (c) the same hose, fast changes: four groups |

@@ -106,7 +106,7 @@ def test_the_procedures_write_parameters_and_a_page(which, here, request, capsys
         n: t["value"] for n, t in tables.items()
     }
     ran = [name for name in PROCEDURES if name in printed]
-    assert ran == [*PROCEDURES][: 6 if which == "everything" else 4]
+    assert ran == [*PROCEDURES][: 7 if which == "everything" else 5][which != "everything" :]
     usual, _ = parts_with_parameters(Path("parameters.toml"))
     assert values(usual["swing"]).p["valve_area"] == tables["valve_area"]["value"]
 
@@ -159,12 +159,12 @@ def test_a_failed_procedure_does_not_stop_the_others(recordings, here, capsys):
     """A broken experiment is reported in one line, and the others are identified; exit status 1."""
     here(recordings, "valve", "motor")
     for file in Path("mine").glob("motor*.toml"):
-        edit(file, ("[signals.drain_flow]", '[signals.other]\ncolumn = "drain_flow"'))
+        edit(file, ('shaft = "locked"', 'shaft = "free"'))
     assert main(["identify", "mine"]) == 1
     assert set(found()) == {"valve_area", "valve_dead_band"}
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("motor_leakage:")]
     assert "motor_leakage_1.csv" in told
-    assert "drain_flow" in told
+    assert "expected locked, got 'free'" in told
 
 
 @pytest.mark.usefixtures("undrawn")

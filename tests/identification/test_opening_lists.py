@@ -90,7 +90,7 @@ def test_a_dead_band_behind_tables_is_not_refined(monkeypatch):
         raise Problem("enough")
 
     monkeypatch.setattr(pipeline, "refine_together", refine)
-    driven = replace(bench.recordings("line^1", 0)[0], procedure="machine")
+    driven = replace(bench.recordings("line^1", 0)[0], procedure="machine", conditions={}, signals={})
     with pytest.raises(Problem, match="enough"):
         identify([driven], parameters=known, report=told.append)
     assert "valve_area" in asked

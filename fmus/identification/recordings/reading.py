@@ -23,7 +23,7 @@ from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read
 
 PROCEDURES = (
     *("valve", "hose_resistance", "hose_dynamics", "motor_leakage", "damping"),
-    *("weighing", "machine"),
+    *("weighing", "machine", "rest"),
 )
 FIRST_LINES = 50  # number of first lines of a text file from which its decimal mark is detected
 DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?|nan", re.IGNORECASE)
