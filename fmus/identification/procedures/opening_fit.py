@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 from scipy.interpolate import PchipInterpolator
+from scipy.optimize import isotonic_regression
 
 from fmus.identification.estimate import CONFIDENCE, Estimate
 from fmus.identification.procedures.experiment_data import select
@@ -35,6 +36,7 @@ SAME = 1e-6  # V, difference of two commands that are one
 PARAMETERS = 5  # of a curve beyond noise: area, start, exponent, size and length of the deviation
 LINE = 2  # of a line: area, start
 READING = 2.0  # areas over that of the meter's dead zone from which on it must read a flow, also with ripple
+ZEROS = 21  # zeros with which a falling opening is tested
 REPEATED = 0.5  # degrees of freedom from steps with nearly one command below which they are not repeated
 
 
@@ -176,17 +178,22 @@ def curve(found: OpeningPosterior) -> OpeningCurve:
     return curve_of(found.draws(_grid(found.data)), float(found.data.command.min()))
 
 
-def misfit(curve: OpeningCurve, data: OpeningData) -> float:
-    """Rms distance of the measured areas from the table, in their noise and the width of the band.
+def falling(data: OpeningData) -> tuple[float, float]:
+    """Probability that areas of a rising opening fall as much, and the largest fall [1].
 
-    Large if no rising curve goes through them, such as areas that fall with the command.
+    Chi-square of the areas against the closest ones that rise (isotonic regression), by the number of areas
+    that it joins [Robertson, Wright and Dykstra, Order Restricted Statistical Inference (1988), section 2.3];
+    with the zero of the pressures for which it is least.
     """
-    rows = data.command <= data.full_command + SAME
-    command = data.command[rows]
-    found, (low, high) = np.maximum(curve.at(command), 1e-3 * curve.areas[-1]), curve.band_at(command)
-    corrected = (data.log_area - data.by_zero * np.median(curve.draws.zero))[rows]
-    allowed = np.hypot(data.sd[rows], (high - low) / (2 * found))
-    return math.sqrt(float(np.mean(((corrected - np.log(found)) / allowed) ** 2)))
+    best = (math.inf, 1, 0.0)
+    for zero in np.linspace(-data.zero_limit, data.zero_limit, ZEROS):
+        areas = data.log_area - data.by_zero * zero
+        rising = isotonic_regression(areas, weights=data.sd**-2.0).x
+        joined = data.sd.size - np.unique(rising).size
+        chi_square = float(np.sum(((areas - rising) / data.sd) ** 2))
+        fall = float(np.max(np.maximum.accumulate(areas) - areas))
+        best = min(best, (chi_square, max(joined, 1), fall))
+    return float(stats.chi2.sf(best[0], best[1])), 1 - math.exp(-best[2])
 
 
 def idle_command(curve: OpeningCurve, data: OpeningData) -> float | None:
@@ -214,7 +221,7 @@ def line_curve(fitted: ValveFit, random: np.random.Generator, draws: int = 2000)
     first = float(fitted.steps.command.min())
     if not fitted.rounding_estimated:
         longest = 2 * np.maximum(np.minimum(first - zero_of_line, zero_of_line), 0.0)
-        rounding = random.uniform(0.0, 1.0, draws) * longest
+        rounding = np.clip(random.uniform(-1.0, 2.0, draws), 0.0, 1.0) * longest  # its ends are held, too
     rounding = np.maximum(rounding, 1e-3)
     start = np.maximum(zero_of_line - rounding / 2, 0.0)
     grid = np.unique(

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
     difference_limit,
@@ -32,7 +33,6 @@ from fmus.identification.procedures.experiment_data import (
     pressure_offset_remark,
     select,
     training_recordings,
-    zero_warning,
 )
 from fmus.identification.procedures.opening_fit import SAME, OpeningCurve
 from fmus.identification.procedures.regression import misfit_remark, misfit_warning
@@ -65,7 +65,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     openings = identify_openings(recordings, parameters)
     constants, zero = openings.constants, openings.zero
     corrected = replace(openings.steps, drop=openings.steps.drop - zero.value)
-    estimates = _of_line(openings.line) if openings.line else _of_curves(openings)
+    estimates = _with_foot(openings) if openings.line else _of_curves(openings)
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
@@ -74,6 +74,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=panels(corrected, openings.areas(), openings.curves, constants),
         remarks=tuple(remarks(corrected, openings)),
         others=(*_curve(openings), zero, *_of_edges(openings)),
+        findings=tuple(_findings(openings)),
         warnings=tuple(_warnings(openings)),
         listed=tuple(_no_tables(parameters) if openings.line else _tables(openings)),
     )
@@ -101,25 +102,32 @@ def _check_commands(recording: Recording, full: float) -> None:
         raise Problem(f"{recording.source}: command: {expected}")
 
 
+def _findings(openings: Openings) -> Iterator[Finding]:
+    """Tests of what the procedure takes for granted: zeros within their declaration, rising openings."""
+    for edge, fitted in openings.separate.items():
+        if (p := fitted.zero_probability()) is not None:
+            zero, limit = fitted.free_zero["zero"] / BAR[1], openings.zero_limit / BAR[1]
+            yield Finding(
+                "zero of a pressure sensor",
+                p,
+                f"valve {edge}: a straight opening fits if the zeros of the two pressures differ by "
+                f"{zero:.3g} bar, but not within the declared {limit:.3g} bar.",
+            )
+    for edge, (p, fall) in openings.falling.items():
+        sentence = f"valve {edge}: the opening falls by {100 * fall:.2g} % while the command rises."
+        yield Finding("falling opening", p, sentence)
+
+
 def _warnings(openings: Openings) -> Iterator[str]:
-    """Residuals far above the noise, zeros that the transducers cannot have."""
+    """Residuals far above the noise, an opening that no result can describe."""
     if openings.line:
         yield from misfit_warning(openings.line.regression.times_noise, "valve: the straight opening")
-        yield from zero_warning("valve", *openings.line.zero_wanted, openings.zero_limit, BAR)
         yield from _below_zero(openings.line)
     elif openings.straight:
         for edge, fitted in openings.separate.items():
             yield from misfit_warning(fitted.regression.times_noise, f"valve {edge}: the straight opening")
-            yield from zero_warning(f"valve {edge}", *fitted.zero_wanted, openings.zero_limit, BAR)
     else:
         yield from misfit_warning(openings.scatter, "valve: the mean of steps with one command")
-        for edge, times in openings.misfit.items():
-            yield from misfit_warning(times, f"valve {edge}: the rising curve of the opening")
-        if openings.impossible_zero:
-            yield (
-                "valve: to fit the data, the zero offsets of the two pressures would have to differ "
-                f"by more than the declared {openings.zero_limit / BAR[1]:.3g} bar."
-            )
     for edge, command in openings.idle.items():
         yield (
             f"valve {edge}: the flow meter reads zero at {command:.3g} V, although the estimated "
@@ -139,6 +147,19 @@ def _below_zero(line: ValveFit) -> Iterator[str]:
             f"most {longest:.3g} V instead of {law.rounding:.3g} V: change this value in "
             "parameters.toml and identify again."
         )
+
+
+def _with_foot(openings: Openings) -> Iterator[Estimate]:
+    """The straight line of all edges; the dead band is as uncertain as a foot that no flow shows."""
+    assert openings.line
+    start = next(iter(openings.curves.values())).draws.start
+    for estimate in _of_line(openings.line):
+        if estimate.name == "valve_dead_band" and "rounding" not in openings.line.regression.names:
+            low, high = np.quantile(start, [0.025, 0.975])
+            low, high = min(float(low), estimate.low), max(float(high), estimate.high)
+            yield replace(estimate, low=low, high=high, sd=max(float(start.std()), estimate.sd))
+        else:
+            yield estimate
 
 
 def _of_line(fitted: ValveFit, edge: str = "") -> Iterator[Estimate]:

@@ -15,6 +15,7 @@ Validity: the leakage is a small part of the flow (below a tenth).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import cache
@@ -202,6 +203,7 @@ def resistance(command: Array, law: OpeningLaw, constants: ValveConstants) -> Ar
 
 
 ROUNDING_BOUNDS = (1e-3, 2.0)  # V, of the fitted rounding
+FREE = 1e3  # times the limit of a zero: no prior
 
 
 @dataclass(frozen=True)
@@ -209,7 +211,7 @@ class ValveFit:
     """The opening law fitted to `steps`.
 
     zero_limit          largest difference of the pressures without flow [Pa], by their data sheets
-    zero_wanted         the difference [Pa] that the data alone would ask for
+    free_zero           the fit with any difference of the pressures without flow
     rounding            the known rounding [V]
     rounding_estimated  whether the data determine the rounding, so that it is among the fitted parameters
     """
@@ -219,8 +221,18 @@ class ValveFit:
     constants: ValveConstants
     rounding: float
     zero_limit: float
-    zero_wanted: tuple[float, float] = (0.0, 0.0)
+    free_zero: Regression
     rounding_estimated: bool = False
+
+    def zero_probability(self) -> float | None:
+        """Probability of data that want a zero so far outside its limit, if it is not; None without a test.
+
+        There is none if a straight line does not explain the data with any zero.
+        """
+        if self.free_zero.misfit:
+            return None
+        beyond = abs(self.free_zero["zero"]) - self.zero_limit
+        return 2 * float(stats.norm.sf(beyond / self.free_zero.sd("zero"))) if beyond > 0 else 1.0
 
     def law(self, values: Mapping[str, float] | None = None) -> OpeningLaw:
         """The opening law with these parameter values, by default the fitted ones."""
@@ -233,38 +245,29 @@ def fit_valve(steps: ValveSteps, constants: ValveConstants, rounding: Number, ze
 
     If no step is on the rounded foot of the opening, the data determine only the sum V_db + w/2 of dead band
     and half the rounding w. The difference of the pressures without flow, "zero" [Pa], is always estimated,
-    with a prior of zero_limit/2 as its standard deviation. It never exceeds `zero_limit` [Pa], which is what
-    the data sheets of the transducers allow.
+    with the limit `zero_limit` [Pa] of the transducers' data sheets as prior.
     """
-    regression, wanted = _fit_within(steps, constants, rounding, zero_limit)
-    known_rounding = ValveFit(steps, regression, constants, rounding.value, zero_limit, wanted)
+    regression, free_zero = _fit_within(steps, constants, rounding, zero_limit)
+    known_rounding = ValveFit(steps, regression, constants, rounding.value, zero_limit, free_zero)
     law = known_rounding.law()
     if np.count_nonzero(steps.command < law.dead_band + law.rounding) < 2:
         return known_rounding
-    free, wanted = _fit_within(steps, constants, rounding, zero_limit, free=True)
+    free, free_zero = _fit_within(steps, constants, rounding, zero_limit, free=True)
     low, high = ROUNDING_BOUNDS
     if not free.determined("rounding") or not 1.01 * low < free["rounding"] < 0.99 * high:
         return known_rounding
-    return replace(known_rounding, regression=free, zero_wanted=wanted, rounding_estimated=True)
+    return replace(known_rounding, regression=free, free_zero=free_zero, rounding_estimated=True)
 
 
 def _fit_within(
     steps: ValveSteps, constants: ValveConstants, rounding: Number, limit: float, *, free: bool = False
-) -> tuple[Regression, tuple[float, float]]:
-    """The fit with a zero of at most `limit` [Pa]; the zero [Pa] that the data want, and its sd."""
-    if limit > 0:
-        fitted = _fit(steps, constants, rounding, zero_sd=limit / 2, free=free)
-        wanted = (fitted["zero"], fitted.sd("zero"))
-        if abs(wanted[0]) <= limit:
-            return fitted, wanted
-    else:
-        wanted = (0.0, 0.0)
-    zero = float(np.clip(wanted[0], -limit, limit))
-    fixed = _fit(replace(steps, drop=steps.drop - zero), constants, rounding, free=free)
-    covariance = np.pad(fixed.covariance, (0, 1))
-    return replace(
-        fixed, names=(*fixed.names, "zero"), values=np.append(fixed.values, zero), covariance=covariance
-    ), wanted
+) -> tuple[Regression, Regression]:
+    """The fit with the data sheets' limit [Pa] as prior of the zero, and the fit with any zero.
+
+    The prior is as wide as a uniform distribution up to the limit, so that its interval holds the limit.
+    """
+    free_zero = _fit(steps, constants, rounding, zero_sd=FREE * limit, free=free)
+    return _fit(steps, constants, rounding, zero_sd=limit / math.sqrt(3), free=free), free_zero
 
 
 def _fit(

@@ -40,8 +40,7 @@ class Openings:
     equal             probability that equal edges differ as much
     zero              difference of the two pressures without flow
     scatter           scatter of steps with one command, over their noise
-    impossible_zero   whether all curves need a zero that the transducers cannot have
-    misfit            edge -> rms residual of the rising curve over noise and band; of curves only
+    falling           edge -> probability that a rising opening falls as much, and its largest fall
     idle              edge -> highest command [V] at which the meter reads nothing, in spite of the opening
     """
 
@@ -56,8 +55,7 @@ class Openings:
     zero: Estimate
     scatter: float
     zero_limit: float
-    impossible_zero: bool = False
-    misfit: Mapping[str, float] = field(default_factory=dict)
+    falling: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     idle: Mapping[str, float] = field(default_factory=dict)
 
     def areas(self) -> dict[str, AreaOf]:
@@ -95,7 +93,8 @@ def fit_openings(
         pooled = opening_fit.opening_data(steps, constants, zero_limit, idle_flow)
         openings = _curved(steps, constants, pooled, found, lines, probability)
     idle = {e: opening_fit.idle_command(curve, data[e]) for e, curve in openings.curves.items()}
-    return replace(openings, idle={e: command for e, command in idle.items() if command is not None})
+    falling = {e: opening_fit.falling(each.data) for e, each in found.items()}
+    return replace(openings, idle={e: c for e, c in idle.items() if c is not None}, falling=falling)
 
 
 def _line(
@@ -189,6 +188,4 @@ def _curved(
         zero=some.estimate("pressures without flow", "Pa", "pressure_in - pressure_out", zeros),
         scatter=scatter,
         zero_limit=pooled.zero_limit,
-        misfit={e: opening_fit.misfit(curve, found[e].data) for e, curve in curves.items()},
-        impossible_zero=bool(np.abs(np.median(zeros)) > pooled.zero_limit),
     )
