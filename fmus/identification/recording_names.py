@@ -18,7 +18,7 @@ GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorde
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
-    "valve": ("edge",),
+    "valve": ("edge", "density"),
     "hose_resistance": ("length", "diameter", "density"),
     "hose_dynamics": ("length", "diameter", "density"),
     "motor_leakage": ("shaft", "tank_pressure"),

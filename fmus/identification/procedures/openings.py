@@ -51,6 +51,7 @@ SHORT_FOOT = (
     0.9,
     2.1,
 )  # of a straight line: 1 for a sharp start, 2 for a rounding that ends at the lowest node
+CURVED = 1.3  # times the change of slope to the lowest node by which a parabola through three is bent
 UNDERLAP = 1.2  # largest exponent of an edge that is open at zero command
 DETERMINED = 0.25  # largest relative standard deviation of a rounding that the data determine
 ROUNDING = (1e-3, 2.0)  # V, of the fitted rounding
@@ -498,7 +499,10 @@ def curve(
         draws, exponents = np.empty((DRAWS, grid.size)), FOOT
         draws[:, between] = _kinked(v, values, grid[between], random)
         middle = PchipInterpolator(v, mean)(np.clip(grid, v[0], v[-1]))
-    slope = np.diff(values[:, :2], axis=1)[:, 0] / (v[1] - v[0])
+    first, second = (np.diff(values[:, :3], axis=1) / np.diff(v[:3])).T
+    # between the slope of the first chord and that of a parabola, and beyond
+    bend = random.uniform(0.0, CURVED, DRAWS) * (second - first) * (v[1] - v[0]) / (v[2] - v[0])
+    slope = np.maximum(first - bend, 0.3 * first)
     below, above = grid < v[0] - 1e-6, grid > v[-1] + 1e-6
     if not fitted or "rounding" not in fitted.names:
         bounds = shut.idle_area(c)

@@ -102,7 +102,7 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
         flow_zero, sd = float(np.average([q for q, _ in readings], weights=weight)), sum(weight) ** -0.5
     steps = _opened(replace(steps, flow=steps.flow - flow_zero), constants)
     for edge in steps.edges:
-        _check_voltages(edge, steps.of(edge))
+        _check_voltages(edge, steps.of(edge), constants)
     limit = difference_limit(tests, ("pressure_in", "pressure_out"))
     known = Priors(parameter(parameters, ROUNDING), limit, sd)
     return replace(fit_openings(steps, constants, known), flow_zero=(flow_zero, sd) if readings else None)
@@ -111,8 +111,8 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
 # ---- steps -------------------------------------------------------------------------------------------
 
 
-def _check_voltages(edge: str, steps: ValveSteps) -> None:
-    voltages = np.unique(steps.command[steps.good]).size
+def _check_voltages(edge: str, steps: ValveSteps, constants: ValveConstants) -> None:
+    voltages = Nodes.of(steps, constants).command.size if steps.good.any() else 0
     if voltages < MIN_VOLTAGES:
         raise Problem(
             f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "

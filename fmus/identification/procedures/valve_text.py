@@ -54,10 +54,10 @@ def remarks(steps: ValveSteps, found: Openings, zero: Estimate, declared: bool) 
         f"the two pressures by {percent:.2g} %."
     )
     if not declared and not found.flow_zero:
-        volts = 0.1 * LITRES_PER_MINUTE[1] * float(np.median(np.gradient(good.command, good.flow)))
+        volts = 0.1 * LITRES_PER_MINUTE[1] * float(np.ptp(good.command) / np.ptp(good.flow))
         yield (
             "The zero of the flow meter is not declared (`zero_error`), and no reading shows it, so that the "
-            f"intervals do not cover it: 0.1 L/min moves the start of the opening by {abs(volts):.1g} V."
+            f"intervals do not cover it: 0.1 L/min moves the start of the opening by {volts:.1g} V."
         )
 
 
