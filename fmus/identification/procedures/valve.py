@@ -156,7 +156,7 @@ def _with_its_noise(recording: Recording, constants: ValveConstants) -> Recordin
     smaller = {
         name: replace(recording.sensor(name), noise=scatter)
         for name, _, scatter in _noises(recording, constants)
-        if recording.sensor(name).noise > WRONG_NOISE * scatter
+        if recording.sensor(name).noise > WRONG_NOISE * scatter > 0
     }
     return replace(recording, sensors={**recording.sensors, **smaller})
 
