@@ -184,24 +184,22 @@ def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
     machine = constants.density
     density = recording.numeric_condition("density") if "density" in recording.conditions else machine
     drop = means.drop[np.isfinite(means.drop)]
-    least = {n: float(np.nanmedian(vars(means)[n])) if means.good.any() else 0.0 for n in ("drop_error",)}
-    steady_error = float(np.median(error[means.good])) if means.good.any() else 0.0
-    full = np.full(len(steps), 1.0)
+    usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in (means.drop_error, error)]
     return ValveSteps(
         **vars(means)
         | {
             "drop": sign * means.drop,
-            "drop_error": np.maximum(means.drop_error, least["drop_error"]),
+            "drop_error": np.maximum(means.drop_error, usual[0]),
             "flow": flow,
-            "flow_error": np.where(means.good, np.maximum(error, steady_error), error),
+            "flow_error": np.where(means.good, np.maximum(error, usual[1]), error),
         },
         command=np.abs(middle),
         command_error=spread,
-        supply_drop=full * np.max(np.abs(drop), initial=0.0),
+        supply_drop=np.ones(len(steps)) * np.max(np.abs(drop), initial=0.0),
         time=np.array([recording.time[step].mean() for step in steps]),
         temperature=np.array([np.nanmean(warmth[step]) if temperature else np.nan for step in steps]),
         change=np.sign(np.diff(middle, prepend=middle[:1])),
-        density=full * density,
+        density=np.full(len(steps), density),
         idle_flow=np.where(means.dead, meter.dead_zone + CERTAIN * meter.noise, np.nan),
         edge=np.full(len(steps), edge),
     )
@@ -297,7 +295,7 @@ def _start(edge: str, found: Openings) -> tuple[float, str]:
     """An edge that is open at zero command, or closed where its opening would give a flow."""
     curve, nodes = found.curves[edge], found.nodes[edge]
     bounds = found.steps.of(edge).shut().idle_area(found.constants)
-    later = bounds[bounds[:, 0] > curve.first_measured]
+    before = bounds[:, 0] < curve.first_measured
     line = found.line or (found.lines[edge] if found.straight else None)
     if line:
         first, sd = line["start0"], line.sd("start0")
@@ -305,22 +303,18 @@ def _start(edge: str, found: Openings) -> tuple[float, str]:
         a, v, s = nodes.area, nodes.command, nodes.sd
         length = (v[1] - v[0]) / (a[1] - a[0])
         first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
-    expected = np.interp(later[:, 0], nodes.command, nodes.area)
-    error = np.interp(later[:, 0], nodes.command, nodes.sd)
-    earlier = bounds[bounds[:, 0] < curve.first_measured]
-    # a start as steep as the flattest foot allows would give this flow
-    latest = curve.start.max()
-    share = np.clip((earlier[:, 0] - latest) / (curve.first_measured - latest), 0.0, None)
-    steep = nodes.area[0] * share
-    sd_of = np.append(error, np.full(len(earlier), nodes.sd[0]))
-    expected, bounds = np.append(expected, steep), np.vstack([later, earlier])
+    # least area where the meter reads nothing: below the lowest node that of the steepest start
+    latest = float(curve.start.max())
+    steep = np.clip((bounds[:, 0] - latest) / (curve.first_measured - latest), 0.0, None) * nodes.area[0]
+    least = np.where(before, steep, np.interp(bounds[:, 0], nodes.command, nodes.area))
+    error = np.interp(bounds[:, 0], nodes.command, nodes.sd)
     idle = [
         (
             float(stats.norm.sf((x - bound) / e)),
             f"valve {edge}: the flow meter reads nothing at {v:.3g} V, although the opening gives a flow: "
             "the opening has a step, or the meter was stuck.",
         )
-        for (v, bound), x, e in sorted(zip(bounds.tolist(), expected, sd_of, strict=True), reverse=True)
+        for (v, bound), x, e in sorted(zip(bounds.tolist(), least, error, strict=True), reverse=True)
     ]
     underlap = (
         float(stats.norm.sf(-first / sd)),
