@@ -57,7 +57,6 @@ DETERMINED = 0.25  # largest relative standard deviation of a rounding that the 
 ROUNDING = (1e-3, 2.0)  # V, of the fitted rounding
 CERTAIN = 4.0  # standard errors above which a flow is certain
 ZEROS = 21  # zeros with which a falling opening is tested
-SINGULAR = 1e-5  # of the largest singular value: smaller ones are noise of the regressors
 CLOSE = 0.1  # half bands: errors of a table below it do not count
 
 
@@ -368,8 +367,9 @@ def fit_line(
         x = v / v.max()
         smooth = np.zeros((r.size, 2))
         smooth[: v.size] = np.column_stack([x**2, x**3]) * (area.max() / nodes.error)[:, None]
+        # a zero may look like a cubic: what is below the noise in this is noise of the regressors
         wide = np.hstack([jacobian, smooth])
-        x, _, rank, _ = np.linalg.lstsq(wide, r, rcond=SINGULAR)  # a zero may look like a cubic
+        x, _, rank, _ = np.linalg.lstsq(wide, r, rcond=1 / float(np.linalg.norm(wide, 2)))
         left, more = r - wide @ x, int(rank) - len(names)
         p = min(1.0, 2 * min(p, _tail(chi_square - float(left @ left), more)))
     return Line(names, found * scale, np.asarray(covariance), chi_square, freedom, p, known.rounding.value)
@@ -401,17 +401,24 @@ def _less(a: Array, b: Array) -> bool:
 def line(nodes: Nodes, c: ValveConstants, known: Priors, *, any_zero: bool = False) -> Line:
     """The straight line of one opening; its rounding is free if steps on the foot determine it."""
     fixed = fit_line(nodes, c, known, any_zero=any_zero)
-    first = nodes.steps.command.min()
     if np.count_nonzero(nodes.steps.command < fixed["start0"] + ROUNDING[1] / 2) < 2 or known.rounding.sd:
         return fixed
     free = fit_line(nodes, c, known, any_zero=any_zero, foot=True)
+    sharp = _with_rounding(nodes, c, known, ROUNDING[0], any_zero)
     certain = free.sd("rounding") < DETERMINED * free["rounding"] and free["rounding"] < 0.99 * ROUNDING[1]
-    if certain and first < free["start0"] + free["rounding"] / 2:
+    if certain and sharp.chi_square - free.chi_square > CERTAIN**2:
         return free
-    if fixed.chi_square - free.chi_square > CERTAIN**2:  # the known one is wrong, as of a sharp start
-        other = replace(known.rounding, value=free["rounding"])
-        return fit_line(nodes, c, replace(known, rounding=other), any_zero=any_zero)
-    return fixed
+    if fixed.chi_square - min(free.chi_square, sharp.chi_square) < CERTAIN**2:
+        return fixed
+    # the known rounding is wrong, as of a sharp start
+    other = ROUNDING[0] if sharp.chi_square < free.chi_square + CERTAIN else free["rounding"]
+    return _with_rounding(nodes, c, known, other, any_zero)
+
+
+def _with_rounding(nodes: Nodes, c: ValveConstants, known: Priors, value: float, any_zero: bool) -> Line:
+    """The straight line with another rounding than the known one."""
+    other = replace(known, rounding=replace(known.rounding, value=value))
+    return fit_line(nodes, c, other, any_zero=any_zero)
 
 
 # ---- curves and their band ---------------------------------------------------------------------------
