@@ -150,7 +150,7 @@ def report(found: Mapping[str, np.ndarray], known: Parameters) -> int:
         half = float(np.mean(rows[:, 2] - rows[:, 1])) / 2 / true
         holds = float(np.mean((rows[:, 1] <= true) & (true <= rows[:, 2])))
         good = np.abs(error).max() <= (CURVE if name in curve else ERROR)
-        good &= LEAST <= holds and (holds <= MOST or name in BOUNDED)
+        good &= holds >= LEAST and (holds <= MOST or name in BOUNDED)
         missed += not good
         print(
             f"| `{name}` | {true:.4g} | {_percent(error.mean())} | {_percent(np.abs(error).max())} "
