@@ -20,7 +20,7 @@ MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals a
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
     REST: (),
-    "valve": ("edge",),
+    "valve": ("edge", "density"),
     "hose_resistance": ("length", "diameter", "density"),
     "hose_dynamics": ("length", "diameter", "density"),
     "motor_leakage": ("shaft", "tank_pressure"),
