@@ -20,6 +20,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.progress import doing
 from orchestrator.base.units import display_conversion
 
+DOUBTFUL, CONTRADICTED = 1, 3  # exit statuses: 2 is a mistake of the user
+
 
 def run(
     folder: Path,
@@ -30,10 +32,10 @@ def run(
     inertial: bool = False,
     names: Sequence[str] = FREE,
     starts: int = 0,
-) -> bool:
+) -> int:
     """Read the recordings, identify, write parameters and report; prints the progress.
 
-    Returns whether the estimates can be trusted: no warning was printed.
+    Returns the exit status: 0 without a warning, `DOUBTFUL`, or `CONTRADICTED` if all warnings are findings.
 
     out    parameters.toml to write
     page   folder of identification.html and .json
@@ -89,13 +91,15 @@ def run(
             print(f"  {quantity:<10}{100 * error:5.2f} %  {name}")
     if contents.explanation:
         print(contents.explanation.verdict)
-    for line in contents.warnings:
+    contradicted = [f"{f['procedure']}: {f['sentence']}" for f in contents.findings if f["named"]]
+    for line in (*contents.warnings, *contradicted):
         print(f"warning: {line}")
-    contents = replace(contents, warnings=(*suspect, *contents.warnings))
+    status = DOUBTFUL if suspect or contents.warnings else CONTRADICTED if contradicted else 0
+    contents = replace(contents, warnings=(*suspect, *contents.warnings, *contradicted))
     with doing("drawing the figures of the page"):
         html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
-    return not contents.warnings
+    return status
 
 
 def _show(result: ProcedureResult) -> None:

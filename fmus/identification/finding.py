@@ -23,7 +23,7 @@ class Finding:
 
 
 def named(findings: Iterable[Finding]) -> list[Finding]:
-    """The findings that the data show, most certain first: Holm's step-down method over all tests of a machine.
+    """The findings that the data show, most certain first: Holm's step-down method over a machine's tests.
 
     However many tests there are, all assumptions hold and one is named in at most `LEVEL` of all machines
     (S. Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statistics 6, 1979, 65-70).

@@ -13,6 +13,7 @@ import numpy as np
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import Finding
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, free_parameters
@@ -234,6 +235,17 @@ def zero_sentences(refined: RefinementResult) -> list[str]:
         value, low, high = (f"{factor * x:.3g}" for x in (e.value, e.low, e.high))
         sentences.append(f"zero of the sensor of {signal}: {value} {unit} ({low} to {high} {unit})")
     return sentences
+
+
+def findings(refined: RefinementResult) -> tuple[Finding, ...]:
+    """The test of the residuals: does each signal have the noise of its sensor, and nothing else?"""
+    ratios = {signal_names().get(n, n): w for n, w in refined.whiteness.items() if np.isfinite(w.rms)}
+    if not ratios:
+        return ()
+    name, worst = min(ratios.items(), key=lambda item: (item[1].excess, -item[1].rms))
+    p = min(1.0, len(ratios) * worst.excess)  # the least of several p-values [Bonferroni]
+    rms = f"{worst.rms:.3g} times the noise of its sensor"
+    return (Finding("model", p, f"the model misses {name} by more than noise: the residual is {rms}."),)
 
 
 def without_zeros(recordings: Sequence[Recording], refined: RefinementResult) -> list[Recording]:

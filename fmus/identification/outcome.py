@@ -8,6 +8,7 @@ import numpy as np
 
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import named
 from fmus.identification.machine import (
     Parameters,
     lookup,
@@ -98,12 +99,19 @@ def page_content(
             *(f"{name}: {reason}." for name, reason in identified.skipped.items() if reason == NO_RECORDING),
             *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
         ),
+        findings=tuple(tests(identified)),
         warnings=(
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
             *(warning for result in identified.results for warning in result.warnings),
             *(warnings(refined, names, signals) if refined else ()),
         ),
     )
+
+
+def tests(identified: Identified) -> list[dict[str, Any]]:
+    """The tests of all assumptions: procedure, fault, p, sentence, and whether the data show the fault."""
+    found = named(finding for _, finding in identified.findings)
+    return [{"procedure": name, **vars(f), "named": f in found} for name, f in identified.findings]
 
 
 def _of_default_parts(parameters: Parameters) -> dict[str, float]:

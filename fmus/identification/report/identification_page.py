@@ -56,6 +56,7 @@ class IdentificationPage:
     figures      measured and predicted signals
     commands     commands that use the estimates -> their purpose
     remarks      sentences on procedures without a result
+    findings     the tests of all assumptions: procedure, fault, p, sentence, named
     warnings     sentences on doubtful results and what to check
     """
 
@@ -70,6 +71,7 @@ class IdentificationPage:
     figures: tuple[CaptionedFigure, ...] = ()
     commands: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    findings: tuple[Mapping[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
 
 
@@ -79,7 +81,7 @@ def write_page(folder: Path, page: IdentificationPage) -> tuple[Path, Path]:
     The JSON file has all values of the page in SI units, without the curves of the figures.
     """
     content = {name: value for name, value in vars(page).items() if name not in ("figures", "results")}
-    content["findings"] = [
+    content["results"] = [
         {name: value for name, value in vars(result).items() if name != "panels"} for result in page.results
     ]
     html = html_page.write_text(folder / f"{NAME}.html", render(page))

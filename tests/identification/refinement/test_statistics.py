@@ -13,7 +13,7 @@ from fmus.identification.refinement.measured_runs import smoothed
 from fmus.identification.refinement.multistart import EVERY, multistart, subsampled
 from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
-from fmus.identification.refinement.residuals import SimulatedRun, whiteness
+from fmus.identification.refinement.residuals import SimulatedRun, excess, whiteness
 from fmus.identification.refinement.statistics import _jackknife, unidentified
 from fmus.identification.refinement.weights import Loss, correlation_time, loss_factors
 
@@ -137,6 +137,23 @@ def test_residuals_are_white_only_if_the_model_is_right(refined: RefinementResul
     assert right.inputs["push"] < 0.1
     assert wrong.robust
     assert wrong.model_error["position"] > 5
+
+
+@pytest.mark.parametrize(
+    ("made", "low", "high"),
+    [
+        (lambda n: n, 0.35, 0.55),
+        (lambda n: 4 * n, 0.35, 0.55),  # a noise stated too small is no error of the model
+        (lambda n: np.sqrt(12) * (np.round(n.cumsum() / 9) - n.cumsum() / 9), 0.35, 0.55),  # slow steps of 1
+        (lambda n: n + 0.8 * np.sin(np.arange(n.size) / 50), 0.0, 1e-6),
+    ],
+)
+def test_residuals_above_their_noise_are_improbable(made, low, high) -> None:
+    """Noise: p is uniform where there is an excess; an oscillation of 0.8 standard deviations: no noise."""
+    rng = np.random.default_rng(0)
+    p = [excess(made(rng.standard_normal(2000))) for _ in range(150)]
+    # the standard deviation of a quantile of 150 uniform numbers is 0.04
+    assert low <= np.quantile(p, 0.45) <= high
 
 
 def test_whiteness_does_not_see_across_gaps() -> None:

@@ -91,9 +91,9 @@ def test_values_are_written_in_si(tmp_path):
     estimate = found["parameters"][0]["estimate"]
     assert (estimate["value"], estimate["unit"], estimate["low"]) == (4.01e-5, "m2", 3.99e-5)
     assert found["refinement"]["correlation"][0][1] == 0.9
-    assert found["findings"][0]["others"][0]["name"] == "valve_area"
-    assert found["findings"][0]["estimates"][0]["high"] is None
-    assert "panels" not in found["findings"][0]
+    assert found["results"][0]["others"][0]["name"] == "valve_area"
+    assert found["results"][0]["estimates"][0]["high"] is None
+    assert "panels" not in found["results"][0]
     assert found["explanation"] is None
 
 
