@@ -104,9 +104,9 @@ def excess(residual: Array) -> float:
 
     residual   in standard deviations of the sensor, NaN in gaps
 
-    The noise is that of the sensor, or the white noise of the residuals if that is clearly larger: a noise that
-    is stated too small is no error of the model. Squares that are correlated, as those of an encoder between
-    two counts, are as few as their autocorrelation time tells.
+    The noise is that of the sensor, or the white noise of the residuals if that is clearly larger: a noise
+    that is stated too small is no error of the model. Squares that are correlated, as those of an encoder
+    between two counts, are as few as their autocorrelation time tells.
     """
     squares = residual[np.isfinite(residual)] ** 2
     white, relative_error = float(np.nan_to_num(noise(residual))), NOISE_ERROR / math.sqrt(len(squares))

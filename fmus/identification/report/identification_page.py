@@ -19,7 +19,7 @@ from fmus.identification.refinement.multistart import MultistartResult
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation, rms
-from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure
+from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure, opening_panel
 from fmus.identification.report.recording_comparison import CaptionedFigure
 from orchestrator.base import html_page
 from orchestrator.base.figures import plot
@@ -96,6 +96,8 @@ def render(page: IdentificationPage) -> str:
         heatmap = embed(matrix, "c-", "Correlation")
     results = []
     for k, result in enumerate(page.results):
+        if (tables := opening_panel(result.listed)) is not None:
+            result = replace(result, panels=(*result.panels, tables))
         figure = draw_procedure(result, page.kinds, titled=False) if result.panels else None
         drawing = figure and embed(figure, f"f{k}-", result.title)
         results.append((result, drawing, report_texts.caption(result, page.kinds)))
