@@ -65,7 +65,7 @@ def looks(axes):
 
 
 def test_tables_of_openings_are_drawn_with_their_bands():
-    """One curve for edges with the same table, filled between the ends of the intervals; none without tables."""
+    """Edges with the same table share a curve, filled between the ends of the intervals; else no panel."""
 
     def table(edge, *openings):
         for kind, unit in (("command", "V"), ("opening", "1")):
