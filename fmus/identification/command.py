@@ -89,6 +89,10 @@ def run(
         print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")
         for quantity, (name, error) in worst_signals(comparison).items():
             print(f"  {quantity:<10}{100 * error:5.2f} %  {name}")
+        if held := comparison.held():
+            least = min(held, key=lambda name: held[name])
+            mean = sum(held.values()) / len(held)
+            print(f"  95 % bands hold {100 * mean:.0f} %, of {least} {100 * held[least]:.0f} %")
     if contents.explanation:
         print(contents.explanation.verdict)
     contradicted = [f"{f['procedure']}: {f['sentence']}" for f in contents.findings if f["named"]]

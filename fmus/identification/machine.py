@@ -18,7 +18,7 @@ from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, free_parameters
 from fmus.identification.refinement.refine import RefinementResult
-from fmus.identification.refinement.sensor_zeros import declared_errors, free_zeros, parameter, with_zeros
+from fmus.identification.refinement.sensor_zeros import declared_errors, free_zeros, parameter
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values
@@ -143,15 +143,14 @@ def problem(
     p = {flat: lookup(name, parameters).value for name, flat in flat_of.items()}
     outputs = _measured_outputs(recordings)
     errors = declared_errors([r for r in recordings if r.use == "train"], {n: signals[n] for n in outputs})
-    sub = with_zeros(HARVESTER, errors)
-    fixed = Values(p | {parameter(n): 0.0 for n in errors}, defaults.u, defaults.x)
+    fixed = Values(p, defaults.u, defaults.x)
     priors: dict[str, tuple[float, float | None]] = {}
     for name in names:
         known = lookup(name, parameters)
         priors[flat_of[name]] = (known.value, known.sd or PRIOR_SD * abs(known.value) or None)
     zero_at_rest = ("_speed", "_flow", "_flow_a", "_flow_b")
     mapping = RecordingMap(
-        sub,
+        HARVESTER,
         outputs=outputs,
         signals=signals,
         smooth=SMOOTHING,
@@ -161,11 +160,11 @@ def problem(
     )
     runs = {use: [mapping.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
     return EstimationProblem(
-        sub=sub,
+        sub=HARVESTER,
         outputs=tuple(mapping.outputs),
         free=(
-            *_within_ten(free_parameters(sub, [flat_of[n] for n in names], priors, fixed)),
-            *free_zeros(sub, errors, fixed),
+            *_within_ten(free_parameters(HARVESTER, [flat_of[n] for n in names], priors, fixed)),
+            *free_zeros(errors, {n: q.unit for n, q in quantities(HARVESTER.outputs).items()}),
         ),
         training=tuple(runs["train"]),
         held_out=tuple(runs["test"]),

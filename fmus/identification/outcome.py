@@ -1,6 +1,7 @@
 """Content of the report on an identification: parameters, a predicted recording, causes of its residual."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,26 +11,30 @@ from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
 from fmus.identification.finding import named
 from fmus.identification.machine import (
+    COMMANDS,
     Parameters,
     lookup,
     nominal,
     parameter_names,
     signal_names,
     zero_sentences,
+    zeros,
 )
 from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recording_names import MACHINE
+from fmus.identification.recordings.reading import Extrapolation, extrapolations
 from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter, refinement
+from fmus.identification.report.prediction import excitation, predict
 from fmus.identification.report.recording_comparison import (
     CaptionedFigure,
     RecordingComparison,
     attribute,
     captioned_figure,
-    compare_prediction,
+    compare,
 )
 from fmus.identification.report.report_texts import warnings
-from fmus.machine.parts import SUBSYSTEMS
+from fmus.machine.parts import INPUTS, SUBSYSTEMS
 
 FIGURES = ("swing", "stick", "boom")  # joints: Figs. 10 and 11 of the paper, and the third joint
 QUANTITIES = ("angle", "speed", "pressure", "flow")
@@ -40,7 +45,42 @@ def prediction(identified: Identified) -> RecordingComparison | None:
     """A recording of the machine and its prediction with the estimates; a held-out one if possible."""
     recordings = [r for r in identified.recordings if r.procedure == MACHINE]
     selected = next((r for r in recordings if r.use == "test"), recordings[0] if recordings else None)
-    return compare_prediction(selected, _of_default_parts(identified.parameters)) if selected else None
+    if selected is None:
+        return None
+    predicted = predict(excitation(selected), _of_default_parts(identified.parameters))
+    if (refined := identified.refined) is None:
+        return compare(selected, predicted)
+    simulated = (refined.held_out if selected.use == "test" else refined.training)[0]
+    names, found = [signal_names()[output] for output in refined.problem.outputs], zeros(refined)
+    by_z, sd = refined.uncertainty(simulated.run)
+    if np.isfinite(simulated.y).all():  # with all corners of the inputs; its readings contain the zeros
+        predicted = {**predicted, **dict(zip(names, simulated.y.T, strict=True))}
+        predicted |= {name: predicted[name] - zero.value for name, zero in found.items()}
+    return replace(
+        compare(selected, predicted),
+        sd=dict(zip(names, sd.T, strict=True)),
+        sensitivities={
+            parameter: dict(zip(names, by_z[:, :, j].T, strict=True))
+            for j, parameter in enumerate(refined.problem.names)
+        },
+    )
+
+
+def extrapolated(identified: Identified) -> list[tuple[str, Extrapolation]]:
+    """Inputs of the held-out recordings of the machine that leave their ranges in training, with the file."""
+    training = [r for r in identified.recordings if r.use == "train"]
+    inputs = [targets[0] for targets in INPUTS.values()]
+    ranges = {n: [r[n] for r in training if n in r.signals] for n in inputs}
+    valves = [r["command"] for r in training if r.procedure == "valve" and "command" in r.signals]
+    for name in COMMANDS.values():  # a bench shows an edge, and the machine has the same for the other sign
+        ranges[name] += [sign * volts for volts in valves for sign in (1, -1)]
+    known = {n: np.concatenate(values) for n, values in ranges.items() if values}
+    return [
+        (recording.source.name, found)
+        for recording in identified.recordings
+        if recording.procedure == MACHINE and recording.use == "test"
+        for found in extrapolations(recording, known, known)
+    ]
 
 
 def worst_signals(comparison: RecordingComparison) -> dict[str, tuple[str, float]]:
@@ -53,14 +93,13 @@ def worst_signals(comparison: RecordingComparison) -> dict[str, tuple[str, float
 def explanation(
     comparison: RecordingComparison, identified: Identified, processes: int = 1
 ) -> Explanation | None:
-    """Which effect the residual shows, apart from errors of the refined parameters.
+    """Which effect the residual shows, apart from errors of the identified parameters.
 
     processes   number of processes that simulate the machine, which take most of the time
     """
     if identified.refined is None:
         return None
-    refined = [name for name, (_, procedure) in identified.estimates.items() if procedure == MACHINE]
-    return attribute(comparison, _of_default_parts(identified.parameters), refined, processes)
+    return attribute(comparison, _of_default_parts(identified.parameters), processes)
 
 
 def page_content(
@@ -79,7 +118,7 @@ def page_content(
     processes    see `explanation`
     """
     names, signals, refined = parameter_names(), signal_names(), identified.refined
-    figures: list[CaptionedFigure] = []
+    figures, outside = list[CaptionedFigure](), extrapolated(identified)
     if comparison:
         predicted = comparison.predicted
         moving = [j for j in FIGURES if np.ptp(predicted[f"manipulator.{j}_angle"]) > MOVES]
@@ -100,12 +139,28 @@ def page_content(
             *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
         ),
         findings=tuple(tests(identified)),
+        prediction=_prediction(comparison, outside) if comparison else None,
         warnings=(
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
             *(warning for result in identified.results for warning in result.warnings),
             *(warnings(refined, names, signals) if refined else ()),
+            *(f"{file}: {found}: its prediction is an extrapolation." for file, found in outside),
         ),
     )
+
+
+def _prediction(
+    comparison: RecordingComparison, outside: Sequence[tuple[str, Extrapolation]]
+) -> dict[str, Any]:
+    """The predicted recording for the JSON file: NRMSE, share in the 95 % bands, inputs outside training."""
+    recording = comparison.recording
+    return {
+        "recording": recording.source.name,
+        "use": recording.use,
+        "nrmse": comparison.nrmse(),
+        "held": comparison.held(),
+        "extrapolated": [{"recording": file, **vars(found)} for file, found in outside],
+    }
 
 
 def tests(identified: Identified) -> list[dict[str, Any]]:

@@ -45,7 +45,7 @@ def simulate(
 ) -> SimulatedRun:
     """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
     inputs = run.input_matrix(simulator.inputs) if inputs is None else inputs
-    state = run.corrected_initial_state(simulator, p, inputs) if start is None else start
+    state = run.initial_state(simulator, p, inputs)[0] if start is None else start
     try:
         return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)
     except SimulationFailed:

@@ -57,6 +57,7 @@ class IdentificationPage:
     commands     commands that use the estimates -> their purpose
     remarks      sentences on procedures without a result
     findings     the tests of all assumptions: procedure, fault, p, sentence, named
+    prediction   errors of the predicted recording, share of it in the bands, inputs outside training
     warnings     sentences on doubtful results and what to check
     """
 
@@ -72,6 +73,7 @@ class IdentificationPage:
     commands: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     findings: tuple[Mapping[str, Any], ...] = ()
+    prediction: Mapping[str, Any] | None = None
     warnings: tuple[str, ...] = ()
 
 

@@ -13,7 +13,7 @@ from fmus.identification.refinement.measured_runs import smoothed
 from fmus.identification.refinement.multistart import EVERY, multistart, subsampled
 from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
-from fmus.identification.refinement.residuals import SimulatedRun, excess, whiteness
+from fmus.identification.refinement.residuals import SimulatedRun, excess, simulate, whiteness
 from fmus.identification.refinement.statistics import _jackknife, unidentified
 from fmus.identification.refinement.weights import Loss, correlation_time, loss_factors
 
@@ -177,6 +177,36 @@ def test_fit_contains_held_out_recordings() -> None:
     assert fit["train"]["oscillator_0"]["position"] == pytest.approx(NOISE / span, rel=0.1)
     # the start comes from five samples: a hundredth of a metre, that dies out
     assert fit["test"]["oscillator_7"]["position"] == pytest.approx(NOISE / span, rel=0.3)
+
+
+def test_bands_hold_the_readings_to_come() -> None:
+    """95 % of the samples of a held-out run are in its bands, which are wider than noise alone makes them."""
+    shares, wider = [], []
+    for seed in range(12):
+        task = problem(run(recording(seed, seconds=3.0)), held_out=(run(recording(seed + 100)),))
+        found = refine(task)
+        (held_out,) = found.held_out
+        _, sd = found.uncertainty(held_out.run)
+        shares.append(np.mean(np.abs(held_out.error) < 1.96 * sd))
+        wider.append(sd.max() / NOISE)
+    # the samples of a run share the error of its parameters: the mean of 12 runs is known to some percent
+    assert 0.91 < np.mean(shares) < 0.98
+    assert np.mean(wider) > 1.2
+
+
+def test_sensitivities_are_those_of_a_repeated_simulation(refined: RefinementResult) -> None:
+    """Central differences of the prediction by z, also by an initial state that comes from a parameter."""
+    one, step = refined.problem.training[0], 1e-4
+    by_z, _ = refined.uncertainty(one)
+    for j in range(len(refined.z)):
+        ends = [
+            simulate(
+                one, refined.simulator, refined.problem.values_of(refined.z + sign * step * np.eye(3)[j])
+            ).y
+            for sign in (1, -1)
+        ]
+        # the solver's tolerance over the step
+        np.testing.assert_allclose(by_z[:, :, j], (ends[0] - ends[1]) / (2 * step), atol=1e-2)
 
 
 def test_random_starts_lead_to_the_same_optimum(refined: RefinementResult) -> None:
