@@ -2,8 +2,8 @@
 
 A recording is a data file and the TOML file of the same name that describes it, see docs/recordings.md and
 `orchestrator.data.recording`. `read_series` reads a foreign data set without a description. `take`, `window`
-and `split` select samples, `blank` replaces samples by gaps, `add` adds or replaces a signal with its unit
-and sensor. All return a new recording with the same conditions.
+and `split` select samples, `add` adds or replaces a signal with its unit and sensor. All return a new
+recording with the same conditions.
 """
 
 import re
@@ -205,12 +205,6 @@ def add(recording: Recording, name: str, values: Array, unit: str, sensor: Senso
         file_units={key: u for key, u in recording.file_units.items() if key != name},
         sensors=sensors if sensor is None else {**sensors, name: sensor},
     )
-
-
-def blank(recording: Recording, name: str, mask: Mask) -> Recording:
-    """The recording with the samples of a signal under `mask` replaced by gaps (NaN)."""
-    values = np.where(mask, np.nan, recording[name])
-    return replace(recording, signals={**recording.signals, name: values})
 
 
 def read_series(

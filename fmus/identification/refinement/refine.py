@@ -38,7 +38,7 @@ from fmus.identification.refinement.statistics import (
     statistics,
     unidentified,
 )
-from fmus.identification.refinement.weights import Loss, Priors, priors
+from fmus.identification.refinement.weights import Priors, priors
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -153,13 +153,6 @@ class RefinementResult:
         errors = np.array([self.model_error[name] for name in outputs])
         return by_z, np.sqrt(variance + noise**2 * (1 + errors**2))
 
-    def fit(self) -> dict[str, dict[str, dict[str, float]]]:
-        """NRMSE as use -> run -> output -> value; NaN if an output was not measured."""
-        return {
-            use: {s.run.name: dict(zip(self.problem.outputs, s.nrmse().tolist(), strict=True)) for s in runs}
-            for use, runs in (("train", self.training), ("test", self.held_out))
-        }
-
 
 def refine(
     problem: EstimationProblem,
@@ -168,7 +161,6 @@ def refine(
     segment: float = SEGMENT,
     horizon: float = HORIZON,
     threads: int = 2,
-    loss: Loss = "linear",
     options: Options | None = None,
     start: Array | None = None,
     progress: Callable[[Iteration], None] | None = None,
@@ -183,7 +175,7 @@ def refine(
     """
     z = problem.initial() if start is None else start
     simulator = simulator or compiled(problem)
-    search = Search.of(problem, simulator, z, segment, horizon, threads, loss, options, progress)
+    search = Search.of(problem, simulator, z, segment, horizon, threads, options, progress)
     return search.result(search.fit_recordings(search.fit_predictions()))
 
 
@@ -212,7 +204,6 @@ class Search:
         segment: float = SEGMENT,
         horizon: float = HORIZON,
         threads: int = 2,
-        loss: Loss = "linear",
         options: Options | None = None,
         progress: Callable[[Iteration], None] | None = None,
     ) -> Search:
@@ -222,7 +213,7 @@ class Search:
         if not simulator.states:  # initial states of segments cannot be set
             segment = horizon = np.inf
         edges = tuple(cut(run.time, segment) for run in problem.training)
-        shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
+        shooting = Shooting(problem, simulator, inputs, edges, threads)
         with _simulated(shooting):
             states = [states[0] for states in shooting.measured_iterate(start).starts]
             prior = priors(problem, simulator, states)

@@ -15,7 +15,7 @@ from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.identification.refinement.residuals import SimulatedRun, excess, simulate, whiteness
 from fmus.identification.refinement.statistics import _jackknife, unidentified
-from fmus.identification.refinement.weights import Loss, correlation_time, loss_factors
+from fmus.identification.refinement.weights import correlation_time
 
 
 @pytest.fixture(scope="module")
@@ -99,29 +99,6 @@ def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     )
 
 
-def test_outliers_pull_less_with_a_robust_loss(refined: RefinementResult) -> None:
-    """With one sample in twenty off by half a metre, robust losses change the estimates less than squares."""
-    read = recording()
-    position = read.signals["position"].copy()
-    position[::20] += 25 * NOISE
-    spoiled = problem(run(replace(read, signals={**read.signals, "position": position})))
-    losses: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
-    sd = refined.statistics.sd(False)
-    away = {loss: float(np.max(np.abs(refine(spoiled, loss=loss).z - refined.z) / sd)) for loss in losses}
-    # all outliers lie on one side, so that some of their pull remains with any convex loss
-    assert away["huber"] < away["linear"] / 2
-    assert away["soft_l1"] < away["linear"] / 2
-
-
-def test_weights_are_those_of_the_losses() -> None:
-    """The squared factor is the derivative of the loss over the residual, for Huber and soft L1."""
-    r = np.array([0.3, 1.0, 2.0, 30.0])
-    tuning = np.full(4, 1.5)
-    np.testing.assert_allclose(loss_factors(r, tuning, "huber") ** 2, np.minimum(r, 1.5) / r, rtol=1e-14)
-    soft = 1 / np.sqrt(1 + (r / 1.5) ** 2)  # of 2 a^2 (sqrt(1 + (r / a)^2) - 1)
-    np.testing.assert_allclose(loss_factors(r, tuning, "soft_l1") ** 2, soft, rtol=1e-14)
-
-
 def test_residuals_are_white_only_if_the_model_is_right(refined: RefinementResult) -> None:
     """With a wrong gain, residuals are correlated in time and with the input."""
     right = refined.whiteness["position"]
@@ -167,16 +144,6 @@ def test_whiteness_does_not_see_across_gaps() -> None:
     assert whiteness([replace(traces, run=half)], ("push",), 0).white
     none = replace(one, weight=0 * one.weight, compared=one.compared & False)
     assert np.isnan(whiteness([replace(traces, run=none)], ("push",), 0).outside)
-
-
-def test_fit_contains_held_out_recordings() -> None:
-    """For the right model the NRMSE of training and held-out recordings is noise over range."""
-    task = problem(run(recording()), held_out=(run(recording(7)),))
-    fit = refine(task).fit()
-    span = float(np.ptp(recording(7)["position"]))
-    assert fit["train"]["oscillator_0"]["position"] == pytest.approx(NOISE / span, rel=0.1)
-    # the start comes from five samples: a hundredth of a metre, that dies out
-    assert fit["test"]["oscillator_7"]["position"] == pytest.approx(NOISE / span, rel=0.3)
 
 
 def test_bands_hold_the_readings_to_come() -> None:
