@@ -1,4 +1,4 @@
-"""Weights of residuals, which are in standard deviations of their sensors: model error, correlation; priors."""
+"""Weights of residuals, in standard deviations of their sensors: model error, correlation; priors."""
 
 from __future__ import annotations
 
