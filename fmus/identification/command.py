@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -93,13 +92,13 @@ def run(
             least = min(held, key=lambda name: held[name])
             mean = sum(held.values()) / len(held)
             print(f"  95 % bands hold {100 * mean:.0f} %, of {least} {100 * held[least]:.0f} %")
-    if contents.explanation:
-        print(contents.explanation.verdict)
-    contradicted = [f"{f['procedure']}: {f['sentence']}" for f in contents.findings if f["named"]]
-    for line in (*contents.warnings, *contradicted):
+    if contents["explanation"]:
+        print(contents["explanation"].verdict)
+    contradicted = [f"{f['procedure']}: {f['sentence']}" for f in contents["findings"] if f["named"]]
+    for line in (*contents["warnings"], *contradicted):
         print(f"warning: {line}")
-    status = DOUBTFUL if suspect or contents.warnings else CONTRADICTED if contradicted else 0
-    contents = replace(contents, warnings=(*suspect, *contents.warnings, *contradicted))
+    status = DOUBTFUL if suspect or contents["warnings"] else CONTRADICTED if contradicted else 0
+    contents["warnings"] = [*suspect, *contents["warnings"], *contradicted]
     with doing("drawing the figures of the page"):
         html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")

@@ -24,7 +24,7 @@ from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.reading import Extrapolation, extrapolations
 from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter, refinement
+from fmus.identification.report.identification_page import refinement
 from fmus.identification.report.prediction import excitation, predict
 from fmus.identification.report.recording_comparison import (
     CaptionedFigure,
@@ -109,8 +109,8 @@ def page_content(
     comparison: RecordingComparison | None,
     qualities: Sequence[Mapping[str, Any]] = (),
     processes: int = 1,
-) -> IdentificationPage:
-    """The content of the report.
+) -> dict[str, Any]:
+    """The content of the report: the values of the JSON file, and `figures` of the predicted signals.
 
     folder       folder of the recordings
     out          file of the estimated parameters
@@ -123,30 +123,30 @@ def page_content(
         predicted = comparison.predicted
         moving = [j for j in FIGURES if np.ptp(predicted[f"manipulator.{j}_angle"]) > MOVES]
         figures = [captioned_figure(comparison, joint) for joint in moving]
-    return IdentificationPage(
-        title=f"Identification from {folder.name}",
-        source=str(folder),
-        kinds=tuple(dict.fromkeys(r.kind for r in identified.recordings)),
-        results=tuple(identified.results),
-        parameters=tuple(_parameter(e, procedure) for e, procedure in identified.estimates.values()),
-        qualities=tuple(qualities),
-        refinement=refinement(refined, names, signals, starts=identified.starts) if refined else None,
-        explanation=explanation(comparison, identified, processes) if comparison else None,
-        figures=tuple(figures),
-        commands=_next_commands(folder, out, identified),
-        remarks=(
+    return {
+        "title": f"Identification from {folder.name}",
+        "source": str(folder),
+        "kinds": list(dict.fromkeys(r.kind for r in identified.recordings)),
+        "results": identified.results,
+        "parameters": [_parameter(e, procedure) for e, procedure in identified.estimates.values()],
+        "qualities": qualities,
+        "refinement": refinement(refined, names, signals, starts=identified.starts) if refined else None,
+        "explanation": explanation(comparison, identified, processes) if comparison else None,
+        "figures": figures,
+        "commands": _next_commands(folder, out, identified),
+        "remarks": [
             *(f"{name}: {reason}." for name, reason in identified.skipped.items() if reason == NO_RECORDING),
             *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
-        ),
-        findings=tuple(tests(identified)),
-        prediction=_prediction(comparison, outside) if comparison else None,
-        warnings=(
+        ],
+        "findings": tests(identified),
+        "prediction": _prediction(comparison, outside) if comparison else None,
+        "warnings": [
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
             *(warning for result in identified.results for warning in result.warnings),
             *(warnings(refined, names, signals) if refined else ()),
             *(f"{file}: {found}: its prediction is an extrapolation." for file, found in outside),
-        ),
-    )
+        ],
+    }
 
 
 def _prediction(
@@ -175,11 +175,13 @@ def _of_default_parts(parameters: Parameters) -> dict[str, float]:
     return {name: parameter.value for name, parameter in parameters.items() if name in names}
 
 
-def _parameter(estimate: Estimate, procedure: str) -> IdentifiedParameter:
+def _parameter(estimate: Estimate, procedure: str) -> dict[str, Any]:
+    """An estimate with its procedure, and the value that the parameter files have."""
     known = lookup(estimate.name, nominal())
     name = estimate.name.rpartition(".")[2]
     text = next(q[name].text for s in SUBSYSTEMS.values() if name in (q := quantities(s.parameters)))
-    return IdentifiedParameter(estimate, procedure, known.value, known.source, text)
+    before = {"prior": known.value, "prior_source": known.source}
+    return {"estimate": estimate, "procedure": procedure, **before, "text": text}
 
 
 def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str, str]:

@@ -74,7 +74,7 @@ def test_a_page_without_refinement():
 @pytest.mark.filterwarnings("error")
 def test_one_parameter_has_no_correlation():
     """A refinement of one parameter is shown without a matrix."""
-    one = page().refinement
+    one = page()["refinement"]
     assert one is not None
     shown = render(page(refinement={**one, "names": ("head_mass",), "correlation": np.ones((1, 1))}))
     assert "Correlation of the estimates" not in shown
