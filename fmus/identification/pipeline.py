@@ -10,6 +10,7 @@ from types import ModuleType
 
 from fmus.identification import machine
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import Finding
 from fmus.identification.machine import Parameters, nominal, short_name, updated
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures import (
@@ -95,6 +96,12 @@ class Identified:
     def listed(self) -> dict[str, Number]:
         """Name -> entry of a list of parameters.toml: points of the opening curves, in their order."""
         return {e.name: e.number() for result in self.results for e in result.listed}
+
+    @property
+    def findings(self) -> list[tuple[str, Finding]]:
+        """The tests of all assumptions: procedure and finding, in the order of the procedures."""
+        tests = [(r.procedure, finding) for r in self.results for finding in r.findings]
+        return tests + [(MACHINE, f) for f in (machine.findings(self.refined) if self.refined else ())]
 
     def skip(self, procedure: str, error: Problem, report: Report) -> None:
         """Note and report why a procedure has no result."""

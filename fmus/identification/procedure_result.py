@@ -17,7 +17,12 @@ CurveKind = Literal["measured", "fit", "masked", "compared", "corrected"]
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve or a cloud of points; `line` joins the points, `error` is half the length of each error bar."""
+    """A curve or a cloud of points.
+
+    line    whether the points are joined
+    error   half the length of each error bar
+    band    lower and upper end of a band around the curve
+    """
 
     label: str
     x: Array
@@ -25,6 +30,7 @@ class Curve:
     kind: CurveKind = "measured"
     line: bool = False
     error: Array | None = None
+    band: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,17 @@ import importlib
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from kit import shards
 from kit.mistakes import refused, table
 
+from fmus.identification.finding import Finding
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
+from fmus.identification.procedures import motor_leakage
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
 from fmus.rig.recordings import write, write_all
@@ -184,6 +187,30 @@ def test_a_command_in_another_unit_is_no_valve(recordings, here, capsys, unit, t
     assert told in printed
     assert "warning: valve: mine/valve_pa.csv: command: expected a full command of about 10 V" in printed
     assert "valve_area" not in found()
+
+
+@pytest.mark.parametrize(("p", "status"), [(1e-6, 3), (4e-3, 3), (6e-3, 0)])
+def test_a_named_fault_is_a_warning_with_a_status_of_its_own(
+    recordings, here, capsys, monkeypatch, p, status
+):
+    """Of two tests one may be at 0.5 % [Holm]; printed, on the page and in the JSON file, with its name."""
+    here(recordings, "motor_leakage")
+    identified = motor_leakage.identify
+    tests = (Finding("noise", 0.9, "Never told."), Finding("saturated signal", p, "It ends at 5 <L/min>."))
+    monkeypatch.setattr(
+        motor_leakage, "identify", lambda *given: replace(identified(*given), panels=(), findings=tests)
+    )
+    assert main(["identify", "mine"]) == status
+    printed = capsys.readouterr().out
+    assert ("warning: motor_leakage: It ends at 5 <L/min>.\n" in printed) == (status == 3)
+    assert "Never told" not in printed
+    told = json.loads(Path("build/identification.json").read_text(encoding="utf-8"))
+    assert told["findings"] == [
+        {"procedure": "motor_leakage", **vars(test), "named": named}
+        for test, named in zip(tests, (False, status == 3), strict=True)
+    ]
+    page = Path("build/identification.html").read_text(encoding="utf-8")
+    assert page.count("It ends at 5 &lt;L/min&gt;.") == 2 * (status == 3)  # on top, and among the tests
 
 
 @table(__file__, "units", "file, old, new, told")

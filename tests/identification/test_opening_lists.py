@@ -1,5 +1,6 @@
 """From edges that are no straight lines to tables that the machine reads, by the command line."""
 
+import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -61,6 +62,16 @@ def test_the_file_has_lists(identified):
     # an edge that was not on the bench has the table of the other edge of its direction
     assert tables["valve_bt_openings"]["value"] == tables["valve_pa_openings"]["value"]
     assert tables["valve_at_openings"]["value"] != tables["valve_pa_openings"]["value"]
+
+
+def test_the_report_has_the_bands(identified):
+    """Each point of a table has both ends of its interval in the JSON file, and the page draws them."""
+    _, out = identified
+    told = json.loads((out.parent / "identification.json").read_text(encoding="utf-8"))
+    openings = [e for e in told["results"][0]["listed"] if e["unit"] == "1" and e["sd"]]
+    assert len(openings) >= 12
+    assert all(e["low"] < e["value"] < e["high"] for e in openings)
+    assert "Tables with their 95 % bands" in (out.parent / "identification.html").read_text(encoding="utf-8")
 
 
 def test_a_straight_line_empties_the_tables_of_before():

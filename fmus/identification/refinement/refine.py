@@ -25,8 +25,10 @@ from fmus.identification.refinement.gauss_newton import (
     Solution,
     minimise,
 )
+from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.residuals import SimulatedRun, Whiteness, simulate, whiteness
+from fmus.identification.refinement.sensor_zeros import WithZeros, parameter
 from fmus.identification.refinement.shooting import Shooting, cut, parallel
 from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 from fmus.identification.refinement.statistics import (
@@ -36,7 +38,7 @@ from fmus.identification.refinement.statistics import (
     statistics,
     unidentified,
 )
-from fmus.identification.refinement.weights import Loss, Priors, priors
+from fmus.identification.refinement.weights import Priors, priors
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -60,6 +62,7 @@ class RefinementResult:
     training, held_out   simulations of the runs from their initial states
     model_error          per output: estimated error of the model, in standard deviations of the sensor
     starts               per run: initial state by name
+    simulator            with which the parameters were estimated
     """
 
     problem: EstimationProblem
@@ -75,6 +78,7 @@ class RefinementResult:
     held_out: tuple[SimulatedRun, ...]
     model_error: Mapping[str, float]
     starts: tuple[Mapping[str, float], ...]
+    simulator: Simulator | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -122,12 +126,32 @@ class RefinementResult:
             )
         return tuple(estimates)
 
-    def fit(self) -> dict[str, dict[str, dict[str, float]]]:
-        """NRMSE as use -> run -> output -> value; NaN if an output was not measured."""
-        return {
-            use: {s.run.name: dict(zip(self.problem.outputs, s.nrmse().tolist(), strict=True)) for s in runs}
-            for use, runs in (("train", self.training), ("test", self.held_out))
-        }
+    def uncertainty(self, run: MeasuredRun) -> tuple[Array, Array]:
+        """Derivatives of the outputs over a run by z, shape (n, ny, np), and their uncertainty, (n, ny).
+
+        The second is the standard deviation of measured minus predicted outputs. It contains the covariance
+        of the parameters, the errors of a measured initial state, noise of sensors, and error of the model.
+        """
+        assert self.simulator is not None
+        p, inputs, outputs = (
+            self.problem.values_of(self.z),
+            run.input_matrix(self.simulator.inputs),
+            self.problem.outputs,
+        )
+        state, state_p = run.initial_state(self.simulator, p, inputs)
+        solution = self.simulator.segment(state, p, run.time, inputs)
+        by_z: Array = (solution.y_p + solution.y_x @ state_p) * self.problem.derivatives(self.z)
+        noise = np.array([1 / max(w.max(), np.finfo(float).tiny) if w.any() else 0.0 for w in run.weight.T])
+        start = [
+            noise[outputs.index(n)] * (n in run.measured_states) if n in outputs else 0.0
+            for n in self.simulator.states
+        ]
+        statistics = self.statistics
+        covariance = statistics.robust_covariance if self.robust else statistics.covariance
+        variance = np.einsum("kij,jl,kil->ki", by_z, covariance, by_z, optimize=True)
+        variance = np.maximum(variance, 0.0) + np.sum((solution.y_x * start) ** 2, axis=-1)
+        errors = np.array([self.model_error[name] for name in outputs])
+        return by_z, np.sqrt(variance + noise**2 * (1 + errors**2))
 
 
 def refine(
@@ -137,7 +161,6 @@ def refine(
     segment: float = SEGMENT,
     horizon: float = HORIZON,
     threads: int = 2,
-    loss: Loss = "linear",
     options: Options | None = None,
     start: Array | None = None,
     progress: Callable[[Iteration], None] | None = None,
@@ -152,7 +175,7 @@ def refine(
     """
     z = problem.initial() if start is None else start
     simulator = simulator or compiled(problem)
-    search = Search.of(problem, simulator, z, segment, horizon, threads, loss, options, progress)
+    search = Search.of(problem, simulator, z, segment, horizon, threads, options, progress)
     return search.result(search.fit_recordings(search.fit_predictions()))
 
 
@@ -181,7 +204,6 @@ class Search:
         segment: float = SEGMENT,
         horizon: float = HORIZON,
         threads: int = 2,
-        loss: Loss = "linear",
         options: Options | None = None,
         progress: Callable[[Iteration], None] | None = None,
     ) -> Search:
@@ -191,7 +213,7 @@ class Search:
         if not simulator.states:  # initial states of segments cannot be set
             segment = horizon = np.inf
         edges = tuple(cut(run.time, segment) for run in problem.training)
-        shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
+        shooting = Shooting(problem, simulator, inputs, edges, threads)
         with _simulated(shooting):
             states = [states[0] for states in shooting.measured_iterate(start).starts]
             prior = priors(problem, simulator, states)
@@ -230,9 +252,12 @@ def _simulated(shooting: Shooting) -> Iterator[None]:
         raise Problem(f"{name}: cannot be simulated with the initial parameter values: {failed}") from None
 
 
-def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledModel:
+def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> Simulator:
     """The problem's subsystem with exact sensitivities; the compiled library is cached."""
-    return CompiledModel(problem.sub, problem.outputs, problem.names, problem.fixed, tolerance)
+    zeros = [name for name in problem.outputs if parameter(name) in problem.names]
+    free = problem.names[: len(problem.names) - len(zeros)]
+    model = CompiledModel(problem.sub, problem.outputs, free, problem.fixed, tolerance)
+    return WithZeros(model, zeros) if zeros else model
 
 
 def _check(problem: EstimationProblem, simulator: Simulator) -> None:
@@ -276,6 +301,7 @@ def _result(shooting: Shooting, solution: Solution, prior: Priors) -> Refinement
         held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
         model_error=dict(zip(problem.outputs, solution.scales.model_error.tolist(), strict=True)),
         starts=tuple(dict(zip(simulator.states, x.tolist(), strict=True)) for x in initial_states),
+        simulator=simulator,
     )
 
 

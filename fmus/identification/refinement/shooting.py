@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator
-from fmus.identification.refinement.weights import Loss, Scales
+from fmus.identification.refinement.weights import Scales
 from orchestrator.data.table import Array
 
 Task = TypeVar("Task")
@@ -174,7 +174,7 @@ class Segment:
 
     residual   in standard deviations of the sensor, shape (m,)
     column     index of the output of each residual, shape (m,)
-    factor     square root of the weight by model error and robust loss, shape (m,)
+    factor     square root of the weight by model error and correlation, shape (m,)
     end        final state in nominal values
     linear     the linearisation, None if no sensitivities were computed
     """
@@ -232,7 +232,6 @@ class Shooting:
     inputs: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]
     threads: int
-    loss: Loss
     detached: bool = False
 
     def measured_iterate(self, z: Array) -> Iterate:
@@ -280,7 +279,7 @@ class Shooting:
         used = weight > 0
         w, column = weight[used], np.nonzero(used)[1]
         residual = (solution.y[:count][used] - record.measured[first : first + count][used]) * w
-        factor = scales.factor(residual, column, self.loss)
+        factor = scales.factor(column)
         linear = None
         if sensitivities:
             rows = np.hstack([solution.y_x[:count][used] * nominal, solution.y_p[:count][used] * p_z])

@@ -1,15 +1,9 @@
-"""Weights of the residuals: robust losses, model error, correlated residuals; priors.
-
-Residuals are in standard deviations of their sensors. A robust loss is a weight in iteratively reweighted
-least squares: a residual beyond `tuning` has less influence than its square would have. At tuning = 1.345
-Huber's loss has 95 % efficiency for normal noise [Holland and Welsch 1977], and the smooth loss nearly that.
-"""
+"""Weights of residuals, in standard deviations of their sensors: model error, correlation; priors."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +13,9 @@ from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.simulation import Simulator
 from orchestrator.data.table import Array
 
-Loss = Literal["linear", "huber", "soft_l1"]
-
-TUNING = 1.345
-_MAD_TO_SD = 1.4826  # standard deviation over median magnitude of a normal variable
 _LONGEST = 0.05  # largest correlation time, as a fraction of the samples; beyond that a residual is a trend
 SD_AT_REST = 1e-3  # prior standard deviation of an initial state that is at rest, in nominal values
 SD_UNKNOWN = 1.0  # the same for any other initial state
-
-
-def loss_factors(residual: Array, tuning: Array, loss: Loss) -> Array:
-    """Factors of residuals and their Jacobian: square roots of the weights, in (0, 1]."""
-    if loss == "linear":
-        return np.ones_like(residual)
-    ratio = np.abs(residual) / tuning
-    if loss == "huber":
-        return 1 / np.sqrt(np.maximum(ratio, 1.0))
-    return (1 + ratio**2) ** -0.25
 
 
 @dataclass(frozen=True)
@@ -44,48 +24,36 @@ class Scales:
 
     model_error        standard deviation of the model's own error in those of the sensor, 0 for none
     correlation_time   of the residuals [samples]: so many samples count as one
-    tuning             where outliers begin, in standard deviations of sensor and model together
     """
 
     model_error: Array
     correlation_time: Array
-    tuning: Array
 
-    def factor(self, residual: Array, column: NDArray[np.int64], loss: Loss) -> Array:
+    def factor(self, column: NDArray[np.int64]) -> Array:
         """The factor of each residual and its row of the Jacobian; `column` is the index of its output."""
-        shrunk = 1 / np.hypot(1.0, self.model_error[column])
-        robust = loss_factors(residual * shrunk, self.tuning[column], loss)
-        return np.asarray(shrunk * robust / np.sqrt(self.correlation_time[column]))
+        return np.asarray((1 / np.hypot(1.0, self.model_error) / np.sqrt(self.correlation_time))[column])
 
     def change(self, other: Scales) -> float:
         """Largest relative difference."""
         old, new = (
-            np.concatenate([np.hypot(1.0, s.model_error), np.sqrt(s.correlation_time), s.tuning])
-            for s in (self, other)
+            np.concatenate([np.hypot(1.0, s.model_error), np.sqrt(s.correlation_time)]) for s in (self, other)
         )
         return float(np.max(np.abs(new / old - 1)))
 
 
 def sensor_scales(outputs: int) -> Scales:
     """A model without errors: only the noise of the sensors counts."""
-    return Scales(np.zeros(outputs), np.ones(outputs), np.full(outputs, TUNING))
+    return Scales(np.zeros(outputs), np.ones(outputs))
 
 
 def estimated_scales(residuals: list[Array], model_error: bool, correlated: bool) -> Scales:
-    """Scales estimated from the residuals of each output, in the order of time.
-
-    Outliers never begin below the noise of the sensor. Far from the optimum all residuals are large without
-    being outliers, so that the threshold follows their median magnitude.
-    """
-    error, tuning = np.zeros(len(residuals)), np.full(len(residuals), TUNING)
+    """Scales estimated from the residuals of each output, in the order of time."""
+    error = np.zeros(len(residuals))
     for k, residual in enumerate(residuals):
         if model_error and residual.size:
             error[k] = math.sqrt(max(0.0, float(np.mean(residual**2)) - 1))
-        if residual.size:
-            median = float(np.median(np.abs(residual)))
-            tuning[k] *= max(1.0, _MAD_TO_SD * median / math.hypot(1, error[k]))
     times = [correlation_time(residual) if correlated else 1.0 for residual in residuals]
-    return Scales(error, np.array(times), tuning)
+    return Scales(error, np.array(times))
 
 
 def correlation_time(residual: Array) -> float:

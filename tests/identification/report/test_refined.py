@@ -45,7 +45,7 @@ def refined(**more) -> RefinementResult:
         "converged": True,
         "reason": "converged",
         "history": (),
-        "statistics": Statistics(covariance, covariance, covariance, 1.0, 100, 10, 7.0),
+        "statistics": Statistics(covariance, covariance, covariance, 100, 10, 7.0),
         "unidentified": ("hose and valve_area: the data show only hose * valve_area, not each",),
         "at_bound": ("hose",),
         "whiteness": {"angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1), "flow": quiet},
