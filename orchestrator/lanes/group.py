@@ -16,7 +16,6 @@ from orchestrator.ssp.system import Port
 
 ALIGNMENT = 64  # bytes, of a vector
 OK, EARLY, FAILED = "ok", "early", "failed"
-COUNTERS = ("row", "done", "event", "step_count", "pass_count", "interval", "history")
 
 Array = NDArray[np.float64]
 
@@ -45,13 +44,15 @@ class Group:
         self.lanes = lanes
         self._memory = [aligned(m.struct.size) for m in lanes.models]
         self._courses = aligned(max(lanes.plan.input_count, 1) * h.COURSE_VECTORS * 8 * lane)
-        self._alive, self._failures = aligned(8 * lane), (h.Failure * lane)()
+        self._pace = aligned(h.PACE_VECTORS * 8 * lane).view(np.int64).reshape(h.PACE_VECTORS, lane)
+        self._time, self._alive = self._pace[0].view(np.float64), self._pace[2]
+        self._failures = (h.Failure * lane)()
         self._instances = np.zeros(len(lanes.models), np.uint64)
-        self._changed = np.zeros(len(lanes.models), np.int32)
+        self._changed = aligned(len(lanes.models) * 8 * lane)
         self.struct = h.Group(
             instances=self._instances.ctypes.data,
             courses=self._courses.ctypes.data,
-            alive=self._alive.ctypes.data,
+            pace=self._pace.ctypes.data,
             failures=ctypes.addressof(self._failures),
             changed=self._changed.ctypes.data,
         )
@@ -75,13 +76,12 @@ class Group:
         for memory, defaults in zip(self._memory, self._defaults, strict=True):
             memory[:] = defaults
         self._courses[:] = 0
-        self._alive.view(np.int64)[:] = -1
+        self._pace[:] = 0
+        self._alive[:] = -1
         ctypes.memset(self._failures, 0, ctypes.sizeof(self._failures))
-        self._step_size = self.lanes.step_size()
-        self.struct.step_size = ctypes.addressof(self._step_size) if self._step_size else None
-        self.struct.length = 0.0
-        for name in COUNTERS:
-            setattr(self.struct, name, 0)
+        self._step_sizes = self.lanes.step_sizes()
+        self.struct.step_size = ctypes.addressof(self._step_sizes) if self._step_sizes else None
+        self.struct.row = self.struct.done = 0
 
     def _view(self, component: int, name: str, rows: int) -> Array:
         """An array of an instance, shape (rows, lanes)."""
@@ -115,7 +115,7 @@ class Group:
     def move(self, point: int) -> None:
         """Begin at a communication point instead of the first one."""
         times = self.lanes.times
-        self.struct.done, self.struct.t = point, times.start + point * times.step
+        self.struct.done, self._time[:] = point, times.start + point * times.step
 
     def _call(self, function: str, *arguments: Any) -> int:
         plan, group = ctypes.byref(self.lanes.plan), ctypes.byref(self.struct)
@@ -166,7 +166,7 @@ class Group:
     @property
     def failed(self) -> NDArray[np.bool_]:
         """Machines that have failed, shape (lanes,)."""
-        return np.asarray(self._alive.view(np.int64) == 0)
+        return np.asarray(self._alive == 0)
 
     def ended(self) -> Iterator[tuple[int, Ended]]:
         """Lane and reason of the machines that have failed."""

@@ -1,7 +1,7 @@
 """The plan of machines in lanes: how the models of a system are coupled, for native/group.cpp.
 
-The machines of a group take equal steps, by the plan of the engine's master. What lanes do not have raises
-`NotInLanes`: other FMUs than native ones, algebraic loops, the master interface-jacobian.
+The machines of a group meet at communication points, and step by the plan of the engine's master. What lanes
+do not have raises `NotInLanes`: other FMUs than native ones, algebraic loops, the master interface-jacobian.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from orchestrator.engine.job import Job
 from orchestrator.engine.masters import MASTERS, Plan
 from orchestrator.engine.network import Network
 from orchestrator.engine.time_grid import Grid
-from orchestrator.lanes.compiled import NotInLanes, compiled_model, header
+from orchestrator.lanes.compiled import NotInLanes, compiled_model, header, lane_count
 from orchestrator.ssp.system import Connection, Port, System
 
 MASTERS_IN_LANES = ("jacobi", "gauss-seidel", "hermite")
@@ -58,13 +58,14 @@ class Lanes:
         """The value reference of a variable."""
         return self.models[self.index[port.component]].names[port.variable]
 
-    def step_size(self) -> Any:
-        """The control of the steps of a new group; None: equal steps."""
+    def step_sizes(self) -> Any:
+        """The control of the steps of each machine of a new group; None: equal steps."""
         if (c := self._control) is None:
             return None
         first = min(max(c.first, c.smallest), c.largest)
         limits = {"h": first, "smallest": c.smallest, "largest": c.largest, "repeats": 1}
-        return engine_h().StepSize(**limits, power=self._inputs.power)
+        struct = engine_h().StepSize(**limits, power=self._inputs.power)
+        return (engine_h().StepSize * lane_count())(*[struct] * lane_count())
 
     # ---- structures
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from kit import shards
 from kit.mistakes import problem, table
 from zoo.faulty import MEMORY, faulty
@@ -103,23 +105,28 @@ def test_machines_in_lanes_have_the_results_of_single_runs(system, coupling, opt
     assert np.abs(result["manipulator.boom_stop_force"]).max() > 1e4  # [N]
 
 
-@pytest.mark.parametrize("options", [{"step": 5e-3}, {"adaptive": 1e-3}])
-def test_steps_that_the_worst_machine_divides_are_as_accurate_as_those_of_one(system, options):
-    """These steps are common to a group: the machines are as near to a fine solution as by themselves."""
-    step = options.get("step")
-    coupling = Coupling("hermite", adaptive=options.get("adaptive"))
-    common = {"stop": 2.5, "record_step": 0.01, "record": ["boom_stick.boom_force", "manipulator.boom_speed"]}
-    result = batch(system, MASSES, STROKES, lanes=True, master=coupling, step=step, **common)
-    fine = batch(system, MASSES, STROKES, lanes=True, master="hermite", step=5e-4, **common)
-    error = alone = 0.0
-    for machine in (0, -1):
-        single = single_run(system, STROKES, machine, master=coupling, step=step, **common)
-        for name, values in fine.signals.items():
-            error += np.sum((result[name][machine] - values[machine]) ** 2) / np.ptp(values[machine]) ** 2
-            alone += np.sum((single[name] - values[machine]) ** 2) / np.ptp(values[machine]) ** 2
-    # the division of a step changes the next ones, and with them the errors at an impact: larger for one
-    # signal of one machine, smaller for another, so they are judged together
-    assert error < 1.1 * alone
+COUPLINGS = {
+    "parallel": (Coupling("jacobi", order=1), 5e-4),
+    "guarded": (Coupling("gauss-seidel", order=2, guard=0.01), 4e-3),
+    "repeated": (Coupling("hermite", guard=0.0), 5e-3),
+    "repeated and guarded": (Coupling("hermite"), 5e-3),
+    "adaptive": (Coupling("hermite", adaptive=1e-3), None),
+    "accurate": (Coupling("hermite", adaptive=1e-5), None),
+}
+
+
+@pytest.mark.parametrize("how", shards.few(["repeated and guarded"], COUPLINGS, shards.machine))
+@given(lane=st.integers(0, 7), masses=st.lists(st.floats(100.0, 3000.0), min_size=8, max_size=8))
+@settings(max_examples=2, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_machine_has_the_same_bits_beside_any_neighbours(system, how, lane, masses):
+    """In any lane, whatever steps the others take."""
+    coupling, step = COUPLINGS[how]
+    options = {"stop": 0.8, "record_step": 0.02, "lanes": True, "master": coupling, "step": step}
+    masses[lane] = 350.0
+    alone = batch(system, {MASS: [350.0]}, STROKES, **options)
+    beside = batch(system, {MASS: masses}, STROKES, **options)
+    for name, values in alone.signals.items():
+        np.testing.assert_array_equal(beside[name][lane], values[0], err_msg=name)
 
 
 @shards.machine

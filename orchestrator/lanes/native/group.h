@@ -1,6 +1,6 @@
 /* What the library of a model (model.cpp) and the library that couples models (group.cpp) share: a group of LANES
-   machines, each in one lane of the vectors. All machines of a group take the same communication steps. A machine
-   that fails is left out from then on. */
+   machines, each in one lane of the vectors. Machines meet at communication points; between two of them each one takes
+   its own steps, so its results do not depend on the others. A machine that fails is left out from then on. */
 
 #ifndef GROUP_H
 #define GROUP_H
@@ -38,9 +38,9 @@ typedef struct Instance {
 
 typedef Instance *Create(void *memory, double tolerance);
 typedef void Action(Instance *);
-typedef void Stepping(Instance *, double length, Mask machines);
-typedef void Restoration(Instance *, Mask machines);
-typedef void Check(Instance *, double time);
+typedef void Stepping(Instance *, Lanes length, Mask machines);
+typedef void Choice(Instance *, Mask machines);
+typedef void Check(Instance *, Lanes time);
 typedef void Adoption(Instance *, const Instance *from, Mask machines);
 typedef const char *Description(int32_t);
 
@@ -51,18 +51,18 @@ typedef struct Model { /* the functions of a model */
     Action *prepare;          /* to be called when parameters have changed */
     Action *start;            /* computes the initial states from start values, inputs and parameters */
     Action *outputs_now;
-    Action *outputs_again;    /* the outputs, if only inputs have changed since */
+    Choice *outputs_again;    /* the outputs of machines in which only inputs have changed since */
     Action *derivatives_now;
     Action *slopes_now;       /* of states and outputs, from the derivatives of the inputs */
     Action *save;
-    Restoration *restore;
+    Choice *restore;
     Stepping *step;           /* over a length [s]; computes the outputs, and checks them */
     Check *check;             /* outputs and requirements; machines that violate them fail, at a time [s] */
     Adoption *adopt;          /* replaces machines by those of another instance */
     Description *requirement; /* by its number */
 } Model;
 
-enum { FOLLOWED = 3, DRIVEN = -1, COURSE_VECTORS = 13 }; /* COURSE_VECTORS: in a Course */
+enum { FOLLOWED = 3, DRIVEN = -1, COURSE_VECTORS = 13, PACE_VECTORS = 6 }; /* in a Course, in a Pace */
 enum { COPY, OUTPUTS, DERIVATIVES }; /* types of instructions */
 
 typedef struct Connection { /* an output of a component that feeds an input of another */
@@ -112,19 +112,24 @@ typedef struct { /* one input in a group, as CouplingInput of engine.h */
     Lanes value, slope, value_end, slope_end, slope_before, chord_before, expected, weight, scale, c[FOLLOWED + 1];
 } Course;
 
+typedef struct { /* of each machine */
+    Lanes t, length;    /* time, and length of the last step; 0: none [s] */
+    Mask alive, moving; /* has not failed; takes the present step */
+    int64_t event[LANES], interval[LANES]; /* the next event; the interval of the scenario */
+} Pace;
+
 typedef struct Group {
     Instance *const *instances;
     Course *courses;
-    Mask *alive;            /* machines that have not failed */
+    Pace *pace;
     const double *commands; /* in place of the columns of the scenario, for each machine, held; NULL: none */
     double *const *rows;    /* recorded signals: each an array of shape (machines, points) */
     Failure *failures;
-    int32_t *changed; /* by component: an input has changed since its outputs were computed */
+    Mask *changed; /* by component: machines in which an input has changed since its outputs were computed */
     int64_t machine, machines, points, row; /* number of the first machine; machines in use; shape of the arrays */
-    int64_t done, event, step_count, pass_count, interval;
-    double t, length;
-    void *step_size; /* StepSize of engine.h */
-    int32_t history, stop; /* order of extrapolation that the history allows; stop: set by another thread */
+    int64_t done;
+    void *step_size;      /* StepSize of engine.h, one per lane */
+    int32_t stop, unused; /* stop: set by another thread */
 } Group;
 
 #endif

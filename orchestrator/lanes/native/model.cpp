@@ -83,7 +83,7 @@ typedef struct {
 
 /* What a rollback restores. */
 typedef struct {
-    Lanes x[ROOM(NX)], u[ROOM(NU)], z[ROOM(NZ)], last_set[ROOM(NU)], end_derivative[ROOM(NU)];
+    Lanes varying[NUMBER_OF_VARIABLES - FIRST_INPUT], z[ROOM(NZ)], last_set[ROOM(NU)], end_derivative[ROOM(NU)];
     int32_t had_derivatives[ROOM(NU)];
     Lanes step;
     Rest cheap, second;
@@ -133,16 +133,24 @@ static void start(Instance *self) {
     model_start(s->start, inputs_of(s), parameters(s), s->c, states(s));
 }
 
+static void blend(Lanes *to, const Lanes *from, int count, Mask machines) {
+    for (int i = 0; i < count; i++) to[i] = where(machines, from[i], to[i]);
+}
+
 /* The outputs that depend on the inputs. */
-static void outputs_again(Instance *self) {
+static void outputs_again(Instance *self, Mask machines) {
     Own *s = own(self);
+    Lanes others[ROOM(NY)];
+    const int some = !all(machines);
+    if (some) memcpy((void *)others, outputs(s), NY * sizeof *others);
     model_observe(states(s), inputs_of(s), parameters(s), s->c, s->z, outputs(s));
+    if (some) blend(outputs(s), others, NY, !machines);
 }
 
 static void outputs_now(Instance *self) {
     Own *s = own(self);
     model_observe_states(states(s), parameters(s), s->c, outputs(s), s->z);
-    outputs_again(self);
+    model_observe(states(s), inputs_of(s), parameters(s), s->c, s->z, outputs(s));
 }
 
 static void derivatives_now(Instance *self) {
@@ -322,7 +330,7 @@ static Lanes implicit_error(Own *s, Step *step, Rosenbrock *method, Lanes gamma)
 }
 
 /* Tries the implicit methods; returns where they succeeded. */
-static Mask implicit_step(Own *s, Step *step, Mask machines, double length) {
+static Mask implicit_step(Own *s, Step *step, Mask machines, Lanes length) {
     const Mask fresh = machines && !step->linearised;
     if (any(fresh)) linearise(s, step, fresh);
     if (!EXPLICIT_FIRST && s->shared.tolerance >= LOOSE) {
@@ -345,8 +353,8 @@ static Lanes next_step(const Step *step, Lanes proposal, Mask rejected) {
 }
 
 /* Advances the states of machines by `length` [s], as solver.c: each machine by its own inner steps. */
-static void solve(Own *s, double length, Mask machines) {
-    const double minimum = fmax(1e-14 * length, DBL_MIN);
+static void solve(Own *s, Lanes length, Mask machines) {
+    const Lanes minimum = fmax(1e-14 * length, DBL_MIN);
     const Mask none = machines && !machines;
     Lanes proposal = where(s->step > 0.0, s->step, length);
     Step step = {where(machines, 0.0, length), length, INFINITY, 1.0, none, none};
@@ -384,7 +392,7 @@ static void solve(Own *s, double length, Mask machines) {
 
 /* ---- a communication step ---------------------------------------------------------------------- */
 
-static void check(Instance *self, double time) {
+static void check(Instance *self, Lanes time) {
     Own *s = own(self);
     model_require(states(s), inputs_of(s), parameters(s), s->c, s->z, s->require);
     Lanes sum = 0.0;
@@ -401,7 +409,7 @@ static void check(Instance *self, double time) {
         fail(s, !finite(outputs(s)[i]), VALUE_NOT_FINITE, FIRST_OUTPUT + i, outputs(s)[i], 0.0, 0.0, time);
 }
 
-static void step(Instance *self, double length, Mask machines) {
+static void step(Instance *self, Lanes length, Mask machines) {
     Own *s = own(self);
     plan_inputs(s);
     if (EXPLICIT_FIRST)
@@ -418,8 +426,7 @@ static void step(Instance *self, double length, Mask machines) {
 static void save(Instance *self) {
     Own *s = own(self);
     Memory *m = &s->saved;
-    memcpy((void *)m->x, states(s), NX * sizeof *m->x);
-    memcpy((void *)m->u, inputs_of(s), NU * sizeof *m->u);
+    memcpy((void *)m->varying, inputs_of(s), sizeof m->varying);
     memcpy((void *)m->z, s->z, sizeof m->z);
     memcpy((void *)m->last_set, s->last_set, sizeof m->last_set);
     memcpy((void *)m->end_derivative, s->end_derivative, sizeof m->end_derivative);
@@ -427,15 +434,10 @@ static void save(Instance *self) {
     m->step = s->step, m->cheap = s->cheap, m->second = s->second;
 }
 
-static void blend(Lanes *to, const Lanes *from, int count, Mask machines) {
-    for (int i = 0; i < count; i++) to[i] = where(machines, from[i], to[i]);
-}
-
 static void restore(Instance *self, Mask machines) {
     Own *s = own(self);
     const Memory *m = &s->saved;
-    blend(states(s), m->x, NX, machines);
-    blend(inputs_of(s), m->u, NU, machines);
+    blend(inputs_of(s), m->varying, NUMBER_OF_VARIABLES - FIRST_INPUT, machines);
     blend(s->z, m->z, NZ, machines);
     blend(s->last_set, m->last_set, NU, machines);
     blend(s->end_derivative, m->end_derivative, NU, machines);
