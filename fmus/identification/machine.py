@@ -16,9 +16,15 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.measured_runs import RecordingMap
-from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, free_parameters
+from fmus.identification.refinement.problem import (
+    EstimationProblem,
+    FreeParameter,
+    declared_errors,
+    free_parameters,
+    free_zeros,
+    parameter,
+)
 from fmus.identification.refinement.refine import RefinementResult
-from fmus.identification.refinement.sensor_zeros import declared_errors, free_zeros, parameter
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values

@@ -15,9 +15,8 @@ import numpy as np
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
 from fmus.identification.refinement.measured_runs import MeasuredRun, local_parabolas
 from fmus.identification.refinement.problem import FreeParameter
-from fmus.identification.refinement.shooting import Shooting
+from fmus.identification.refinement.shooting import Priors, Shooting
 from fmus.identification.refinement.simulation import SimulationFailed
-from fmus.identification.refinement.weights import Priors
 from orchestrator.data.table import Array
 
 VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular

@@ -12,8 +12,8 @@ from kit import shards
 from fmus.identification import machine
 from fmus.identification.machine import nominal
 from fmus.identification.refinement.measured_runs import RecordingMap
+from fmus.identification.refinement.problem import free_zeros, parameter
 from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.sensor_zeros import free_zeros, parameter
 from orchestrator.data.recording import Sensor, read_recording
 
 BOOM = "manipulator.boom_angle"

@@ -82,7 +82,7 @@ def test_random_starts_are_compared():
     """Distance of each start from the values before; whether the search led to the same result."""
     initial = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
     ran = MultistartResult(
-        (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5, {}
+        (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5
     )
     one, other = refinement(refined(), starts=ran)["starts"]
     # exact identity: both parameters are e times as large
