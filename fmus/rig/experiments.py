@@ -172,7 +172,7 @@ def _bench(
     return Experiment(*named, time, signals, instruments, conditions)
 
 
-def _rest(machine: str) -> Experiment:
+def _rest(_: str) -> Experiment:
     """Ten seconds with the pump off: every pressure and flow is zero."""
     bench = {f"pressure_{place}": PRESSURE for place in ("in", "out", "a", "b")}
     bench |= dict.fromkeys(("flow", "flow_in", "flow_out"), FLOW)
