@@ -6,7 +6,13 @@ from pathlib import Path
 from time import perf_counter
 
 from fmus.identification.machine import FREE
-from fmus.identification.outcome import page_content, prediction, worst_signals
+from fmus.identification.outcome import (
+    extrapolated,
+    extrapolation_text,
+    page_content,
+    prediction,
+    worst_signals,
+)
 from fmus.identification.pipeline import identify
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recording_names import MACHINE
@@ -94,6 +100,8 @@ def run(
             print(f"  95 % bands hold {100 * mean:.0f} %, of {least} {100 * held[least]:.0f} %")
     if contents["explanation"]:
         print(contents["explanation"].verdict)
+    for outside in extrapolated(identified):
+        print(f"warning: {extrapolation_text(outside)}")
     contradicted = [f"{f['procedure']}: {f['sentence']}" for f in contents["findings"] if f["named"]]
     for line in (*contents["warnings"], *contradicted):
         print(f"warning: {line}")

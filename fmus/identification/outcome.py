@@ -137,6 +137,7 @@ def page_content(
         "remarks": [
             *(f"{name}: {reason}." for name, reason in identified.skipped.items() if reason == NO_RECORDING),
             *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
+            *map(extrapolation_text, outside),
         ],
         "findings": tests(identified),
         "prediction": _prediction(comparison, outside) if comparison else None,
@@ -144,9 +145,14 @@ def page_content(
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
             *(warning for result in identified.results for warning in result.warnings),
             *(warnings(refined, names, signals) if refined else ()),
-            *(f"{file}: {found}: its prediction is an extrapolation." for file, found in outside),
         ],
     }
+
+
+def extrapolation_text(outside: tuple[str, Extrapolation]) -> str:
+    """A sentence on an input outside its range in training: the prediction is doubtful, not the estimates."""
+    file, found = outside
+    return f"{file}: {found}: its prediction is an extrapolation, which the bands do not cover."
 
 
 def _prediction(

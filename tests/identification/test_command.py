@@ -129,7 +129,10 @@ def test_the_joint_refinement_returns_the_machine(everything, here, capsys, monk
     # of 17 intervals 0.85 miss on average, more than 4 once in 400 such sets
     assert sum(d > 1.96 for d in far) <= 4
     assert max(far) < 5
-    assert "residual" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "residual" in printed
+    # the work cycle has commands beyond those of the training: its prediction is doubtful, not the estimates
+    assert "warning: machine_test.csv: " in printed
 
 
 @pytest.mark.usefixtures("undrawn")
