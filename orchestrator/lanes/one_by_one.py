@@ -156,7 +156,7 @@ def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[list[Array], End
     try:
         job = replace(task.job, system=_with_values(task.job.system, values))
         outcome = job.run(task.times, sink)
-        result = finished(job, task.times, outcome, sink, sink.trace)
+        result = finished(job, task.times, outcome, sink)
         if early := [note for note in result.card.notes if note.startswith(ENDS_EARLY)]:
             end = Ended(EARLY, " ".join(early[0].removeprefix(ENDS_EARLY).split()), outcome.t)
     except Problem as problem:
