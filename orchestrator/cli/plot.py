@@ -33,8 +33,8 @@ def plot(
     out       File of the picture (.png, .svg); default: a window, or build/plot.png without a display.
     """
     from orchestrator.base.files import make_folder
-    from orchestrator.base.plotting import png, show, svg
     from orchestrator.engine.result import newest_trace
+    from orchestrator.pages.plotting import png, show, svg
     from orchestrator.results.comparison import read_runs
 
     if out is not None and out.suffix.lower() not in FORMATS:

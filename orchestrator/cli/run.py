@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Unpack
 
-from orchestrator.base.options import CommandArguments
 from orchestrator.cli.options import BUILD, File, Scenario, System, command, system_file
+from orchestrator.engine.arguments import CommandArguments
 
 
 @command

@@ -18,13 +18,13 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Execution
 from orchestrator.engine.result import Result, RunFailed, SignalError, compare
 from orchestrator.engine.time_grid import step_length
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.dependencies import influential_inputs
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
 from orchestrator.ssp.system import Port, System

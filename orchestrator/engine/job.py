@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Ended, Problem
 from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.base.processes import machine_memory
@@ -30,6 +29,7 @@ from orchestrator.engine.simulation_loop import SimulationLoop, StepControl
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Slave
 from orchestrator.fmi.messages import WARNING, Log
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import Component, System

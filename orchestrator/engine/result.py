@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import Seconds
 from orchestrator.base.text import TextTable
@@ -27,6 +26,7 @@ from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
 from orchestrator.engine.error_propagation import EstimatedError
 from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import System
 

@@ -14,24 +14,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeAlias, TypeVar, Unpack
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import (
-    FIELDS,
-    CouplingArguments,
-    RunArguments,
-    chosen,
-    declarations,
-    documented,
-)
+from orchestrator.base.options import chosen, declarations, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
+from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import Execution, Job, Record, RunEnd, guarded, open_slave
 from orchestrator.engine.result import (
@@ -55,6 +48,7 @@ from orchestrator.engine.time_grid import (
     with_events,
 )
 from orchestrator.fmi.description import Value
+from orchestrator.ssp.coupling import FIELDS, Coupling, CouplingArguments
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets

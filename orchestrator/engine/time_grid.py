@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, ulp
 
-from orchestrator.base.coupling import OVERRIDE_HINT
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
+from orchestrator.ssp.coupling import OVERRIDE_HINT
 from orchestrator.ssp.system import System
 
 DEFAULT_STEP = 1e-3  # [s], without any suggestion

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import ceil, inf
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.engine.result import Result, RunFailed, SignalError, compare
+from orchestrator.ssp.coupling import Coupling
 
 GUARD = 1e-6  # estimated relative error of an input above which the first run divides a step
 PASS_TOLERANCE = 1e-9  # relative mismatch of an input at which the passes over a step end

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
@@ -30,6 +29,7 @@ from orchestrator.realtime import shared_memory as memory
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Array, Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, attach
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_starts, with_doubts

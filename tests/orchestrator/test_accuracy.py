@@ -8,11 +8,11 @@ from kit import shards
 from kit.mistakes import problem, table
 
 from orchestrator import Coupling, Problem, Result, RunFailed, Trace, assemble, reference, run
-from orchestrator.base.coupling import Suggestion
 from orchestrator.engine import accuracy as accuracy_search
 from orchestrator.engine.job import Execution
 from orchestrator.engine.result import Card, SignalError
 from orchestrator.engine.run import run_to_file
+from orchestrator.ssp.coupling import Suggestion
 
 SPEEDS = "manipulator.*_speed"
 
