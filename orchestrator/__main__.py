@@ -13,7 +13,7 @@ from typing import Any, NoReturn, TextIO
 from orchestrator.base.errors import Problem, Stopped, one_line
 from orchestrator.base.extras import extra_of, install
 from orchestrator.base.interrupts import signals_interrupt
-from orchestrator.cli import app
+from orchestrator.cli import application
 
 INTERRUPTED = 130  # exit status, as of a shell
 
@@ -64,6 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _with_notes(arguments: list[str] | None) -> Any:
     """Run a command; the notes of an error, such as the card of a run that ended early, are printed."""
     try:
+        app = application(*(sys.argv[1:] if arguments is None else arguments)[:1])
         return app(args=arguments, prog_name="harvester", standalone_mode=False)
     except Exception as error:
         for note in getattr(error, "__notes__", ()):

@@ -178,8 +178,9 @@ class AccuracySearch:
             if jumping := [name for name in self._causes if _jumps(result.trace, name)]:
                 reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
             tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
-            note = f"accuracy {self.accuracy:g} of {_named(self.decisive)}: {reached}, {tolerance}"
-            return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
+            return result.noted(
+                f"accuracy {self.accuracy:g} of {_named(self.decisive)}: {reached}, {tolerance}"
+            )
         self._continue(error if known else math.inf, result)
         return None
 
@@ -201,8 +202,7 @@ class AccuracySearch:
         """
         if result.card.errors_of_inputs or self._previous is None:
             return result
-        errors = compare(result.trace, self._previous.trace)
-        return replace(result, card=replace(result.card, errors=errors))
+        return result.noted(errors=compare(result.trace, self._previous.trace))
 
     def _continue(self, error: float, result: Result) -> None:
         """Choose stricter settings, or raise RunFailed with the last result if that is in vain."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -66,6 +66,11 @@ class Result(Mapping[str, NDArray[np.float64]]):
         file = write_trace(self.trace, path, metadata_text(self, ""))
         write_metadata(self, file)
         return file
+
+    def noted(self, *notes: str, errors: tuple[SignalError, ...] | None = None) -> Result:
+        """This result with further notes, and with other estimates of errors, on its card."""
+        card = replace(self.card, notes=(*self.card.notes, *notes))
+        return replace(self, card=card if errors is None else replace(card, errors=errors))
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -362,6 +367,13 @@ def compare(
         order = float(np.log2(larger / rms)) if rms >= 1e-11 * span and larger > 0 else None
         errors.append(SignalError(name, largest / span, rms / span, order, fine.units.get(name, ""), largest))
     return tuple(errors)
+
+
+def changes(coarse: Result | None, run: Result, fine: Result) -> tuple[SignalError, ...]:
+    """Changes of the outputs from a run to one at half the step; orders, if there is one at twice."""
+    nominals = run.system.nominals
+    outputs = run.trace.select(name for name in nominals if name in run.trace.signals)
+    return compare(fine.trace, outputs, None if coarse is None else coarse.trace, nominals)
 
 
 def relative_errors(

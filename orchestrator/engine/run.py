@@ -32,7 +32,7 @@ from orchestrator.engine.result import (
     Interrupted,
     Result,
     RunFailed,
-    compare,
+    changes,
     metadata_file,
     metadata_text,
     relative_errors,
@@ -273,8 +273,8 @@ def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(times, outcome, sink)
     if outcome.errors:
-        nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
-        card = replace(card, errors=relative_errors(outcome.errors, trace, nominals), errors_of_inputs=True)
+        errors = relative_errors(outcome.errors, trace, job.system.nominals)
+        card = replace(card, errors=errors, errors_of_inputs=True)
     result = Result(
         job.system,
         trace,
@@ -312,18 +312,13 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
     if result.card.errors_of_inputs:
         return result
 
-    def repeated(job: Job, times: Grid) -> Trace:
+    def repeated(job: Job, times: Grid) -> Result:
         sink = TraceInMemory()
-        return finished(job, times, simulate(job, times, sink), sink).trace
-
-    def with_note(text: str) -> Result:
-        return replace(result, card=replace(result.card, notes=(*result.card.notes, text)))
+        return finished(job, times, simulate(job, times, sink), sink)
 
     if times.free:
-        return with_note(
-            "no error estimate: two adaptive runs have common times only with a record step; "
-            "set --record-step"
-        )
+        reason = "two adaptive runs have common times only with a record step; set --record-step"
+        return result.noted(f"no error estimate: {reason}")
     adaptive = job.coupling.adaptive is not None
     try:
         fine_job, fine_times = (job.stricter(), times) if adaptive else (job, times.finer())
@@ -333,15 +328,12 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
                 coarse = repeated(job, times.coarser())
     except Problem as failed:
         setting = "a tenth of the tolerance" if adaptive else "half the step"
-        return with_note(f"no error estimate, the run at {setting} failed: {failed}")
+        return result.noted(f"no error estimate, the run at {setting} failed: {failed}")
     except Interrupted as interrupted:
         raise Interrupted(result, str(interrupted)) from None
-    nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
-    outputs = result.trace.select(name for name in nominals if name in result.trace.signals)
-    errors = compare(fine, outputs, coarse, nominals)
+    errors = changes(coarse, result, fine)
     notes = () if errors else ("no error estimate: no output changes",)
-    card = replace(result.card, errors=errors, notes=(*result.card.notes, *notes))
-    return replace(result, card=card)
+    return result.noted(*notes, errors=errors)
 
 
 class ProgressBar:

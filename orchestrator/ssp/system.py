@@ -273,6 +273,11 @@ class System:
         return [Port(c.name, v.name) for c in self.components.values() for v in c.interface.of(causality)]
 
     @property
+    def nominals(self) -> Mapping[str, float | None]:
+        """The nominal value of each output, by its name."""
+        return {str(port): self.variable(port).nominal for port in self.ports("output")}
+
+    @property
     def open(self) -> Mapping[str, Inlet]:
         """Component inputs that have no source, by variable name."""
         fed = {c.target for c in self.connections} | {p for i in self.inputs.values() for p, _ in i.targets}

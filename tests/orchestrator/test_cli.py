@@ -20,9 +20,9 @@ from orchestrator import Trace, read_trace, write_ssp, write_trace
 from orchestrator.__main__ import main
 from orchestrator.check.report import TOOLS
 from orchestrator.cli import app
+from orchestrator.cli.lists import KINDS
 from orchestrator.results import validate_system
 from orchestrator.ssp.coupling import CONTROLS, MASTERS
-from orchestrator.ssp.listing import KINDS
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")
 

@@ -15,7 +15,7 @@ from orchestrator.base.files import Location
 from orchestrator.fmi import library
 from orchestrator.fmi.description import read_interface
 from orchestrator.fmi.messages import with_variable_names
-from orchestrator.ssp.listing import lines
+from orchestrator.cli.lists import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
 <Dimension start="3"/></Float64>
