@@ -36,6 +36,7 @@ from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, check_suffix, read_trace
 
 Array = NDArray[np.float64]
+Points = tuple[Array, Array, NDArray[np.int32]]  # times, Real and Integer values
 ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a Parquet file
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals

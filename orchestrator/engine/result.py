@@ -23,8 +23,6 @@ from orchestrator.base.text import TextTable
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
-from orchestrator.engine.error_propagation import EstimatedError
-from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.provenance import Provenance
@@ -189,6 +187,34 @@ NO_EXCHANGE_ENERGY = 1e-12  # or [J]
 SMALL_EXCHANGE = 1e-2  # of the largest exchange of a bond: below it a relative residual has no meaning
 UNRELIABLE = 0.05  # relative residual above which a result is not reliable
 CAUSE = 0.1  # relative residual above which the coupling is the likely cause of a failure
+
+
+@dataclass(frozen=True)
+class BondEnergy:
+    """Energies of one bond over a run [J].
+
+    residual    energy error of the coupling; errors of opposite sign cancel
+    turnover    sum of the magnitudes of the energy errors of all steps
+    exchanged   integral of the magnitude of the power
+    """
+
+    name: str
+    residual: float
+    turnover: float
+    exchanged: float
+
+    @property
+    def relative(self) -> float:
+        """Residual over exchanged energy; 0 if none is exchanged."""
+        return self.residual / self.exchanged if self.exchanged > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class EstimatedError:
+    """The estimated error of one output over a run, in its unit: root mean square, and largest magnitude."""
+
+    rms: float
+    largest: float
 
 
 @dataclass(frozen=True)

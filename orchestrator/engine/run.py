@@ -263,8 +263,15 @@ def prepare(
 def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
     """Run a job, in a process of its own or in this one; the rows go to `sink`."""
     with ProgressBar(times.stop - times.start, job.execution.progress) as bar:
-        run_job = run_isolated if job.execution.isolated else Job.run
-        return run_job(job, times, sink, lambda t: bar.update(t - times.start))
+
+        def between(t: float) -> None:
+            bar.update(t - times.start)
+
+        if job.execution.isolated:
+            return run_isolated(job, times, sink, between)
+        from orchestrator.engine.open_job import run_job  # a process that only supervises does not need it
+
+        return run_job(job, times, sink, between)
 
 
 def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:

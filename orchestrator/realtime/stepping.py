@@ -23,6 +23,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
+from orchestrator.engine.open_job import opened
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
@@ -243,11 +244,11 @@ class FrameStepper:
         job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
         latest = LatestValues()
         with ExitStack() as stack:
-            opened = stack.enter_context(job.opened(times, latest))
-            self._loop = opened.loop
+            running = stack.enter_context(opened(job, times, latest))
+            self._loop = running.loop
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
-            self.notes = (*system.notes, *system.warnings, *suggested, *opened.network.notes)
+            self.notes = (*system.notes, *system.warnings, *suggested, *running.network.notes)
             self._exit = stack.pop_all()
         self.values = latest.values[: len(setup.signals)]
 
