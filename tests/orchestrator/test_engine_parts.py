@@ -31,7 +31,7 @@ def test_the_clock_is_that_of_python():
 
 @pytest.fixture
 def scenario():
-    """Evaluates a table at a time, from C: the value and the rate of its second column in mm, and its samples."""
+    """Evaluates a table at a time, from C: value and rate of its second column in mm, and its samples."""
     times, rng = np.array([1.0, 1.5, 3.0, 4.0, 8.0]), np.random.default_rng(0)
     columns = rng.normal(size=(5, 2))
     slopes = np.diff(columns, axis=0) / np.diff(times)[:, None]
