@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
 from orchestrator.data.table import Array
 
 BAR, LITRES_PER_MINUTE = ("bar", 1e5), ("L/min", 1e-3 / 60)  # display units: name, SI value of one
@@ -65,7 +64,6 @@ class ProcedureResult:
     panels      measurement with fit, then residual
     remarks     sentences on masked and corrected samples, misfit, and what the data leave open
     listed      points of the opening curves, which are written to parameters.toml as lists
-    findings    of the tests of what the procedure assumes, whether the data contradict it or not
     warnings    sentences on a result that should not be used unseen; they go to the terminal, too
     others      other estimates, such as C_R at each voltage, which are not written to parameters.toml
     """
@@ -79,4 +77,3 @@ class ProcedureResult:
     others: tuple[Estimate, ...] = ()
     warnings: tuple[str, ...] = ()
     listed: tuple[Estimate, ...] = ()
-    findings: tuple[Finding, ...] = ()

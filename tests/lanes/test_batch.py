@@ -27,7 +27,7 @@ STROKES = {
     "boom_command": [0.0, 0.0, -10.0, -10.0, 10.0, 10.0],
     "stick_command": [0.0, 0.0, 10.0, 10.0, -10.0, -10.0],
 }
-MASS = "manipulator.head_mass"
+MASS, STIFFNESS = "manipulator.head_mass", "manipulator.stop_stiffness"
 MASSES = {MASS: np.linspace(300.0, 1200.0, 3)}
 # Lanes take the inner steps of the scalar FMUs with other rounding, which stops and cavities amplify to 1e-11
 # of the range; the tolerance of the FMUs is 1e-6
@@ -127,6 +127,18 @@ def test_a_machine_has_the_same_bits_beside_any_neighbours(system, how, lane, ma
     beside = batch(system, {MASS: masses}, STROKES, **options)
     for name, values in alone.signals.items():
         np.testing.assert_array_equal(beside[name][lane], values[0], err_msg=name)
+
+
+@pytest.mark.parametrize("how", shards.few(["guarded", "repeated"], COUPLINGS, shards.machine))
+def test_a_machine_that_fails_does_not_change_the_others(system, how):
+    """It is in the first lane, whose time is that of all machines with equal steps."""
+    coupling, step = COUPLINGS[how]
+    options = {"stop": 2.5, "record_step": 0.02, "lanes": True, "master": coupling, "step": step}
+    alone = batch(system, {STIFFNESS: [2e7]}, STROKES, **options)
+    beside = batch(system, {STIFFNESS: [1e5, 2e7, 2e7]}, STROKES, **options)
+    assert beside.status.tolist() == ["failed", "ok", "ok"]
+    for name, values in alone.signals.items():
+        np.testing.assert_array_equal(beside[name][1:], values[[0, 0]], err_msg=name)
 
 
 @shards.machine

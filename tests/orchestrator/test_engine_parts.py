@@ -1,4 +1,4 @@
-"""Single functions of the engine that no other library calls, against Python and NumPy."""
+"""Functions of the engine that its library does not export, against Python and NumPy."""
 
 import ctypes
 import time

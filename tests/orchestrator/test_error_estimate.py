@@ -21,11 +21,6 @@ MASTERS = [
 ]
 
 
-def estimate_of(system):
-    """A run of a thousand steps in this process, with its estimated errors."""
-    return run(system, master="gauss-seidel", step=1e-3, stop=1.0, error_estimate=True, isolate=False)
-
-
 def estimate_over_truth(result, exact):
     """Estimated over true RMS error of both positions."""
     found = {e.name: e.rms * np.ptp(result.trace[e.name]) for e in result.card.errors}
@@ -54,13 +49,14 @@ def test_the_estimate_is_the_error(open_oscillator, exact, master, step):
 
 def test_no_estimated_error_is_lost_where_a_block_of_them_is_full(open_oscillator, monkeypatch):
     """With blocks of four the same errors are recorded as with blocks of 256."""
-    many, few = (
-        (monkeypatch.setattr(error_propagation, "BLOCK", block), estimate_of(open_oscillator))[1]
-        for block in (256, 4)
-    )
-    assert len(many.errors.time) > 50
-    np.testing.assert_array_equal(few.errors.time, many.errors.time)
-    np.testing.assert_array_equal(few.errors["a.x"], many.errors["a.x"])
+    # in this process, where BLOCK is changed
+    options = {"master": "gauss-seidel", "step": 1e-3, "stop": 1.0, "error_estimate": True, "isolate": False}
+    many = run(open_oscillator, **options).errors
+    monkeypatch.setattr(error_propagation, "BLOCK", 4)
+    few = run(open_oscillator, **options).errors
+    assert len(many.time) > 50
+    np.testing.assert_array_equal(few.time, many.time)
+    np.testing.assert_array_equal(few["a.x"], many["a.x"])
 
 
 @pytest.mark.parametrize(("master", "step"), MASTERS[:3])

@@ -63,6 +63,7 @@ static void collect_failures(const Plan *plan, Group *g, int component) {
 /* ---- polynomials of the inputs, as in coupling_input.c ----------------------------------------- */
 
 static void set(Lanes *c, Lanes c0, Lanes c1, Lanes c2, Lanes c3) { c[0] = c0, c[1] = c1, c[2] = c2, c[3] = c3; }
+
 /* Where all machines take equal steps, Time is double: the compiler divides by a step once for all. */
 static double where(bool condition, double a, double b) { return condition ? a : b; }
 template <class Time> static Time length_before(const Group *g);
@@ -385,9 +386,10 @@ static void begin_course(const Plan *plan, const Group *g, int i) {
     set(s->c, s->value, s->slope, 0.0, 0.0);
 }
 
-/* Machines whose error over a step of length h is small enough; proposes the next length of each. */
+/* Machines whose error over a step of length h is small enough; proposes the next length of each. With equal steps all
+   lanes go on, also those of machines that have failed: the first one has the time of all. */
 static Mask accepted(const Plan *plan, Group *g, Lanes h) {
-    if (!plan->adaptive) return g->pace->moving;
+    if (!plan->adaptive) return !NONE;
     const Lanes error = step_error(plan, g, h) / plan->guard;
     engine::StepSize *sizes = (engine::StepSize *)g->step_size;
     Mask result = g->pace->moving;
@@ -465,7 +467,6 @@ EXPORT int32_t group_initialise(const Plan *plan, Group *g) {
 
 /* Begins the run at the consistent values, and records them. */
 EXPORT int32_t group_begin(const Plan *plan, Group *g) {
-    g->pace->length = 0.0;
     exchange(plan, g, g->pace->t);
     set_moving(plan, g, g->pace->alive);
     for (int n = 0; n < plan->initial_rounds; n++) {
@@ -506,7 +507,7 @@ EXPORT int32_t group_adopt(const Plan *plan, Group *g, const Group *from, const 
     const engine::StepSize *sizes = (const engine::StepSize *)from->step_size;
     g->pace->alive = alive;
     g->pace->length = where(chosen, from->pace->length, g->pace->length);
-    g->pace->t = where(chosen, plan->start + (double)g->done * plan->step, g->pace->t); /* failed ones have stopped */
+    g->pace->t = plan->start + (double)g->done * plan->step; /* with steps of their own, failed ones have stopped */
     for (int i = 0; i < LANES; i++) {
         if (!lanes[i]) continue;
         g->failures[i] = from->failures[i];

@@ -39,7 +39,7 @@ typedef struct Instance {
 typedef Instance *Create(void *memory, double tolerance);
 typedef void Action(Instance *);
 typedef void Stepping(Instance *, Lanes length, Mask machines);
-typedef void Choice(Instance *, Mask machines);
+typedef void MaskedAction(Instance *, Mask machines);
 typedef void Check(Instance *, Lanes time);
 typedef void Adoption(Instance *, const Instance *from, Mask machines);
 typedef const char *Description(int32_t);
@@ -51,11 +51,11 @@ typedef struct Model { /* the functions of a model */
     Action *prepare;          /* to be called when parameters have changed */
     Action *start;            /* computes the initial states from start values, inputs and parameters */
     Action *outputs_now;
-    Choice *outputs_again;    /* the outputs of machines in which only inputs have changed since */
+    MaskedAction *outputs_again; /* the outputs of machines in which only inputs have changed since */
     Action *derivatives_now;
     Action *slopes_now;       /* of states and outputs, from the derivatives of the inputs */
     Action *save;
-    Choice *restore;
+    MaskedAction *restore;
     Stepping *step;           /* over a length [s]; computes the outputs, and checks them */
     Check *check;             /* outputs and requirements; machines that violate them fail, at a time [s] */
     Adoption *adopt;          /* replaces machines by those of another instance */
