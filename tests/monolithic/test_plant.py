@@ -91,18 +91,26 @@ def test_a_loop_through_components_with_states(fmu):
         assert plant.x.tolist() == [2.0, 0.0, 3.0]
 
 
-def test_the_slope_of_a_loop_is_renewed_where_it_has_changed(fmu):
-    """u = 10 - y with y = 0, then y = u^3: u = 2, where the slope 0 that was known before leads astray."""
-    system = assemble(
-        {"g": fmu("gain", 2)}, [("g.y", "g.u", -1.0, 10.0)], {"g.a": 0.0, "g.b": 0.0}, exchange=True
-    )
+@pytest.mark.parametrize(
+    ("before", "after", "u"),
+    [
+        ((0.0, 0.0), (0.0, 1.0), 2.0),  # far from the solution, and the slope is 12 in place of 0
+        ((4.0, 0.0), (1.625, 0.59375), 2.001),  # near to it: 8.75 in place of 4 leaves 95 % in each iteration
+    ],
+)
+def test_the_slope_of_a_loop_is_renewed_where_it_has_changed(fmu, before, after, u):
+    """u = c - y and y = a u + b u^3 with other a and b than those whose slope is known."""
+    c = u + after[0] * u + after[1] * u**3
+    start = dict(zip(("g.a", "g.b"), before, strict=True))
+    system = assemble({"g": fmu("gain", 2)}, [("g.y", "g.u", -1.0, c)], start, exchange=True)
     with closing(Plant(system)) as plant:
         plant.start((0.0, 1.0))
-        assert plant.v.tolist() == [10.0]
-        plant.slaves["g"].set("b", 1.0)
         plant.settle(np.zeros(0), np.zeros(0))
-        # the tolerance of Newton's method is 1e-13
-        assert plant.v == pytest.approx([2.0], rel=1e-12)
+        assert plant.v == pytest.approx([c / (1 + before[0])], rel=1e-12)  # the tolerance of Newton's method
+        for name, value in zip("ab", after, strict=True):
+            plant.slaves["g"].set(name, value)
+        plant.settle(np.zeros(0), np.zeros(0))
+        assert plant.v == pytest.approx([u], rel=1e-12)  # as above
 
 
 @pytest.mark.parametrize("closed", [False, True])
