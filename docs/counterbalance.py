@@ -92,7 +92,7 @@ def main() -> None:
             slow.time, slow[SIGNALS["speed"]], label=f"{area * 1e6:.0f} mm2, {ratio:g} : 1", linewidth=1
         )
     axes.set(xlabel="time [s]", ylabel="speed of the boom piston [m/s]")
-    axes.legend(loc="upper right")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
     for name, lines in (("counterbalance", rows), ("counterbalance-cases", cases)):
         print("\n".join(lines))
         fill(PAGE, name, "\n".join(lines))
