@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from fmus.identification.procedures.valve import identify_openings
+from fmus.identification.procedures.valve import identify_openings, zero_of
 from fmus.parameters import Number
 from orchestrator.data.recording import Recording, Sensor
 
@@ -159,14 +159,14 @@ def trials(valve: str, seed: int) -> list[Trial]:
         rounding = 1e-9 * AREA
         inside = (low <= true + rounding) & (true <= high + rounding)
         measured = curve.first_measured <= POINTS
-        ends = np.quantile(curve.draws.start, [0.025, 0.975])
+        ends = np.quantile(curve.start, [0.025, 0.975])
         rows.append(
             Trial(
                 valve=valve,
                 edge=name,
                 inside=float(inside.mean()),
                 area=float(curve.areas[-1] / true[-1] - 1),
-                zero=abs(found.zero.value) / (2 * ZERO_ERROR),
+                zero=abs(zero_of(found).value) / (2 * ZERO_ERROR),
                 start=bool(ends[0] <= start_of(share) + 2e-3 and start_of(share) <= ends[1] + 2e-3),
                 straight=found.straight,
                 half_band=float(np.median((high - low)[measured] / 2 / true[measured])),

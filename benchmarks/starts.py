@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.black_box import BlackBox
 from benchmarks.played import Fmu
 from fmus.identification.machine import FREE, nominal, problem
 from fmus.identification.recordings.reading import read, window
@@ -40,7 +41,7 @@ from fmus.identification.refinement.multistart import (
 )
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
-from fmus.identification.refinement.simulation import BlackBox, SimulationFailed
+from fmus.identification.refinement.simulation import SimulationFailed
 from fmus.rig.experiments import experiment
 from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem

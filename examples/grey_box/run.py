@@ -6,11 +6,11 @@ import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+from dimensionless import all_free, blank, dimensionless, normalised
 
 from fmus.components import chamber, orifice, spool_valve
 from fmus.identification.recordings.masks import good
-from fmus.identification.recordings.reading import blank, read_series, split
-from fmus.identification.refinement.grey_box import all_free, dimensionless, normalised
+from fmus.identification.recordings.reading import read_series, split
 from fmus.identification.refinement.refine import refine
 from orchestrator.base.errors import Problem
 

@@ -24,6 +24,7 @@ from rich.table import Table
 
 from fmus.export.build import build
 from fmus.identification.estimate import Estimate
+from fmus.identification.recordings.reading import extrapolations
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
@@ -108,6 +109,10 @@ def main(arguments: list[str] | None = None) -> dict[int, Errors]:
     fmu = build(AXIS, given.out, values=identified_values(result, training))
     drawn = draws(result, spread, given.draws)
     groups = by_step(training + tests)
+    driven = {"command": np.concatenate([r["command"] for r in training])}
+    for volts, runs in groups.items():
+        for found in extrapolations(runs[-1], driven, driven):
+            console.print(f"+-{volts} V: {found}: an extrapolation, which the bands do not cover")
     bands: dict[int, Band] = {v: predict(fmu, runs[-1], drawn) for v, runs in groups.items()}
     fitted = {v: band for v, band in bands.items() if v not in HELD_OUT}
     noise = {name: calibrated_noise(fitted, training, name) for name in OUTPUTS}

@@ -2,12 +2,17 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
 from fmus.identification.machine import FREE
-from fmus.identification.outcome import page_content, prediction, worst_signals
+from fmus.identification.outcome import (
+    extrapolated,
+    extrapolation_text,
+    page_content,
+    prediction,
+    worst_signals,
+)
 from fmus.identification.pipeline import identify
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recording_names import MACHINE
@@ -20,6 +25,8 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.progress import doing
 from orchestrator.base.units import display_conversion
 
+DOUBTFUL, CONTRADICTED = 1, 3  # exit statuses: 2 is a mistake of the user
+
 
 def run(
     folder: Path,
@@ -30,10 +37,10 @@ def run(
     inertial: bool = False,
     names: Sequence[str] = FREE,
     starts: int = 0,
-) -> bool:
+) -> int:
     """Read the recordings, identify, write parameters and report; prints the progress.
 
-    Returns whether the estimates can be trusted: no warning was printed.
+    Returns the exit status: 0 without a warning, `DOUBTFUL`, or `CONTRADICTED` if all warnings are findings.
 
     out    parameters.toml to write
     page   folder of identification.html and .json
@@ -87,15 +94,23 @@ def run(
         print(f"predicted: {comparison.recording.source.name}, {use}; NRMSE of the worst signals")
         for quantity, (name, error) in worst_signals(comparison).items():
             print(f"  {quantity:<10}{100 * error:5.2f} %  {name}")
-    if contents.explanation:
-        print(contents.explanation.verdict)
-    for line in contents.warnings:
+        if held := comparison.held():
+            least = min(held, key=lambda name: held[name])
+            mean = sum(held.values()) / len(held)
+            print(f"  95 % bands hold {100 * mean:.0f} %, of {least} {100 * held[least]:.0f} %")
+    if contents["explanation"]:
+        print(contents["explanation"].verdict)
+    for outside in extrapolated(identified):
+        print(f"warning: {extrapolation_text(outside)}")
+    contradicted = [f"{f['procedure']}: {f['sentence']}" for f in contents["findings"] if f["named"]]
+    for line in (*contents["warnings"], *contradicted):
         print(f"warning: {line}")
-    contents = replace(contents, warnings=(*suspect, *contents.warnings))
+    status = DOUBTFUL if suspect or contents["warnings"] else CONTRADICTED if contradicted else 0
+    contents["warnings"] = [*suspect, *contents["warnings"], *contradicted]
     with doing("drawing the figures of the page"):
         html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
-    return not contents.warnings
+    return status
 
 
 def _show(result: ProcedureResult) -> None:

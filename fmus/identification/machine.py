@@ -13,11 +13,18 @@ import numpy as np
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import Finding
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.measured_runs import RecordingMap
-from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, free_parameters
+from fmus.identification.refinement.problem import (
+    EstimationProblem,
+    FreeParameter,
+    declared_errors,
+    free_parameters,
+    free_zeros,
+    parameter,
+)
 from fmus.identification.refinement.refine import RefinementResult
-from fmus.identification.refinement.sensor_zeros import declared_errors, free_zeros, parameter, with_zeros
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values
@@ -142,15 +149,14 @@ def problem(
     p = {flat: lookup(name, parameters).value for name, flat in flat_of.items()}
     outputs = _measured_outputs(recordings)
     errors = declared_errors([r for r in recordings if r.use == "train"], {n: signals[n] for n in outputs})
-    sub = with_zeros(HARVESTER, errors)
-    fixed = Values(p | {parameter(n): 0.0 for n in errors}, defaults.u, defaults.x)
+    fixed = Values(p, defaults.u, defaults.x)
     priors: dict[str, tuple[float, float | None]] = {}
     for name in names:
         known = lookup(name, parameters)
         priors[flat_of[name]] = (known.value, known.sd or PRIOR_SD * abs(known.value) or None)
     zero_at_rest = ("_speed", "_flow", "_flow_a", "_flow_b")
     mapping = RecordingMap(
-        sub,
+        HARVESTER,
         outputs=outputs,
         signals=signals,
         smooth=SMOOTHING,
@@ -160,11 +166,11 @@ def problem(
     )
     runs = {use: [mapping.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
     return EstimationProblem(
-        sub=sub,
+        sub=HARVESTER,
         outputs=tuple(mapping.outputs),
         free=(
-            *_within_ten(free_parameters(sub, [flat_of[n] for n in names], priors, fixed)),
-            *free_zeros(sub, errors, fixed),
+            *_within_ten(free_parameters(HARVESTER, [flat_of[n] for n in names], priors, fixed)),
+            *free_zeros(errors, {n: q.unit for n, q in quantities(HARVESTER.outputs).items()}),
         ),
         training=tuple(runs["train"]),
         held_out=tuple(runs["test"]),
@@ -234,6 +240,17 @@ def zero_sentences(refined: RefinementResult) -> list[str]:
         value, low, high = (f"{factor * x:.3g}" for x in (e.value, e.low, e.high))
         sentences.append(f"zero of the sensor of {signal}: {value} {unit} ({low} to {high} {unit})")
     return sentences
+
+
+def findings(refined: RefinementResult) -> tuple[Finding, ...]:
+    """The test of the residuals: does each signal have the noise of its sensor, and nothing else?"""
+    ratios = {signal_names().get(n, n): w for n, w in refined.whiteness.items() if np.isfinite(w.rms)}
+    if not ratios:
+        return ()
+    name, worst = min(ratios.items(), key=lambda item: (item[1].excess, -item[1].rms))
+    p = min(1.0, len(ratios) * worst.excess)  # the least of several p-values [Bonferroni]
+    rms = f"{worst.rms:.3g} times the noise of its sensor"
+    return (Finding("model", p, f"the model misses {name} by more than noise: the residual is {rms}."),)
 
 
 def without_zeros(recordings: Sequence[Recording], refined: RefinementResult) -> list[Recording]:

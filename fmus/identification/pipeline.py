@@ -10,6 +10,7 @@ from types import ModuleType
 
 from fmus.identification import machine
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import Finding
 from fmus.identification.machine import Parameters, nominal, short_name, updated
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures import (
@@ -18,10 +19,11 @@ from fmus.identification.procedures import (
     hose_resistance,
     inertia,
     motor_leakage,
+    rest,
     valve,
     weighing,
 )
-from fmus.identification.recording_names import MACHINE, check_units, name_remarks
+from fmus.identification.recording_names import MACHINE, check_names, check_units
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
 from fmus.identification.refinement.multistart import SPREAD, MultistartResult, multistart
 from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
@@ -30,8 +32,9 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.recording import Recording
 
-# in the paper's order: section 4 (a) to (e); the paper weighs nothing
+# zeros of sensors first, then the paper's order: section 4 (a) to (e); the paper weighs nothing
 PROCEDURES: Mapping[str, ModuleType] = {
+    "rest": rest,
     "valve": valve,
     "hose_resistance": hose_resistance,
     "hose_dynamics": hose_dynamics,
@@ -94,6 +97,12 @@ class Identified:
         """Name -> entry of a list of parameters.toml: points of the opening curves, in their order."""
         return {e.name: e.number() for result in self.results for e in result.listed}
 
+    @property
+    def findings(self) -> list[tuple[str, Finding]]:
+        """The tests of all assumptions: procedure and finding, in the order of the procedures."""
+        tests = [(r.procedure, finding) for r in self.results for finding in r.findings]
+        return tests + [(MACHINE, f) for f in (machine.findings(self.refined) if self.refined else ())]
+
     def skip(self, procedure: str, error: Problem, report: Report) -> None:
         """Note and report why a procedure has no result."""
         self.skipped[procedure] = str(error).removeprefix(f"{procedure}: ")
@@ -130,10 +139,8 @@ def identify(
         raise Problem(f"[experiment] procedure: expected one of {expected}, got {unknown[0]!r}")
     machine.check_free(names)
     signals = {name: module.SIGNALS for name, module in PROCEDURES.items()}
-    remarks = list(name_remarks(recordings, signals))  # refuses misspelt names, before their units
+    check_names(recordings, signals)  # before their units
     check_units([r for r in recordings if r.procedure in (*PROCEDURES, MACHINE)], signals)
-    for remark in remarks:
-        report(remark)
     stated = [machine.with_return_line(r) if r.procedure == MACHINE else r for r in recordings]
     identified = Identified(stated, dict(parameters or nominal()))
     try:
@@ -178,6 +185,8 @@ def _run_procedures(
             identified.skip(name, error, report)
             continue
         identified.results.append(result)
+        if procedure is rest:
+            identified.recordings = rest.subtracted(identified.recordings, result)
         identified.parameters = updated(identified.parameters, (*result.estimates, *result.listed))
         show(result)
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import Finding
 from orchestrator.data.table import Array
 
 BAR, LITRES_PER_MINUTE = ("bar", 1e5), ("L/min", 1e-3 / 60)  # display units: name, SI value of one
@@ -16,7 +17,12 @@ CurveKind = Literal["measured", "fit", "masked", "compared", "corrected"]
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve or a cloud of points; `line` joins the points, `error` is half the length of each error bar."""
+    """A curve or a cloud of points.
+
+    line    whether the points are joined
+    error   half the length of each error bar
+    band    lower and upper end of a band around the curve
+    """
 
     label: str
     x: Array
@@ -24,6 +30,7 @@ class Curve:
     kind: CurveKind = "measured"
     line: bool = False
     error: Array | None = None
+    band: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,7 @@ class ProcedureResult:
     panels      measurement with fit, then residual
     remarks     sentences on masked and corrected samples, misfit, and what the data leave open
     listed      points of the opening curves, which are written to parameters.toml as lists
+    findings    of the tests of what the procedure assumes, whether the data contradict it or not
     warnings    sentences on a result that should not be used unseen; they go to the terminal, too
     others      other estimates, such as C_R at each voltage, which are not written to parameters.toml
     """
@@ -77,3 +85,4 @@ class ProcedureResult:
     others: tuple[Estimate, ...] = ()
     warnings: tuple[str, ...] = ()
     listed: tuple[Estimate, ...] = ()
+    findings: tuple[Finding, ...] = ()

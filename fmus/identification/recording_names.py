@@ -4,7 +4,7 @@ Without this check a misspelt signal or condition would be ignored silently. Wro
 before the procedures run for minutes.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 
 from fmus.composition import declared
@@ -13,12 +13,14 @@ from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
-MACHINE = "machine"
+MACHINE, REST, NOTE = "machine", "rest", "note"
+TEMPERATURE = "oil_temperature"  # an optional signal of all recordings [K]
 GROUPS = ("inputs", "outputs")  # of the machine's variables that can be recorded
 MACHINE_SIGNALS = (MACHINE, "damping", "weighing")  # procedures whose signals are those of the machine
 # keys of [experiment] that a procedure reads, except procedure and use; other keys may be notes
 CONDITIONS: Mapping[str, tuple[str, ...]] = {
-    "valve": ("edge",),
+    REST: (),
+    "valve": ("edge", "density"),
     "hose_resistance": ("length", "diameter", "density"),
     "hose_dynamics": ("length", "diameter", "density"),
     "motor_leakage": ("shaft", "tank_pressure"),
@@ -31,18 +33,36 @@ UNREAD: Mapping[str, tuple[str, ...]] = {"hose_dynamics": ("command",)}  # usual
 SIMILAR, SIMILAR_ON_MACHINE = 0.8, 0.85
 
 
-def name_remarks(recordings: Sequence[Recording], signals: Mapping[str, Collection[str]]) -> Iterator[str]:
-    """Sentences on signals that are not read. Raises Problem if a name is close to one that is read.
+def check_names(recordings: Sequence[Recording], signals: Mapping[str, Collection[str]]) -> None:
+    """Raise Problem if a recording has a signal or a condition that its procedure does not read.
 
     signals   procedure of a test bench -> names of the signals that it reads
     """
+    of_machine = {name for group in GROUPS for name in declared(SUBSYSTEMS, group)}
     for recording in recordings:
-        _check_conditions(recording)
-    for recording in recordings:
-        if recording.procedure in MACHINE_SIGNALS:
-            yield from _unknown_to_machine(recording)
-        elif recording.procedure in signals:
-            yield from _unknown_to_bench(recording, signals[recording.procedure])
+        procedure, source = recording.procedure, recording.source
+        conditions = CONDITIONS.get(procedure)
+        if conditions is None:
+            continue
+        for name in recording.conditions:
+            if name not in (*conditions, NOTE):
+                similar = _similar(name, conditions, SIMILAR)
+                raise Problem(
+                    f"{source}: [experiment] {name}: {procedure} does not read it"
+                    + (f", expected {similar}" if similar else f"; it reads {', '.join((*conditions, NOTE))}")
+                )
+        on_machine = procedure in MACHINE_SIGNALS
+        expected = of_machine if on_machine else {*signals[procedure], *UNREAD.get(procedure, ())}
+        if procedure == REST:  # any sensor
+            continue
+        for name in recording.signals:
+            if name not in (*expected, TEMPERATURE):
+                similar = _similar(name, expected, SIMILAR_ON_MACHINE if on_machine else SIMILAR)
+                listed = "inputs and outputs of the machine" if on_machine else ", ".join(sorted(expected))
+                raise Problem(
+                    f"{source}: signal {name}: {procedure} does not read it"
+                    + (f", expected {similar}" if similar else f"; it reads {listed} and {TEMPERATURE}")
+                )
 
 
 def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[str, str]]) -> None:
@@ -54,45 +74,6 @@ def check_units(recordings: Sequence[Recording], signals: Mapping[str, Mapping[s
     for recording in recordings:
         known = declared_units if recording.procedure in MACHINE_SIGNALS else signals[recording.procedure]
         require(recording, {name: unit for name, unit in known.items() if name in recording.signals})
-
-
-def _unknown_to_machine(recording: Recording) -> Iterator[str]:
-    expected = {name for group in GROUPS for name in declared(SUBSYSTEMS, group)}
-    unknown = [name for name in recording.signals if name not in expected]
-    for name in unknown:
-        if similar := _similar(name, expected, SIMILAR_ON_MACHINE):
-            raise Problem(
-                f"{recording.source}: signal {name}: expected an input or output of the machine, such "
-                f"as {similar}"
-            )
-    if unknown:
-        yield (
-            f"{recording.source.name}: not used, because the machine has no such signal: {', '.join(unknown)}"
-        )
-
-
-def _unknown_to_bench(recording: Recording, signals: Collection[str]) -> Iterator[str]:
-    """A test bench may have further signals of any name, so a similar name is only reported."""
-    expected = {*signals, *UNREAD.get(recording.procedure, ())}
-    missing = expected - set(recording.signals)
-    unknown = []
-    for name in recording.signals:
-        if name not in expected:
-            similar = _similar(name, missing, SIMILAR)
-            unknown.append(f"{name} (misspelt {similar}?)" if similar else name)
-    if unknown:
-        procedure, names = recording.procedure, ", ".join(unknown)
-        yield f"{recording.source.name}: not used, because {procedure} needs no such signal: {names}"
-
-
-def _check_conditions(recording: Recording) -> None:
-    """Refuse a key that is similar to one that the procedure reads; other keys may be notes."""
-    expected = CONDITIONS.get(recording.procedure, ())
-    read_by_any = {name for names in CONDITIONS.values() for name in names}
-    for name in recording.conditions:
-        similar = "" if name in read_by_any else _similar(name, expected, SIMILAR)
-        if similar:
-            raise Problem(f"{recording.source}: [experiment] unknown key {name}, expected {similar}")
 
 
 def _similar(name: str, expected: Collection[str], cutoff: float) -> str:

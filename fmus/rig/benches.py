@@ -34,12 +34,10 @@ is that of the line, and the meter is between line and motor.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus import boom_stick, swing
 from fmus.boom_stick import detailed as boom_stick_detailed
@@ -58,9 +56,9 @@ from fmus.components.spool_valve import (
 from fmus.contract import Scalar, column
 from fmus.monolith import Monolith, simulate
 from fmus.parameters import values
-from fmus.swing.variables import DetailedSwingParameters, SwingParameters
+from fmus.swing.variables import DetailedSwingParameters
+from orchestrator.data.table import Array
 
-Array = NDArray[np.float64]
 ByName: TypeAlias = dict[str, Scalar]
 Equations: TypeAlias = Callable[[ByName, ByName], tuple[ByName, ByName]]
 
@@ -123,51 +121,37 @@ def run(
     return dict(zip(outputs, results.T, strict=True))
 
 
-Flows: TypeAlias = tuple[Scalar, Scalar]  # out of ports A and B [m3/s]
 Ports: TypeAlias = tuple[EdgeFlows, EdgeFlows]
 
 
-@dataclass(frozen=True)
 class BenchValve:
-    """A valve as part of the equations of a bench.
+    """The valve of the lumped or of the detailed machine between supply and return line of the bench.
 
-    states   initial and nominal value of each state of the spool
-    rates    (states, command) -> time derivatives of the states
-    ports    (states, command, flows, tank pressure) -> both ports
+    states   initial and nominal value of each state of the spool, which only the detailed one has
     """
 
-    states: dict[str, tuple[Scalar, float]]
-    rates: Callable[[ByName, Scalar], ByName]
-    ports: Callable[[ByName, Scalar, Flows, float], Ports]
+    def __init__(self, machine: str) -> None:
+        self._spool = machine == "detailed"
+        self.states = {"position": (0.0, 1.0), "speed": (0.0, 10.0)} if self._spool else {}
 
-
-def bench_valve(machine: str) -> BenchValve:
-    """The valve of the lumped or of the detailed machine, between supply and return line of the bench."""
-    return _valve_with_spool() if machine == "detailed" else _ideal_valve()
-
-
-def _ideal_valve() -> BenchValve:
-    p = lumped()
-
-    def ports(_: ByName, command: Scalar, flows: Flows, tank: float) -> Ports:
-        return spool_valve.ports_from_flow(Valve.of(p, "valve"), command, *flows, SUPPLY, tank, p.density)
-
-    return BenchValve({}, lambda _, __: {}, ports)
-
-
-def _valve_with_spool() -> BenchValve:
-    p = detailed()
-
-    def rates(x: ByName, command: Scalar) -> ByName:
+    def rates(self, x: ByName, command: Scalar) -> ByName:
+        """Time derivatives of the states."""
+        if not self._spool:
+            return {}
+        p = detailed()
         commanded = spool_valve.commanded_position(command, p.valve_full_command)
         rate = spool_valve.spool_rates(Spool.of(p, "spool"), SpoolState(x["position"], x["speed"]), commanded)
         return {"position": rate.position, "speed": rate.speed}
 
-    def ports(x: ByName, _: Scalar, flows: Flows, tank: float) -> Ports:
-        parts = (Edges.of(p, "valve"), Spool.of(p, "spool"))
-        return spool_valve.spool_ports(*parts, x["position"], *flows, SUPPLY, tank, p.density)
-
-    return BenchValve({"position": (0.0, 1.0), "speed": (0.0, 10.0)}, rates, ports)
+    def ports(self, x: ByName, command: Scalar, flow_a: Scalar, flow_b: Scalar) -> Ports:
+        """Both ports, for the flows out of them [m3/s]."""
+        if not self._spool:
+            p = lumped()
+            given = (Valve.of(p, "valve"), command, flow_a, flow_b, SUPPLY, RETURN, p.density)
+            return spool_valve.ports_from_flow(*given)
+        of = detailed()
+        parts = (Edges.of(of, "valve"), Spool.of(of, "spool"))
+        return spool_valve.spool_ports(*parts, x["position"], flow_a, flow_b, SUPPLY, RETURN, of.density)
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
@@ -181,33 +165,32 @@ def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> 
 
 def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
     # the ideal valve would cause pressure steps within a sample, which cannot be recorded
-    spool, p = bench_valve("detailed"), lumped()
+    spool, p = BenchValve("detailed"), lumped()
 
     def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-        inlet = spool.ports(x, u["command"], (x["flow"], 0.0), RETURN)[0].pressure
+        inlet = spool.ports(x, u["command"], x["flow"], 0.0)[0].pressure
         out = throttle(x["outlet"] - RETURN, resistance, p.valve_transition_flow)
         hose_values = (p.stick_hose_inertance, p.stick_hose_resistance, p.valve_transition_flow)
         rates = {
             "flow": hose.flow_rate(inlet, x["outlet"], x["flow"], *hose_values),
             "outlet": chamber.pressure_rate(x["outlet"], x["flow"] - out, p.stick_hose_capacitance),
-            **spool.rates(x, u["command"]),
         }
         outputs = {"pressure_in": inlet, "pressure_out": x["outlet"], "flow_in": x["flow"], "flow_out": out}
-        return rates, outputs
+        return rates | spool.rates(x, u["command"]), outputs
 
     start = {"flow": (0.0, 1e-3), "outlet": (RETURN, 1e7)}
     return run(start | spool.states, equations, time, {"command": command})
 
 
 def _detailed_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:
-    spool, p = bench_valve("detailed"), detailed()
+    spool, p = BenchValve("detailed"), detailed()
     of = boom_stick_detailed.line(p, "stick")
     lumps = boom_stick_detailed.default_lumps()["stick"]
     names = hose.state_names("first_flow", "last_flow", "inner", "", lumps, unsteady_friction=False)
 
     def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         state = names.apply(lambda name: x[name])
-        inlet = spool.ports(x, u["command"], (state.flows[0], 0.0), RETURN)[0].pressure
+        inlet = spool.ports(x, u["command"], state.flows[0], 0.0)[0].pressure
         outlet = RETURN + turbulent_drop(state.flows[-1], resistance, p.valve_transition_flow)
         along = hose.rates(of, state, inlet, outlet)
         rates = dict(zip(names.all(), along.all(), strict=True)) | spool.rates(x, u["command"])
@@ -224,36 +207,31 @@ MOTOR_THROTTLE = 1e10  # R [Pa.s/m3]; time constant of a side 10 ms, pressure dr
 
 def locked_motor(machine: str, time: Array, set_a: Array, set_b: Array) -> dict[str, Array]:
     """Port pressures [Pa], flow into port A and drain flow [m3/s], for set pressures [Pa]."""
-    equations = _detailed_motor if machine == "detailed" else _lumped_motor
+    p, is_detailed = values(swing.VARIANTS[machine]).p, machine == "detailed"
+    leaks = (p["internal_leakage_resistance"], p["external_leakage_resistance"])
+    fluid = Fluid.of(DetailedSwingParameters(**p)) if is_detailed else None
+
+    def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
+        ends, still = (x["pressure_a"], x["pressure_b"]), (0.0, 0.0)
+        if fluid is not None:
+            nodes = motor.nodes_at_port_pressures(*ends, *still, *leaks)
+            ports, capacities = ends, [p["motor_volume"] * chamber.compliance(fluid, end) for end in ends]
+        else:
+            nodes = motor.nodes(*ends, *still, *(p["line_resistance"],) * 2, *leaks)
+            ports, capacities = (nodes.pressure_1, nodes.pressure_2), [p["line_capacitance"]] * 2
+        supplied = [(u[f"set_{side}"] - end) / MOTOR_THROTTLE for side, end in zip("ab", ends, strict=True)]
+        rates = {
+            f"pressure_{side}": chamber.pressure_rate(end, supply - flow, capacity)
+            for side, end, supply, flow, capacity in zip(
+                "ab", ends, supplied, (nodes.flow_1, nodes.flow_2), capacities, strict=True
+            )
+        }
+        flow_a = supplied[0] if is_detailed else nodes.flow_1
+        at_ports = {"pressure_a": ports[0], "pressure_b": ports[1]}
+        return rates, at_ports | {"flow_a": flow_a, "drain_flow": nodes.drain}
+
     states = {"pressure_a": (set_a[0], 1e7), "pressure_b": (set_b[0], 1e7)}
     return run(states, equations, time, {"set_a": set_a, "set_b": set_b})
-
-
-def _lumped_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-    p = SwingParameters(**values(swing.VARIANTS["lumped"]).p)
-    lines, leaks = (p.line_resistance,) * 2, (p.internal_leakage_resistance, p.external_leakage_resistance)
-    nodes = motor.nodes(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *lines, *leaks)
-    rates = {}
-    for side, flow in (("a", nodes.flow_1), ("b", nodes.flow_2)):
-        pressure = x[f"pressure_{side}"]
-        net = (u[f"set_{side}"] - pressure) / MOTOR_THROTTLE - flow
-        rates[f"pressure_{side}"] = chamber.pressure_rate(pressure, net, p.line_capacitance)
-    at_ports = {"pressure_a": nodes.pressure_1, "pressure_b": nodes.pressure_2}
-    return rates, at_ports | {"flow_a": nodes.flow_1, "drain_flow": nodes.drain}
-
-
-def _detailed_motor(x: ByName, u: ByName) -> tuple[ByName, ByName]:
-    p = DetailedSwingParameters(**values(swing.VARIANTS["detailed"]).p)
-    of = Fluid.of(p)
-    leaks = (p.internal_leakage_resistance, p.external_leakage_resistance)
-    nodes = motor.nodes_at_port_pressures(x["pressure_a"], x["pressure_b"], 0.0, 0.0, *leaks)
-    rates, supply_flow = {}, {}
-    for side, flow in (("a", nodes.flow_1), ("b", nodes.flow_2)):
-        pressure = x[f"pressure_{side}"]
-        supply_flow[side] = (u[f"set_{side}"] - pressure) / MOTOR_THROTTLE
-        capacitance = p.motor_volume * chamber.compliance(of, pressure)
-        rates[f"pressure_{side}"] = chamber.pressure_rate(pressure, supply_flow[side] - flow, capacitance)
-    return rates, dict(x) | {"flow_a": supply_flow["a"], "drain_flow": nodes.drain}
 
 
 EDGES = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}  # sign of the command that opens the edge
@@ -264,7 +242,7 @@ BLOCK = 0.5e-3  # m3, volume
 
 def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Array]:
     """Pressures upstream and downstream of the edge [Pa] and its flow [m3/s], for commands [V]."""
-    spool, p = bench_valve(machine), lumped()
+    spool, p = BenchValve(machine), lumped()
     from_supply, at_a = edge.startswith("P"), "A" in edge
     throttle_end = RETURN if from_supply else SUPPLY
     fraction = LINE / detailed().stick_hose_length
@@ -272,8 +250,7 @@ def valve(machine: str, edge: str, time: Array, command: Array) -> dict[str, Arr
 
     def equations(x: ByName, u: ByName) -> tuple[ByName, ByName]:
         flow, block = x["flow"], x["block"]  # out of the port
-        flows = (flow if at_a else 0.0, 0.0 if at_a else flow)
-        ports = spool.ports(x, u["command"], flows, RETURN)
+        ports = spool.ports(x, u["command"], *((flow, 0.0) if at_a else (0.0, flow)))
         port = ports[0 if at_a else 1].pressure
         throttle_flow = throttle(block - throttle_end, VALVE_THROTTLE, p.valve_transition_flow)
         rates = {

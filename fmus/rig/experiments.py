@@ -7,11 +7,11 @@ pairs of axes, and contains no part of the work cycle. All corners of commands a
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmus.machine.parts import Connections, parts, wiring
 from fmus.machine.poses import JOINTS, NOMINAL, POSES, Pose, parameter
@@ -21,8 +21,7 @@ from fmus.rig.benches import EDGES, TOLERANCE, detailed, locked_motor, stick_hos
 from fmus.rig.instruments import ANGLE, COMMAND, FLOW, LEAKAGE, PRESSURE, RETURN, Experiment, Instrument
 from orchestrator.base.errors import Problem
 from orchestrator.data.description import Condition
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 
 def levels(values: Sequence[float], hold: float, ramp: float, first: float = 1.0) -> tuple[Array, Array]:
@@ -58,10 +57,22 @@ _PAUSE = 0.3  # s between strokes
 
 def strokes(joint: str, sign: int = 1) -> list[Move]:
     """Strokes of one joint to and fro, from 1 s on; sign -1 reverses the directions."""
+    rows = [(sign * command, hold) for command, hold in _STROKES[joint]]
+    return _one_by_one(joint, rows, _RISE[joint], _FALL[joint], _PAUSE)
+
+
+def weighing_strokes(pairs: int = 3) -> list[Move]:
+    """Strokes of the boom up and down, slower than 2 cm/s, from 1 s on."""
+    return _one_by_one("boom", _WEIGHING * pairs, 0.5, 0.5, 0.5)
+
+
+def _one_by_one(
+    joint: str, rows: Sequence[tuple[float, float]], rise: float, fall: float, pause: float
+) -> list[Move]:
     moves, start = [], 1.0
-    for command, hold in _STROKES[joint]:
-        moves.append(Move(joint, start, sign * command, _RISE[joint], hold, _FALL[joint]))
-        start = round(end_of(moves[-1:]) + _PAUSE, 3)
+    for command, hold in rows:
+        moves.append(Move(joint, start, command, rise, hold, fall))
+        start = round(end_of(moves[-1:]) + pause, 3)
     return moves
 
 
@@ -79,60 +90,37 @@ DAMPING: Mapping[str, Sequence[tuple[Pose, int]]] = {
     "stick": ((Pose(0.4, -1.1), 1), (Pose(0.3, -2.0), -1)),
 }
 
-TRAIN_1: tuple[Move, ...] = (  # first low and close to the machine, then high and far away
-    Move("boom", 1.0, 2.8, 0.4, 0.9, 0.6),
-    Move("swing", 1.6, 2.6, 0.5, 1.3, 1.4),
-    Move("stick", 2.6, -2.8, 0.4, 1.2, 0.6),
-    Move("boom", 4.0, 4.2, 0.5, 0.7, 0.9),
-    Move("swing", 5.2, -1.6, 0.4, 1.0, 0.8),
-    Move("stick", 5.6, -1.5, 0.4, 1.4, 0.5),
-    Move("boom", 7.4, -2.2, 0.4, 1.4, 0.6),
-    Move("swing", 8.2, -3.6, 0.6, 1.5, 1.6),
-    Move("stick", 9.0, 3.2, 0.4, 1.0, 0.6),
-    Move("boom", 10.8, 1.4, 0.3, 1.0, 0.4),
-    Move("stick", 12.0, 1.6, 0.3, 0.9, 0.4),
-    Move("swing", 12.4, 1.4, 0.4, 1.2, 0.8),
-    Move("boom", 13.6, 3.2, 0.4, 0.8, 0.7),
-    Move("swing", 15.2, 3.8, 0.7, 1.2, 1.8),
-    Move("stick", 15.6, -3.4, 0.5, 1.0, 0.8),
-    Move("boom", 17.6, -1.5, 0.4, 1.6, 0.5),
-    Move("stick", 18.6, 2.4, 0.4, 1.3, 0.6),
-    Move("swing", 19.6, -2.2, 0.5, 0.9, 1.0),
-    Move("boom", 21.0, -2.8, 0.5, 0.9, 0.8),
-    Move("stick", 22.0, 4.2, 0.6, 0.7, 1.0),
-    Move("swing", 23.0, -2.8, 0.5, 1.0, 1.4),
-    Move("boom", 24.2, 1.8, 0.3, 0.8, 0.5),
-    Move("stick", 25.2, -1.8, 0.4, 1.0, 0.5),
-    Move("swing", 26.4, 1.8, 0.4, 0.6, 0.9),
-    Move("boom", 27.0, -1.6, 0.4, 0.8, 0.5),
-)
-TRAIN_2: tuple[Move, ...] = (  # first far away and high, then close and low
-    Move("stick", 1.0, 2.6, 0.4, 1.3, 0.6),
-    Move("swing", 1.4, -3.0, 0.6, 1.4, 1.5),
-    Move("boom", 2.2, -2.6, 0.4, 1.2, 0.7),
-    Move("stick", 4.4, 1.5, 0.3, 1.2, 0.4),
-    Move("boom", 5.0, 1.6, 0.3, 1.1, 0.5),
-    Move("swing", 5.6, 2.0, 0.4, 1.0, 1.0),
-    Move("stick", 7.2, 3.6, 0.5, 0.9, 0.8),
-    Move("boom", 8.0, -1.4, 0.4, 1.2, 0.5),
-    Move("swing", 8.6, 3.4, 0.6, 1.3, 1.6),
-    Move("boom", 10.6, 4.0, 0.5, 0.7, 0.9),
-    Move("stick", 11.4, -2.2, 0.4, 1.2, 0.6),
-    Move("swing", 12.8, 1.5, 0.4, 0.9, 0.8),
-    Move("boom", 13.4, -2.4, 0.4, 1.1, 0.6),
-    Move("stick", 14.6, -1.6, 0.4, 1.4, 0.5),
-    Move("swing", 15.4, -3.8, 0.7, 1.4, 1.8),
-    Move("boom", 16.2, 2.2, 0.4, 1.0, 0.5),
-    Move("stick", 17.8, 2.9, 0.4, 0.9, 0.6),
-    Move("boom", 19.2, -1.8, 0.4, 1.3, 0.5),
-    Move("swing", 20.2, -1.5, 0.4, 1.2, 0.8),
-    Move("stick", 20.8, -3.2, 0.5, 0.9, 0.8),
-    Move("boom", 22.6, 3.0, 0.4, 0.9, 0.7),
-    Move("swing", 23.2, 2.8, 0.6, 1.0, 1.4),
-    Move("stick", 24.2, 1.8, 0.3, 1.0, 0.5),
-    Move("boom", 25.6, -2.0, 0.4, 1.1, 0.6),
-    Move("stick", 26.2, -2.4, 0.4, 0.8, 0.6),
-)
+
+def _moves(table: str) -> tuple[Move, ...]:
+    """Moves from a table: joint, start [s], command [V], rise, hold, fall [s] of each."""
+    rows = (row.split() for row in table.split(";"))
+    return tuple(Move(joint, *map(float, numbers)) for joint, *numbers in rows)
+
+
+# first low and close to the machine, then high and far away
+TRAIN_1 = _moves("""
+    boom  1.0 2.8 0.4 0.9 0.6;    swing 1.6 2.6 0.5 1.3 1.4;    stick 2.6 -2.8 0.4 1.2 0.6;
+    boom  4.0 4.2 0.5 0.7 0.9;    swing 5.2 -1.6 0.4 1.0 0.8;   stick 5.6 -1.5 0.4 1.4 0.5;
+    boom  7.4 -2.2 0.4 1.4 0.6;   swing 8.2 -3.6 0.6 1.5 1.6;   stick 9.0 3.2 0.4 1.0 0.6;
+    boom  10.8 1.4 0.3 1.0 0.4;   stick 12.0 1.6 0.3 0.9 0.4;   swing 12.4 1.4 0.4 1.2 0.8;
+    boom  13.6 3.2 0.4 0.8 0.7;   swing 15.2 3.8 0.7 1.2 1.8;   stick 15.6 -3.4 0.5 1.0 0.8;
+    boom  17.6 -1.5 0.4 1.6 0.5;  stick 18.6 2.4 0.4 1.3 0.6;   swing 19.6 -2.2 0.5 0.9 1.0;
+    boom  21.0 -2.8 0.5 0.9 0.8;  stick 22.0 4.2 0.6 0.7 1.0;   swing 23.0 -2.8 0.5 1.0 1.4;
+    boom  24.2 1.8 0.3 0.8 0.5;   stick 25.2 -1.8 0.4 1.0 0.5;  swing 26.4 1.8 0.4 0.6 0.9;
+    boom  27.0 -1.6 0.4 0.8 0.5
+""")
+# first far away and high, then close and low
+TRAIN_2 = _moves("""
+    stick 1.0 2.6 0.4 1.3 0.6;    swing 1.4 -3.0 0.6 1.4 1.5;   boom  2.2 -2.6 0.4 1.2 0.7;
+    stick 4.4 1.5 0.3 1.2 0.4;    boom  5.0 1.6 0.3 1.1 0.5;    swing 5.6 2.0 0.4 1.0 1.0;
+    stick 7.2 3.6 0.5 0.9 0.8;    boom  8.0 -1.4 0.4 1.2 0.5;   swing 8.6 3.4 0.6 1.3 1.6;
+    boom  10.6 4.0 0.5 0.7 0.9;   stick 11.4 -2.2 0.4 1.2 0.6;  swing 12.8 1.5 0.4 0.9 0.8;
+    boom  13.4 -2.4 0.4 1.1 0.6;  stick 14.6 -1.6 0.4 1.4 0.5;  swing 15.4 -3.8 0.7 1.4 1.8;
+    boom  16.2 2.2 0.4 1.0 0.5;   stick 17.8 2.9 0.4 0.9 0.6;   boom  19.2 -1.8 0.4 1.3 0.5;
+    swing 20.2 -1.5 0.4 1.2 0.8;  stick 20.8 -3.2 0.5 0.9 0.8;  boom  22.6 3.0 0.4 0.9 0.7;
+    swing 23.2 2.8 0.6 1.0 1.4;   stick 24.2 1.8 0.3 1.0 0.5;   boom  25.6 -2.0 0.4 1.1 0.6;
+    stick 26.2 -2.4 0.4 0.8 0.6
+""")
 # moves and initial pose
 TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -0.95, 0.5)))
 TRAINING_STOP = 30.0  # s
@@ -142,18 +130,9 @@ _WEIGHING = ((1.2, 2.0), (-1.0, 2.0))
 WEIGHING_POSE = Pose(0.1, -1.2)
 WEIGHED = 300.0  # kg, payload of the loaded experiment
 
-
-def weighing_strokes(pairs: int = 3) -> list[Move]:
-    """Strokes of the boom up and down, slower than 2 cm/s, from 1 s on."""
-    moves, start = [], 1.0
-    for command, hold in _WEIGHING * pairs:
-        moves.append(Move("boom", start, command, 0.5, hold, 0.5))
-        start = round(end_of(moves[-1:]) + 0.5, 3)
-    return moves
-
-
 # ---- experiments on the benches --------------------------------------------------------------------
 
+REST = 10.0  # s
 HOLD = 2.0  # s: 0.5 s to settle and 300 samples
 RAMP = 0.05  # s, between levels
 
@@ -180,58 +159,56 @@ MOTOR_OTHER = (2.0, 8.0)
 MOTOR_HOLD, MOTOR_RAMP = 3.0, 0.2  # s
 
 
-def _instruments(signals: Mapping[str, Array], flow: Instrument = FLOW) -> dict[str, Instrument]:
-    """The instruments of the signals, from their names; flow: the meter for flows."""
+Named: TypeAlias = tuple[str, str]  # procedure, title
+Signals: TypeAlias = Mapping[str, Array]
+
+
+def _bench(
+    named: Named, time: Array, signals: Signals, flow: Instrument = FLOW, **conditions: str
+) -> Experiment:
+    """An experiment on a bench, with the instruments that the names of its signals tell; flow: the meter."""
     by_quantity = {"command": COMMAND, "pressure": PRESSURE}
-    return {name: by_quantity.get(name.split("_")[0], flow) for name in signals}
+    instruments = {name: by_quantity.get(name.split("_")[0], flow) for name in signals}
+    return Experiment(*named, time, signals, instruments, conditions)
+
+
+def _rest(_: str) -> Experiment:
+    """Ten seconds with the pump off: every pressure and flow is zero."""
+    bench = {f"pressure_{place}": PRESSURE for place in ("in", "out", "a", "b")}
+    bench |= dict.fromkeys(("flow", "flow_in", "flow_out"), FLOW)
+    bench |= dict.fromkeys(("flow_a", "drain_flow"), LEAKAGE)
+    sensors = bench | {n: i for n, i in INSTRUMENTS.items() if i not in (COMMAND, ANGLE)}
+    time = np.arange(round(REST * RATE) + 1) / RATE
+    signals = {n: np.zeros_like(time) for n in sensors}
+    return replace(_bench(("rest", "Pump off, at rest"), time, signals), instruments=sensors)
 
 
 def _edge(edge: str, machine: str) -> Experiment:
     time, steps = levels(up_and_down(VALVE_STEPS), HOLD, RAMP)
     command = EDGES[edge] * steps
     signals = {"command": command, **valve(machine, edge, time, command)}
-    return Experiment(
-        name=f"valve_{edge.replace('-', '').lower()}",
-        title=f"Valve edge {edge}, stepped command",
-        procedure="valve",
-        use="train",
-        machine=machine,
-        conditions={"edge": edge},
-        time=time,
-        signals=signals,
-        instruments=_instruments(signals),
-    )
+    return _bench(("valve", f"Valve edge {edge}, stepped command"), time, signals, edge=edge)
 
 
-def _hose(
-    machine: str, name: str, title: str, procedure: str, signals: dict[str, Array], time: Array
-) -> Experiment:
-    p = detailed()
-    conditions = {
-        "length": Condition(p.stick_hose_length, "m"),
-        "diameter": Condition(p.stick_hose_bore, "m"),
-        "density": Condition(p.density, "kg/m3"),
-        "viscosity": Condition(p.viscosity, "Pa.s"),
-    }
-    return Experiment(
-        name, title, procedure, "train", machine, conditions, time, signals, _instruments(signals)
-    )
+def _hose(named: Named, time: Array, signals: Signals) -> Experiment:
+    p, names = detailed(), ("length", "diameter", "density")
+    values = (p.stick_hose_length, "m"), (p.stick_hose_bore, "m"), (p.density, "kg/m3")
+    conditions = {name: Condition(*value) for name, value in zip(names, values, strict=True)}
+    return replace(_bench(named, time, signals), conditions=conditions)
 
 
 def _hose_resistance(machine: str) -> Experiment:
     time, command = levels((0.0, *HOSE_STEPS), HOLD, RAMP)
     outputs = stick_hose(machine, HOSE_THROTTLE, time, command)
     signals = {n: outputs[n] for n in ("pressure_in", "pressure_out")} | {"flow": outputs["flow_out"]}
-    title = "Hose of 4 m and 3/4 in, stepped flow"
-    return _hose(machine, "hose_resistance", title, "hose_resistance", signals, time)
+    return _hose(("hose_resistance", "Hose of 4 m and 3/4 in, stepped flow"), time, signals)
 
 
 def _hose_dynamics(number: int, machine: str) -> Experiment:
     resistance, steps, hold, ramp = GROUPS[number - 1]
     time, command = levels((0.0, *steps), hold, ramp)
     signals = {"command": command, **stick_hose(machine, resistance, time, command)}
-    title = f"Hose of 4 m and 3/4 in, fast changes, group {number}"
-    return _hose(machine, f"hose_dynamics_{number}", title, "hose_dynamics", signals, time)
+    return _hose(("hose_dynamics", f"Hose of 4 m and 3/4 in, fast changes, group {number}"), time, signals)
 
 
 def _motor(stepped: str, machine: str) -> Experiment:
@@ -242,20 +219,12 @@ def _motor(stepped: str, machine: str) -> Experiment:
     _, other_pressure = levels(others, MOTOR_HOLD, MOTOR_RAMP)
     pressures = (1e6 * stepped_pressure, 1e6 * other_pressure)
     signals = locked_motor(machine, time, *(pressures if stepped == "A" else reversed(pressures)))
-    return Experiment(
-        name=f"motor_leakage_{1 if stepped == 'A' else 2}",
-        title=f"Swing motor, shaft locked, pressure at port {stepped} stepped",
-        procedure="motor_leakage",
-        use="train",
-        machine=machine,
-        conditions={"shaft": "locked"},
-        time=time,
-        signals=signals,
-        instruments=_instruments(signals, LEAKAGE),
-    )
+    title = f"Swing motor, shaft locked, pressure at port {stepped} stepped"
+    return _bench(("motor_leakage", title), time, signals, LEAKAGE, shaft="locked")
 
 
-BENCH_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
+BENCH_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
+    "rest": _rest,
     **{f"valve_{edge.replace('-', '').lower()}": partial(_edge, edge) for edge in EDGES},
     "hose_resistance": _hose_resistance,
     **{f"hose_dynamics_{n}": partial(_hose_dynamics, n) for n in range(1, len(GROUPS) + 1)},
@@ -305,79 +274,53 @@ def simulate_machine(
     return time, signals | {target: signals[source] for source, target in wires}
 
 
-INSTRUMENTS: Mapping[str, Instrument] = {
-    **dict.fromkeys(("swing.swing_command", "boom_stick.boom_command", "boom_stick.stick_command"), COMMAND),
-    "swing.tank_pressure": RETURN,
-    **dict.fromkeys(("swing.supply_pressure", "swing.swing_pressure_a", "swing.swing_pressure_b"), PRESSURE),
-    **{
-        f"boom_stick.{joint}_{side}_pressure": PRESSURE
-        for joint in ("boom", "stick")
-        for side in ("head", "rod")
-    },
-    **{f"manipulator.{joint}_angle": ANGLE for joint in ("swing", "boom", "stick")},
-    **dict.fromkeys(("swing.swing_flow_a", "boom_stick.boom_head_flow", "boom_stick.stick_head_flow"), FLOW),
+_RECORDED = (
+    (COMMAND, "swing.swing_command boom_stick.boom_command boom_stick.stick_command swing.tank_pressure"),
+    (PRESSURE, "swing.supply_pressure swing.swing_pressure_a swing.swing_pressure_b"),
+    (PRESSURE, "boom_stick.boom_head_pressure boom_stick.boom_rod_pressure"),
+    (PRESSURE, "boom_stick.stick_head_pressure boom_stick.stick_rod_pressure"),
+    (ANGLE, "manipulator.swing_angle manipulator.boom_angle manipulator.stick_angle"),
+    (FLOW, "swing.swing_flow_a boom_stick.boom_head_flow boom_stick.stick_head_flow"),
+)
+INSTRUMENTS: Mapping[str, Instrument] = {n: i for i, names in _RECORDED for n in names.split()} | {
+    "swing.tank_pressure": RETURN
 }
 
 
-def _machine_experiment(
-    name: str,
-    title: str,
-    moves: Sequence[Move],
-    stop: float,
-    pose: Pose,
-    conditions: Mapping[str, str | Condition],
-    use: str,
-    machine: str,
-    procedure: str = "machine",
-    held: float = 0.0,
+def _driven(
+    named: Named, machine: str, moves: Sequence[Move], stop: float, pose: Pose, held: float = 0.0
 ) -> Experiment:
+    """An experiment on the whole machine; arguments as in `simulate_machine`."""
     time, signals = simulate_machine(machine, moves, stop, pose, held)
-    return Experiment(
-        name=name,
-        title=title,
-        procedure=procedure,
-        use=use,
-        machine=machine,
-        conditions=conditions,
-        time=time,
-        signals={n: signals[n] for n in INSTRUMENTS},
-        instruments=INSTRUMENTS,
-        unrecorded={n: values for n, values in signals.items() if n not in INSTRUMENTS},
-    )
+    unrecorded = {n: values for n, values in signals.items() if n not in INSTRUMENTS}
+    return Experiment(*named, time, {n: signals[n] for n in INSTRUMENTS}, INSTRUMENTS, unrecorded=unrecorded)
 
 
 def _damping(joint: str, number: int, machine: str) -> Experiment:
     pose, sign = DAMPING[joint][number - 1]
     moves = strokes(joint, sign)
-    title = f"Only the {joint} moves, pose {number}"
-    name, stop = f"damping_{joint}_{number}", end_of(moves) + 1.0
-    return _machine_experiment(name, title, moves, stop, pose, {"joint": joint}, "train", machine, "damping")
+    named = ("damping", f"Only the {joint} moves, pose {number}")
+    return replace(_driven(named, machine, moves, end_of(moves) + 1.0, pose), conditions={"joint": joint})
 
 
-def _weighing(name: str, held: float, machine: str) -> Experiment:
+def _weighing(held: float, machine: str) -> Experiment:
     moves = weighing_strokes()
-    title = f"Slow strokes of the boom, {f'payload of {held:g} kg' if held else 'empty head'}"
-    stated = {"payload": Condition(held, "kg")}
-    where = (end_of(moves) + 1.0, WEIGHING_POSE, stated, "train", machine)
-    return _machine_experiment(f"weighing_{name}", title, moves, *where, "weighing", held)
+    named = ("weighing", f"Slow strokes of the boom, {f'payload of {held:g} kg' if held else 'empty head'}")
+    done = _driven(named, machine, moves, end_of(moves) + 1.0, WEIGHING_POSE, held)
+    return replace(done, conditions={"payload": Condition(held, "kg")})
 
 
 def _training(number: int, machine: str) -> Experiment:
     moves, pose = TRAINING[number - 1]
-    title = f"All axes at work, training {number}"
-    return _machine_experiment(
-        f"machine_train_{number}", title, moves, TRAINING_STOP, pose, {}, "train", machine
-    )
+    return _driven(("machine", f"All axes at work, training {number}"), machine, moves, TRAINING_STOP, pose)
 
 
 def _test(machine: str) -> Experiment:
-    title = "Work cycle, held out"
-    return _machine_experiment(
-        "machine_test", title, WORK_CYCLE, WORK_CYCLE_STOP, POSES[NOMINAL], {}, "test", machine
-    )
+    named, pose = ("machine", "Work cycle, held out"), POSES[NOMINAL]
+    return replace(_driven(named, machine, WORK_CYCLE, WORK_CYCLE_STOP, pose), use="test")
 
 
-MACHINE_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
+MACHINE_EXPERIMENTS: dict[str, Callable[[str], Experiment]] = {
     **{
         f"damping_{joint}_{n}": partial(_damping, joint, n)
         for joint, runs in DAMPING.items()
@@ -385,16 +328,23 @@ MACHINE_EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
     },
     **{f"machine_train_{n}": partial(_training, n) for n in range(1, len(TRAINING) + 1)},
     "machine_test": _test,
-    "weighing_empty": partial(_weighing, "empty", 0.0),
-    "weighing_loaded": partial(_weighing, "loaded", WEIGHED),
+    "weighing_empty": partial(_weighing, 0.0),
+    "weighing_loaded": partial(_weighing, WEIGHED),
 }
 
-Machine: TypeAlias = Literal["lumped", "detailed"]
+
+def _named(name: str, make: Callable[[str], Experiment], machine: str) -> Experiment:
+    return replace(make(machine), name=name, machine=machine)
+
+
 MACHINES: Mapping[str, str] = {
     "lumped": "lumped drives, rigid head, ideal supply: the set of the paper",
     "detailed": "detailed drives, friction with stiction, swinging head, supply of engine and pumps",
 }
-EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {**BENCH_EXPERIMENTS, **MACHINE_EXPERIMENTS}
+# name of the files -> the experiment on a machine
+EXPERIMENTS: Mapping[str, Callable[[str], Experiment]] = {
+    name: partial(_named, name, make) for name, make in (BENCH_EXPERIMENTS | MACHINE_EXPERIMENTS).items()
+}
 
 
 @cache

@@ -14,12 +14,10 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.base.units import parse_unit
 from orchestrator.data.description import Condition
-
-Array = NDArray[np.float64]
+from orchestrator.data.table import Array
 
 
 @dataclass(frozen=True)
@@ -85,26 +83,26 @@ def read(instrument: Instrument, true: Array, random: np.random.Generator) -> Ar
 class Experiment:
     """One experiment on one machine, with its true signals.
 
-    name         name of its files, without suffix
-    use          "train" for identification, "test" for validation
-    machine      "lumped" or "detailed"
-    conditions   constant quantities of the experiment and its text conditions
     time         shape (n,) [s], 200 Hz
     signals      true signals that are recorded, in SI units, each of shape (n,)
     instruments  instrument of each signal
+    conditions   constant quantities of the experiment and its text conditions
     unrecorded   true signals that are not recorded, in SI units; for tests
+    use          "train" for identification, "test" for validation
+    name         of its files, without suffix
+    machine      "lumped" or "detailed"
     """
 
-    name: str
-    title: str
     procedure: str
-    use: str
-    machine: str
-    conditions: Mapping[str, str | Condition]
+    title: str
     time: Array
     signals: Mapping[str, Array]
     instruments: Mapping[str, Instrument]
+    conditions: Mapping[str, str | Condition] = field(default_factory=dict)
     unrecorded: Mapping[str, Array] = field(default_factory=dict)
+    use: str = "train"
+    name: str = ""
+    machine: str = ""
 
 
 def record(experiment: Experiment, seed: int) -> dict[str, Array]:

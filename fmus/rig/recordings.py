@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 from time import perf_counter
 from typing import Literal
@@ -27,9 +28,7 @@ from orchestrator.data.description import Description, Origin, SignalDescription
 
 DIGITS = 12  # significant digits: readings are exact to the resolution of each converter, commands to 1e-11 V
 DATE = date(2026, 11, 25)  # date of the last change of rig or model that changes recordings
-CHANGE = (
-    "pressure of the return line recorded; 4 bar in that of the detailed machine"  # reason of that change
-)
+CHANGE = "pressure of the return line recorded; 4 bar in that of the detailed machine"  # reason of that
 LIMITS = {"angle": 0.01, "pressure": 0.1}  # NRMSE by group, for `harvester validate` on test recordings
 # signal -> other signals with the same sensor: both drives have the same supply and return line
 SHARED = {f"swing.{line}_pressure": (f"boom_stick.{line}_pressure",) for line in ("supply", "tank")}
@@ -37,40 +36,6 @@ SECONDS = {"lumped": 30, "detailed": 180}  # machine -> computing time of all ex
 MANY = 4  # experiments that are worth the start of a process
 README = "README.md"
 HEADING = "# Recordings of the virtual test rig"
-
-_TEXT = """{heading}
-
-**Simulated.** No machine was measured: the signals were computed from the equations of this project, with
-noise and quantisation of instruments added. They replace the recordings of the paper, which are not public.
-
-| | |
-|---|---|
-| machine | {machine}: {variants} |
-| seed of the noise | {seed} |
-| command | `harvester rig --machine {machine} --seed {seed} --out DIR` |
-| sampling rate | 200 Hz, without a filter |
-
-Each NAME.csv is described by its NAME.toml: the experiment, the columns with their units, the instruments.
-
-| files | experiment (paper, section 4) |
-|---|---|
-| valve_pa, valve_bt, valve_pb, valve_at | (a) one metering edge of the valve at stepped commands |
-| hose_resistance | (b) the 4 m hose at stepped flows |
-| hose_dynamics_1 to _4 | (c) the same hose, fast changes: four groups |
-| motor_leakage_1, _2 | (d) the swing motor, shaft locked, pressure stepped at port A, then at port B |
-| damping_JOINT_1, _2 | (d) the machine, one joint moves |
-| machine_train_1, _2 | the machine, all axes move |
-| weighing_empty, weighing_loaded | the boom slowly up and down, without payload and with 300 kg |
-| machine_test | section 5: a work cycle for validation, not for fitting (`use = "test"`) |
-
-| instrument | noise (standard deviation) | resolution | range | reads 0 below |
-|---|---|---|---|---|
-{table}
-
-Commands are known exactly, because the computer sent them. Instruments have white noise, the resolution of
-a converter, a range and a dead zone. They have no errors of offset or gain, no delay and no drift, their dead
-zones have sharp ends, and the clock is exact. Real instruments are worse.
-"""
 
 
 def write_all(
@@ -122,13 +87,9 @@ def _check_folder(out: Path) -> None:
 def readme(machine: str, seed: int) -> str:
     """The content of README.md."""
     listed = (instruments.PRESSURE, instruments.FLOW, instruments.LEAKAGE, instruments.ANGLE)
-    return _TEXT.format(
-        heading=HEADING,
-        machine=machine,
-        variants=MACHINES[machine],
-        seed=seed,
-        table="\n".join(map(_row, listed)),
-    )
+    text = (files("fmus.rig") / f"{README.removesuffix('.md')}.template").read_text(encoding="utf-8")
+    table = "\n".join(map(_row, listed))
+    return text.format(heading=HEADING, machine=machine, variants=MACHINES[machine], seed=seed, table=table)
 
 
 def _row(i: Instrument) -> str:

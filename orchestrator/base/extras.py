@@ -13,7 +13,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "build": ("ziglang",),
     "view": ("fastapi", "nicegui", "uvicorn", "websockets"),
     "sweep": ("SALib", "dask", "distributed", "locket", "pandas", "pyarrow"),
-    "identify": ("lmfit", "statsmodels", "ziglang"),
+    "identify": ("statsmodels", "ziglang"),
     "files": ("h5py", "pandas", "pyarrow"),
     "control": ("control",),
     "reference": ("sksundae",),

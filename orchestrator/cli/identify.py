@@ -19,12 +19,14 @@ def identify(
     inertia: bool = False,
     free: Annotated[list[str] | None, Kind("NAME")] = None,
     starts: Annotated[int, Kind("N")] = 4,
-) -> bool:
+) -> int:
     """Estimate the machine's parameters from recordings.
 
     First with each procedure of the paper, then all parameters together. Exit status 0: estimates without a
     warning; 1: estimates and a report are written, but a warning says why the estimates are doubtful, such
-    as residuals far above the noise of the sensors; 2: a mistake, nothing is written.
+    as residuals far above the noise of the sensors; 2: a mistake, nothing is written; 3: estimates and a
+    report are written, but a test shows that the data contradict an assumption, and a warning names it, such
+    as the zero of a sensor. Where there is reason for 1 and 3, it is 1.
 
     folder    Folder of recordings: data files, each with a .toml that describes the columns.
     out       File for the estimated parameters (.toml).

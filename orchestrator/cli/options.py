@@ -81,7 +81,7 @@ def command(function: F) -> F:
     """Decorator: a command of `harvester`.
 
     Its options are the parameters and the groups of a function. Their help is in the docstrings. The exit
-    status is 1 if the function returns False.
+    status is the number that the function returns, or 1 for False.
     """
     hints = get_type_hints(function, include_extras=True)
     (text, rows), options, defaults = text_and_rows(function), dict[str, Declared](), dict[str, Any]()
@@ -106,8 +106,9 @@ def command(function: F) -> F:
         status = function(
             **{n: v for n, v in given.items() if n in defaults or v or (v == 0 and v is not False)}
         )
-        if status is False:
-            raise typer.Exit(1)
+        code = int(not status) if isinstance(status, bool) else status
+        if code:
+            raise typer.Exit(code)
 
     flat_command.__doc__ = text
     flat_command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]

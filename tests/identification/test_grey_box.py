@@ -1,6 +1,7 @@
 """The example for a foreign file: a grey box fitted to its first half simulates the second."""
 
 import contextlib
+import importlib
 import io
 import re
 import runpy
@@ -16,13 +17,16 @@ from kit.mistakes import table
 
 from fmus.contract import quantities, symbolic
 from fmus.identification.recordings.reading import read_series
-from fmus.identification.refinement.grey_box import dimensionless, normalised
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
 
 matplotlib.use("Agg")  # no window
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "grey_box"
+sys.path.append(str(EXAMPLE))  # of a script, which imports what lies beside it
+dimensionless, normalised = (
+    getattr(importlib.import_module("dimensionless"), name) for name in ("dimensionless", "normalised")
+)
 CRANE = EXAMPLE / "crane.txt"
 
 

@@ -1,5 +1,6 @@
 """From edges that are no straight lines to tables that the machine reads, by the command line."""
 
+import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -63,6 +64,16 @@ def test_the_file_has_lists(identified):
     assert tables["valve_at_openings"]["value"] != tables["valve_pa_openings"]["value"]
 
 
+def test_the_report_has_the_bands(identified):
+    """Each point of a table has both ends of its interval in the JSON file, and the page draws them."""
+    _, out = identified
+    told = json.loads((out.parent / "identification.json").read_text(encoding="utf-8"))
+    openings = [e for e in told["results"][0]["listed"] if e["unit"] == "1" and e["sd"]]
+    assert len(openings) >= 12
+    assert all(e["low"] < e["value"] < e["high"] for e in openings)
+    assert "Tables with their 95 % bands" in (out.parent / "identification.html").read_text(encoding="utf-8")
+
+
 def test_a_straight_line_empties_the_tables_of_before():
     """Known tables do not stay when a line is found to suffice."""
     known = nominal()
@@ -90,7 +101,7 @@ def test_a_dead_band_behind_tables_is_not_refined(monkeypatch):
         raise Problem("enough")
 
     monkeypatch.setattr(pipeline, "refine_together", refine)
-    driven = replace(bench.recordings("line^1", 0)[0], procedure="machine")
+    driven = replace(bench.recordings("line^1", 0)[0], procedure="machine", conditions={}, signals={})
     with pytest.raises(Problem, match="enough"):
         identify([driven], parameters=known, report=told.append)
     assert "valve_area" in asked

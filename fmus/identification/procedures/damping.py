@@ -3,8 +3,7 @@
     x' B = a        a = tau - M q'' - V - G        x' = q' of the swing, J q' of a piston
 
 tau is that of measured pressures; M, V, G are those of the manipulator, with the known viscous friction of
-the joints. Both sides are filtered alike, and the time derivative is moved to the filter
-(`momentum_balance`), so that B is a least-squares estimate from impulses and momenta (`momentum_fit`).
+the joints. B is the unknown of the momentum balance (`momentum_balance`), without accelerations.
 
 The paper's estimator is shown for comparison (`as_printed`): B = (x'^T x')^-1 x'^T a over all samples, with
 one Savitzky-Golay filter for angles, their first and second derivatives, and pressures. The noise v of the
@@ -19,42 +18,49 @@ Validity: viscous friction, all other parameters known. B absorbs all other effe
 remarks quantify them, and whether dry friction is visible.
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import statsmodels.api as sm
 
+from fmus.identification.balance import (
+    Solution,
+    drift_finding,
+    model_finding,
+    probability,
+    shift_finding,
+    solve,
+    zero_findings,
+)
 from fmus.identification.estimate import Estimate, coverage_factor
+from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.experiment_data import (
     condition,
+    declared_limits,
     noise_sd,
+    signal_findings,
     tank_pressure,
     training_recordings,
 )
 from fmus.identification.procedures.momentum_balance import (
     ANGLES,
+    DRY,
     JOINTS,
+    OFFSET,
     ORDER,
     PARAMETERS,
     PRESSURES,
-    SmoothedRecording,
-    all_good,
-    convolve,
-    equation_of_motion,
-    parameter_vector,
-    smoothed_recording,
-)
-from fmus.identification.procedures.momentum_fit import (
+    JointRecording,
     KnownParameterEffect,
-    MomentumSolution,
-    known_parameter_effect,
-    solve,
+    all_good,
+    equation_of_motion,
+    joint_recording,
+    known_parameter_effects,
+    parameter_vector,
+    speed_ratio,
 )
-from fmus.identification.procedures.regression import NEGLIGIBLE, misfit_warning
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
 from fmus.identification.recordings.masks import good_all
@@ -114,43 +120,36 @@ class PrintedEstimate:
 
 
 @dataclass(frozen=True)
-class DryFriction:
-    """Dry friction in addition to the viscous one: estimate, standard deviation, remaining damping."""
-
-    value: float
-    sd: float
-    damping: float
-
-
-@dataclass(frozen=True)
 class JointDamping:
     """Damping of one joint, estimated from its recordings.
 
     speed, resistance   x' and a of (13), filtered, shape (n,)
     printed             the paper's estimator with several filters
     known_effect        effect of errors of the known parameters
+    dry, dry_sd         dry friction as a further unknown
     at_rest             names of files in which the joint does not move, which are left out
     """
 
     contact: FrictionContact
-    records: tuple[SmoothedRecording, ...]
-    solution: MomentumSolution
+    records: tuple[JointRecording, ...]
+    solution: Solution
     speed: Array
     resistance: Array
     printed: tuple[PrintedEstimate, ...]
     known_effect: KnownParameterEffect
-    dry: DryFriction
+    dry: float
+    dry_sd: float
     at_rest: tuple[str, ...]
 
     @property
     def value(self) -> float:
         """B."""
-        return float(self.solution.values[0])
+        return float(self.solution.fit.values[0])
 
     @property
     def sd(self) -> float:
         """Standard deviation by the recordings."""
-        return float(self.solution.sd[0])
+        return self.solution.fit.sd(self.contact.theta)
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
@@ -180,13 +179,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         panels=tuple(panel for joint in joints for panel in panels(joint)),
         remarks=tuple(f"{joint.contact.parameter}: {text}" for joint in joints for text in _remarks(joint)),
         others=tuple(estimate for joint in joints for estimate in _others(joint)),
-        warnings=tuple(
-            warning
-            for joint in joints
-            for warning in misfit_warning(
-                joint.solution.times_noise, f"{joint.contact.parameter}: the balance of the momenta"
-            )
-        ),
+        findings=tuple(finding for joint in joints for finding in _findings(joint)),
     )
 
 
@@ -194,66 +187,64 @@ def joint_damping(
     contact: FrictionContact, recordings: Sequence[Recording], parameters: Mapping[str, Number]
 ) -> JointDamping:
     """B of one contact."""
-    p, row = parameter_vector(parameters), JOINTS.index(contact.joint)
-    smoothed = [(r, smoothed_recording(r, [contact.joint], p)) for r in recordings]
-    moving = [(r, s) for r, s in smoothed if _moves(s, row)]
-    records = tuple(s for _, s in moving)
+    joint, theta, p = contact.joint, contact.theta, parameter_vector(parameters)
+    smoothed = [joint_recording(r, (joint,), (theta,), p, rounding=SIGN_ROUNDING) for r in recordings]
+    records = tuple(r for r in smoothed if _moves(r, JOINTS.index(joint)))
     if not records:
-        files = ", ".join(str(r.source) for r in recordings)
-        raise Problem(f"{files}: {ANGLES[row]}: expected a joint in motion, got one at rest")
-    solution = solve(records, [contact.joint], (contact.theta,), p)
-    ratios = [speed_ratio(contact.joint, s.q, p) for s in records]
-    # at valid samples the resistance is B times the speed plus the residual
+        files, angle = ", ".join(str(r.source) for r in recordings), ANGLES[JOINTS.index(joint)]
+        raise Problem(f"{files}: {angle}: expected a joint in motion, got one at rest")
+    solution = solve(
+        [r.samples for r in records],
+        {theta: parameters[theta].value, DRY: 0.0, OFFSET: 0.0},
+        f"damping of the {joint}",
+        declared_limits(recordings, PRESSURES[joint]),
+        tested=(DRY, OFFSET),
+    )
+    # the resistance is B times the speed plus the residual
     speed, resistance = [], []
-    for s, ratio, e in zip(records, ratios, solution.equations, strict=True):
-        at_centres = ratio[s.centres][s.good]
-        jacobian, residual = e.jacobian[0, 0][s.good] / at_centres, e.residual[0][s.good] / at_centres
-        speed.append(-jacobian)
-        resistance.append(residual - jacobian * (solution.values[0] + solution.bias[0]))
+    for r, part in zip(records, solution.parts, strict=True):
+        ratio = speed_ratio(joint, r.z[:3], p)[r.samples.centres]
+        by_theta = part.linear.by_theta[0, 0] / ratio
+        speed.append(-by_theta)
+        resistance.append(part.linear.e[0] / ratio - by_theta * solution.fit.values[0])
+    (dry, _), covariance = solution.effects(np.array([solution.column(n) for n in (DRY, OFFSET)]))
     return JointDamping(
         contact=contact,
         records=records,
         solution=solution,
         speed=np.concatenate(speed),
         resistance=np.concatenate(resistance),
-        printed=tuple(as_printed([r for r, _ in moving], contact.joint, contact.theta, p)),
-        known_effect=known_parameter_effect(solution, 0, parameters),
-        dry=_dry_friction(row, records, ratios, solution),
-        at_rest=tuple(r.source.name for r, s in smoothed if not _moves(s, row)),
+        printed=tuple(as_printed([r.source for r in records], joint, theta, p)),
+        known_effect=known_parameter_effects(solution, parameters)[theta],
+        dry=float(dry),
+        dry_sd=float(np.sqrt(covariance[0, 0])),
+        at_rest=tuple(r.source.source.name for r in smoothed if not _moves(r, JOINTS.index(joint))),
     )
 
 
-def _moves(s: SmoothedRecording, joint: int) -> bool:
+def _moves(r: JointRecording, joint: int) -> bool:
     """Whether the speed of a joint is above its noise."""
-    noise = s.filters.gain(np.ones(1)) * s.angle_noise[joint]
-    return bool(np.sqrt(np.mean(s.w[joint] ** 2)) > max(MOVING * noise, SLOWEST))
+    noise = float(np.linalg.norm(r.samples.channels[3][1]) * noise_sd(r.source, ANGLES[joint]))
+    return bool(np.sqrt(np.mean(r.z[3 + joint] ** 2)) > max(MOVING * noise, SLOWEST))
 
 
-def speed_ratio(joint: str, q: Array, p: Array) -> Array:
-    """x' over the joint's speed at angles q (3, n): 1 or the moment arm of the cylinder [m], shape (n,)."""
-    if joint == "swing":
-        return np.ones(q.shape[1])
-    moment_arms: Array = np.array(equation_of_motion(()).pistons(q, p)[1].full())
-    return np.array(moment_arms[JOINTS.index(joint) - 1])
-
-
-def _dry_friction(
-    row: int, records: Sequence[SmoothedRecording], ratios: Sequence[Array], solution: MomentumSolution
-) -> DryFriction:
-    """Least squares with a constant friction against the motion and an offset as further unknowns."""
-    y, regressors = [], []
-    for s, ratio, e in zip(records, ratios, solution.equations, strict=True):
-        speed = ratio * s.w[row]
-        sign = np.tanh(speed / (SIGN_ROUNDING * np.sqrt(np.mean(speed**2))))
-        filtered = convolve(s.filters.bump, np.array([ratio * sign, ratio]))[:, s.good]
-        y.append(e.residual[0][s.good])
-        regressors.append(np.column_stack([-e.jacobian[0, 0][s.good], *filtered]))
-    matrix = np.concatenate(regressors)
-    scale = np.linalg.norm(matrix, axis=0)
-    lags = {"maxlags": records[0].filters.correlation_lags}
-    fit = sm.OLS(np.concatenate(y), matrix / scale).fit(cov_type="HAC", cov_kwds=lags)
-    damping = solution.values[0] + fit.params[0] / scale[0]
-    return DryFriction(float(fit.params[1] / scale[1]), float(fit.bse[1] / scale[1]), float(damping))
+def _findings(joint: JointDamping) -> Iterator[Finding]:
+    """Tests of the residual: dry friction, a change in time, delays between sensors, zeros, the model."""
+    label, solution = joint.contact.parameter, joint.solution
+    yield Finding(
+        "dry friction",
+        probability(joint.dry, joint.dry_sd, sides=1),
+        f"{label}: the residual has the sign of the speed, a dry friction of {joint.dry:.3g} +- "
+        f"{joint.dry_sd:.2g} {joint.contact.resistance_unit}",
+    )
+    courses = [r.course for r in joint.records]
+    yield drift_finding(solution, joint.contact.theta, courses, label)
+    step = 1 / uniform_rate(joint.records[0].source)
+    yield shift_finding(solution, PRESSURES[joint.contact.joint], step, label, given=(DRY, OFFSET))
+    yield from zero_findings(solution, label)
+    recordings = [r.source for r in joint.records]
+    yield from signal_findings(recordings, (*ANGLES, *PRESSURES[joint.contact.joint]), label)
+    yield model_finding(solution, label)
 
 
 def as_printed(recordings: Sequence[Recording], joint: str, theta: str, p: Array) -> list[PrintedEstimate]:
@@ -274,12 +265,16 @@ def _sums(recording: Recording, joint: str, p: Array, length: int) -> Array:
     row, rate = JOINTS.index(joint), uniform_rate(recording)
     savitzky_golay = SavitzkyGolay(rate, (length - 1) / rate, ORDER)
     valid = all_good(good_all(recording, (*ANGLES, *PRESSURES[joint])), length)
-    kernels = [weights[::-1] for weights in savitzky_golay.weights]
-    q, w, acceleration = (
-        convolve(kernel, momentum_balance.angles(recording))[:, valid] for kernel in kernels
+    kernels = savitzky_golay.weights
+    angles, pressures = (
+        momentum_balance.angles(recording),
+        momentum_balance.pressures(recording, PRESSURES[joint]),
     )
-    pressures = convolve(kernels[0], momentum_balance.pressures(recording, PRESSURES[joint]))[:, valid]
-    printed = equation_of_motion(()).printed(q, w, acceleration, pressures, tank_pressure(recording), p)
+    q, w, acceleration = (
+        np.array([np.correlate(x, kernel, "valid") for x in angles])[:, valid] for kernel in kernels
+    )
+    pressures = np.array([np.correlate(x, kernels[0], "valid") for x in pressures])[:, valid]
+    printed = equation_of_motion()[1](q, w, acceleration, pressures, tank_pressure(recording), p)
     a, by_speed, ratio = (x.full()[row] for x in printed)
     noise = savitzky_golay.gain(1) * noise_sd(recording, ANGLES[row])
     product, square = w[row] @ a, np.sum((ratio * w[row]) ** 2)
@@ -322,9 +317,9 @@ def _others(joint: JointDamping) -> Iterator[Estimate]:
     if joint.known_effect.significant:
         label = f"{name}, other parameters known exactly"
         yield Estimate.normal(label, joint.value, unit, joint.sd, "by the recordings alone")
-    if joint.dry.value > 0:  # a negative value is not a friction; a remark reports it if it is clear
+    if joint.dry > 0:  # a negative value is not a friction; a remark reports it if it is clear
         force, note = joint.contact.resistance_unit, "as a further unknown of (13)"
-        yield Estimate.normal(f"dry friction next to {name}", joint.dry.value, force, joint.dry.sd, note)
+        yield Estimate.normal(f"dry friction next to {name}", joint.dry, force, joint.dry_sd, note)
 
 
 def _remarks(joint: JointDamping) -> Iterator[str]:
@@ -338,25 +333,16 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     yield _used(joint)
     for name in joint.at_rest:
         yield f"in {name} the joint is at rest, so this recording is left out."
-    noise, residual = (
-        math.sqrt(max(covariance[0, 0], 0.0))
-        for covariance in (solution.noise_covariance, solution.residual_covariance)
-    )
+    times, noise = solution.fit.times_noise, float(solution.by_noise[0])
     conclusion = (
         "The model is incomplete, and the interval covers the error."
-        if solution.misfit
+        if solution.fit.misfit
         else "Sensor noise explains the residuals, and the interval follows from the noise."
     )
     yield (
-        f"the standard deviation is {residual:.3g} {unit} from the residuals and {noise:.3g} from "
-        f"the noise of the sensors. {conclusion}"
+        f"the residuals are {times:.3g} times the noise of the sensors, which alone would give a standard "
+        f"deviation of {noise:.3g} {unit}. {conclusion}"
     )
-    bias = float(solution.bias[0])
-    if abs(bias) >= NEGLIGIBLE * joint.sd:  # errors in variables
-        yield (
-            f"the noise of the encoders biases this estimate by {100 * bias / joint.value:+.2g} %; "
-            "the bias is subtracted."
-        )
     first = joint.printed[0]
     percent = 100 * (first.value / first.corrected - 1)
     yield (
@@ -365,28 +351,26 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
         f"{percent:+.2g} %."
     )
     yield from joint.known_effect.remarks(joint.value, unit)
-    dry = joint.dry
-    if not np.isfinite(dry.sd) or abs(dry.value) < CLEAR * dry.sd:
-        return
-    if dry.value < 0:
+    if joint.dry < -CLEAR * joint.dry_sd:
         yield (
             "the resistance grows more than in proportion to the speed. The dry friction would have "
             "to be negative, which is impossible. Another cause is likely, such as a wrong known parameter."
         )
-    else:
+    elif joint.dry > CLEAR * joint.dry_sd:
         yield (
-            f"the residual has the sign of the speed. A dry friction of {dry.value:.3g} +- {dry.sd:.2g} "
-            f"{joint.contact.resistance_unit} and a damping of {dry.damping:.4g} {unit} fit better; "
-            "B includes the dry friction at the speeds of these recordings."
+            f"the residual has the sign of the speed. A dry friction of {joint.dry:.3g} +- "
+            f"{joint.dry_sd:.2g} {joint.contact.resistance_unit} would explain it; B includes the dry "
+            "friction at the speeds of these recordings."
         )
 
 
 def _used(joint: JointDamping) -> str:
-    percent = 100 * (1 - len(joint.speed) / sum(s.good.size for s in joint.records))
-    seconds = len(joint.speed) * joint.records[0].filters.step
-    used = f"{seconds:.3g} s of {len(joint.records)} recordings are used"
-    if not percent:
+    windows = [r.samples.starts.size for r in joint.records]
+    possible = sum(r.possible for r in joint.records)
+    used = f"{sum(windows)} windows of {len(joint.records)} recordings are used"
+    if sum(windows) == possible:
         return f"{used}, nothing is left out."
-    at_end = sum(s.at_stroke_end for s in joint.records)
+    at_end = sum(r.at_stroke_end for r in joint.records)
     stops = f"; in {at_end} samples a piston was at an end of its stroke" if at_end else ""
+    percent = 100 * (1 - sum(windows) / possible)
     return f"{used}, {percent:.2g} % is left out because of clipped or missing samples nearby{stops}."

@@ -1,22 +1,34 @@
 """Data of an experiment: its training recordings, known parameters, steady stretches, means over steps."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.stats import median_abs_deviation
+from scipy import stats
 
+from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR
 from fmus.identification.procedures.regression import SIGNIFICANT
+from fmus.identification.recording_names import TEMPERATURE
 from fmus.identification.recordings.clock import resample_uniformly
 from fmus.identification.recordings.derivatives import filter_for
-from fmus.identification.recordings.masks import averages, dead, good, noise
+from fmus.identification.recordings.masks import (
+    MAX_CHANCE,
+    MIN_CHANCE,
+    OVERSTATED,
+    averages,
+    dead,
+    equal_by_chance,
+    good,
+    noise,
+    noise_in_motion,
+)
 from fmus.identification.recordings.reading import require
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Mask, Recording, true_intervals
+from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals
 from orchestrator.data.table import Array
 
 Table = TypeVar("Table")
@@ -32,6 +44,9 @@ MARGIN, SHORTEST_CORE = 0.25, 0.25  # s cut off both ends of a steady stretch, a
 SHORTEST_STRETCH = 2 * MARGIN + SHORTEST_CORE
 SETTLING_TIME = 0.5  # s cut off the beginning of each step of the command
 SHORTEST_STEP = 0.3  # s, minimum length of the rest of a step
+NOISE_KNOWN = 2.0  # factor to which a description knows the noise of a sensor
+NOISE_ERROR = 3.0  # relative standard error of a noise estimate, times the root of the number of samples
+MIN_SAMPLES = 100  # for a test of noise
 FINEST = 1e-6  # smallest relative standard error of a mean, also of a signal without noise
 STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
 
@@ -75,9 +90,8 @@ def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
 
 def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> float:
     """Density of the machine's oil over that of the tested oil; 1 if the latter is not recorded."""
-    if "density" not in recordings[0].conditions:
-        return 1.0
-    return parameter_value(parameters, "boom_stick.density") / recordings[0].numeric_condition("density")
+    tested = tested_density(recordings)
+    return 1.0 if tested is None else parameter_value(parameters, "boom_stick.density") / tested
 
 
 def parameter(parameters: Mapping[str, Number], name: str) -> Number:
@@ -92,6 +106,19 @@ def parameter_value(parameters: Mapping[str, Number], name: str) -> float:
     return parameter(parameters, name).value
 
 
+def constants_remark(parameters: Mapping[str, Number], names: Iterable[str], tested: float | None) -> str:
+    """A sentence on known parameters `boom_stick.name` that a result depends on."""
+    values = ((name, parameter(parameters, f"boom_stick.{name}")) for name in names)
+    listed = ", ".join(f"{name.replace('_', ' ')} {n.value:.4g} {n.unit}" for name, n in values)
+    oil = "the same in the tests" if tested is None else f"{tested:.4g} kg/m3 in the tests"
+    return f"Constants that were used: {listed} (density: {oil})."
+
+
+def tested_density(recordings: Sequence[Recording]) -> float | None:
+    """Density of the tested oil [kg/m3], None if the recordings do not state it."""
+    return recordings[0].numeric_condition("density") if "density" in recordings[0].conditions else None
+
+
 def tank_pressure(recording: Recording) -> float:
     """Gauge pressure of the return line [Pa]: mean of its signal, or the stated one, or 0."""
     if "swing.tank_pressure" in recording.signals:
@@ -100,10 +127,68 @@ def tank_pressure(recording: Recording) -> float:
 
 
 def noise_sd(recording: Recording, name: str) -> float:
-    """Standard deviation of the noise of a sample, as described for the sensor, else estimated."""
-    sensor = recording.sensor(name)
-    sd = sensor.sd or noise(recording[name], sensor)
-    return sd if math.isfinite(sd) else 0.0
+    """Standard deviation of the noise of a sample: as described for the sensor, unless the data show another.
+
+    The data decide if they show more than `NOISE_KNOWN` times the described noise, or far less of it.
+    """
+    sensor, values = recording.sensor(name), recording[name]
+    seen = noise(values, sensor)
+    if not math.isfinite(seen):
+        return sensor.sd
+    if not sensor.sd or seen > NOISE_KNOWN * sensor.sd:
+        return max(seen, sensor.resolution / math.sqrt(12))
+    most = _most_noise(values, sensor)
+    return most if sensor.sd > OVERSTATED * most > 0 else sensor.sd
+
+
+def _most_noise(values: Array, sensor: Sensor) -> float:
+    """The noise of means of 1, 4 and 16 samples, as that of one sample; the largest, 0 if unknown.
+
+    Correlated noise shows itself in means; so does a fast motion, which makes the result too large. A
+    converter hides noise of half a step.
+    """
+    found = [noise_in_motion(values, sensor)]
+    for size in (4, 16):
+        blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
+        found.append(noise(blocks) * math.sqrt(size))
+    most = max((x for x in found if math.isfinite(x)), default=0.0)
+    return math.hypot(most, sensor.resolution / 2) if most > 0 else 0.0
+
+
+def signal_findings(recordings: Sequence[Recording], names: Collection[str], label: str) -> Iterator[Finding]:
+    """Whether the described noise is wrong by more than a factor, or a signal is held at its extreme."""
+    every = [(r, n) for r in recordings for n in names if np.isfinite(r[n]).sum() > MIN_SAMPLES]
+    for test in (_noise_finding, _saturation_finding):
+        found = [test(r, n, label) for r, n in every]
+        if found:  # the least probable one of all signals, by Bonferroni's inequality
+            least = min(found, key=lambda finding: finding.p)
+            yield replace(least, p=min(1.0, least.p * len(found)))
+
+
+def _noise_finding(recording: Recording, name: str, label: str) -> Finding:
+    values, sensor = recording[name], recording.sensor(name)
+    seen, most, p = noise(values, sensor), _most_noise(values, sensor), 1.0
+    if sensor.noise > 0 and seen > 0 and most > 0:
+        error = NOISE_ERROR / math.sqrt(np.isfinite(values).sum())  # of the logarithm
+        excess = max(math.log(seen / sensor.sd / NOISE_KNOWN), math.log(sensor.noise / most / OVERSTATED))
+        p = float(min(1.0, 2 * stats.norm.sf(excess / error)))
+    return Finding(
+        "noise",
+        p,
+        f"{label}: {recording.source.name}: the noise of {name} is described as {sensor.sd:.3g} "
+        f"{recording.units[name]}, the data show {seen:.3g}",
+    )
+
+
+def _saturation_finding(recording: Recording, name: str, label: str) -> Finding:
+    values, sensor = recording[name], recording.sensor(name)
+    ends = [float(np.nanmax(values))] + ([float(np.nanmin(values))] if np.nanmin(values) < 0 else [])
+    chance = max(equal_by_chance(values, sensor), MIN_CHANCE)
+    runs = [s.stop - s.start for end in ends for s in true_intervals((values == end) & (end != 0))]
+    longest = max(runs, default=0)
+    p = min(1.0, values.size * chance ** (longest - 1)) if longest and chance <= MAX_CHANCE else 1.0
+    held = f"{label}: {recording.source.name}: {name} is held at its extreme over {longest} samples"
+    return Finding("saturated signal", p, held)
 
 
 def zero_limit(recording: Recording, name: str) -> float:
@@ -131,6 +216,17 @@ def difference_limit(recordings: Sequence[Recording], names: Sequence[str]) -> f
     )
 
 
+def zero_limits(recordings: Sequence[Recording], names: Iterable[str]) -> dict[str, float]:
+    """Largest error of each sensor's zero in any recording, of a perfect one `FINEST` of its reading."""
+    return {n: difference_limit(recordings, (n,)) for n in names}
+
+
+def declared_limits(recordings: Sequence[Recording], names: Collection[str]) -> dict[str, float]:
+    """Largest errors of zeros that data sheets of these sensors give; other sensors count as exact."""
+    errors = {n: [r.sensor(n).zero_error for r in recordings] for n in names}
+    return {n: max(x for x in own if x is not None) for n, own in errors.items() if any(own)}
+
+
 def interpolated(samples: Array) -> Array:
     """Samples with linear interpolation over gaps; zero if no sample is valid."""
     valid = np.isfinite(samples)
@@ -138,6 +234,14 @@ def interpolated(samples: Array) -> Array:
         return np.zeros_like(samples)
     index = np.arange(samples.size)
     return np.interp(index, index[valid], samples[valid])
+
+
+def course(recording: Recording, time: Array) -> tuple[Array, str]:
+    """What may change a coefficient at these times since the start: the oil's temperature, or time."""
+    if TEMPERATURE not in recording.signals:
+        return time, "time"
+    values = interpolated(recording[TEMPERATURE])
+    return np.interp(recording.time[0] + time, recording.time, values), "oil temperature"
 
 
 def select(table: Table, mask: Mask) -> Table:
@@ -162,7 +266,7 @@ def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
     steady = np.ones(recording.time.size, dtype=bool)
     for name in names:
         rate = derivative.apply(interpolated(recording[name]), 1)
-        ripple = float(median_abs_deviation(rate, scale="normal", nan_policy="omit"))
+        ripple = float(stats.median_abs_deviation(rate, scale="normal", nan_policy="omit"))
         noise_of_rate = derivative.gain(1) * noise_sd(recording, name)
         steady &= np.abs(rate) < STEADY * max(noise_of_rate, ripple)  # false if NaN
     cores = [slice(s.start + margin, s.stop - margin) for s in true_intervals(steady)]

@@ -1,14 +1,14 @@
 """Hose dynamics procedure (section 4(c), Fig. 7): inertance and capacitance from both ends of a hose.
 
-Two methods. First, regression on the equations of a lumped hose, filtered over windows (`weak_form`):
+Two methods. First, the equations of a lumped hose as laws of `balance`:
 
-    I dQ/dt = P_in - P_out - R Q - C_R Q|Q| - p_0        Q = Q_in + s (Q_out - Q_in)
-    C dP/dt = Q_in - Q_out - q_0                         P = P_out + s (P_in - P_out)
+    I dQ/dt = P_in - P_out - R Q - C_R Q|Q|        Q = Q_in + s (Q_out - Q_in)
+    C dP/dt = Q_in - Q_out                               P = P_out + s (P_in - P_out)
 
 In the machine (`fmus.boom_stick.drive`) s = 0: the inertance sees the flow of the inlet, and the capacitance
 is at the outlet. If both are distributed along the hose, s = 1/2: the mean of its ends. The position s, the
-friction, and the offsets p_0, q_0 between two instruments of one kind are estimated together with I and C, so
-that they do not bias them. The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
+friction, and the zeros of the instruments are estimated together with I and C, so that they do not bias them.
+The result is scaled to the machine's lines by I ~ l/A and C ~ A l.
 
 Second, the definitions, which the paper uses, for comparison: sample by sample, then the mean of each group
 of recordings, then the mean of these means.
@@ -29,40 +29,51 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
-from scipy import sparse
 
 from fmus.components import hose
+from fmus.identification.balance import (
+    Law,
+    Samples,
+    Solution,
+    drift_finding,
+    homogeneity,
+    law,
+    model_finding,
+    modulating_function,
+    noise_of,
+    shift_finding,
+    solve,
+    window_starts,
+    zero_findings,
+)
 from fmus.identification.estimate import Estimate, coverage_factor
+from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
+    constants_remark,
+    course,
     density_ratio,
-    difference_limit,
     hose_size,
+    interpolated,
     noise_sd,
     parameter_value,
+    signal_findings,
+    tested_density,
     training_recordings,
-    zero_warning,
+    zero_limits,
 )
 from fmus.identification.procedures.hose_resistance import scaled
-from fmus.identification.procedures.regression import (
-    SIGNIFICANT,
-    UNLIKELY,
-    Guess,
-    Regression,
-    fit,
-    homogeneity,
-    misfit_remark,
-    misfit_warning,
-)
-from fmus.identification.procedures.weak_form import FilteredEquation, Windows, windows
+from fmus.identification.procedures.regression import SIGNIFICANT, UNLIKELY, Regression, misfit_remark
 from fmus.identification.recordings.clock import period, uniform_rate
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good_all
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, true_intervals
+from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = {
@@ -89,6 +100,7 @@ LINES = {
 MIN_WINDOWS = 20  # per group: fewer do not determine five unknowns
 DEFINITION_WINDOW = 0.055  # s, filter for the definitions: a third of the shortest change
 DEFINITION_SAMPLES = 4  # intervals in that filter at least: more than the degree of its polynomial
+POSITION = 1.0  # standard deviation of the prior of s, which is between 0 and 1
 CLEAR = 0.3  # derivatives above this fraction of the recording's largest one are used in the definitions
 
 
@@ -115,22 +127,13 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *_equation_panels(inertances, "dQ/dt [m3/s2]", "drop without friction", BAR),
             *_equation_panels(capacitances, "dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
         ),
-        remarks=tuple(_remarks(inertances, capacitances)),
+        remarks=(
+            *_remarks(inertances, capacitances),
+            constants_remark(parameters, ["density", "bulk_modulus"], tested_density(groups)),
+        ),
         others=tuple(_others(inertances, capacitances, defined)),
-        warnings=tuple(_warnings(inertances, capacitances, groups)),
+        findings=tuple(_findings(inertances, capacitances)),
     )
-
-
-def _warnings(inertances: GroupFits, capacitances: GroupFits, groups: Sequence[Recording]) -> Iterator[str]:
-    """Residuals far above the noise, and zeros that the sensors cannot have."""
-    for fits, name, offset, sensors, unit in (
-        (inertances, "inertance", "p_0", ("pressure_in", "pressure_out"), BAR),
-        (capacitances, "capacitance", "q_0", ("flow_in", "flow_out"), LITRES_PER_MINUTE),
-    ):
-        pooled, label = fits.pooled, f"hose_dynamics: the equation of the {name}"
-        yield from misfit_warning(pooled.times_noise, label)
-        limit = difference_limit(groups, sensors)
-        yield from zero_warning(label, pooled[offset], pooled.sd(offset), limit, unit)
 
 
 def _check_flows(group: Recording) -> None:
@@ -165,112 +168,65 @@ def _fit_both(
                 f"{group.source}: sampling rate: expected {SAMPLES_PER_PERIOD * limit:.0f} Hz or more, got "
                 f"{rate:.0f} Hz: the hose oscillates at up to {limit:.0f} Hz, which would be aliased"
             )
-    pairs = [(group, good_windows(group, PERIODS / limit)) for group in groups]
-    transition_flow = parameter_value(parameters, "boom_stick.valve_transition_flow")
-    flow = max(float(np.nanstd(group["flow_in"])) for group in groups)
-    files = [str(group.source) for group in groups]
-    start = inertance_start(float(hose.inertance(length, bore, density)), resistance, flow)
-    inertances = fits("I", [inertance(g, w, transition_flow) for g, w in pairs], start, files)
-    guess = float(hose.capacitance(length, bore, modulus))
-    start = {"C": Guess(guess), "s": Guess(0.0, 1.0), "q_0": Guess(0.0, flow)}
-    return inertances, fits("C", [capacitance(g, w) for g, w in pairs], start, files)
+    known = parameter_value(parameters, "boom_stick.valve_transition_flow")
+    start = {"I": float(hose.inertance(length, bore, density)), "C_R": resistance, "R": 0.0, "s": 0.0}
+    inertances = fits("I", inertance_law(), groups, start, PERIODS / limit, known)
+    start = {"C": float(hose.capacitance(length, bore, modulus)), "s": 0.0}
+    return inertances, fits("C", capacitance_law(), groups, start, PERIODS / limit, known)
 
 
-def inertance_start(guess: float, resistance: float, flow: float) -> dict[str, Guess]:
-    """Initial values and magnitudes of the parameters in the equation of the inertance."""
-    drop = resistance * flow**2
-    return {
-        "I": Guess(guess),
-        "C_R": Guess(resistance),
-        "R": Guess(0.0, drop / flow),
-        "s": Guess(0.0, 1.0),
-        "p_0": Guess(0.0, drop),
-    }
+@lru_cache(maxsize=1)
+def inertance_law() -> Law:
+    """I dQ/dt = P_in - P_out - R Q - C_R Q|Q|; |Q| is rounded as in `spool_valve.turbulent_drop`."""
+    z, transition = ca.SX.sym("z", 4), ca.SX.sym("transition")
+    u = {name: ca.SX.sym(name) for name in ("I", "C_R", "R", "s")}
+    flow = z[2] + u["s"] * (z[3] - z[2])
+    friction = flow * (u["R"] + u["C_R"] * ca.sqrt(flow**2 + transition**2))
+    return law(z, u, transition, z[0] - z[1] - friction, u["I"] * flow)
 
 
-def good_windows(recording: Recording, half_width: float) -> Windows:
-    """Windows [half width in s] in which all samples of all four signals are good."""
-    good = true_intervals(good_all(recording, SIGNALS))
-    return windows(good, recording.time.size, 1 / uniform_rate(recording), half_width)
+@lru_cache(maxsize=1)
+def capacitance_law() -> Law:
+    """C dP/dt = Q_in - Q_out."""
+    z, transition = ca.SX.sym("z", 4), ca.SX.sym("transition")
+    u = {name: ca.SX.sym(name) for name in ("C", "s")}
+    return law(z, u, transition, z[2] - z[3], u["C"] * (z[1] + u["s"] * (z[0] - z[1])))
 
 
-def inertance(recording: Recording, w: Windows, transition_flow: float) -> FilteredEquation:
-    """P_in - P_out = I dQ/dt + R Q + C_R Q|Q| + p_0 at Q = Q_in + s (Q_out - Q_in), to first order in s.
-
-    |Q| is rounded as in `spool_valve.turbulent_drop`.
-    """
-    flow = np.nan_to_num(recording["flow_in"])
-    difference = np.nan_to_num(recording["flow_out"] - recording["flow_in"])
-    magnitude = np.hypot(flow, transition_flow)  # |Q|
-    first = magnitude + flow**2 / magnitude  # d(Q|Q|)/dQ
-    second = flow / magnitude * (3 - (flow / magnitude) ** 2)  # d2(Q|Q|)/dQ2
-    by_first, by_second = (w.bump @ sparse.diags_array(values) for values in (first, second * difference))
-    noise_of_inlet = {
-        "I": w.slope,
-        "I s": -w.slope,
-        "R": w.bump,
-        "R s": -w.bump,
-        "C_R": by_first,
-        "C_R s": by_second - by_first,
-    }
-    return FilteredEquation(
-        windows=w,
-        y=w.bump @ np.nan_to_num(recording["pressure_in"] - recording["pressure_out"]),
-        regressors={
-            "I": w.slope @ flow,
-            "I s": w.slope @ difference,
-            "R": w.bump @ flow,
-            "R s": w.bump @ difference,
-            "C_R": w.bump @ (flow * magnitude),
-            "C_R s": by_first @ difference,
-            "p_0": w.bump @ np.ones_like(flow),
-        },
-        noise=(
-            (noise_sd(recording, "pressure_in"), {"y": w.bump}),
-            (noise_sd(recording, "pressure_out"), {"y": w.bump}),
-            (noise_sd(recording, "flow_in"), noise_of_inlet),
-            (noise_sd(recording, "flow_out"), {"I s": w.slope, "R s": w.bump, "C_R s": by_first}),
-        ),
-        factors=lambda v: {
-            **{name: v[name] for name in ("I", "R", "C_R", "p_0")},
-            **{f"{name} s": v[name] * v["s"] for name in ("I", "R", "C_R")},
-        },
-    )
-
-
-def capacitance(recording: Recording, w: Windows) -> FilteredEquation:
-    """Q_in - Q_out = C dP/dt + q_0 at P = P_out + s (P_in - P_out)."""
-    outlet, difference = recording["pressure_out"], recording["pressure_in"] - recording["pressure_out"]
-    return FilteredEquation(
-        windows=w,
-        y=w.bump @ np.nan_to_num(recording["flow_in"] - recording["flow_out"]),
-        regressors={
-            "C": w.slope @ np.nan_to_num(outlet),
-            "C s": w.slope @ np.nan_to_num(difference),
-            "q_0": w.bump @ np.ones_like(outlet),
-        },
-        noise=(
-            (noise_sd(recording, "flow_in"), {"y": w.bump}),
-            (noise_sd(recording, "flow_out"), {"y": w.bump}),
-            (noise_sd(recording, "pressure_in"), {"C s": w.slope}),
-            (noise_sd(recording, "pressure_out"), {"C": w.slope, "C s": -w.slope}),
-        ),
-        factors=lambda v: {"C": v["C"], "C s": v["C"] * v["s"], "q_0": v["q_0"]},
+def prepared(recording: Recording, model: Law, half_width: float, transition_flow: float) -> Samples:
+    """The four signals of a recording over windows of good samples; `half_width` in s."""
+    rate = uniform_rate(recording)
+    half = max(round(half_width * rate), 3)
+    bump, slope = modulating_function(half)
+    raw = np.array([interpolated(recording[n]) for n in SIGNALS])
+    return Samples(
+        law=model,
+        names=model.unknowns,
+        sensors=tuple(SIGNALS),
+        raw=raw,
+        sd=noise_of(raw, np.array([noise_sd(recording, n) for n in SIGNALS])),
+        channels=[(k, np.ones(1)) for k in range(4)],
+        known=np.array([transition_flow]),
+        bump=bump / rate,
+        slope=slope,
+        starts=window_starts(good_all(recording, SIGNALS), half),
     )
 
 
 @dataclass(frozen=True)
 class GroupFits:
-    """Fits of one quantity, "I" or "C": to each group of recordings, and to all groups (`pooled`).
+    """Fits of one quantity, "I" or "C": to each group of recordings, and to all groups.
 
+    pooled        the fit to all groups; its interval is widened to their scatter if they differ
     homogeneity   probability of the scatter between the groups if all have the same value
     """
 
     name: str
-    equations: tuple[FilteredEquation, ...]
     groups: tuple[Regression, ...]
+    solution: Solution
     pooled: Regression
     homogeneity: float
+    recordings: tuple[Recording, ...]
 
     @property
     def determined(self) -> bool:
@@ -279,36 +235,55 @@ class GroupFits:
 
 
 def fits(
-    name: str, equations: Sequence[FilteredEquation], start: Mapping[str, Guess], files: Sequence[str]
+    name: str,
+    model: Law,
+    groups: Sequence[Recording],
+    start: Mapping[str, float],
+    half_width: float,
+    transition_flow: float,
 ) -> GroupFits:
-    """Fits of all groups and of each; the pooled interval is widened to their scatter if they differ."""
-    for equation, file in zip(equations, files, strict=True):
-        if equation.y.size < MIN_WINDOWS:
+    """Fits of all groups and of each."""
+    samples = [prepared(group, model, half_width, transition_flow) for group in groups]
+    for group, own in zip(groups, samples, strict=True):
+        if own.starts.size < MIN_WINDOWS:
             raise Problem(
-                f"{file}: {equation.y.size} windows without a bad sample (gap, clipped, dead zone), "
+                f"{group.source}: {own.starts.size} windows without a bad sample (gap, clipped, dead zone), "
                 f"expected at least {MIN_WINDOWS}"
             )
+    limits = zero_limits(groups, SIGNALS)
 
-    def fitted(equations: Sequence[FilteredEquation]) -> Regression:
-        def residual(theta: Mapping[str, float]) -> Array:
-            return np.concatenate([equation.whitened_residual(theta) for equation in equations])
+    def fitted(some: Sequence[Samples]) -> Solution:
+        return solve(some, start, f"hose_dynamics, {name}", limits, priors={"s": POSITION})
 
-        return fit(residual, start, f"hose_dynamics, {name}")
-
-    groups = tuple(fitted([equation]) for equation in equations)
-    values, sds = [group[name] for group in groups], [group.sd(name) for group in groups]
-    probability = homogeneity(values, sds) if len(groups) > 1 else 1.0
-    pooled = fitted(equations)
+    solution = fitted(samples)
+    alone = tuple(fitted([own]).fit for own in samples) if len(samples) > 1 else (solution.fit,)
+    pooled, values = solution.fit, [group[name] for group in alone]
+    probability = homogeneity(values, [group.sd(name) for group in alone]) if len(alone) > 1 else 1.0
     if pooled[name] < -SIGNIFICANT * pooled.sd(name):
+        files = ", ".join(str(group.source) for group in groups)
         raise Problem(
-            f"{', '.join(files)}: {name}: expected positive, got {pooled[name]:.3g}: change the sign of the "
+            f"{files}: {name}: expected positive, got {pooled[name]:.3g}: change the sign of the "
             "flows, or exchange the two pressures"
         )
     if probability < UNLIKELY:
         scatter = float(np.std(values, ddof=1)) / math.sqrt(len(values))
         widening = max(1.0, scatter / pooled.sd(name))
         pooled = replace(pooled, covariance=pooled.covariance * widening**2)
-    return GroupFits(name, tuple(equations), groups, pooled, probability)
+    return GroupFits(name, alone, solution, pooled, probability, tuple(groups))
+
+
+def _findings(inertances: GroupFits, capacitances: GroupFits) -> Iterator[Finding]:
+    """Tests of both residuals: zeros, a change in time, a delay of the pressures, the model."""
+    for fits, quantity in ((inertances, "inertance"), (capacitances, "capacitance")):
+        label = f"hose_dynamics, {quantity}"
+        yield from zero_findings(fits.solution, label)
+        yield model_finding(fits.solution, label)
+    solution, step = inertances.solution, [1 / uniform_rate(group) for group in inertances.recordings]
+    yield shift_finding(solution, ("pressure_in", "pressure_out"), step[0], "hose_dynamics")
+    every = zip(inertances.recordings, solution.samples, step, strict=True)
+    courses = [course(group, np.array(s.centres * dt, float)) for group, s, dt in every]
+    yield drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")
+    yield from signal_findings(inertances.recordings, SIGNALS, "hose_dynamics")
 
 
 def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array]:
@@ -391,17 +366,16 @@ def _groups_panel(fits: GroupFits, defined: Sequence[Array], label: str) -> Pane
 
 def _equation_panels(fits: GroupFits, rate: str, side: str, unit: tuple[str, float]) -> tuple[Panel, Panel]:
     """Both sides of the equation as means over the windows, whose slope is the quantity; and the residual."""
-    theta, equations = fits.pooled.as_dict(), fits.equations
-    name, position = fits.name, theta["s"]
-    weight = np.concatenate([e.weight for e in equations])
-    x = np.concatenate([e.regressors[name] + position * e.regressors[f"{name} s"] for e in equations])
-    x, residual = x / weight, np.concatenate([e.residual(theta) for e in equations]) / weight
-    measured = Curve("measured, filtered", x, theta[name] * x + residual)
-    return Panel(rate, side, (measured,), "Filtered equation", y_unit=unit).with_line(theta[name], "fit")
+    value, weight = fits.pooled[fits.name], fits.solution.samples[0].weight
+    linear = [part.linear for part in fits.solution.parts]
+    x = -np.concatenate([one.by_theta[0, 0] for one in linear]) / weight
+    residual = np.concatenate([one.e[0] for one in linear]) / weight
+    measured = Curve("measured, filtered", x, value * x + residual)
+    return Panel(rate, side, (measured,), "Filtered equation", y_unit=unit).with_line(value, "fit")
 
 
 def _remarks(inertances: GroupFits, capacitances: GroupFits) -> Iterator[str]:
-    count = sum(e.y.size for e in inertances.equations)
+    count = sum(s.starts.size for s in inertances.solution.samples)
     yield (
         f"The regression uses {count} windows of {len(inertances.groups)} groups; no window has a "
         "sample in the dead zone of a meter. The regression accounts for the noise of all signals."

@@ -4,54 +4,101 @@
 
 Eq. (1) is the law that the machine simulates, with |Q| rounded to sqrt(Q^2 + Q_t^2) as in
 `fmus.components.spool_valve.turbulent_drop`. Eq. (10) is Blasius' law, so C_R = k Q^-0.25 is valid for one
-reference flow (correction E10 in docs/equations.md). Both are fitted to the means over the steps, weighted
+reference flow (correction E10 in docs/equations.md). Both are fitted to the means over the steps (`balance`),
 with the errors of drop and flow. Chi-square and AIC show which law the data support.
 
 The readings of two transducers differ slightly without flow, and a tenth of a bar is a hundredth of a hose's
-drop. This offset is estimated with the law that fits best and subtracted; its error counts in all laws.
+drop: the zeros of the transducers and of the meter are estimated with each law.
 
 Validity: steady flow above the dead zone of the meter; eq. (10) for a smooth pipe and Re 3e3 to 1e5.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
+import casadi as ca
 import numpy as np
+from scipy import stats
 
 from fmus.components import hose
+from fmus.identification.balance import (
+    Law,
+    Solution,
+    drift_finding,
+    law,
+    model_finding,
+    probability,
+    solve,
+    steady,
+    zero_findings,
+)
 from fmus.identification.estimate import Estimate
+from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
     SHORTEST_STRETCH,
     StepMeans,
     concatenate,
+    constants_remark,
+    course,
+    declared_limits,
     density_ratio,
-    difference_limit,
     hose_size,
     parameter_value,
     pressure_offset_remark,
     select,
+    signal_findings,
     steady_stretches,
     step_means,
+    tested_density,
     training_recordings,
-    zero_warning,
+    zero_limits,
 )
-from fmus.identification.procedures.regression import Guess, Regression, fit, misfit_remark, misfit_warning
+from fmus.identification.procedures.regression import misfit_remark
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
-DropLaw = Callable[[Array, Mapping[str, float]], Array]
-
 SIGNALS: Mapping[str, str] = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by eq. (10) is reported
 UNIT = "Pa.s2/m6"
 TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
-CLEARLY_BETTER = 10.0  # difference of AIC at which the worse law has no support: 5e-4 by chance
 MIN_STEPS = 4  # fewer steps cannot distinguish between the laws
+LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
+ONE_WAY = 0.9  # rank correlation of flow and time from which on a change in time cannot be told
+DropLaw = tuple[Law, ca.Function]  # and its drop as a function of (flow, unknowns, transition flow)
+
+
+@lru_cache(maxsize=1)
+def laws() -> Mapping[str, DropLaw]:
+    """The drop by eq. (1) as the machine simulates it, by eq. (10), and with a laminar part.
+
+    square   C_R Q sqrt(Q^2 + Q_t^2)
+    power    k Q^1.75 with the sign of Q
+    mixed    Q sqrt(R^2 + (C_R Q)^2), laminar below R/C_R as in `fmus.components.hose`; R^2 may be negative
+    """
+    z, transition = ca.SX.sym("z", 3), ca.SX.sym("transition")
+    q = z[2]
+    resistance, factor, laminar = (ca.SX.sym(n) for n in ("resistance", "factor", "laminar_square"))
+    turbulent = (resistance * q) ** 2
+    forms = {
+        "square": ({"resistance": resistance}, resistance * q * ca.sqrt(q**2 + transition**2)),
+        "power": ({"factor": factor}, factor * ca.sign(q) * ca.fabs(q) ** 1.75),
+        "mixed": (
+            {"resistance": resistance, "laminar_square": laminar},
+            q * ca.sqrt(ca.fmax(laminar + turbulent, 1e-6 * turbulent + 1e-9)),
+        ),
+    }
+    return {
+        name: (
+            law(z, unknowns, transition, z[0] - z[1] - drop),
+            ca.Function(name, [q, ca.vertcat(*unknowns.values()), transition], [drop]),
+        )
+        for name, (unknowns, drop) in forms.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -59,42 +106,22 @@ class HoseFit:
     """Fits of eq. (1), of eq. (10), and of a laminar and turbulent drop together.
 
     mixed            None unless both other laws are misfits and the laminar part is significant
-    zero_warnings    sentences if the data want a larger difference than the sensors can have
-    zero, zero_sd    subtracted pressure difference without flow [Pa] and its standard deviation
+    zero, zero_sd    pressure difference without flow [Pa] by the best law, and its standard deviation
     reference_flow   rms of the flows [m3/s] with their weights in C_R of eq. (1)
     """
 
-    square: Regression
-    power: Regression
-    mixed: Regression | None
+    square: Solution
+    power: Solution
+    mixed: Solution | None
     zero: float
     zero_sd: float
     transition_flow: float
     reference_flow: float
-    zero_warnings: tuple[str, ...] = ()
 
-    def drops(self, flow: Array) -> tuple[Array, Array, Array | None]:
-        """Drops by eq. (1), by eq. (10), and with the laminar part."""
-        return (
-            square_drop(flow, self.square.as_dict(), self.transition_flow),
-            power_drop(flow, self.power.as_dict()),
-            None if self.mixed is None else mixed_drop(flow, self.mixed.as_dict()),
-        )
-
-
-def power_drop(flow: Array, v: Mapping[str, float]) -> Array:
-    """k Q^1.75 with the sign of Q, eq. (10)."""
-    return v["factor"] * np.sign(flow) * np.abs(flow) ** 1.75
-
-
-def mixed_drop(flow: Array, v: Mapping[str, float]) -> Array:
-    """Q sqrt(R^2 + (C_R Q)^2), laminar below R/C_R as in `fmus.components.hose`; R^2 may be negative."""
-    return flow * np.sqrt(np.maximum(v["laminar_square"] + (v["resistance"] * flow) ** 2, 0.0))
-
-
-def square_drop(flow: Array, v: Mapping[str, float], transition_flow: float) -> Array:
-    """C_R Q sqrt(Q^2 + Q_t^2), eq. (1) as the machine simulates it."""
-    return v["resistance"] * flow * np.hypot(flow, transition_flow)
+    def drop(self, name: str, flow: Array) -> Array:
+        """Drop by one of the laws."""
+        fit = getattr(self, name).fit
+        return np.asarray(laws()[name][1](flow[None], fit.values, self.transition_flow).full()[0])
 
 
 def scaled(resistance: float, length: float, diameter: float, to_length: float, to_diameter: float) -> float:
@@ -108,11 +135,11 @@ def scaled(resistance: float, length: float, diameter: float, to_length: float, 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """C_R of the stick's and the boom's hoses from that of the tested hose."""
     tests = training_recordings(recordings, "hose_resistance", SIGNALS)
-    steps = steady_steps(tests)
-    limit = difference_limit(tests, ("pressure_in", "pressure_out"))
-    laws = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limit)
+    steps, along, word = steady_steps(tests)
+    limits = zero_limits(tests, ("pressure_in", "pressure_out")) | declared_limits(tests, ["flow"])
+    fits = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limits)
     length, bore = hose_size(tests)
-    flow = f"at {laws.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min"
+    flow = f"at {fits.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min"
     estimates = []
     for axis in ("stick", "boom"):
         size = tuple(parameter_value(parameters, f"boom_stick.{axis}_hose_{n}") for n in ("length", "bore"))
@@ -121,22 +148,28 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         if abs(factor - 1) > 1e-9:
             note += f", eq. (10) from {length:g} m to {size[0]:g} m, {size[1] * 1e3:.4g} mm"
         name = f"boom_stick.{axis}_hose_resistance"
-        estimates.append(laws.square.estimate(name, UNIT, note, "resistance", factor))
+        estimates.append(fits.square.fit.estimate(name, UNIT, note, "resistance", factor))
     return ProcedureResult(
         procedure="hose_resistance",
         title=f"Hose resistance: {length:g} m, bore {bore * 1e3:.4g} mm",
         figure=6,
         estimates=tuple(estimates),
-        panels=panels(replace(steps, drop=steps.drop - laws.zero), laws),
-        remarks=tuple(_remarks(steps, laws)),
-        others=tuple(_others(laws, flow)),
-        warnings=(*misfit_warning(laws.square.times_noise, "hose_resistance: eq. (1)"), *laws.zero_warnings),
+        panels=panels(replace(steps, drop=steps.drop - fits.zero), fits),
+        remarks=(
+            *_remarks(steps, fits),
+            constants_remark(parameters, ["density"], tested_density(tests)),
+        ),
+        others=tuple(_others(fits, flow)),
+        findings=(
+            *_findings(fits.square, steps.measured().flow, (along[steps.good], word)),
+            *signal_findings(tests, SIGNALS, "hose_resistance"),
+        ),
     )
 
 
-def steady_steps(recordings: Sequence[Recording]) -> StepMeans:
-    """Means over the stretches of steady flow in all recordings."""
-    means = []
+def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array, str]:
+    """Means over the stretches of steady flow in all recordings, with the `course` of each."""
+    means, along, word = [], list[Array](), ""
     for recording in recordings:
         steps = steady_stretches(recording, ["flow"])
         if not steps:
@@ -145,14 +178,14 @@ def steady_steps(recordings: Sequence[Recording]) -> StepMeans:
                 "none"
             )
         means.append(step_means(recording, steps))
-    return concatenate(means)
+        times = np.array([recording.time[step].mean() - recording.time[0] for step in steps])
+        values, word = course(recording, times)
+        along.append(values)
+    return concatenate(means), np.concatenate(along), word
 
 
-def fit_laws(steps: StepMeans, transition_flow: float, zero_limit: float) -> HoseFit:
-    """All laws, fitted to the measured steps.
-
-    zero_limit   largest difference of the two pressures [Pa] without flow, by the data sheets
-    """
+def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> HoseFit:
+    """All laws, fitted to the measured steps; `limits` are the largest errors of the zeros."""
     good = steps.measured()
     if good.flow.size < MIN_STEPS:
         raise Problem(
@@ -167,117 +200,83 @@ def fit_laws(steps: StepMeans, transition_flow: float, zero_limit: float) -> Hos
             "change the sign of the flow, or exchange the two pressures"
         )
     largest = float(np.abs(good.flow).max())
+    # only the difference of the pressures counts, so that at the outlet is taken as zero
+    means = np.array([good.drop, np.zeros_like(good.drop), good.flow])
+    errors = np.array([good.drop_error, np.zeros_like(good.drop), good.flow_error])
 
-    def square(flow: Array, v: Mapping[str, float]) -> Array:
-        return square_drop(flow, v, transition_flow)
+    def fitted(name: str, **initial: float) -> Solution:
+        samples = steady(laws()[name][0], tuple(SIGNALS), means, errors, (transition_flow,))
+        return solve([samples], initial, "hose_resistance", limits)
 
-    resistance = {"resistance": Guess(start)}
-    mixed = resistance | {"laminar_square": Guess((start * largest / 10) ** 2)}
-    simple = ((square, resistance), (power_drop, {"factor": Guess(start * largest**0.25)}))
-    offset = (start * largest**2, zero_limit)
-    both = _if_possible(lambda: _fit(good, mixed_drop, mixed, *offset))
-    with_offset, by_blasius = (_fit(good, law, guess, *offset) for law, guess in simple)
-    found, sd = _zero(with_offset, by_blasius, both)
-    zero = float(np.clip(found, -zero_limit, zero_limit))
-    by_square, by_power = (_fit_at_zero(good, law, guess, zero, sd) for law, guess in simple)
-    by_both = _if_possible(lambda: _fit_at_zero(good, mixed_drop, mixed, zero, sd)) if both else None
-    weights = good.flow**4 / _variance(good, square, by_square.as_dict())
-    laminar = by_both and by_both["laminar_square"] > 0 and by_both.significant("laminar_square")
+    square, power = fitted("square", resistance=start), fitted("power", factor=start * largest**0.25)
+    try:
+        mixed = fitted("mixed", resistance=start, laminar_square=(start * largest / 10) ** 2)
+    except Problem:  # data that contradict this law may have no optimum
+        mixed = None
+    if mixed and not (mixed.fit["laminar_square"] > 0 and mixed.fit.significant("laminar_square")):
+        mixed = None
+    mixed = mixed if square.fit.misfit and power.fit.misfit else None
+    best = mixed or min(square, power, key=_aic)
+    zero, zero_sd = best.difference_of_zeros("pressure_in", "pressure_out")
+    weights = square.column("resistance") ** 2
     return HoseFit(
-        square=by_square,
-        power=by_power,
-        mixed=by_both if by_square.misfit and by_power.misfit and laminar else None,
+        square=square,
+        power=power,
+        mixed=mixed,
         zero=zero,
-        zero_sd=sd,
+        zero_sd=zero_sd,
         transition_flow=transition_flow,
         reference_flow=float(np.sqrt(weights @ good.flow**2 / weights.sum())),
-        zero_warnings=tuple(zero_warning("hose_resistance", found, sd, zero_limit, BAR)),
     )
 
 
-def _if_possible(fitted: Callable[[], Regression]) -> Regression | None:
-    """The fit of a law that data may contradict so much that it has no optimum; then None."""
-    try:
-        return fitted()
-    except Problem:
-        return None
+def _aic(solution: Solution) -> float:
+    """Akaike's criterion, in which a zero counts with its prior."""
+    zeros = sum((2 * value / solution.limits[n]) ** 2 for n, (value, _) in solution.zeros.items())
+    return solution.fit.aic + zeros
 
 
-def _zero(square: Regression, power: Regression, mixed: Regression | None) -> tuple[float, float]:
-    """The pressure offset of the law that fits best, with its standard deviation.
-
-    The mixed law must be clearly better than the others: a small offset and a small laminar part look alike.
-    """
-    best = min(square, power, key=lambda regression: regression.aic)
-    if mixed and mixed.aic < best.aic - CLEARLY_BETTER and mixed["laminar_square"] > 0:
-        best = mixed
-    return best["zero"], best.sd("zero")
-
-
-def _fit_at_zero(
-    steps: StepMeans, law: DropLaw, start: Mapping[str, Guess], zero: float, sd: float
-) -> Regression:
-    """The fit with this pressure offset subtracted; the covariance includes the error of the offset."""
-    central, low, high = (
-        _fit(replace(steps, drop=steps.drop - z), law, start) for z in (zero, zero - sd, zero + sd)
+def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterator[Finding]:
+    """Tests of the residual of eq. (1): a C_R that changes with the flow, or in time; zeros; the model."""
+    size = np.abs(flow)
+    level = square.column("resistance") * (size - size.mean()) / max(float(np.ptp(size)), TINY)
+    value, covariance = square.effects(level[None])
+    change, sd = float(value[0]), math.sqrt(covariance[0, 0])
+    percent = 100 / square.fit["resistance"]
+    yield Finding(
+        "model",
+        probability(change, sd, LEVEL * square.fit["resistance"]),
+        f"hose_resistance: C_R of eq. (1) changes by {percent * change:+.3g} +- {percent * sd:.2g} % from "
+        "the smallest to the largest flow",
     )
-    change = (high.values - low.values) / 2
-    return replace(central, covariance=central.covariance + np.outer(change, change))
+    if abs(float(stats.spearmanr(size, along[0])[0])) < ONE_WAY:  # else time and flow look alike
+        yield drift_finding(square, "resistance", [along], "hose_resistance: C_R", given=level[None])
+    yield from zero_findings(square, "hose_resistance")
+    yield model_finding(square, "hose_resistance: eq. (1)")
 
 
-def _variance(steps: StepMeans, law: DropLaw, v: Mapping[str, float]) -> Array:
-    """Effective variance of the drop, which includes the error of the flow (errors in both variables)."""
-    h = 1e-4 * np.abs(steps.flow)
-    derivative = (law(steps.flow + h, v) - law(steps.flow - h, v)) / (2 * h)
-    variance: Array = steps.drop_error**2 + (derivative * steps.flow_error) ** 2
-    return variance
-
-
-def _fit(
-    steps: StepMeans,
-    law: DropLaw,
-    start: Mapping[str, Guess],
-    zero_magnitude: float | None = None,
-    zero_limit: float = math.inf,
-) -> Regression:
-    """Fit of a law, together with a pressure offset of this magnitude [Pa] if one is given.
-
-    zero_limit   largest offset [Pa]: two standard deviations of its prior
-    """
-
-    def residual(v: Mapping[str, float]) -> Array:
-        unweighted: Array = steps.drop - v.get("zero", 0.0) - law(steps.flow, v)
-        weighted: Array = unweighted / np.sqrt(_variance(steps, law, v))
-        return np.append(weighted, [2 * v["zero"] / zero_limit] if "zero" in v else [])
-
-    zero = (
-        {} if zero_magnitude is None else {"zero": Guess(0.0, magnitude=min(zero_magnitude, zero_limit / 2))}
-    )
-    return fit(residual, {**start, **zero}, "hose_resistance")
-
-
-def panels(steps: StepMeans, laws: HoseFit) -> tuple[Panel, ...]:
+def panels(steps: StepMeans, fits: HoseFit) -> tuple[Panel, ...]:
     """Drop over flow with the laws, residual, C_R over flow."""
     good, dead = steps.measured(), select(steps, steps.dead)
     flows = np.linspace(0.0, float(np.abs(good.flow).max()), 200)
-    square, power, mixed = laws.drops(flows)
     drop = [
         Curve("measured", good.flow, good.drop, error=good.drop_error),
         Curve("masked: dead zone of the meter", dead.flow, dead.drop, "masked"),
-        Curve("C_R Q|Q|, eq. (1)", flows, square, "fit", line=True),
-        Curve("k Q^1.75, eq. (10)", flows, power, "compared", line=True),
+        Curve("C_R Q|Q|, eq. (1)", flows, fits.drop("square", flows), "fit", line=True),
+        Curve("k Q^1.75, eq. (10)", flows, fits.drop("power", flows), "compared", line=True),
     ]
-    fitted_square, fitted_power, fitted_mixed = laws.drops(good.flow)
+    left = {name: good.drop - fits.drop(name, good.flow) for name in ("square", "power")}
     residual = [
-        Curve("eq. (1)", good.flow, good.drop - fitted_square, "fit", error=good.drop_error),
-        Curve("eq. (10)", good.flow, good.drop - fitted_power, "compared"),
+        Curve("eq. (1)", good.flow, left["square"], "fit", error=good.drop_error),
+        Curve("eq. (10)", good.flow, left["power"], "compared"),
     ]
-    if mixed is not None and fitted_mixed is not None:
-        drop.append(Curve("with laminar part", flows, mixed, "compared", line=True))
-        residual.append(Curve("with laminar part", good.flow, good.drop - fitted_mixed, "compared"))
-    constant = np.full_like(flows[1:], laws.square["resistance"])
+    if fits.mixed is not None:
+        drop.append(Curve("with laminar part", flows, fits.drop("mixed", flows), "compared", line=True))
+        rest = good.drop - fits.drop("mixed", good.flow)
+        residual.append(Curve("with laminar part", good.flow, rest, "compared"))
+    constant = np.full_like(flows[1:], fits.square.fit["resistance"])
     in_range = flows[flows >= np.abs(good.flow).min() / 2]  # eq. (10) has no limit at Q = 0
-    power_resistance = laws.power["factor"] * in_range**-0.25
+    power_resistance = fits.power.fit["factor"] * in_range**-0.25
     resistance = (
         Curve("measured", good.flow, good.resistance, error=good.resistance_error),
         Curve("eq. (1)", flows[1:], constant, "fit", line=True),
@@ -291,43 +290,49 @@ def panels(steps: StepMeans, laws: HoseFit) -> tuple[Panel, ...]:
     )
 
 
-def _others(laws: HoseFit, reference_flow: str) -> Iterator[Estimate]:
-    yield laws.square.estimate("C_R", UNIT, f"eq. (1), the tested hose {reference_flow}", "resistance")
+def _others(fits: HoseFit, reference_flow: str) -> Iterator[Estimate]:
+    yield fits.square.fit.estimate("C_R", UNIT, f"eq. (1), the tested hose {reference_flow}", "resistance")
     note = "pressure_in - pressure_out"
-    yield Estimate.normal("pressures without flow", laws.zero, "Pa", laws.zero_sd, note)
-    yield laws.power.estimate("k", "Pa/(m3/s)^1.75", "eq. (10), the tested hose", "factor")
+    yield Estimate.normal("pressures without flow", fits.zero, "Pa", fits.zero_sd, note)
+    yield fits.power.fit.estimate("k", "Pa/(m3/s)^1.75", "eq. (10), the tested hose", "factor")
     for litres in FLOWS:
-        yield laws.power.derived(
+        yield fits.power.fit.derived(
             f"C_R({litres:g} L/min)",
             UNIT,
             "k Q^-0.25, eq. (10)",
             partial(lambda flow, v: float(v["factor"] * flow**-0.25), litres * LITRES_PER_MINUTE[1]),
         )
-    if laws.mixed is not None:
+    if fits.mixed is not None:
         note = "Q sqrt(R^2 + (C_R Q)^2)"
-        yield laws.mixed.estimate("C_R with laminar part", UNIT, note, "resistance")
-        yield laws.mixed.derived("R, laminar part", "Pa.s/m3", note, lambda v: math.sqrt(v["laminar_square"]))
+        yield fits.mixed.fit.estimate("C_R with laminar part", UNIT, note, "resistance")
+        yield fits.mixed.fit.derived(
+            "R, laminar part", "Pa.s/m3", note, lambda v: math.sqrt(v["laminar_square"])
+        )
 
 
-def _remarks(steps: StepMeans, laws: HoseFit) -> Iterator[str]:
+def _remarks(steps: StepMeans, fits: HoseFit) -> Iterator[str]:
     """Steps left out, the better law, the reference flow, the offset, a laminar part, a misfit."""
     if omissions := steps.omissions():
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
         yield f"Left out of {steps.flow.size} steps: {omissions}{flat}."
-    square, power = laws.square, laws.power
-    better, worse = ("eq. (1)", "eq. (10)") if square.aic < power.aic else ("eq. (10)", "eq. (1)")
+    square, power = fits.square.fit, fits.power.fit
+    better, worse = (
+        ("eq. (1)", "eq. (10)") if _aic(fits.square) < _aic(fits.power) else ("eq. (10)", "eq. (1)")
+    )
     yield (
         f"{better.capitalize()} fits better than {worse}: chi-square is {square.chi_square:.4g} by eq. (1), "
         f"{power.chi_square:.4g} by eq. (10), with {square.freedom} degrees of freedom."
     )
     yield (
-        f"C_R is valid for {laws.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min, the weighted rms "
+        f"C_R is valid for {fits.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min, the weighted rms "
         "of the flows. By eq. (10) C_R would fall by 16 % for each doubling of the flow."
     )
-    yield from pressure_offset_remark(laws.zero, laws.zero_sd)
-    if laws.mixed is not None:
+    yield from pressure_offset_remark(fits.zero, fits.zero_sd)
+    if fits.mixed is not None:
         yield (
             "The small flows show a laminar part: with Q sqrt(R^2 + (C_R Q)^2) chi-square is "
-            f"{laws.mixed.chi_square:.4g}. The lumped hose has no such term, so C_R includes a part of it."
+            f"{fits.mixed.fit.chi_square:.4g}. The lumped hose has no such term: C_R includes a part of it."
         )
     yield from misfit_remark(square, "Eq. (1)")
+    if "flow" not in fits.square.limits:
+        yield "The description of the flow meter has no `zero_error`: the intervals do not cover its zero."

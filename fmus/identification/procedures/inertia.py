@@ -28,26 +28,33 @@ import numpy as np
 import scipy.linalg
 
 from fmus.contract import quantities, symbols
+from fmus.identification.balance import (
+    Solution,
+    model_finding,
+    scores_covariance,
+    shift_finding,
+    solve,
+    zero_findings,
+)
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.experiment_data import training_recordings
+from fmus.identification.procedures.experiment_data import (
+    declared_limits,
+    signal_findings,
+    training_recordings,
+)
 from fmus.identification.procedures.momentum_balance import (
+    ALL_PRESSURES,
     JOINTS,
     PARAMETERS,
-    MomentumEquation,
-    SmoothedRecording,
+    JointRecording,
+    joint_recording,
+    known_parameter_effects,
     parameter_vector,
-    smoothed_recording,
 )
-from fmus.identification.procedures.momentum_fit import (
-    MomentumSolution,
-    WeightedBalance,
-    known_parameter_effect,
-    normal_step,
-    solve,
-)
-from fmus.identification.procedures.regression import DETERMINED, misfit_warning
+from fmus.identification.procedures.regression import DETERMINED
+from fmus.identification.recordings.clock import uniform_rate
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import Number
@@ -59,8 +66,6 @@ SIGNALS: Mapping[str, str] = momentum_balance.SIGNALS
 FREE = ("head_mass", "stick_inertia", "boom_inertia", "column_inertia")
 DAMPINGS = ("swing_damping", "boom_piston_damping", "stick_piston_damping")
 WINDOW = 0.4  # s: longer than by default, because small inertias are only visible in fast motion
-EVERY = 3  # samples of the recording per smoothed sample: 67 per second of 200
-POINT_STEP = 3  # samples per drawn point
 MOMENTS = {"m": "kg", "m x": "kg.m", "m z": "kg.m", "S_xx": "kg.m2", "S_xz": "kg.m2", "S_zz": "kg.m2"}
 STANDARD = ("column J_0", *(f"{link} {moment}" for link in ("boom", "stick") for moment in MOMENTS))
 UNITS = ("kg.m2", *(unit for _ in ("boom", "stick") for unit in MOMENTS.values()))
@@ -83,24 +88,23 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             f'inertia: expected a recording of the machine or of a joint with use = "train", got {present}'
         )
     training, p = training_recordings(recordings, source, SIGNALS), parameter_vector(parameters)
-    records = [smoothed_recording(r, JOINTS, p, window=WINDOW, every=EVERY) for r in training]
-    names, dropped = list(FREE), list[str]()
+    names, dropped, limits = list(FREE), list[str](), declared_limits(training, ALL_PRESSURES)
     while True:
         theta = tuple(f"manipulator.{n}" for n in (*names, *DAMPINGS))
-        solution = solve(records, JOINTS, theta, p)
-        pairs = list(zip(solution.sd, solution.values, strict=True))[: len(names)]
-        relative = [math.inf if value <= 0 else sd / abs(value) for sd, value in pairs]
+        records = [joint_recording(r, JOINTS, theta, p, window=WINDOW) for r in training]
+        solution = solve(
+            [r.samples for r in records], {n: parameters[n].value for n in theta}, "inertia", limits
+        )
+        pairs = [(solution.fit.sd(n), solution.fit[n]) for n in theta[: len(names)]]
+        relative = [math.inf if value <= 0 else sd / value for sd, value in pairs]
         if max(relative, default=0.0) <= DETERMINED:
             break
         dropped.append(names.pop(relative.index(max(relative))))
-    effects = {n: known_parameter_effect(solution, k, parameters) for k, n in enumerate(names)}
-    values = dict(zip((*names, *DAMPINGS), map(float, solution.values), strict=True))
+    all_effects = known_parameter_effects(solution, parameters)
+    effects = {n: all_effects[f"manipulator.{n}"] for n in names}
+    values = {n: solution.fit[f"manipulator.{n}"] for n in (*names, *DAMPINGS)}
     units = {n: quantities(MANIPULATOR.parameters)[n].unit for n in values}
     note = "balance of the joints' momenta"
-    dampings = [
-        Estimate.normal(f"{n}, further unknown", values[n], units[n], float(sd), note)
-        for n, sd in zip(DAMPINGS, solution.sd[len(names) :], strict=True)
-    ]
     return ProcedureResult(
         procedure="inertia",
         title="Inertial parameters from the torques of the joints",
@@ -108,24 +112,33 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         estimates=tuple(
             Estimate.normal(n, values[n], units[n], e.total, note + e.note()) for n, e in effects.items()
         ),
-        panels=panels(records, solution),
+        panels=panels(records[0], solution),
         remarks=(
             *_remarks(training, solution, dropped),
             *(f"{n}: {text}" for n, e in effects.items() for text in e.remarks(values[n], units[n])),
         ),
-        others=(*dampings, *base_estimates(records, solution, p)),
-        warnings=misfit_warning(solution.times_noise, "inertia: the balance of the momenta"),
+        others=(
+            *(
+                solution.fit.estimate(f"{n}, further unknown", units[n], note, f"manipulator.{n}")
+                for n in DAMPINGS
+            ),
+            *base_estimates(records, solution, p),
+        ),
+        findings=(
+            shift_finding(solution, ALL_PRESSURES, 1 / uniform_rate(training[0]), "inertia"),
+            *zero_findings(solution, "inertia"),
+            *signal_findings(training, SIGNALS, "inertia"),
+            model_finding(solution, "inertia"),
+        ),
     )
 
 
-def _remarks(
-    training: Sequence[Recording], solution: MomentumSolution, dropped: Sequence[str]
-) -> Iterator[str]:
+def _remarks(training: Sequence[Recording], solution: Solution, dropped: Sequence[str]) -> Iterator[str]:
     seconds = sum(float(r.time[-1] - r.time[0]) for r in training)
     yield f"{seconds:.3g} s of {len(training)} recordings are used: {', '.join(r.title for r in training)}."
     for name in dropped:
         yield f"{name}: this motion does not determine the parameter, which keeps its known value."
-    if solution.misfit:
+    if solution.fit.misfit:
         yield (
             "Noise does not explain the residuals: the model is incomplete, for instance without dry "
             "friction or a swinging head. The intervals are those of the residuals."
@@ -217,67 +230,52 @@ def grouping(p: Array) -> Grouping:
     return Grouping(tuple(map(int, kept)), tuple(map(int, others)), weights)
 
 
-def base_estimates(
-    records: Sequence[SmoothedRecording], solution: MomentumSolution, p: Array
-) -> list[Estimate]:
-    """All base parameters, estimated together with the dampings."""
+def base_estimates(records: Sequence[JointRecording], solution: Solution, p: Array) -> list[Estimate]:
+    """All base parameters, estimated together with the dampings and zeros, in one step from the solution."""
     estimated = p.copy()
-    estimated[[PARAMETERS.index(n) for n in solution.theta]] = solution.values + solution.bias
-    group = grouping(estimated)
-    dampings = [k for k, n in enumerate(solution.theta) if n.endswith("damping")]
-    equations = [
-        _base_equation(s, e, dampings, group, estimated)
-        for s, e in zip(records, solution.equations, strict=True)
-    ]
-    names = tuple(group.names())
-    normal, step = normal_step(equations, solution.weights, (*names, *(solution.theta[k] for k in dampings)))
-    inverse = np.array(np.linalg.inv(normal), float)
-    fit = WeightedBalance(names, [0, 1, 2], solution.weights, inverse, estimated)
-    shifted = [e.shifted(step) for e in equations]
-    covariance = (
-        fit.residual_covariance(records, shifted) if solution.misfit else fit.noise(records, shifted)[0]
-    )
-    values = group.values(standard(estimated)) + step[: len(names)]
+    estimated[[PARAMETERS.index(n) for n in solution.fit.names]] = solution.fit.values
+    group, fit = grouping(estimated), solution.fit
+    own = [k for k, n in enumerate(fit.names) if not n.endswith("damping")]
+    parts = []
+    for r, part in zip(records, solution.parts, strict=True):
+        by_momentum, by_force = (
+            np.moveaxis(x.full().reshape(3, r.z.shape[1], len(STANDARD)), 2, 0)[list(group.kept)]
+            for x in regressor()(r.z[:3], r.z[3:6], np.zeros_like(r.z[:3]), estimated)[:2]
+        )
+        parts.append(part.whiten(r.samples.integral(by_force, by_momentum)))
+    others = np.delete(solution.columns, own, axis=0)
+    columns = np.concatenate([np.concatenate(parts, axis=1), others])
+    prior = np.concatenate([np.zeros(len(group.kept)), np.delete(solution.prior, own)])
+    scale = np.sqrt(np.sum(columns**2, axis=1) + prior)
+    inverse = np.linalg.inv((columns @ columns.T + np.diag(prior)) / np.outer(scale, scale))
+    inverse /= np.outer(scale, scale)
+    step = -inverse @ (columns @ solution.residual)
+    covariance = inverse
+    if fit.misfit:
+        ends = np.cumsum([part.e.size for part in solution.parts])[:-1]
+        pieces = zip(np.split(columns, ends, axis=1), solution.parts, solution.samples, strict=True)
+        meat = sum(scores_covariance(c, part.e, s) for c, part, s in pieces) + np.diag(prior)
+        covariance = inverse @ meat @ inverse
+    values = group.values(standard(estimated)) + step[: len(group.kept)]
     sds, units = np.sqrt(np.diag(covariance)), [UNITS[k] for k in group.kept]
     note = "base parameter: combination that any motion can determine"
     return [
         Estimate.normal(name, float(value), unit, float(sd), note)
-        for name, value, unit, sd in zip(names, values, units, sds, strict=False)
+        for name, value, unit, sd in zip(group.names(), values, units, sds, strict=False)
     ]
 
 
-def _base_equation(
-    s: SmoothedRecording, e: MomentumEquation, dampings: Sequence[int], group: Grouping, p: Array
-) -> MomentumEquation:
-    """The residual with its Jacobian with respect to the base parameters and the dampings."""
-    by_momentum, by_force = (
-        np.moveaxis(x.full().reshape(3, s.q.shape[1], len(STANDARD)), 2, 0)[list(group.kept)]
-        for x in regressor()(s.q, s.w, np.zeros_like(s.q), p)[:2]
-    )
-    jacobian = [s.filtered(df, dh) for df, dh in zip(by_force, by_momentum, strict=True)]
-    return MomentumEquation(e.residual, np.concatenate([jacobian, e.jacobian[list(dampings)]]))
-
-
-def panels(records: Sequence[SmoothedRecording], solution: MomentumSolution) -> tuple[Panel, ...]:
-    """Torque and residual of each joint over the time of the first recording."""
-    s, e = records[0], solution.equations[0]
-    by_estimates = -np.einsum("mrt,m->rt", e.jacobian, solution.values + solution.bias)
+def panels(record: JointRecording, solution: Solution) -> tuple[Panel, ...]:
+    """Torque and residual of each joint over the time of one recording."""
+    t, linear = record.time[record.samples.centres], solution.parts[0].linear
+    by_estimates = -np.einsum("mrt,m->rt", linear.by_theta, solution.fit.values)
     result: list[Panel] = []
-    for row, joint in enumerate(JOINTS):
-        t, model, residual = (
-            x[s.good][::POINT_STEP] for x in (s.time[s.centres], by_estimates[row], e.residual[row])
+    for joint, model, residual in zip(JOINTS, by_estimates, linear.e, strict=True):
+        curves = (
+            Curve("measured, filtered, minus known terms", t, model + residual, line=True),
+            Curve("by the estimates", t, model, "fit", line=True),
         )
-        torque = Panel(
-            x_label=f"time, {joint}",
-            y_label="torque",
-            curves=(
-                Curve("measured, filtered, minus known terms", t, model + residual, line=True),
-                Curve("by the estimates", t, model, "fit", line=True),
-            ),
-            title=joint,
-            x_unit=("s", 1.0),
-            y_unit=("kN.m", 1e3),
-        )
-        curves = (Curve("measured - model", t, residual, line=True),)
-        result += [torque, replace(torque, y_label="residual", curves=curves, title="", y_unit=("N.m", 1.0))]
+        torque = Panel(f"time, {joint}", "torque", curves, joint, ("s", 1.0), ("kN.m", 1e3))
+        rest = (Curve("measured - model", t, residual, line=True),)
+        result += [torque, replace(torque, y_label="residual", curves=rest, title="", y_unit=("N.m", 1.0))]
     return tuple(result)

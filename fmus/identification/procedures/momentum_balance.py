@@ -1,40 +1,45 @@
-"""Momentum balance: the machine's equation of motion, filtered so that no acceleration is needed.
+"""Momentum balance: the machine's equation of motion as a law of `balance`, without accelerations.
 
 Paper eq. (4) in terms of the generalised momenta h = M(q) q':
 
     dh/dt = f        f = tau + dT/dq - G        dT/dq = dM/dt q' - V
 
 M, V, G and tau are those of `fmus.manipulator`. The torque and the forces of the hydraulics are those of
-`fmus.swing` (motor ports by line resistance and leakage) and `fmus.boom_stick`, at measured pressures.
-The equation is multiplied by a smooth bump phi of compact support and integrated by parts (Shinbrot 1957,
-modulating functions):
-
-    int phi'(t - s) h(s) ds = int phi(t - s) f(s) ds        at every t, e = phi * f - phi' * h
-
-Both sides have the same filter. h and f are functions of angles, speeds and pressures, which one
-Savitzky-Golay filter smooths first; the speeds are its derivative. All these operations are linear to first
-order in the noise of the sensors, so the transposed filters give the sensitivity to each sample.
+`fmus.swing` (motor ports by line resistance and leakage) and `fmus.boom_stick`, at measured pressures. One
+Savitzky-Golay filter smooths angles and pressures first; the speeds are its derivative.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic, symbols
+from fmus.identification.balance import (
+    Law,
+    Samples,
+    Solution,
+    law,
+    modulating_function,
+    noise_of,
+    window_starts,
+)
 from fmus.identification.procedures.experiment_data import (
+    course,
     interpolated,
     noise_sd,
     parameter_value,
     tank_pressure,
 )
-from fmus.identification.procedures.weak_form import modulating_function
+from fmus.identification.procedures.regression import NEGLIGIBLE
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.identification.recordings.derivatives import SavitzkyGolay
 from fmus.identification.recordings.masks import good_all
@@ -51,86 +56,10 @@ from orchestrator.data.table import Array
 SMOOTHING = 0.06  # s, length of the smoothing filter: flat up to 15 Hz, far above the modes of the arm
 ORDER = 4  # degree of its polynomials
 WINDOW = 0.3  # s, length of the bump
-
-
-@dataclass(frozen=True)
-class Filters:
-    """Kernels of odd length, in the order of convolution.
-
-    step           time between two smoothed samples [s]
-    every          samples of the recording per smoothed sample
-    smooth, rate   Savitzky-Golay value and derivative, over the samples of the recording
-    bump, slope    phi dt, whose sum is 1, and phi' dt, whose first moment is 1, over the smoothed samples
-    """
-
-    step: float
-    every: int
-    smooth: Array
-    rate: Array
-    bump: Array
-    slope: Array
-
-    @property
-    def loss(self) -> int:
-        """Number of samples without a result at each end of the recording."""
-        return self.smooth.size // 2 + self.bump.size // 2 * self.every
-
-    @property
-    def correlation_lags(self) -> int:
-        """Lags, in smoothed samples, over which filtered residuals are correlated: four times the filters."""
-        return 8 * self.loss // self.every
-
-    def gain(self, kernel: Array) -> float:
-        """Standard deviation of a speed filtered by `kernel`, over that of a sample of the angle [1/s]."""
-        return float(np.linalg.norm(np.convolve(self.rate, upsampled(kernel, self.every))))
-
-    def values(self, rows: Array) -> Array:
-        """Smoothed values of signals (k, n), except at the ends."""
-        return convolve(self.smooth, rows)[:, :: self.every]
-
-    def rates(self, rows: Array) -> Array:
-        """Smoothed time derivatives of signals (k, n), except at the ends."""
-        return convolve(self.rate, rows)[:, :: self.every]
-
-    def transposed(self, by_value: Array, by_rate: Array | None = None) -> Array:
-        """Gradient with respect to the samples from those with respect to smoothed values and rates."""
-        gradient = transposed_convolve(self.smooth, upsampled(by_value, self.every))
-        if by_rate is None:
-            return gradient
-        return gradient + transposed_convolve(self.rate, upsampled(by_rate, self.every))
-
-
-def filters(rate: float, window: float = WINDOW, every: int = 1) -> Filters:
-    """The kernels for a sampling rate [Hz]; the window [s] is longer if the rate requires it."""
-    savitzky_golay = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
-    step, half = every / rate, max(round(window * rate / every / 2), 2)
-    bump, slope = modulating_function(half + 1)
-    value, derivative = (savitzky_golay.weights[order][::-1] for order in (0, 1))
-    return Filters(step, every, value, derivative, bump / bump.sum(), -slope / (bump.sum() * step))
-
-
-def convolve(kernel: Array, rows: Array) -> Array:
-    """Each row (k, n) convolved with a kernel, except at the ends."""
-    return np.array([np.convolve(row, kernel, "valid") for row in rows])
-
-
-def transposed_convolve(kernel: Array, rows: Array) -> Array:
-    """The transpose of `convolve`."""
-    return np.array([np.convolve(row, kernel[::-1], "full") for row in rows])
-
-
-def upsampled(rows: Array, every: int) -> Array:
-    """Rows with zeros between the samples: the transpose of keeping each `every`-th sample."""
-    full = np.zeros((*rows.shape[:-1], (rows.shape[-1] - 1) * every + 1))
-    full[..., ::every] = rows
-    return full
-
-
-def all_good(good: Mask, width: int) -> Mask:
-    """Whether all samples under a kernel of `width` samples are good, shape (n - width + 1,)."""
-    return np.convolve(~good, np.ones(width), "valid") < 0.5
-
-
+STOP_MARGIN = 2e-3  # m from the ends of a stroke within which the end stops may act
+MAX_NAMES = 3  # parameters named in a remark
+EXACT = "manipulator.gravity"  # has no error
+DRY, OFFSET = "dry friction", "constant force"  # further unknowns of the balance of one joint
 JOINTS = ("swing", "boom", "stick")
 ANGLES = tuple(f"manipulator.{j}_angle" for j in JOINTS)
 PRESSURES = {
@@ -143,31 +72,6 @@ SIGNALS = dict.fromkeys(ANGLES, "rad") | dict.fromkeys(ALL_PRESSURES, "Pa")
 _LUMPED = Design(MANIPULATOR.states, MANIPULATOR.outputs, POINT_MASS, VISCOUS)
 _PARTS = (SWING, BOOM_STICK, MANIPULATOR)
 PARAMETERS = tuple(f"{sub.name}.{n}" for sub in _PARTS for n in quantities(sub.parameters))
-
-
-@dataclass(frozen=True)
-class EquationOfMotion:
-    """Functions of (q, q', pressures, tank pressure, parameters), each column one sample.
-
-    balance          -> h, f, each (3, n)
-    jacobians        -> dh/dtheta, df/dtheta, each (3 m, n), column by column
-    gradients        -> nonzero entries of d(f, h)/d(q, q', pressures, parameters), (entries, n)
-    entries          row (0 to 5) and column of each of these entries
-    speed_jacobian   -> d(f, df/dtheta.., h, dh/dtheta..)/dq', (3 * 2 * (1 + m) * 3, n), the speed slowest
-    speed_hessian    -> d2f/dq_k'^2, (3 * 3, n), the speed k slowest
-    pistons          (q, parameters) -> positions and moment arms of boom and stick, each (2, n)
-    printed          (q, q', q'', ...) -> f - dh/dt as in (13), df_i/dq_i', x_i'/q_i', each (3, n)
-    """
-
-    theta: tuple[str, ...]
-    balance: ca.Function
-    jacobians: ca.Function
-    gradients: ca.Function
-    entries: tuple[tuple[int, int], ...]
-    speed_jacobian: ca.Function
-    speed_hessian: ca.Function
-    pistons: ca.Function
-    printed: ca.Function
 
 
 @dataclass(frozen=True)
@@ -225,73 +129,75 @@ def _output_at(sub: Subsystem, name: str, measured: dict[str, Any], tank: ca.SX,
     return ca.substitute(output, ca.vertcat(*old, model.p), ca.vertcat(*new, *_parameters_of(sub, p)))
 
 
-@lru_cache(maxsize=8)
-def equation_of_motion(theta: tuple[str, ...]) -> EquationOfMotion:
-    """The functions, with derivatives with respect to the parameters theta."""
+@lru_cache(maxsize=16)
+def momentum_law(joints: tuple[str, ...], theta: tuple[str, ...]) -> Law:
+    """The balance of some joints with parameters theta as unknowns; the constants are p, tank, rounding.
+
+    Of one joint it also has a dry friction and a constant force, which act on the speed of the swing or of
+    the piston: tau - J (F_c tanh(x' / rounding) + F_0).
+    """
     e = _symbolic_equations()
-    unknown = ca.vertcat(*(e.p[PARAMETERS.index(n)] for n in theta))
-    arguments = [e.q, e.w, e.pressures, e.tank, e.p]
-    acceleration = ca.SX.sym("a", 3)
-    jacobians = [ca.vec(ca.jacobian(t, unknown)) for t in (e.momentum, e.force)]
-    gradients = ca.jacobian(ca.vertcat(e.force, e.momentum), ca.vertcat(e.q, e.w, e.pressures, e.p))
-    entries = tuple(zip(gradients.sparsity().row(), gradients.sparsity().get_col(), strict=True))
-    damping, speed_ratio = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.moment_arm)
-    stacked = ca.vertcat(e.force, jacobians[1], e.momentum, jacobians[0])
-    hessian = [ca.jacobian(ca.jacobian(e.force, speed), speed) for speed in ca.vertsplit(e.w)]
-    rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, acceleration)
-    printed = [e.force - rate, damping, speed_ratio]
-    return EquationOfMotion(
-        theta,
-        ca.Function("balance", arguments, [e.momentum, e.force]),
-        ca.Function("jacobians", arguments, jacobians),
-        ca.Function("gradients", arguments, [gradients.nz[:]]),
-        entries,
-        ca.Function("speed_jacobian", arguments, [ca.densify(ca.vec(ca.jacobian(stacked, e.w)))]),
-        ca.Function("speed_hessian", arguments, [ca.densify(ca.vertcat(*hessian))]),
+    rows = [JOINTS.index(j) for j in joints]
+    unknowns = {n: ca.SX.sym(n) for n in theta}
+    momentum, force, moment_arm = e.momentum[rows], e.force[rows], e.moment_arm
+    rounding = ca.SX.sym("rounding")
+    if len(rows) == 1:
+        ratio = ca.vertcat(1, moment_arm)[rows[0]]
+        unknowns |= {n: ca.SX.sym(n.replace(" ", "_")) for n in (DRY, OFFSET)}
+        friction = unknowns[DRY] * ca.tanh(ratio * e.w[rows[0]] / rounding) + unknowns[OFFSET]
+        force = force - ratio * friction
+    old = ca.vertcat(*(e.p[PARAMETERS.index(n)] for n in theta))
+    momentum, force = ca.substitute([momentum, force], [old], [ca.vertcat(*(unknowns[n] for n in theta))])
+    known = ca.vertcat(e.p, e.tank, rounding)
+    return law(ca.vertcat(e.q, e.w, e.pressures), unknowns, known, force, momentum)
+
+
+@lru_cache(maxsize=1)
+def equation_of_motion() -> tuple[ca.Function, ca.Function]:
+    """Two functions of samples, one in each column.
+
+    pistons   (q, p) -> positions and moment arms of boom and stick, each (2, n)
+    printed   (q, q', q'', pressures, tank, p) -> f - dh/dt as in (13), df_i/dq_i', x_i'/q_i', each (3, n)
+    """
+    e, a = _symbolic_equations(), ca.SX.sym("a", 3)
+    damping, ratio = ca.diag(ca.jacobian(e.force, e.w)), ca.vertcat(1, e.moment_arm)
+    rate = ca.jtimes(e.momentum, e.q, e.w) + ca.jtimes(e.momentum, e.w, a)
+    arguments = [e.q, e.w, a, e.pressures, e.tank, e.p]
+    return (
         ca.Function("pistons", [e.q, e.p], [e.position, e.moment_arm]),
-        ca.Function("printed", [e.q, e.w, acceleration, *arguments[2:]], printed),
+        ca.Function("printed", arguments, [e.force - rate, damping, ratio]),
     )
 
 
-STOP_MARGIN = 2e-3  # m from the ends of a stroke within which the end stops may act
+def speed_ratio(joint: str, q: Array, p: Array) -> Array:
+    """x' over the joint's speed at angles q (3, n): 1 or the moment arm of the cylinder [m], shape (n,)."""
+    if joint == "swing":
+        return np.ones(q.shape[1])
+    moment_arms: Array = np.array(equation_of_motion()[0](q, p)[1].full())
+    return np.array(moment_arms[JOINTS.index(joint) - 1])
 
 
 @dataclass(frozen=True)
-class SmoothedRecording:
-    """A recording, smoothed for the momentum balance; signals have shape (rows, n).
+class JointRecording:
+    """A recording, ready for the balance of some joints.
 
-    tank                          tank pressure [Pa]
-    good                          whether the filtered equation is valid, shape (n - bump + 1,)
-    angle_noise, pressure_noise   standard deviation of a sample of each sensor
-    at_stroke_end                 number of samples left out because a piston was at the end of its stroke
+    samples         its signals in the law; names of the unknowns are those of the law
+    time, z         of the filtered samples, shape (n,) and (12, n): angles, speeds, pressures
+    at_stroke_end   number of samples left out because a piston was at the end of its stroke
+    possible        number of windows without any fault
     """
 
+    source: Recording
+    samples: Samples
     time: Array
-    q: Array
-    w: Array
-    pressures: Array
-    tank: float
-    filters: Filters
-    good: Mask
-    angle_noise: Array
-    pressure_noise: Array
+    z: Array
     at_stroke_end: int
+    possible: int
 
     @property
-    def arguments(self) -> tuple[Array, Array, Array, float]:
-        """Arguments of the functions of `EquationOfMotion`, except the parameters."""
-        return self.q, self.w, self.pressures, self.tank
-
-    def filtered(self, force: Array, momentum: Array) -> Array:
-        """phi * f - phi' * h for rows (k, n); zero if the equation is not valid."""
-        e: Array = convolve(self.filters.bump, force) - convolve(self.filters.slope, momentum)
-        return e * self.good
-
-    @property
-    def centres(self) -> slice:
-        """Smoothed samples at the centres of the bumps, one per value of the filtered equation."""
-        half = self.filters.bump.size // 2
-        return slice(half, self.q.shape[1] - half)
+    def course(self) -> tuple[Array, str]:
+        """Time or temperature of the oil at each window, and the word for it."""
+        return course(self.source, self.time[self.samples.centres] - self.source.time[0])
 
 
 def angles(recording: Recording) -> Array:
@@ -305,41 +211,75 @@ def pressures(recording: Recording, needed: Collection[str]) -> Array:
     return np.array([interpolated(recording[n]) if n in needed else zero for n in ALL_PRESSURES])
 
 
-def smoothed_recording(
-    recording: Recording, joints: Sequence[str], p: Array, window: float = WINDOW, every: int = 1
-) -> SmoothedRecording:
-    """A recording, smoothed for the balance of these joints; window and every as in `filters`."""
-    kernels = filters(uniform_rate(recording), window, every)
+def all_good(good: Mask, width: int) -> Mask:
+    """Whether all samples under a filter of `width` samples are good, shape (n - width + 1,)."""
+    return np.asarray(sliding_window_view(good, width).all(axis=1))
+
+
+def joint_recording(
+    recording: Recording,
+    joints: tuple[str, ...],
+    theta: tuple[str, ...],
+    p: Array,
+    *,
+    window: float = WINDOW,
+    slow: float = 0.0,
+    rounding: float = 1.0,
+) -> JointRecording:
+    """A recording for the balance of some joints.
+
+    window     length of the bump [s], longer if the sampling rate requires it
+    slow       rms speeds of the first joint below which a sample is left out
+    rounding   rms speeds of the first joint over which the sign of the dry friction is rounded
+    """
+    rate = uniform_rate(recording)
+    savitzky_golay = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
+    half, taps = max(round(window * rate / 2), 2) + 1, savitzky_golay.size
+    bump, slope = modulating_function(half)
     needed = [n for j in joints for n in PRESSURES[j]]
-    if recording.time.size < 2 * kernels.loss + 10:
+    shortest = 2 * half + taps
+    if recording.time.size < shortest:
         raise Problem(
-            f"{recording.source}: {recording.time.size} samples, expected {2 * kernels.loss + 10} or more "
-            "for the filters"
+            f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
         )
-    raw_angles = angles(recording)
-    q, w = kernels.values(raw_angles), kernels.rates(raw_angles)
+    raw = np.concatenate([angles(recording), pressures(recording, needed)])
+    sd = [noise_sd(recording, n) if n in (*ANGLES, *needed) else 0.0 for n in (*ANGLES, *ALL_PRESSURES)]
+    value, derivative = savitzky_golay.weights[:2]
+    channels = [*((k, value) for k in range(3)), *((k, derivative) for k in range(3))]
+    channels += [(k, value) for k in range(3, len(raw))]
+    model = momentum_law(joints, theta)
+    z = np.array([np.correlate(raw[k], kernel, "valid") for k, kernel in channels])
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    position: Array = np.array(equation_of_motion(()).pistons(q, p)[0].full())
+    position: Array = np.array(equation_of_motion()[0](z[:3], p)[0].full())
     at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
-    smoothed_good = all_good(good_all(recording, (*ANGLES, *needed)), kernels.smooth.size)[::every]
-    good = all_good(smoothed_good & ~at_end, kernels.bump.size)
-    if not good.any():
+    good = all_good(good_all(recording, (*ANGLES, *needed)), taps) & ~at_end
+    speed = speed_ratio(joints[0], z[:3], p) * z[3 + JOINTS.index(joints[0])]
+    rms = float(np.sqrt(np.mean(speed**2)))
+    starts = window_starts(good & (np.abs(speed) >= slow * rms), half)
+    if not window_starts(good, half).size:
         raise Problem(
-            f"{recording.source}: expected {2 * kernels.loss * kernels.step / every:.2g} s without a gap or "
+            f"{recording.source}: expected {shortest / rate:.2g} s without a gap or "
             f"clipped sample in {', '.join((*ANGLES, *needed))}, got no such stretch"
         )
-    half = kernels.smooth.size // 2
-    return SmoothedRecording(
-        time=recording.time[half : recording.time.size - half : every],
-        q=q,
-        w=w,
-        pressures=kernels.values(pressures(recording, needed)),
-        tank=tank_pressure(recording),
-        filters=kernels,
-        good=good,
-        angle_noise=np.array([noise_sd(recording, n) for n in ANGLES]),
-        pressure_noise=np.array([noise_sd(recording, n) if n in needed else 0.0 for n in ALL_PRESSURES]),
+    offset = taps // 2
+    return JointRecording(
+        source=recording,
+        samples=Samples(
+            law=model,
+            names=model.unknowns,
+            sensors=(*ANGLES, *ALL_PRESSURES),
+            raw=raw,
+            sd=noise_of(raw, np.array(sd)),
+            channels=channels,
+            known=np.array([*p, tank_pressure(recording), max(rounding * rms, 1e-9)]),
+            bump=bump / bump.sum(),
+            slope=slope * rate / bump.sum(),
+            starts=starts,
+        ),
+        time=recording.time[offset : offset + z.shape[1]],
+        z=z,
         at_stroke_end=int(at_end.sum()),
+        possible=window_starts(np.ones_like(good), half).size,
     )
 
 
@@ -349,28 +289,74 @@ def parameter_vector(parameters: Mapping[str, Number]) -> Array:
 
 
 @dataclass(frozen=True)
-class MomentumEquation:
-    """Residual e (rows, t) [N.m] at some parameters and its Jacobian de/dtheta (m, rows, t).
+class KnownParameterEffect:
+    """Effect of errors of the known parameters on an estimated parameter.
 
-    Both are zero if the equation is not valid.
+    recording_sd   standard deviation by the recordings
+    by_sd          change by one standard deviation of each known parameter that has one
+    by_percent     change by 1 % of each known parameter without a standard deviation
     """
 
-    residual: Array
-    jacobian: Array
+    recording_sd: float
+    by_sd: Mapping[str, float]
+    by_percent: Mapping[str, float]
 
-    def shifted(self, step: Array) -> MomentumEquation:
-        """The equation at the parameters plus `step`; it is linear in them."""
-        return MomentumEquation(self.residual + np.einsum("mrt,m->rt", self.jacobian, step), self.jacobian)
+    @property
+    def sd(self) -> float:
+        """Standard deviation by those of the known parameters, which are assumed independent."""
+        return math.sqrt(sum(x**2 for x in self.by_sd.values()))
+
+    @property
+    def total(self) -> float:
+        """Standard deviation by the recordings and by the known parameters."""
+        return math.hypot(self.recording_sd, self.sd)
+
+    @property
+    def significant(self) -> bool:
+        """Whether the known parameters widen the interval noticeably."""
+        return self.sd > NEGLIGIBLE * self.recording_sd
+
+    def remarks(self, value: float, unit: str) -> list[str]:
+        """Sentences that follow the parameter's name and a colon."""
+        sentences = []
+        if self.significant:
+            names = _largest({n: x for n, x in self.by_sd.items() if x**2 > NEGLIGIBLE * self.sd**2})
+            sentences.append(
+                f"the uncertainty of the known parameters adds a standard deviation of {self.sd:.2g} "
+                f"{unit} to the {self.recording_sd:.2g} {unit} from the recordings; most of it comes "
+                f"from {', '.join(names)}."
+            )
+        large = {n: x for n, x in self.by_percent.items() if abs(x) > self.total}
+        if large:
+            changes = ", ".join(f"{n} {100 * large[n] / value:+.2g} %" for n in _largest(large))
+            sentences.append(
+                "the interval assumes exact geometry and masses. An error of 1 % would change the "
+                f"value: {changes}."
+            )
+        return sentences
+
+    def note(self) -> str:
+        """Addition to the note in parameters.toml; empty unless the effect is significant."""
+        if not self.significant:
+            return ""
+        return f"; sd {self.recording_sd:.2g} by the recordings, {self.sd:.2g} by the known parameters"
 
 
-def momentum_equation(
-    s: SmoothedRecording, rows: Sequence[int], theta: tuple[str, ...], p: Array
-) -> MomentumEquation:
-    """The filtered balance of the joints with indices `rows` at the parameters p."""
-    f, m, joints = equation_of_motion(theta), len(theta), list(rows)
-    momentum, force = (x.full()[joints] for x in f.balance(*s.arguments, p))
-    residual = s.filtered(force, momentum)
-    # (3 m, n) column by column
-    by_momentum, by_force = (x.full().reshape(m, 3, -1)[:, joints] for x in f.jacobians(*s.arguments, p))
-    jacobian = [s.filtered(df, dh) for df, dh in zip(by_force, by_momentum, strict=True)]
-    return MomentumEquation(residual, np.array(jacobian).reshape(m, *residual.shape))
+def known_parameter_effects(
+    solution: Solution, parameters: Mapping[str, Number]
+) -> dict[str, KnownParameterEffect]:
+    """Effect of the known parameters on each estimate of a momentum balance."""
+    known = {n: parameters[n] for n in PARAMETERS if n not in solution.fit.names and n != EXACT}
+    effects = {}
+    for name, row in zip(solution.fit.names, solution.by_known(), strict=True):
+        sensitivity = dict(zip(PARAMETERS, map(float, row), strict=False))
+        effects[name] = KnownParameterEffect(
+            solution.fit.sd(name),
+            {n: sensitivity[n] * x.sd for n, x in known.items() if x.sd is not None},
+            {n: sensitivity[n] * abs(x.value) / 100 for n, x in known.items() if x.sd is None},
+        )
+    return effects
+
+
+def _largest(changes: Mapping[str, float]) -> list[str]:
+    return sorted(changes, key=lambda n: -abs(changes[n]))[:MAX_NAMES]

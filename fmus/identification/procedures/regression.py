@@ -1,4 +1,4 @@
-"""Weighted least squares with known measurement errors: linear (statsmodels) and nonlinear (lmfit).
+"""Result of a weighted least squares fit with known measurement errors, and a nonlinear fit.
 
 Each residual is divided by its standard deviation, so chi-square is the sum of squared residuals, and the
 covariance of the estimates is (J'J)^-1 without scaling. Goodness of fit: if chi-square is less probable than
@@ -7,13 +7,11 @@ intervals then also cover the model error.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import lmfit
 import numpy as np
-import statsmodels.api as sm
-from scipy import stats
+from scipy import optimize, stats
 
 from fmus.identification.estimate import Estimate
 from orchestrator.base.errors import Problem
@@ -126,37 +124,23 @@ def fit(residual: Residual, start: Mapping[str, Guess], label: str) -> Regressio
     start   initial value of each parameter
     label   name of the fit in error messages
     """
-    nominal = {name: guess.nominal for name, guess in start.items()}
-    search = lmfit.Parameters()
-    for name, guess in start.items():
-        value, low, high = (x / nominal[name] for x in (guess.value, guess.low, guess.high))
-        search.add(name, value=value, min=low, max=high)
+    names, nominal = tuple(start), np.array([guess.nominal for guess in start.values()])
+    first, low, high = np.array([(g.value, g.low, g.high) for g in start.values()]).T / nominal
 
-    def scaled(parameters: lmfit.Parameters) -> Array:
-        return residual({name: parameters[name].value * unit for name, unit in nominal.items()})
+    def scaled(x: Array) -> Array:
+        return residual(dict(zip(names, x * nominal, strict=True)))
 
-    result = lmfit.minimize(scaled, search, scale_covar=False, nan_policy="propagate")
-    if not result.success or getattr(result, "covar", None) is None:
-        raise Problem(f"{label}: the fit of {', '.join(start)} to {result.ndata} values did not converge")
-    scale = np.array(list(nominal.values()))
-    values = scale * [result.params[name].value for name in nominal]
-    return _regression(tuple(nominal), values, result.covar * np.outer(scale, scale), result.residual)
-
-
-def linear(y: Array, regressors: Mapping[str, Array], sd: Array, label: str) -> Regression:
-    """Weighted linear least squares of y = sum of parameter times regressor.
-
-    regressors   parameter -> its regressor, shape (n,) as y
-    sd           standard deviation of each y
-    label        name of the fit in error messages
-    """
-    matrix = np.column_stack(list(regressors.values()))
-    scale = np.linalg.norm(matrix, axis=0)
-    if not (scale > 0).all() or np.linalg.cond(matrix / scale) > SINGULAR:
-        raise Problem(f"{label}: the {len(y)} points cannot distinguish between {', '.join(regressors)}")
-    result = sm.WLS(y, matrix / scale, weights=1 / sd**2).fit()
-    covariance = result.normalized_cov_params / np.outer(scale, scale)
-    return _regression(tuple(regressors), result.params / scale, covariance, result.resid / sd)
+    problem = Problem(
+        f"{label}: the fit of {', '.join(names)} to {scaled(first).size} values did not converge"
+    )
+    try:
+        found = optimize.least_squares(scaled, first, bounds=(low, high))
+        covariance = np.linalg.inv(found.jac.T @ found.jac) * np.outer(nominal, nominal)
+    except (ValueError, np.linalg.LinAlgError):  # not finite, singular
+        raise problem from None
+    if not found.success or not (np.diag(covariance) > 0).all():
+        raise problem
+    return _regression(names, nominal * found.x, covariance, found.fun)
 
 
 def _regression(names: tuple[str, ...], values: Array, covariance: Array, residual: Array) -> Regression:
@@ -165,13 +149,6 @@ def _regression(names: tuple[str, ...], values: Array, covariance: Array, residu
     if not unscaled.misfit:
         return unscaled
     return replace(unscaled, covariance=covariance * chi_square / freedom)
-
-
-def homogeneity(values: Sequence[float], sds: Sequence[float]) -> float:
-    """Probability (chi-square) that independent estimates of one quantity scatter as much as these."""
-    v, w = np.array(values), 1 / np.array(sds) ** 2
-    mean = np.sum(w * v) / np.sum(w)
-    return float(stats.chi2.sf(np.sum(w * (v - mean) ** 2), len(v) - 1))
 
 
 def misfit_remark(fit: Regression, equation: str) -> tuple[str, ...]:

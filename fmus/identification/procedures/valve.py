@@ -2,80 +2,91 @@
 
     C_R = (P_in - P_out)/(Q|Q|), eq. (1)        C_R = rho/(2 C_d^2 A(V)^2), eq. (2)
 
-The data are means over each step with their standard errors. Two descriptions of A(V) are compared:
-
-- a straight line with a dead band and a rounded foot (`valve_law`), fitted to the flow;
-- a curve of any rising shape (`opening_posterior`), with its 95 % band; a table of up to ten points
-  (`opening_fit`) describes it for the machine.
-
-If the data of no edge prefer the curve significantly (likelihood ratio), a straight line suffices: area and
-dead band are the result, fitted to all edges together unless these differ. Otherwise each edge gets a table,
-the same one if the edges do not differ. The difference of the two pressures without flow, an offset of the
-transducers, is estimated as well, within the zero errors of their data sheets.
+The data are means over each step with their standard errors, and `openings` makes a line or a curve of them.
+If a straight line with a dead band suffices for each edge, area and dead band are the result, fitted to all
+edges together unless these differ. Otherwise each edge gets a table of up to ten points, the same one if the
+edges do not differ.
 
 Validity: steady flow above the dead zone of the meter; the opening rises with the command. Only the product
-C_d A sqrt(2/rho) is measured: the area is valid for the known C_d and density.
+C_d A sqrt(2/rho) is measured: the area is valid for the known C_d and the density, which is that of the
+recording if it has one.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from scipy import stats
 
 from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import BAR, ProcedureResult
+from fmus.identification.finding import Finding
+from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, ProcedureResult
 from fmus.identification.procedures.experiment_data import (
+    SETTLING_TIME,
+    SHORTEST_STEP,
+    concatenate,
+    condition,
     difference_limit,
+    interpolated,
     parameter,
-    pressure_offset_remark,
     select,
+    step_means,
     training_recordings,
-    zero_warning,
 )
-from fmus.identification.procedures.opening_fit import SAME, OpeningCurve
-from fmus.identification.procedures.regression import misfit_remark, misfit_warning
-from fmus.identification.procedures.valve_law import (
+from fmus.identification.procedures.openings import (
+    CERTAIN,
+    SAME,
+    UNLIKELY,
+    Line,
+    Nodes,
+    OpeningCurve,
+    Openings,
+    Priors,
     ValveConstants,
-    ValveFit,
     ValveSteps,
-    impossible,
-    polynomial,
-    resistance,
-    resistance_of,
-    valve_steps,
+    fit_openings,
 )
-from fmus.identification.procedures.valve_openings import EQUAL, Openings, fit_openings
-from fmus.identification.procedures.valve_panels import by_curve, log_polynomial, panels
+from fmus.identification.procedures.valve_text import panels, remarks
+from fmus.identification.recordings.masks import at_ends, noise, steady
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
+from orchestrator.data.table import Array
 
 SIGNALS: Mapping[str, str] = {"command": "V", "pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 VOLTAGES = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0)  # V, at which C_R is reported
 ROUNDING = "boom_stick.valve_command_rounding"
 UNREAL = 100.0  # times the full command, or a part of it
-METER_NOISE = 4.0  # standard deviations above its dead zone in which a meter may still read nothing
+MIN_VOLTAGES = 3  # different commands at which the flow must be measured
+# sign of the command that opens each edge, correction E7 in docs/equations.md
+COMMAND_SIGN = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
+WRONG_NOISE, NOISE_ERROR = (
+    2.0,
+    0.05,
+)  # factor up to which a noise is known; sd of the logarithm of a found one
+SAME_OIL = 0.01  # relative difference of two densities of one oil
+COLLINEAR = 1e3  # condition number of two causes that the data cannot tell apart
+UNEVEN = 1.3  # scatter over its noise that ripple and errors of a standard error may cause
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Area and dead band or opening curve of the valve's edges, and C_R over the command."""
-    openings = identify_openings(recordings, parameters)
-    constants, zero = openings.constants, openings.zero
-    corrected = replace(openings.steps, drop=openings.steps.drop - zero.value)
-    estimates = _of_line(openings.line) if openings.line else _of_curves(openings)
+    tests = training_recordings(recordings, "valve", SIGNALS)
+    found = identify_openings(tests, parameters)
+    zero = zero_of(found)
+    corrected = replace(found.steps, drop=found.steps.drop - zero.value)
+    declared = all(r.sensor("flow").zero_error is not None for r in tests)
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
         figure=5,
-        estimates=tuple(estimates),
-        panels=panels(corrected, openings.areas(), openings.curves, constants),
-        remarks=tuple(remarks(corrected, openings)),
-        others=(*_curve(openings), zero, *_of_edges(openings)),
-        warnings=tuple(_warnings(openings)),
-        listed=tuple(_no_tables(parameters) if openings.line else _tables(openings)),
+        estimates=tuple(_of_line(found, found.line, found.curves) if found.line else _of_curves(found)),
+        panels=panels(corrected, found),
+        remarks=tuple(remarks(corrected, found, zero, declared)),
+        others=(*_resistances(found), zero, *_of_edges(found)),
+        findings=tuple(_findings(tests, found)),
+        listed=tuple(_no_tables(parameters) if found.line else _tables(found)),
     )
 
 
@@ -83,294 +94,445 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
     """The openings of the edges with their bands."""
     tests = training_recordings(recordings, "valve", SIGNALS)
     constants = ValveConstants.of(parameters)
-    for recording in tests:
-        _check_commands(recording, constants.full_command)
+    steps = concatenate([_steps_of(_with_its_noise(r, constants), constants) for r in tests])
+    readings = [r for e in steps.edges if (r := closed_reading(steps.of(e), constants))]
+    flow_zero, sd = 0.0, max(r.sensor("flow").zero_error or 0.0 for r in tests) / 3**0.5
+    if readings:
+        weight = [error**-2.0 for _, error in readings]
+        flow_zero, sd = float(np.average([q for q, _ in readings], weights=weight)), sum(weight) ** -0.5
+    steps = _opened(replace(steps, flow=steps.flow - flow_zero), constants)
+    for edge in steps.edges:
+        _check_voltages(edge, steps.of(edge), constants)
     limit = difference_limit(tests, ("pressure_in", "pressure_out"))
-    meters = [recording.sensor("flow") for recording in tests]
-    # up to this flow a meter may read nothing; without a dead zone there is no such flow
-    idle = max((m.dead_zone + METER_NOISE * m.noise if m.dead_zone else 0.0) for m in meters)
-    rounding = parameter(parameters, ROUNDING)
-    return fit_openings(valve_steps(tests), constants, rounding, limit, idle)
+    known = Priors(parameter(parameters, ROUNDING), limit, sd)
+    return replace(fit_openings(steps, constants, known), flow_zero=(flow_zero, sd) if readings else None)
 
 
-def _check_commands(recording: Recording, full: float) -> None:
-    """Raise Problem for commands that no valve of this kind gets, such as mV taken as V."""
-    largest = float(np.nanmax(np.abs(recording["command"])))
-    if not full / UNREAL < largest < full * UNREAL:
+# ---- steps -------------------------------------------------------------------------------------------
+
+
+def _check_voltages(edge: str, steps: ValveSteps, constants: ValveConstants) -> None:
+    voltages = Nodes.of(steps, constants).command.size if steps.good.any() else 0
+    if voltages < MIN_VOLTAGES:
+        raise Problem(
+            f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "
+            f"out of {steps.command.size} steps: {steps.omissions() or 'none'}"
+        )
+
+
+def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Array, list[slice]]:
+    """The edge, its opening command [V] and the steps in which it is held."""
+    edge, samples = condition(recording, "edge", COMMAND_SIGN), recording["command"]
+    largest, full = float(np.nanmax(np.abs(samples))), constants.full_command
+    if not full / UNREAL < largest < full * UNREAL:  # such as mV taken as V
         expected = f"expected a full command of about {full:g} V, got {largest:g} V: is its unit right?"
         raise Problem(f"{recording.source}: command: {expected}")
+    command = COMMAND_SIGN[edge] * interpolated(samples)  # a missing sample does not end a step
+    if not (command > 0).any():
+        expected = "positive" if COMMAND_SIGN[edge] > 0 else "negative"
+        raise Problem(f"{recording.source}: command: expected {expected} values, which open {edge}, got none")
+    gapless = replace(recording, signals={**recording.signals, "command": command})
+    stretches = steady(gapless, "command", SETTLING_TIME, SHORTEST_STEP)
+    return edge, command, [step for step in stretches if command[step.start] > 0]
 
 
-def _warnings(openings: Openings) -> Iterator[str]:
-    """Residuals far above the noise, zeros that the transducers cannot have."""
-    if openings.line:
-        yield from misfit_warning(openings.line.regression.times_noise, "valve: the straight opening")
-        yield from zero_warning("valve", *openings.line.zero_wanted, openings.zero_limit, BAR)
-        yield from _below_zero(openings.line)
-    elif openings.straight:
-        for edge, fitted in openings.separate.items():
-            yield from misfit_warning(fitted.regression.times_noise, f"valve {edge}: the straight opening")
-            yield from zero_warning(f"valve {edge}", *fitted.zero_wanted, openings.zero_limit, BAR)
+def _noises(recording: Recording, constants: ValveConstants) -> Iterator[tuple[str, float, float]]:
+    """Signals with a declared noise, their fastest noise [SI], and their scatter within a step."""
+    steps = _stretches(recording, constants)[2]
+    for name in STEP_SIGNALS:
+        sensor, samples = recording.sensor(name), recording[name]
+        outside = np.where(np.abs(samples) <= sensor.dead_zone, np.nan, samples)
+        scatter = [float(np.std(x)) for s in steps if (x := outside[s])[np.isfinite(x)].size == x.size > 1]
+        fast = noise(samples, sensor)
+        if sensor.noise > 0 and scatter and np.isfinite(fast):
+            yield name, fast, max(fast, float(np.median(scatter)))
+
+
+STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
+
+
+def _with_its_noise(recording: Recording, constants: ValveConstants) -> Recording:
+    """The recording without noises that are declared much too large, which would make samples look stuck."""
+    smaller = {
+        name: replace(recording.sensor(name), noise=scatter)
+        for name, _, scatter in _noises(recording, constants)
+        if recording.sensor(name).noise > WRONG_NOISE * scatter > 0
+    }
+    return replace(recording, sensors={**recording.sensors, **smaller})
+
+
+def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
+    """All steps of a recording; a reading in the dead zone of the meter is one, too."""
+    edge, command, steps = _stretches(recording, constants)
+    means, meter = step_means(recording, steps), recording.sensor("flow")
+    sign = np.where(means.drop < 0, -1.0, 1.0)
+    flow = sign * means.flow
+    highest = (flow + CERTAIN * means.flow_error)[means.good]  # flow along the drop that noise allows
+    wrong_way = int(np.count_nonzero(highest < 0))
+    if wrong_way > highest.size / 2:
+        raise Problem(
+            f"{recording.source}: flow: expected a flow from the higher to the lower pressure, got the "
+            f"opposite direction in {wrong_way} of {highest.size} steps: change the sign of the flow, "
+            "or exchange pressure_in and pressure_out"
+        )
+    middle = np.array([command[step].mean() for step in steps])
+    spread = np.array([command[step].std() / np.sqrt(step.stop - step.start) for step in steps])
+    of_dead = np.array([np.nanstd(recording["flow"][s]) / np.sqrt(s.stop - s.start) for s in steps])
+    error = np.where(means.dead, np.maximum(of_dead, meter.resolution / 12**0.5), means.flow_error)
+    temperature = next((n for n in recording.signals if "temperature" in n), "")
+    warmth = recording[temperature] if temperature else np.full(recording.time.size, np.nan)
+    machine = constants.density
+    density = recording.numeric_condition("density") if "density" in recording.conditions else machine
+    drop = means.drop[np.isfinite(means.drop)]
+    usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in (means.drop_error, error)]
+    return ValveSteps(
+        **vars(means)
+        | {
+            "drop": sign * means.drop,
+            "drop_error": np.maximum(means.drop_error, usual[0]),
+            "flow": flow,
+            "flow_error": np.where(means.good, np.maximum(error, usual[1]), error),
+        },
+        command=np.abs(middle),
+        command_error=spread,
+        supply_drop=np.ones(len(steps)) * np.max(np.abs(drop), initial=0.0),
+        time=np.array([recording.time[step].mean() for step in steps]),
+        temperature=np.array([np.nanmean(warmth[step]) if temperature else np.nan for step in steps]),
+        change=np.sign(np.diff(middle, prepend=middle[:1])),
+        density=np.full(len(steps), density),
+        idle_flow=np.where(means.dead, meter.dead_zone + CERTAIN * meter.noise, np.nan),
+        edge=np.full(len(steps), edge),
+    )
+
+
+def _opened(steps: ValveSteps, c: ValveConstants) -> ValveSteps:
+    """Good steps are those with a certain flow; the others bound the opening."""
+    certain = steps.flow - c.leakage * (2 * steps.drop - steps.supply_drop) > CERTAIN * steps.flow_error
+    most = np.maximum(steps.flow, 0.0) + CERTAIN * steps.flow_error
+    idle = np.where(steps.good & ~certain, most, steps.idle_flow)
+    return replace(steps, good=steps.good & certain & (steps.drop > 0), idle_flow=idle)
+
+
+def closed_reading(steps: ValveSteps, c: ValveConstants) -> tuple[float, float] | None:
+    """Mean flow [m3/s] of a closed edge and its standard error: readings that no command changes.
+
+    None if less than two commands have it, or a meter in its dead zone shows nothing.
+    """
+    s = select(
+        steps, (steps.good | steps.dead) & np.isfinite(steps.flow + steps.drop) & (steps.flow_error > 0)
+    )
+    order = np.argsort(s.command)
+    flow = (s.flow - c.leakage * (2 * s.drop - s.supply_drop))[order]
+    raw, error, command = s.flow[order], s.flow_error[order], s.command[order]
+    last = np.flatnonzero(np.diff(command) > SAME * c.full_command)  # of each command but the highest
+    found = None
+    for k in last + 1:
+        weight = error[:k] ** -2.0
+        mean = float(np.average(flow[:k], weights=weight))
+        if stats.chi2.sf(float(weight @ (flow[:k] - mean) ** 2), k - 1) < UNLIKELY:
+            break
+        if k > last[0] + 1 and raw[:k].any():
+            found = mean, float(weight.sum() ** -0.5)
+    return found
+
+
+# ---- tests of what the procedure takes for granted -----------------------------------------------------
+
+
+def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Finding]:
+    """One finding per assumption: the edge that contradicts it most, for as many edges as were tested."""
+    if len(found.nodes) == 1:
+        (edge,) = found.nodes
+        sentence = f"valve: only the edge {edge} was measured; the other three are taken to be like it."
+        yield Finding("one measured edge", 0.0, sentence)
+    falling = [
+        (p, f"valve {e}: the opening falls by {100 * fall:.2g} % while the command rises.")
+        for e, (p, fall) in found.falling.items()
+    ]
+    zeros = ((e, free) for e, free in found.any_zero.items() if free.freedom >= 4 and free.p >= UNLIKELY)
+    tests: dict[str, Iterable[tuple[float, str]]] = {
+        "zero of a pressure sensor": [_outside(e, free, found.known.zero) for e, free in zeros],
+        "zero of a flow meter": _flow_zero(recordings, found),
+        "falling opening": falling,
+        "dead band": [_start(e, found) for e in found.nodes],
+        "density": _density(recordings, found.constants),
+        "noise": [t for r in recordings for t in _noise(r, found.constants)],
+        "saturated signal": _saturated(recordings),
+    }
+    for nodes in found.nodes.values():
+        for fault, test in _repeated(nodes):
+            tests[fault] = [*tests.get(fault, ()), test]
+    for fault, results in tests.items():
+        if several := list(results):
+            p, sentence = min(several)
+            yield Finding(fault, min(1.0, len(several) * p), sentence)
+
+
+def _outside(edge: str, free: Line, limit: float) -> tuple[float, str]:
+    """Score test of a zero beyond its limit, by the straight line with any zero."""
+    zero, bar = free["zero"], BAR[1]
+    p = 2 * float(stats.norm.sf((abs(zero) - limit) / free.sd("zero"))) if abs(zero) > limit else 1.0
+    return p, (
+        f"valve, edge {edge}: the opening is straight if the zeros of the two pressures differ by "
+        f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
+    )
+
+
+def _flow_zero(recordings: Sequence[Recording], found: Openings) -> Iterator[tuple[float, str]]:
+    """The reading at closed edges against the declared zero; undeclared it is none."""
+    if found.flow_zero:
+        (zero, sd), unit = found.flow_zero, LITRES_PER_MINUTE[1]
+        limit = max(r.sensor("flow").zero_error or 0.0 for r in recordings)
+        p = 2 * float(stats.norm.sf((abs(zero) - limit) / sd)) if abs(zero) > limit else 1.0
+        sentence = (
+            f"valve: the flow meter reads {zero / unit:.2g} L/min at closed edges, and {limit / unit:.2g} "
+            "L/min is declared; the reading is subtracted."
+        )
+        yield p, sentence
+
+
+def _start(edge: str, found: Openings) -> tuple[float, str]:
+    """An edge that is open at zero command, or closed where its opening would give a flow."""
+    curve, nodes = found.curves[edge], found.nodes[edge]
+    bounds = found.steps.of(edge).shut().idle_area(found.constants)
+    before = bounds[:, 0] < curve.first_measured
+    line = found.line or (found.lines[edge] if found.straight else None)
+    if line:
+        first, sd = line["start0"], line.sd("start0")
     else:
-        yield from misfit_warning(openings.scatter, "valve: the mean of steps with one command")
-        for edge, times in openings.misfit.items():
-            yield from misfit_warning(times, f"valve {edge}: the rising curve of the opening")
-        if openings.impossible_zero:
-            yield (
-                "valve: to fit the data, the zero offsets of the two pressures would have to differ "
-                f"by more than the declared {openings.zero_limit / BAR[1]:.3g} bar."
+        a, v, s = nodes.area, nodes.command, nodes.sd
+        length = (v[1] - v[0]) / (a[1] - a[0])
+        first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
+    # least area where the meter reads nothing: below the lowest node that of the steepest start
+    latest = float(curve.start.max())
+    steep = np.clip((bounds[:, 0] - latest) / (curve.first_measured - latest), 0.0, None) * nodes.area[0]
+    least = np.where(before, steep, np.interp(bounds[:, 0], nodes.command, nodes.area))
+    error = np.interp(bounds[:, 0], nodes.command, nodes.sd)
+    idle = [
+        (
+            float(stats.norm.sf((x - bound) / e)),
+            f"valve {edge}: the flow meter reads nothing at {v:.3g} V, although the opening gives a flow: "
+            "the opening has a step, or the meter was stuck.",
+        )
+        for (v, bound), x, e in sorted(zip(bounds.tolist(), least, error, strict=True), reverse=True)
+    ]
+    underlap = (
+        float(stats.norm.sf(-first / sd)),
+        f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
+        "offset. The machine has no opening at zero command.",
+    )
+    p, sentence = min((underlap, *idle), key=lambda test: test[0])
+    return min(1.0, p * (1 + len(idle))), sentence
+
+
+def _density(recordings: Sequence[Recording], c: ValveConstants) -> Iterator[tuple[float, str]]:
+    """An oil that is not that of the machine."""
+    for recording in recordings:
+        if "density" in recording.conditions:
+            density = recording.numeric_condition("density")
+            other = abs(density / c.density - 1) > SAME_OIL
+            sentence = (
+                f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
+                f"machine's of {c.density:.4g} kg/m3; the areas are those of the recorded oil."
             )
-    for edge, command in openings.idle.items():
-        yield (
-            f"valve {edge}: the flow meter reads zero at {command:.3g} V, although the estimated "
-            "opening gives a flow well above the dead zone of the meter: the opening has a step, or "
-            "the meter was stuck."
+            yield 0.0 if other else 1.0, sentence
+
+
+def _noise(recording: Recording, c: ValveConstants) -> Iterator[tuple[float, str]]:
+    """Noise known to a factor of two: fast changes are not above it, and the scatter is not below it."""
+    for name, fast, scatter in _noises(recording, c):
+        sensor = recording.sensor(name)
+        large = np.log(fast / (WRONG_NOISE * sensor.sd)) if fast > 0 else -np.inf
+        small = np.log(sensor.noise / (WRONG_NOISE * np.hypot(scatter, sensor.resolution / 2)))
+        unit, one = LITRES_PER_MINUTE if name == "flow" else BAR
+        sentence = (
+            f"{recording.source.name}: {name}: the noise is declared as {sensor.noise / one:.2g} {unit}, "
+            f"the data show {scatter / one:.2g} {unit}."
+        )
+        yield float(stats.norm.sf(max(large, small) / NOISE_ERROR)), sentence
+
+
+def _saturated(recordings: Sequence[Recording]) -> Iterator[tuple[float, str]]:
+    """Readings at the ends of the declared ranges."""
+    for recording in recordings:
+        for name in STEP_SIGNALS:
+            share = 100 * float(np.mean(at_ends(recording[name], recording.sensor(name))))
+            sentence = (
+                f"{recording.source.name}: {name} is at an end of its range in {share:.2g} % of samples."
+            )
+            yield (0.0 if share > 0 else 1.0), sentence
+
+
+def _repeated(nodes: Nodes) -> Iterator[tuple[str, tuple[float, str]]]:
+    """Tests of steps with one command: after a rising against a falling one, against time, and the rest."""
+    s, edge, start = nodes.steps, nodes.steps.edges[0], nodes.index
+    warm = np.isfinite(s.temperature).all() and np.ptp(s.temperature) > 0
+    cause = s.temperature if warm else s.time
+    span = float(np.ptp(cause)) or 1.0
+    weight = nodes.noise**-2.0
+    total = np.bincount(start, weight)
+
+    def white(column: Array) -> Array:
+        """Deviations of a column from the means of its nodes, over the noise."""
+        return np.asarray((column - (np.bincount(start, weight * column) / total)[start]) / nodes.noise)
+
+    drift, freedom = white(nodes.levels * (cause - cause.mean()) / span), nodes.freedom - 2
+    fits = []
+    for shape in (nodes.slope, nodes.levels):  # hysteresis shifts the command, or takes a part of the flow
+        columns = np.column_stack([white(-shape * s.change / 2), drift])
+        size = np.linalg.norm(columns, axis=0)
+        if freedom < 2 or not size.all() or np.linalg.cond(columns / size) > COLLINEAR:
+            return
+        inverse = np.linalg.inv(columns.T @ columns)
+        values = inverse @ columns.T @ nodes.deviation
+        rest = float(np.sum((nodes.deviation - columns @ values) ** 2))
+        sd = np.sqrt(np.diag(inverse) * max(1.0, rest / freedom))
+        fits.append((rest, values, 2 * stats.t.sf(np.abs(values / sd), freedom)))
+    rest, values, p = min(fits, key=lambda fit: fit[0])
+    shift = float(values[0]) * (100 if rest == fits[1][0] else 1)
+    unit = "% of the flow" if rest == fits[1][0] else "V of the command"
+    how = f"over {span:.2g} degrees of temperature" if warm else "from the first to the last step"
+    lag = (
+        f"valve {edge}: after a rising command the opening lags by {shift:.2g} {unit}, against a falling one."
+    )
+    yield "hysteresis", (min(1.0, 2 * float(p[0])), lag)
+    change = f"valve {edge}: the area at the same command changes by {100 * values[1]:.2g} % {how}."
+    yield "oil temperature", (min(1.0, 2 * float(p[1])), change)
+    times = (rest / freedom) ** 0.5
+    uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
+    yield "model", (float(stats.chi2.sf(rest / UNEVEN**2, freedom)), uneven)
+
+
+# ---- estimates -----------------------------------------------------------------------------------------
+
+
+def zero_of(found: Openings) -> Estimate:
+    """Difference of the two pressures without flow; of curves only its prior is known."""
+    note, known = "pressure_in - pressure_out", found.known
+    lines = [found.line] if found.line else list(found.lines.values()) if found.straight else []
+    if not lines:
+        return Estimate.normal("pressures without flow", 0.0, "Pa", known.zero_sd, note)
+    value = float(np.mean([line["zero"] for line in lines]))
+    sd = max(line.sd("zero") for line in lines)
+    return Estimate.normal("pressures without flow", value, "Pa", sd, note)
+
+
+def _of_line(
+    found: Openings, line: Line, curves: Mapping[str, OpeningCurve], edge: str = ""
+) -> Iterator[Estimate]:
+    """Area and dead band of a straight opening; the latter is as uncertain as a foot without a flow."""
+    suffix = f"[{edge}]" if edge else ""
+    count = sum(int(n.steps.command.size) for e, n in found.nodes.items() if edge in ("", e))
+    note, full = f"fit of {count} steps, section 4(a)", found.constants.full_command
+    curve = curves[edge] if edge else next(iter(curves.values()))
+    name, (area, sd), about = f"valve_area{suffix}", line.area(full), f"{note}, with C_d and density as known"
+    if curve.last_measured < full * (1 - SAME):
+        yield curve.estimate(name, "m2", f"{about}, extrapolated", curve.draws[:, -1], area)
+    else:
+        yield Estimate.normal(name, area, "m2", sd, about)
+    _, start, rounding = line.law()
+    name, value = f"valve_dead_band{suffix}", start - rounding / 2
+    if "rounding" in line.names:
+        i = [line.names.index(n) for n in ("start0", "rounding")]
+        sd = float(np.sqrt(np.array([1, -0.5]) @ line.covariance[np.ix_(i, i)] @ np.array([1, -0.5])))
+        yield Estimate.normal(name, value, "V", sd, note, minimum=0.0)
+        yield Estimate.normal(f"valve_command_rounding{suffix}", rounding, "V", line.sd("rounding"), note)
+        return
+    note = f"{note}, rounding {rounding:.3g} V as known; the interval is that of any foot"
+    yield curve.estimate(name, "V", note, np.maximum(curve.start, 0.0), max(value, 0.0))
+    if rounding < found.known.rounding.value:
+        note = "twice the start of the straight opening, so that the dead band is not negative"
+        yield Estimate(
+            f"valve_command_rounding{suffix}", rounding, "V", rounding / 12**0.5, 0.0, rounding, note
         )
 
 
-def _below_zero(line: ValveFit) -> Iterator[str]:
-    """A sentence if the dead band is one that the machine refuses, because the known rounding is too long."""
-    law = line.law()
-    if law.dead_band < 0:
-        longest = max(2 * law.dead_band + law.rounding, 0.0)
-        yield (
-            f"valve: the dead band is {law.dead_band:.3g} V, which the model does not accept. The "
-            f"straight opening starts at {longest / 2:.3g} V, so valve_command_rounding must be at "
-            f"most {longest:.3g} V instead of {law.rounding:.3g} V: change this value in "
-            "parameters.toml and identify again."
-        )
-
-
-def _of_line(fitted: ValveFit, edge: str = "") -> Iterator[Estimate]:
-    fit, suffix = fitted.regression, f"[{edge}]" if edge else ""
-    note = f"fit of {len(fitted.steps.flow)} steps, section 4(a)"
-    yield fit.estimate(f"valve_area{suffix}", "m2", f"{note}, with C_d and density as known", "area")
-    rounding = "" if fitted.rounding_estimated else f", rounding {fitted.rounding:g} V as known"
-    yield fit.estimate(f"valve_dead_band{suffix}", "V", note + rounding, "dead_band")
-    if fitted.rounding_estimated:
-        yield fit.estimate(f"valve_command_rounding{suffix}", "V", note, "rounding")
-
-
-def _of_curves(openings: Openings) -> Iterator[Estimate]:
+def _of_curves(found: Openings) -> Iterator[Estimate]:
     """Area of the edge that opens furthest, and the first start of an opening."""
-    largest = max(openings.curves.values(), key=lambda curve: float(curve.areas[-1]))
+    largest = max(found.curves.values(), key=lambda curve: float(curve.areas[-1]))
     yield _full_area(
         largest, "valve_area", "at full command by the opening curve, with C_d and density as known"
     )
-    earliest = min(openings.curves.values(), key=lambda curve: float(curve.commands[0]))
+    earliest = min(found.curves.values(), key=lambda curve: float(curve.commands[0]))
     note = "start of the opening curve; the tables of the edges replace it"
-    yield earliest.estimate("valve_dead_band", "V", note, earliest.draws.start, float(earliest.commands[0]))
+    starts = np.maximum(earliest.start, 0.0)
+    yield earliest.estimate("valve_dead_band", "V", note, starts, float(earliest.commands[0]))
 
 
 def _full_area(curve: OpeningCurve, name: str, note: str) -> Estimate:
-    return curve.estimate(
-        name, "m2", f"{note}, section 4(a)", curve.draws.area[:, -1], float(curve.areas[-1])
-    )
+    draws, area = curve.draws[:, -1], float(curve.areas[-1])
+    return curve.estimate(name, "m2", f"{note}, section 4(a)", draws, area)
 
 
-def _of_edges(openings: Openings) -> Iterator[Estimate]:
+def _of_edges(found: Openings) -> Iterator[Estimate]:
     """Area and start of each edge; openings at the points of the tables with their band."""
-    if openings.line or openings.straight:
-        for edge, fitted in openings.separate.items():
-            yield from _of_line(fitted, edge)
+    if found.line or found.straight:
+        for edge, line in found.lines.items():
+            yield from _of_line(found, line, found.own, edge)
         return
-    full = max(float(curve.areas[-1]) for curve in openings.curves.values())
-    for edge, curve in openings.distinct().items():
+    full = max(float(curve.areas[-1]) for curve in found.curves.values())
+    for edge, curve in found.distinct().items():
         yield _full_area(curve, f"valve_area[{edge}]", "at full command")
-        start = float(curve.commands[0])
-        yield curve.estimate(
-            f"valve_dead_band[{edge}]", "V", "start of the opening", curve.draws.start, start
-        )
-        yield curve.estimate(f"exponent[{edge}]", "1", "of the power law, 1: a line", curve.draws.exponent)
-        for command, area, low, high in zip(
-            curve.commands[1:], curve.areas[1:], *curve.band_at(curve.commands[1:]), strict=True
-        ):
+        start, starts = float(curve.commands[0]), np.maximum(curve.start, 0.0)
+        yield curve.estimate(f"valve_dead_band[{edge}]", "V", "start of the opening", starts, start)
+        for command, area in zip(curve.commands[1:], curve.areas[1:], strict=True):
             note = "point of the table, relative to valve_area; the interval is that of the 95 % band"
-            sd = float(curve.draws_at(command).std()) / full
-            name = f"opening[{edge}]({command:.3g} V)"
-            yield Estimate(name, area / full, "1", sd, low / full, high / full, note)
+            yield _opening(curve, f"opening[{edge}]({command:.3g} V)", command, area, full, note)
 
 
-def _tables(openings: Openings) -> Iterator[Estimate]:
+def _opening(
+    curve: OpeningCurve, name: str, command: float, area: float, full: float, note: str, listed: str = ""
+) -> Estimate:
+    """Opening at a point of a table, relative to the largest area."""
+    low, high = (float(end) / full for end in curve.band_at(np.array(command)))
+    sd = float(curve.draws_at(command).std()) / full
+    return Estimate(name, float(area) / full, "1", sd, low, high, note, listed)
+
+
+def _tables(found: Openings) -> Iterator[Estimate]:
     """Points of the tables of all edges as parameters; an untested edge gets the table of another."""
-    tested = openings.curves
-    largest = max(float(curve.areas[-1]) for curve in tested.values())
+    tested = found.curves
+    full = max(float(curve.areas[-1]) for curve in tested.values())
     note = "opening curve of edge {}, section 4(a); relative to valve_area"
     for edge, other in SAME_WAY.items():
         source = edge if edge in tested else other if other in tested else next(iter(tested))
-        curve, name = tested[source], edge.replace("-", "").lower()
+        curve, name = tested[source], f"valve_{edge.replace('-', '').lower()}"
+        about = note.format(source)
         for i, command in enumerate(curve.commands, 1):
-            listed = f"valve_{name}_commands"
-            yield _entry(f"valve_{name}_command_{i}", float(command), "V", 0.0, note.format(source), listed)
-        for i, (command, area) in enumerate(zip(curve.commands, curve.areas, strict=True), 1):
-            sd = float(curve.draws_at(command).std()) / largest if i > 1 else 0.0
-            opening, listed = float(area) / largest, f"valve_{name}_openings"
-            yield _entry(f"valve_{name}_opening_{i}", opening, "1", sd, note.format(source), listed)
+            yield _entry(f"{name}_command_{i}", float(command), "V", about, f"{name}_commands")
+        yield _entry(f"{name}_opening_1", 0.0, "1", about, f"{name}_openings")
+        for i, (command, area) in enumerate(zip(curve.commands[1:], curve.areas[1:], strict=True), 2):
+            yield _opening(curve, f"{name}_opening_{i}", command, area, full, about, f"{name}_openings")
 
 
 def _no_tables(parameters: Mapping[str, Number]) -> Iterator[Estimate]:
     """Empty tables in place of known ones, because a straight line suffices."""
     for edge in SAME_WAY:
-        name, note = edge.replace("-", "").lower(), "no table: a straight line suffices, section 4(a)"
-        known = parameters.get(f"boom_stick.valve_{name}_command_2")
+        name, note = (
+            f"valve_{edge.replace('-', '').lower()}",
+            "no table: a straight line suffices, section 4(a)",
+        )
+        known = parameters.get(f"boom_stick.{name}_command_2")
         if known and known.value > 0:
             for kind, unit in (("command", "V"), ("opening", "1")):
-                yield _entry(f"valve_{name}_{kind}_1", 0.0, unit, 0.0, note, f"valve_{name}_{kind}s")
+                yield _entry(f"{name}_{kind}_1", 0.0, unit, note, f"{name}_{kind}s")
 
 
-def _entry(name: str, value: float, unit: str, sd: float, note: str, listed: str) -> Estimate:
-    return replace(Estimate.normal(name, value, unit, sd, note, minimum=0.0), listed=listed)
+def _entry(name: str, value: float, unit: str, note: str, listed: str) -> Estimate:
+    return Estimate(name, value, unit, 0.0, value, value, note, listed)
 
 
-def _curve(openings: Openings) -> Iterator[Estimate]:
-    """C_R at the voltages of `VOLTAGES`, and the foot of a straight opening."""
-    constants, line = openings.constants, openings.line
-    if line is None:
-        for edge, curve in openings.distinct().items():
-            suffix = "" if len(openings.distinct()) == 1 else f"[{edge}]"
-            for voltage in VOLTAGES:
-                if curve.first_measured <= voltage <= constants.full_command:
-                    draws = resistance_of(curve.draws_at(voltage), constants)
-                    name, note = f"C_R({voltage:g} V){suffix}", "eq. (2) with the opening curve"
-                    yield curve.estimate(name, "Pa.s2/m6", note, draws)
-        return
-    law, fit = line.law(), line.regression
-    for voltage in VOLTAGES:
-        if law.dead_band + law.rounding / 4 < voltage <= constants.full_command:
-            yield fit.derived(
-                f"C_R({voltage:g} V)",
-                "Pa.s2/m6",
-                "eq. (2) with the fitted opening",
-                partial(lambda v, p: float(resistance(np.array([v]), line.law(p), constants)[0]), voltage),
-            )
-    yield fit.derived(
-        "dead_band + rounding/2",
-        "V",
-        "zero of the straight part of the opening, extrapolated",
-        lambda p: p["dead_band"] + p.get("rounding", line.rounding) / 2,
-    )
-
-
-TINY = 1e-9  # smaller probabilities are not told apart
-
-
-def remarks(steps: ValveSteps, openings: Openings) -> Iterator[str]:
-    """All remarks; `steps` are corrected for the offset of the transducers."""
-    good, dead = steps.measured(), select(steps, steps.dead)
-    if dead.command.size:
-        yield (
-            f"{dead.command.size} of {steps.command.size} steps, up to {dead.command.max():.3g} V, are "
-            "masked: the flow is in the dead zone of the meter, the flat region of Fig. 5. The curve in this "
-            f"region is {'the extrapolated opening law' if openings.straight else 'extrapolated'}."
-        )
-    if omissions := select(steps, ~steps.dead).omissions():
-        yield f"Other steps are left out: {omissions}."
-    yield from _line_or_curve(openings)
-    yield from _full_command(good, openings.constants.full_command)
-    yield _edges_remark(openings)
-    for edge, steps_of in by_curve(good, openings.curves).items():
-        label = f"{edge}: " if edge else ""
-        yield label + _polynomial_remark(steps_of, openings.constants)
-        yield label + _logarithm_remark(steps_of)
-    if openings.line:
-        yield from misfit_remark(openings.line.regression, "The opening law")
-    yield from pressure_offset_remark(openings.zero.value, openings.zero.sd)
-    percent = 100 * BAR[1] / (2 * float(good.drop.mean()))  # A ~ Q / sqrt(dp)
-    yield (
-        "The intervals cover the noise of the instruments, but not calibration errors. An error of "
-        "1 % in the gain of the flow meter changes the area by 1 %, and an error of 1 bar between "
-        f"the two pressures by {percent:.2g} %."
-    )
-
-
-def _line_or_curve(openings: Openings) -> Iterator[str]:
-    edge, probability = min(openings.probability.items(), key=lambda item: item[1])
-    test = f"likelihood ratio test against a curve, {edge}: {_chance(probability)}"
-    if openings.straight:
-        yield f"A straight line with a dead band suffices ({test})."
-        if openings.line and not openings.line.rounding_estimated:
-            yield (
-                "No flow was measured at the rounded start of the opening, so the data determine "
-                "only the zero of the extrapolated straight part. The dead band is this zero minus "
-                f"half the known rounding of {openings.line.rounding:.3g} V: a rounding that is 0.1 "
-                "V larger makes the dead band 0.05 V smaller."
-            )
-        return
-    yield (
-        f"A straight line does not suffice ({test}). The openings are tables, valve_pa_commands, "
-        "valve_pa_openings and so on, which the machine reads in place of valve_dead_band."
-    )
-    for edge, curve in openings.distinct().items():
-        half = (curve.high - curve.low) / 2 / curve.area.clip(1e-12)
-        percent = 100 * float(np.median(half[curve.command >= curve.first_measured]))
-        low, high = np.quantile(curve.draws.start, [0.025, 0.975])
-        exponent = float(np.median(curve.draws.exponent))
-        yield (
-            f"{edge}: the opening starts at {curve.commands[0]:.3g} V ({low:.3g} to {high:.3g} V) and rises "
-            f"about as the power {exponent:.3g} of the command behind it. The 95 % band is "
-            f"{percent:.2g} % wide to either side above {curve.first_measured:.3g} V."
-        )
-
-
-def _full_command(good: ValveSteps, full: float) -> Iterator[str]:
-    """A sentence if an edge was not measured at full command, where its area is defined."""
-    for edge in good.edges:
-        highest = float(good.of(edge).command.max())
-        if highest < full - SAME:
-            yield (
-                f"{edge}: no flow was measured above {highest:.3g} V, so the area at {full:.3g} V is "
-                "extrapolated. Hold the full command twice in such an experiment."
-            )
-
-
-def _edges_remark(openings: Openings) -> str:
-    edges = list(openings.curves)
-    if len(edges) < 2:
-        return f"Only the edge {edges[0]} was tested."
-    kind = "chi-square test" if openings.straight else "likelihood ratio test"
-    if openings.equal > EQUAL:
-        return f"The {len(edges)} edges do not differ significantly ({kind}, p = {openings.equal:.2g})."
-    areas = {
-        edge: openings.separate[edge].regression["area"] if openings.straight else curve.areas[-1]
-        for edge, curve in openings.curves.items()
-    }
-    by_edge = ", ".join(f"{edge} {area * 1e6:.4g} mm2" for edge, area in areas.items())
-    return f"The edges differ significantly ({kind}, {_chance(openings.equal)}): {by_edge}."
-
-
-def _chance(probability: float) -> str:
-    return f"p = {probability:.2g}" if probability > TINY else f"p < {TINY:g}"
-
-
-def _polynomial_remark(good: ValveSteps, constants: ValveConstants) -> str:
-    paper = polynomial(good.command, good.resistance)
-    commands = np.linspace(good.command.min(), constants.full_command, 2000)
-    bad = impossible(paper, commands)
-    subject = f"The paper's form, a polynomial (degree {paper.degree()} by AIC),"
-    if not bad.any():
-        return f"{subject} stays positive and falls: C_R = {_in_powers(paper)} Pa.s2/m6, V in volts."
-    voltages, negative = commands[bad], "is negative or " if (paper(commands) < 0).any() else ""
-    return (
-        f"{subject} is shown but not used: between {voltages.min():.2g} and {voltages.max():.2g} V it "
-        f"{negative}rises with the command in places, which is impossible for C_R."
-    )
-
-
-def _logarithm_remark(good: ValveSteps) -> str:
-    fitted = log_polynomial(good)
-    error = float(np.abs(fitted(good.command) - np.log(good.resistance)).max())
-    return (
-        f"The same form for the logarithm (degree {fitted.degree()} by AIC) stays positive: ln C_R = "
-        f"{_in_powers(fitted)}, C_R in Pa.s2/m6, V from {good.command.min():.3g} to "
-        f"{good.command.max():.3g} V; the largest error of a step is {100 * error:.2g} %."
-    )
-
-
-def _in_powers(curve: Polynomial) -> str:
-    """A polynomial in powers of the command V."""
-    terms = [f"{c:.6g}" + ("" if k == 0 else " V" if k == 1 else f" V^{k}") for k, c in _terms(curve)]
-    return " + ".join(terms).replace("+ -", "- ")
-
-
-def _terms(curve: Polynomial) -> Iterator[tuple[int, float]]:
-    return enumerate(map(float, curve.convert(domain=(-1, 1), window=(-1, 1)).coef))
+def _resistances(found: Openings) -> Iterator[Estimate]:
+    """C_R at the voltages of `VOLTAGES`, and the zero of a straight opening."""
+    c = found.constants
+    for edge, curve in found.distinct().items():
+        suffix = "" if len(found.distinct()) == 1 else f"[{edge}]"
+        for voltage in VOLTAGES:
+            areas = curve.draws_at(voltage)
+            if curve.first_measured <= voltage <= c.full_command * (1 + SAME) and areas.min() > 0:
+                draws = c.resistance(areas)
+                note = "eq. (2) with the fitted opening"
+                yield curve.estimate(f"C_R({voltage:g} V){suffix}", "Pa.s2/m6", note, draws)
+    if line := found.line:
+        note = "zero of the straight part of the opening, extrapolated"
+        yield Estimate.normal("dead_band + rounding/2", line["start0"], "V", line.sd("start0"), note)

@@ -68,17 +68,14 @@ def downsample(recording: Recording, max_rate: float = MAX_RATE) -> Recording:
     return resample(recording, max_rate, hold=commands)
 
 
-def resample(
-    recording: Recording, rate: float, hold: Collection[str] = (), bridge: float | None = None
-) -> Recording:
+def resample(recording: Recording, rate: float, hold: Collection[str] = ()) -> Recording:
     """The recording on a uniform clock of `rate` [Hz] that starts with its first sample.
 
     Signals are interpolated linearly. For a lower rate they pass a zero-phase filter first. Samples that are
     not good (clipped, in the dead zone) then become gaps, because the filter would hide them. The noise of
     the sensor is that after the filter.
 
-    hold     signals that keep their value from sample to sample, such as commands; they are not filtered
-    bridge   longest interval to interpolate over [s]; None: a missing sample is a gap
+    hold   signals that keep their value from sample to sample, such as commands; they are not filtered
     """
     time = recording.time
     if rate <= 0 or len(time) < 2:
@@ -87,7 +84,7 @@ def resample(
     old = 1 / period(time)
     duration = time[-1] - time[0]
     clock = time[0] + np.arange(1 + int(duration * rate * (1 + 1e-12) + 1e-9)) / rate
-    longest = GAP / old if bridge is None else bridge
+    longest = GAP / old
     down = rate < old * (1 - 1e-6)
     signals, sensors = {}, dict(recording.sensors)
     for name, values in recording.signals.items():

@@ -200,16 +200,16 @@ def steady(
     command: str,
     settle: float = 0.0,
     shortest: float = 0.0,
-    tolerance: float | None = None,
 ) -> list[slice]:
     """Intervals in which a signal is constant, without the first `settle` seconds of each.
 
-    shortest    least length of the rest of an interval [s]
-    tolerance   largest deviation of a sample from the mean of the interval before it; None: four standard
-                deviations of the sensor and one step, thus 0 for a command that is known exactly
+    shortest   least length of the rest of an interval [s]
+
+    A sample may deviate from the mean of the interval before it by four standard deviations of the sensor and
+    one step, thus not at all if it is a command that is known exactly.
     """
     values, time, sensor = recording[command], recording.time, recording.sensor(command)
-    width = 4 * sensor.sd + sensor.resolution if tolerance is None else tolerance
+    width = 4 * sensor.sd + sensor.resolution
     # the mean of equal values differs from them by rounding
     width += 1e-9 * float(np.nanmax(np.abs(values), initial=0.0))
     result, start = [], 0

@@ -16,8 +16,7 @@ from fmus.contract import Quantity, Subsystem
 from fmus.export.c_code import generated, generator_sources, native_sources
 from fmus.export.c_functions import c_function
 from fmus.export.interface import Interface, Kind, Variable, make_interface
-from fmus.identification.refinement.model_reduction import ReducedModel, reduce_model
-from fmus.identification.refinement.sensitivity_equations import sensitivity_code
+from fmus.identification.refinement.sensitivity_equations import ReducedModel, reduce_model, sensitivity_code
 from fmus.identification.refinement.simulation import SegmentSolution, SimulationFailed
 from fmus.parameters import Values
 from fmus.parameters import values as default_values

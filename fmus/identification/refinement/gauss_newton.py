@@ -20,12 +20,15 @@ from fmus.identification.refinement.shooting import (
     CondensedRun,
     Evaluation,
     Iterate,
+    Priors,
+    Scales,
     Shooting,
     condense,
+    estimated_scales,
+    sensor_scales,
     triangular,
 )
 from fmus.identification.refinement.simulation import SimulationFailed
-from fmus.identification.refinement.weights import Priors, Scales, estimated_scales, sensor_scales
 from orchestrator.data.table import Array
 
 STUCK = "no step reduces the residuals"

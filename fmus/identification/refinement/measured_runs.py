@@ -72,30 +72,32 @@ class MeasuredRun:
                 )
         return np.column_stack([self.inputs[n] for n in names]) if names else np.zeros((len(self.time), 0))
 
-    def initial_state(self, simulator: Simulator, p: Array, inputs: Array) -> Array:
-        """The state at the first sample, shape (nx,): measured if possible, else that of the simulator."""
-        state = simulator.start(p, inputs[0])[0].copy()
+    def initial_state(
+        self, simulator: Simulator, p: Array, inputs: Array, corrected: bool = True
+    ) -> tuple[Array, Array]:
+        """The state at the first sample, shape (nx,), and its derivatives by p, shape (nx, np).
+
+        It is measured if possible, else that of the simulator. The estimated zeros of the sensors are
+        subtracted if `corrected`.
+        """
+        state, by_p = (values.copy() for values in simulator.start(p, inputs[0]))
         count = max(1, int(np.searchsorted(self.time, self.time[0] + AT_REST))) if self.at_rest else 1
         for j, name in enumerate(simulator.states):
             if name in self.at_rest:
-                state[j] = 0.0
+                state[j], by_p[j] = 0.0, 0.0
             elif name in self.measured_states:
                 first = self.measured_states[name][:count]
                 if np.isfinite(first).any():
-                    state[j] = np.nanmean(first)
-        return state
-
-    def corrected_initial_state(self, simulator: Simulator, p: Array, inputs: Array) -> Array:
-        """The state at the first sample without the estimated zeros of the sensors, shape (nx,)."""
-        state = self.initial_state(simulator, p, inputs)
-        for name, zero in self.zeros.items():
-            if name in simulator.states and name not in self.at_rest:
-                state[simulator.states.index(name)] -= p[simulator.free.index(zero)]
-        return state
+                    state[j], by_p[j] = np.nanmean(first), 0.0
+            if corrected and name in self.zeros and name not in self.at_rest:
+                zero = simulator.free.index(self.zeros[name])
+                state[j] -= p[zero]
+                by_p[j, zero] -= 1.0
+        return state, by_p
 
     def segment_states(self, simulator: Simulator, p: Array, inputs: Array, edges: tuple[int, ...]) -> Array:
         """Initial states of all segments, shape (segments, nx): measured if possible, else simulated."""
-        states = [self.initial_state(simulator, p, inputs)]
+        states = [self.initial_state(simulator, p, inputs, corrected=False)[0]]
         for first, last in pairwise(edges[:-1]):
             window = slice(first, last + 1)
             try:

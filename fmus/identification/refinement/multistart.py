@@ -45,13 +45,11 @@ class MultistartResult:
     """The searches from all random starts.
 
     fraction      fraction of the starts that led to the reference
-    spread        per parameter: standard deviation over the results of these starts, relative to the value
     interrupted   whether an interrupt ended the searches early
     """
 
     starts: tuple[RandomStart, ...]
     fraction: float
-    spread: dict[str, float]
     interrupted: bool = False
 
 
@@ -62,11 +60,10 @@ def multistart(refined: RefinementResult, count: int = 8, spread: float = SPREAD
     """
     problem = subsampled(refined.problem, EVERY)
     options = Options(iterations=ITERATIONS, model_error=any(refined.model_error.values()))
-    search_from = partial(Search.of, problem, compiled(problem), options=options)
+    search_from = partial(Search, problem, compiled(problem), options=options)
     rng = np.random.default_rng(0)
     starts: list[RandomStart] = []
-    same: list[Array] = []
-    interrupted = False
+    same, interrupted = 0, False
 
     def uninterrupted(reason: str) -> None:
         if reason == INTERRUPTED:  # ends all searches
@@ -96,16 +93,11 @@ def multistart(refined: RefinementResult, count: int = 8, spread: float = SPREAD
                 iterations = len(predictions.history if joined and predictions else solution.history)
                 found = problem.by_name(z), problem.by_name(end)
                 start = RandomStart(*found, distance, residual, iterations, joined)
-                if distance < _SAME:
-                    same.append(end)
+                same += distance < _SAME
             starts.append(start)
     except KeyboardInterrupt:
         interrupted = True
-    values, derivatives = refined.problem.values_of(refined.z), refined.problem.derivatives(refined.z)
-    deviation = np.std(same, axis=0) if same else np.full(len(values), np.nan)
-    relative = np.abs(deviation * derivatives) / np.where(values == 0, np.nan, np.abs(values))
-    spreads = dict(zip(problem.names, relative.tolist(), strict=True))
-    return MultistartResult(tuple(starts), len(same) / max(1, len(starts)), spreads, interrupted)
+    return MultistartResult(tuple(starts), same / max(1, len(starts)), interrupted)
 
 
 def _same_end(one: Solution | None, other: Solution | None) -> bool:

@@ -25,9 +25,10 @@ from fmus.identification.refinement.gauss_newton import (
     Solution,
     minimise,
 )
-from fmus.identification.refinement.problem import EstimationProblem
+from fmus.identification.refinement.measured_runs import MeasuredRun
+from fmus.identification.refinement.problem import EstimationProblem, WithZeros, parameter
 from fmus.identification.refinement.residuals import SimulatedRun, Whiteness, simulate, whiteness
-from fmus.identification.refinement.shooting import Shooting, cut, parallel
+from fmus.identification.refinement.shooting import Shooting, cut, parallel, priors
 from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 from fmus.identification.refinement.statistics import (
     VAGUE,
@@ -36,7 +37,6 @@ from fmus.identification.refinement.statistics import (
     statistics,
     unidentified,
 )
-from fmus.identification.refinement.weights import Loss, Priors, priors
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 
@@ -60,6 +60,7 @@ class RefinementResult:
     training, held_out   simulations of the runs from their initial states
     model_error          per output: estimated error of the model, in standard deviations of the sensor
     starts               per run: initial state by name
+    simulator            with which the parameters were estimated
     """
 
     problem: EstimationProblem
@@ -75,6 +76,7 @@ class RefinementResult:
     held_out: tuple[SimulatedRun, ...]
     model_error: Mapping[str, float]
     starts: tuple[Mapping[str, float], ...]
+    simulator: Simulator | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -122,12 +124,32 @@ class RefinementResult:
             )
         return tuple(estimates)
 
-    def fit(self) -> dict[str, dict[str, dict[str, float]]]:
-        """NRMSE as use -> run -> output -> value; NaN if an output was not measured."""
-        return {
-            use: {s.run.name: dict(zip(self.problem.outputs, s.nrmse().tolist(), strict=True)) for s in runs}
-            for use, runs in (("train", self.training), ("test", self.held_out))
-        }
+    def uncertainty(self, run: MeasuredRun) -> tuple[Array, Array]:
+        """Derivatives of the outputs over a run by z, shape (n, ny, np), and their uncertainty, (n, ny).
+
+        The second is the standard deviation of measured minus predicted outputs. It contains the covariance
+        of the parameters, the errors of a measured initial state, noise of sensors, and error of the model.
+        """
+        assert self.simulator is not None
+        p, inputs, outputs = (
+            self.problem.values_of(self.z),
+            run.input_matrix(self.simulator.inputs),
+            self.problem.outputs,
+        )
+        state, state_p = run.initial_state(self.simulator, p, inputs)
+        solution = self.simulator.segment(state, p, run.time, inputs)
+        by_z: Array = (solution.y_p + solution.y_x @ state_p) * self.problem.derivatives(self.z)
+        noise = np.array([1 / max(w.max(), np.finfo(float).tiny) if w.any() else 0.0 for w in run.weight.T])
+        start = [
+            noise[outputs.index(n)] * (n in run.measured_states) if n in outputs else 0.0
+            for n in self.simulator.states
+        ]
+        statistics = self.statistics
+        covariance = statistics.robust_covariance if self.robust else statistics.covariance
+        variance = np.einsum("kij,jl,kil->ki", by_z, covariance, by_z, optimize=True)
+        variance = np.maximum(variance, 0.0) + np.sum((solution.y_x * start) ** 2, axis=-1)
+        errors = np.array([self.model_error[name] for name in outputs])
+        return by_z, np.sqrt(variance + noise**2 * (1 + errors**2))
 
 
 def refine(
@@ -137,7 +159,6 @@ def refine(
     segment: float = SEGMENT,
     horizon: float = HORIZON,
     threads: int = 2,
-    loss: Loss = "linear",
     options: Options | None = None,
     start: Array | None = None,
     progress: Callable[[Iteration], None] | None = None,
@@ -150,89 +171,112 @@ def refine(
                 if the horizon is not shorter than a segment
     start       initial z, by default that of the problem
     """
-    z = problem.initial() if start is None else start
-    simulator = simulator or compiled(problem)
-    search = Search.of(problem, simulator, z, segment, horizon, threads, loss, options, progress)
+    search = Search(
+        problem, simulator or compiled(problem), start, segment, horizon, threads, options, progress
+    )
     return search.result(search.fit_recordings(search.fit_predictions()))
 
 
-@dataclass(frozen=True)
 class Search:
     """The search of `refine`, in two parts: first it fits predictions, then whole recordings.
 
     shooting   whole recordings in segments
     horizon    of the predictions [s]; None: no predictions are fitted
-    start      initial z
     """
 
-    shooting: Shooting
-    horizon: float | None
-    start: Array
-    prior: Priors
-    options: Options
-    progress: Callable[[Iteration], None] | None = None
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         problem: EstimationProblem,
         simulator: Simulator,
-        start: Array,
+        start: Array | None = None,
         segment: float = SEGMENT,
         horizon: float = HORIZON,
         threads: int = 2,
-        loss: Loss = "linear",
         options: Options | None = None,
         progress: Callable[[Iteration], None] | None = None,
-    ) -> Search:
-        """A search from z = `start`; the other arguments are those of `refine`."""
+    ) -> None:
         _check(problem, simulator)
+        self._z, self._progress = problem.initial() if start is None else start, progress
+        self._options = options or Options()
         inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
         if not simulator.states:  # initial states of segments cannot be set
             segment = horizon = np.inf
         edges = tuple(cut(run.time, segment) for run in problem.training)
-        shooting = Shooting(problem, simulator, inputs, edges, threads, loss)
-        with _simulated(shooting):
-            states = [states[0] for states in shooting.measured_iterate(start).starts]
-            prior = priors(problem, simulator, states)
-        shorter = horizon if horizon < segment else None
-        return cls(shooting, shorter, start, prior, options or Options(), progress)
+        self.shooting = Shooting(problem, simulator, inputs, edges, threads)
+        self.horizon = horizon if horizon < segment else None
+        with _simulated(problem):
+            states = [states[0] for states in self.shooting.measured_iterate(self._z).starts]
+            self._prior = priors(problem, simulator, states)
 
     def fit_predictions(self) -> Solution | None:
         """Fit predictions over the horizon from measured states."""
         if self.horizon is None:
             return None
-        edges = tuple(cut(run.time, self.horizon) for run in self.shooting.problem.training)
+        problem = self.shooting.problem
+        edges = tuple(cut(run.time, self.horizon) for run in problem.training)
         detached = replace(self.shooting, edges=edges, detached=True)
-        with _simulated(self.shooting):
-            start = detached.measured_iterate(self.start)
-            return minimise(detached, start, self.prior, Options(), self.progress)
+        with _simulated(problem):
+            start = detached.measured_iterate(self._z)
+            return minimise(detached, start, self._prior, Options(), self._progress)
 
     def fit_recordings(self, predictions: Solution | None) -> Solution:
         """Fit whole recordings, from the end of the fit of predictions."""
-        z = predictions.evaluation.iterate.z if predictions else self.start
-        with _simulated(self.shooting):
+        z = predictions.evaluation.iterate.z if predictions else self._z
+        with _simulated(self.shooting.problem):
             start = self.shooting.measured_iterate(z)
-            return minimise(self.shooting, start, self.prior, self.options, self.progress, predictions)
+            return minimise(self.shooting, start, self._prior, self._options, self._progress, predictions)
 
     def result(self, solution: Solution) -> RefinementResult:
-        """The result: statistics, and simulations with the estimated parameters."""
-        return _result(self.shooting, solution, self.prior)
+        """Statistics, and simulations with the estimated parameters."""
+        shooting, last = self.shooting, solution.evaluation.iterate
+        problem, simulator = shooting.problem, shooting.simulator
+        z, p = last.z, problem.values_of(last.z)
+        initial_states = [starts[0] * simulator.nominal for starts in last.starts]
+        training = parallel(
+            lambda k: simulate(problem.training[k], simulator, p, initial_states[k], shooting.inputs[k]),
+            range(len(initial_states)),
+            shooting.threads,
+        )
+        by_inputs = np.zeros((len(z), len(z)))
+        if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
+            by_inputs = input_covariance(shooting, solution, self._prior)
+        result = statistics(solution, self._prior, by_inputs)
+        low, high = problem.bounds()
+        at_bound = np.minimum(z - low, high - z) < _AT_BOUND
+        return RefinementResult(
+            problem=problem,
+            z=z,
+            converged=solution.converged,
+            reason=solution.reason,
+            history=solution.history,
+            statistics=result,
+            unidentified=unidentified(problem.free, result.data_covariance),
+            at_bound=tuple(n for n, bound in zip(problem.names, at_bound, strict=True) if bound),
+            whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.outputs)},
+            training=tuple(training),
+            held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
+            model_error=dict(zip(problem.outputs, solution.scales.model_error.tolist(), strict=True)),
+            starts=tuple(dict(zip(simulator.states, x.tolist(), strict=True)) for x in initial_states),
+            simulator=simulator,
+        )
 
 
 @contextmanager
-def _simulated(shooting: Shooting) -> Iterator[None]:
+def _simulated(problem: EstimationProblem) -> Iterator[None]:
     """Raise Problem if a simulation of the start fails."""
     try:
         yield
     except SimulationFailed as failed:
-        name = shooting.problem.sub.name
+        name = problem.sub.name
         raise Problem(f"{name}: cannot be simulated with the initial parameter values: {failed}") from None
 
 
-def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> CompiledModel:
+def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> Simulator:
     """The problem's subsystem with exact sensitivities; the compiled library is cached."""
-    return CompiledModel(problem.sub, problem.outputs, problem.names, problem.fixed, tolerance)
+    zeros = [name for name in problem.outputs if parameter(name) in problem.names]
+    free = problem.names[: len(problem.names) - len(zeros)]
+    model = CompiledModel(problem.sub, problem.outputs, free, problem.fixed, tolerance)
+    return WithZeros(model, zeros) if zeros else model
 
 
 def _check(problem: EstimationProblem, simulator: Simulator) -> None:
@@ -244,39 +288,6 @@ def _check(problem: EstimationProblem, simulator: Simulator) -> None:
             raise Problem(f"{problem.sub.name}: {label} of the simulator: expected {expected}, got {names}")
     if not problem.training:
         raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
-
-
-def _result(shooting: Shooting, solution: Solution, prior: Priors) -> RefinementResult:
-    """The result of a search."""
-    problem, simulator, last = shooting.problem, shooting.simulator, solution.evaluation.iterate
-    z, p = last.z, problem.values_of(last.z)
-    initial_states = [starts[0] * simulator.nominal for starts in last.starts]
-    training = parallel(
-        lambda k: simulate(problem.training[k], simulator, p, initial_states[k], shooting.inputs[k]),
-        range(len(initial_states)),
-        shooting.threads,
-    )
-    by_inputs = np.zeros((len(z), len(z)))
-    if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
-        by_inputs = input_covariance(shooting, solution, prior)
-    result = statistics(solution, prior, by_inputs)
-    low, high = problem.bounds()
-    at_bound = np.minimum(z - low, high - z) < _AT_BOUND
-    return RefinementResult(
-        problem=problem,
-        z=z,
-        converged=solution.converged,
-        reason=solution.reason,
-        history=solution.history,
-        statistics=result,
-        unidentified=unidentified(problem.free, result.data_covariance),
-        at_bound=tuple(n for n, bound in zip(problem.names, at_bound, strict=True) if bound),
-        whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.outputs)},
-        training=tuple(training),
-        held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
-        model_error=dict(zip(problem.outputs, solution.scales.model_error.tolist(), strict=True)),
-        starts=tuple(dict(zip(simulator.states, x.tolist(), strict=True)) for x in initial_states),
-    )
 
 
 def advice(refined: RefinementResult) -> tuple[str, ...]:

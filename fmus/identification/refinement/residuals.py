@@ -1,5 +1,6 @@
 """Residual analysis: simulation error (NRMSE), whiteness tests, cross-correlation with the inputs."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,11 +9,13 @@ from scipy.signal import correlate
 from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
+from fmus.identification.recordings.masks import autocorrelation_time, noise
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 from orchestrator.data.table import Array
 
 LAGS = 40  # samples
+NOISE_ERROR = 1.8  # relative standard deviation of `masks.noise` times root n, for white noise (computed)
 _BOUND = float(norm.ppf(0.995))  # 99 % bound of a correlation, in standard deviations
 
 
@@ -42,7 +45,7 @@ def simulate(
 ) -> SimulatedRun:
     """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
     inputs = run.input_matrix(simulator.inputs) if inputs is None else inputs
-    state = run.corrected_initial_state(simulator, p, inputs) if start is None else start
+    state = run.initial_state(simulator, p, inputs)[0] if start is None else start
     try:
         return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)
     except SimulationFailed:
@@ -57,12 +60,14 @@ class Whiteness:
     outside     fraction of the lags of the autocorrelation outside its 99 % bounds, 0.01 if white
     inputs      the same fraction for the cross-correlation with each input that is not constant
     rms         root mean square of the residuals in standard deviations of the sensor
+    excess      p-value of this root mean square if the residuals are noise of the sensor, see `excess`
     """
 
     ljung_box: float
     outside: float
     inputs: Mapping[str, float]
     rms: float
+    excess: float = 1.0
 
     @property
     def white(self) -> bool:
@@ -90,7 +95,29 @@ def whiteness(simulated: Sequence[SimulatedRun], inputs: Sequence[str], output: 
         outside=float(np.mean(np.abs(autocorrelation[1:]) > _BOUND / np.sqrt(count))),
         inputs={n: _cross_outside(residual, u) for n, u in signals.items() if np.nanstd(u) > 0},
         rms=float(np.sqrt(np.nanmean(residual**2))),
+        excess=excess(residual),
     )
+
+
+def excess(residual: Array) -> float:
+    """P-value of the mean square of residuals over their noise, if they are noise alone.
+
+    residual   in standard deviations of the sensor, NaN in gaps
+
+    The noise is that of the sensor, or the white noise of the residuals if that is clearly larger: a noise
+    that is stated too small is no error of the model. Squares that are correlated, as those of an encoder
+    between two counts, are as few as their autocorrelation time tells.
+    """
+    squares = residual[np.isfinite(residual)] ** 2
+    white, relative_error = float(np.nan_to_num(noise(residual))), NOISE_ERROR / math.sqrt(len(squares))
+    if white < 1 + 3 * relative_error:
+        white, relative_error = 1.0, 0.0
+    above = float(squares.mean()) - white**2
+    deviations = squares - squares.mean()
+    if not above > 0 or not deviations.any():
+        return 1.0
+    variance = float(squares.var()) * max(1.0, autocorrelation_time(deviations)) / len(squares)
+    return float(norm.sf(above / math.hypot(math.sqrt(variance), 2 * white**2 * relative_error)))
 
 
 def _cross_outside(residual: Array, signal: Array) -> float:

@@ -15,9 +15,8 @@ import numpy as np
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
 from fmus.identification.refinement.measured_runs import MeasuredRun, local_parabolas
 from fmus.identification.refinement.problem import FreeParameter
-from fmus.identification.refinement.shooting import Shooting
+from fmus.identification.refinement.shooting import Priors, Shooting
 from fmus.identification.refinement.simulation import SimulationFailed
-from fmus.identification.refinement.weights import Priors
 from orchestrator.data.table import Array
 
 VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular
@@ -33,7 +32,6 @@ class Statistics:
     covariance           for independent residuals, corrected for the correlation time of the scales
     robust_covariance    cluster-robust over segments: for residuals correlated over no more than a segment
     data_covariance      from the data alone, without priors
-    residual_variance    variance of a weighted residual, 1 if the weights are right
     degrees_of_freedom   samples that count (those of one correlation time as one) minus unknowns
     segments             number of segments
     condition            condition number of the Jacobian of the data, columns scaled to length one
@@ -44,7 +42,6 @@ class Statistics:
     covariance: Array
     robust_covariance: Array
     data_covariance: Array
-    residual_variance: float
     degrees_of_freedom: int
     segments: int
     condition: float
@@ -83,7 +80,6 @@ def statistics(solution: Solution, priors: Priors, input_covariance: Array) -> S
         covariance=_inverse(information / variance + prior) + input_covariance,
         robust_covariance=_jackknife(solution, prior, _inverse(information + prior)) + input_covariance,
         data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + input_covariance,
-        residual_variance=variance,
         degrees_of_freedom=degrees_of_freedom,
         segments=len(segments),
         condition=float(singular[0]) / smallest if smallest > 0 else float("inf"),

@@ -15,7 +15,7 @@ shares add up to the share that all effects explain.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -27,7 +27,6 @@ from scipy.optimize import nnls
 
 from fmus.identification.estimate import CONFIDENCE
 from fmus.identification.report.prediction import Excitation, Signals, predict
-from orchestrator.base.errors import Problem
 from orchestrator.base.processes import mapping
 from orchestrator.data.table import Array
 
@@ -39,7 +38,6 @@ EFFECTS: Mapping[str, Mapping[str, str]] = {
     "hose walls, air and spool of the swing": {"swing": "detailed"},
     "pump and engine": {"supply": "engine_pump"},
 }
-STEP = 1e-3  # relative step of finite differences: errors of the solver are 1e5 times smaller
 ABOVE_NOISE = 1.5  # rms residual over the sensor's noise below which a signal is left out
 MEMORY = 0.5  # s, lag up to which samples of a residual are assumed to be correlated
 LEAST = 0.2  # share above which an effect is reported
@@ -60,48 +58,14 @@ def effect_changes(
     processes: int = 1,
 ) -> dict[str, dict[str, Array]]:
     """Change of every signal of the machine by each effect; `default`: its signals, if they are known."""
-    cases = {name: (parameters, variants) for name, variants in candidate_effects(excitation).items()}
-    return _changes(excitation, default or predict(excitation, parameters), cases, processes)
-
-
-def sensitivities(
-    excitation: Excitation,
-    parameters: Mapping[str, float],
-    names: Iterable[str],
-    default: Signals | None = None,
-    processes: int = 1,
-) -> dict[str, dict[str, Array]]:
-    """Change of every signal by a relative change `STEP` of each parameter.
-
-    A name without its part refers to the parameters of all parts that have it.
-    """
-    cases: dict[str, Case] = {}
-    for name in names:
-        changed = {k: (1 + STEP) * v for k, v in parameters.items() if name in (k, k.partition(".")[2])}
-        if not changed:
-            raise Problem(f"identified parameters: expected parameters of the machine, got {name}")
-        cases[name] = {**parameters, **changed}, None
-    return _changes(excitation, default or predict(excitation, parameters), cases, processes)
-
-
-Case = tuple[Mapping[str, float], Mapping[str, str] | None]  # parameters and variants of a machine
-
-
-def _changes(
-    excitation: Excitation, default: Signals, cases: Mapping[str, Case], processes: int
-) -> dict[str, dict[str, Array]]:
-    """Change of every signal in each case, which are independent of each other."""
-    with mapping(min(processes, len(cases))) as each:
-        predicted = each(partial(_predicted, excitation), cases.values())
-        return {name: _difference(y, default) for name, y in zip(cases, predicted, strict=True)}
-
-
-def _predicted(excitation: Excitation, case: Case) -> Signals:
-    return predict(excitation, *case)
-
-
-def _difference(signals: Signals, reference: Signals) -> dict[str, Array]:
-    return {name: signals[name] - reference[name] for name in reference if name in signals}
+    default = default or predict(excitation, parameters)
+    effects = candidate_effects(excitation)
+    with mapping(min(processes, len(effects))) as each:
+        predicted = each(partial(predict, excitation, parameters), effects.values())
+        return {
+            name: {n: y[n] - default[n] for n in default if n in y}
+            for name, y in zip(effects, predicted, strict=True)
+        }
 
 
 @dataclass(frozen=True)

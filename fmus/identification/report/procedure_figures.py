@@ -21,6 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.report_texts import footer
 from orchestrator.base.figures import DASHES, DOTS, PALETTE, decimate
@@ -70,6 +71,24 @@ def draw_procedure(result: ProcedureResult, kinds: Iterable[str] = (), *, titled
             shared[x_axis] = _draw_column(figure, cell, column, _axes_width(len(row)), shared.get(x_axis))
     heading(figure, result.title if titled else "", footer(result.figure, kinds))
     return figure
+
+
+def opening_panel(listed: Sequence[Estimate]) -> Panel | None:
+    """The tables of the opening curves with their bands; None if there is none, as for a straight line."""
+    lists = {name: tuple(points) for name, points in groupby(listed, key=lambda e: e.listed)}
+    tables: dict[tuple[Any, ...], list[str]] = {}
+    for name, commands in lists.items():
+        stem, _, kind = name.rpartition("_")
+        if kind == "commands" and commands[-1].value > 0:
+            points = zip(commands, lists[f"{stem}_openings"], strict=True)
+            table = tuple((command.value, e.value, e.low, e.high) for command, e in points)
+            tables.setdefault(table, []).append("-".join(stem.rpartition("_")[2].upper()))
+    curves = [
+        Curve(", ".join(edges), x, y, "compared", line=True, band=(low, high))
+        for table, edges in tables.items()
+        for x, y, low, high in [np.array(table).T]
+    ]
+    return Panel("command [V]", "opening", tuple(curves), "Tables with their 95 % bands") if curves else None
 
 
 def _axes_width(columns: int) -> float:
@@ -199,6 +218,9 @@ def _draw_curve(axes: Axes, panel: Panel, curve: Curve, style: dict[str, Any]) -
         x, y = decimate(x, y)
     if len(x) > CLOUD and not curve.line:
         style = style | {"rasterized": True, "markersize": 1.6, "markeredgewidth": 0.3}
+    if curve.band is not None:
+        low, high = (end / panel.y_unit[1] for end in curve.band)
+        axes.fill_between(curve.x / panel.x_unit[1], low, high, color=style["color"], alpha=0.2, linewidth=0)
     label = typeset(curve.label) or None
     if curve.error is None:
         axes.plot(x, y, label=label, **style)

@@ -4,11 +4,12 @@ The figures show measured and predicted signals of a joint over time, as in the 
 measurement is a solid line, the prediction a dotted one, and the strip below each panel shows the residual.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from fmus.identification.estimate import coverage_factor
 from fmus.identification.machine import COMMANDS
 from fmus.identification.procedures.momentum_balance import JOINTS
 from fmus.identification.recordings.derivatives import filter_for
@@ -19,12 +20,19 @@ from fmus.identification.report.attribution import (
     effect_changes,
     explain,
     rms,
-    sensitivities,
     unexplained,
 )
 from fmus.identification.report.prediction import Signals, excitation, predict
 from fmus.identification.report.report_texts import counterpart, footer, origin
-from orchestrator.base.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
+from orchestrator.base.figures import (
+    PALETTE,
+    REFERENCE,
+    SIMULATION,
+    TraceArea,
+    TraceFigure,
+    TraceLine,
+    TracePanel,
+)
 from orchestrator.base.text import display_unit, percentage, sentences
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
@@ -62,12 +70,31 @@ class RecordingComparison:
     """Measured and predicted signals by name, in SI units, shape (n,); NaN if no good sample was measured.
 
     Speeds are added to measured angles. Measured and predicted speeds are derivatives by the same filter.
+
+    sd              standard deviation of measured minus predicted, of the signals for which it is known
+    sensitivities   identified parameter -> change of the signals by its search variable
     """
 
     recording: Recording
     measured: Signals
     predicted: Signals
     units: Mapping[str, str]
+    sd: Signals = field(default_factory=dict)
+    sensitivities: Mapping[str, Signals] = field(default_factory=dict)
+
+    def band(self, name: str) -> tuple[Array, Array]:
+        """Lower and upper end of the pointwise 95 % band of the readings of a signal, (n,) each."""
+        half = coverage_factor() * self.sd[name]
+        return self.predicted[name] - half, self.predicted[name] + half
+
+    def held(self) -> dict[str, float]:
+        """Share of the good samples of each signal in its band."""
+        shares = {}
+        for name in self.sd:
+            (low, high), y = self.band(name), self.measured.get(name, np.zeros(0))
+            if np.isfinite(y).any():
+                shares[name] = float(np.mean(((y >= low) & (y <= high))[np.isfinite(y)]))
+        return shares
 
     def residual(self) -> dict[str, Array]:
         """Measured - predicted of every signal that has a sensor and is an output of the machine."""
@@ -106,34 +133,23 @@ def compare(recording: Recording, predicted: Signals) -> RecordingComparison:
     return RecordingComparison(recording, measured, outputs, units)
 
 
-def compare_prediction(recording: Recording, parameters: Mapping[str, float]) -> RecordingComparison:
-    """A recording and its prediction by the machine with these parameter values."""
-    return compare(recording, predict(excitation(recording), parameters))
-
-
 def attribute(
-    comparison: RecordingComparison,
-    parameters: Mapping[str, float],
-    identified: Iterable[str],
-    processes: int = 1,
+    comparison: RecordingComparison, parameters: Mapping[str, float], processes: int = 1
 ) -> Explanation:
-    """Which effect the residual shows.
+    """Which effect the residual shows, apart from errors of the identified parameters.
 
     parameters   values of the identified machine
-    identified   names of the fitted parameters, whose errors may look like an effect
     processes    number of processes that simulate the machine
     """
     recording, measured, residual = comparison.recording, comparison.measured, comparison.residual()
-    inputs, effects, absorbed = excitation(recording), {}, {}
+    inputs, effects = excitation(recording), {}
     ranges = {n: float(np.nanmax(y) - np.nanmin(y)) for n, y in measured.items() if np.isfinite(y).any()}
     small = {name: SMALL * span for name, span in ranges.items()}
     noise = {name: recording.sensor(name).sd for name in recording.signals}
     if unexplained(residual, noise, small):  # else the simulations, most of the time, would tell nothing
-        default = predict(inputs, parameters)
-        effects = effect_changes(inputs, parameters, default, processes)
-        absorbed = sensitivities(inputs, parameters, identified, default, processes)
+        effects = effect_changes(inputs, parameters, predict(inputs, parameters), processes)
     step = float(np.median(np.diff(inputs.time)))
-    return explain(residual, effects, step=step, noise=noise, small=small, absorbed=absorbed)
+    return explain(residual, effects, step=step, noise=noise, small=small, absorbed=comparison.sensitivities)
 
 
 def figure(comparison: RecordingComparison, joint: str) -> TraceFigure:
@@ -157,6 +173,7 @@ def _panel(label: str, curves: Mapping[str, str], comparison: RecordingCompariso
     """Signals of one quantity with their residuals and NRMSE; a command is an input and has none."""
     time, unit = comparison.recording.time, display_unit(comparison.units[next(iter(curves))])
     lines, residuals, remarks = list[TraceLine](), list[TraceLine](), list[tuple[str, str]]()
+    areas = []
     for index, (signal, curve) in enumerate(curves.items()):
         light, dark = PALETTE.pair(index)
         measured = comparison.measured[signal]
@@ -167,6 +184,9 @@ def _panel(label: str, curves: Mapping[str, str], comparison: RecordingCompariso
         broad, dotted = {"color": light, "linewidth": 2.6}, {**SIMULATION, "color": dark}
         lines.append(TraceLine(time, unit.factor * measured, broad, curve, "measured"))
         lines.append(TraceLine(time, unit.factor * predicted, dotted, curve, "predicted"))
+        if signal in comparison.sd:
+            low, high = (unit.factor * end for end in comparison.band(signal))
+            areas.append(TraceArea(time, low, high, light, "95 % band"))
         residuals.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}, curve))
         if (error := nrmse(measured, predicted)) is not None:
             remarks.append((f"{curve}\nNRMSE {percentage(error, 2)}".strip(), dark))
@@ -178,6 +198,7 @@ def _panel(label: str, curves: Mapping[str, str], comparison: RecordingCompariso
         error_label="residual",
         error_unit=unit.display,
         remarks=remarks,
+        areas=areas,
         heights=(2.7 if residuals else 1.6, 1.2),
     )
 

@@ -10,9 +10,8 @@ from identification.procedures.lumped_machine import ENCODER, KNOWN, P, recordin
 from kit import shards
 from kit.mistakes import problem, table
 
-from fmus.identification.procedures.damping import CONTACTS, as_printed, identify
-from fmus.identification.procedures.momentum_balance import smoothed_recording
-from fmus.identification.procedures.momentum_fit import solve
+from fmus.identification import finding
+from fmus.identification.procedures.damping import CONTACTS, as_printed, identify, joint_damping
 from orchestrator.data.recording import Sensor
 
 JOINTS = tuple(CONTACTS)
@@ -26,8 +25,8 @@ def truth(joint):
 def found(record):
     """B, its standard deviation."""
     joint = record.text_condition("joint")
-    solution = solve([smoothed_recording(record, [joint], P)], [joint], (CONTACTS[joint].theta,), P)
-    return solution.values[0], solution.sd[0]
+    damping = joint_damping(CONTACTS[joint], [record], KNOWN)
+    return damping.value, damping.sd
 
 
 @pytest.mark.parametrize("joint", JOINTS)
@@ -61,6 +60,7 @@ def test_the_result_has_all_joints_with_figure_and_remarks():
     assert result.figure == 9
     assert len(result.panels) == 9
     assert not any("dry friction" in text or "incomplete" in text for text in result.remarks)
+    assert finding.named(result.findings) == []
 
 
 def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected():
@@ -103,6 +103,8 @@ def test_dry_friction_is_reported_and_raises_b():
     assert friction.value == pytest.approx(dry, rel=0.1)  # where the sign changes it is rounded
     assert any("dry friction" in text for text in result.remarks)
     assert any("model is incomplete" in text for text in result.remarks)
+    assert "dry friction" in {f.fault for f in finding.named(result.findings)}
+    assert "dry friction" not in {f.fault for f in finding.named(pushed.findings)}
     assert not any(e.name.startswith("dry friction") for e in pushed.others)
     assert any("negative, which is impossible" in text for text in pushed.remarks)
 
@@ -156,8 +158,9 @@ def test_noise_that_is_not_described_is_estimated():
     record = recording("boom", seed=4)
     _, told = found(record)
     _, seen = found(replace(record, sensors={}))
-    # the noise of one sample from 3000: a few per cent; a quantised encoder at rest shows less
-    assert seen == pytest.approx(told, rel=0.15)
+    # the noise of one sample from 3000: a few per cent; a quantised encoder at rest shows less, so that the
+    # residuals widen the interval by a fifth
+    assert seen == pytest.approx(told, rel=0.25)
 
 
 @table(__file__, "mistakes", "change, message")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from identification.procedures import bench
 
+from fmus.identification.balance import linearised, solve
 from fmus.identification.procedures import hose_dynamics
-from fmus.identification.procedures.hose_dynamics import fits, inertance_start
 from orchestrator.base.errors import Problem
 
 SEEDS = 24
@@ -41,43 +41,42 @@ def test_intervals_have_their_coverage(results, name, truth):
     bench.assert_coverage(truth, [bench.named(result)[name] for result in results])
 
 
+def alone(group, name, start, half_width=0.08, **fixed):
+    """Samples of one group, and its fit; `fixed` unknowns keep their value."""
+    model = getattr(hose_dynamics, f"{name}_law")()
+    samples = hose_dynamics.prepared(group, model, half_width, bench.TRANSITION)
+    return samples, solve([samples], start | fixed, name, tested=fixed)
+
+
+START = {
+    "inertance": {"I": bench.INERTANCE, "C_R": bench.RESISTANCE, "R": 0.0, "s": 0.0},
+    "capacitance": {"C": bench.CAPACITANCE, "s": 0.0},
+}
+
+
 @pytest.mark.parametrize("name", ["inertance", "capacitance"])
 def test_whitened_residuals_are_white(name):
-    """At the true parameters the whitened residuals have variance 1 and neighbours no correlation."""
-    theta = {"I": bench.INERTANCE, "C_R": bench.RESISTANCE, "R": 0.0, "p_0": 0.0}
-    theta |= {"C": bench.CAPACITANCE, "q_0": 0.0, "s": 0.0}
-    every = []
-    for group in bench.moving_hose(0, groups=6):
-        cut = hose_dynamics.good_windows(group, 0.08)
-        more = (bench.TRANSITION,) if name == "inertance" else ()
-        every.append(getattr(hose_dynamics, name)(group, cut, *more).whitened_residual(theta))
-    white = np.concatenate(every)
-    # 4 standard deviations of n normal numbers' mean square and lag products
+    """Close to the true parameters the whitened residuals have variance 1 and neighbours no correlation."""
+    solutions = [alone(group, name, START[name])[1] for group in bench.moving_hose(0, groups=6)]
+    white = np.concatenate([solution.residual for solution in solutions])
+    # 4 standard deviations of n normal numbers' mean square and lag products; the fits take 4 of 240
     assert np.mean(white**2) == pytest.approx(1, abs=4 * np.sqrt(2 / white.size))
     for lag in (1, 2, 3):
         assert np.mean(white[lag:] * white[:-lag]) == pytest.approx(0, abs=4 / np.sqrt(white.size))
 
 
-def least_squares(equation):
-    """I by plain least squares of the same equation at s = 0, as if its regressors had no noise."""
-    names = ("I", "R", "C_R", "p_0")
-    matrix = np.column_stack([equation.regressors[n] for n in names])
-    size = np.linalg.norm(matrix, axis=0)
-    return (np.linalg.lstsq(matrix / size, equation.y)[0] / size)[0]
-
-
 def test_noisy_regressors_do_not_bias_it_towards_zero():
     """With a noisy meter and short windows I is right, but plain least squares is 2 % too low."""
     wild = dataclasses.replace(bench.FLOW, noise=8 * bench.FLOW.noise)
-    start = inertance_start(bench.INERTANCE, bench.RESISTANCE, 1e-3)
     errors, plain = [], []
     for seed in range(12):
         group = noisier(bench.moving_hose(seed, groups=1)[0], wild, seed)
-        cut = hose_dynamics.good_windows(group, 0.03)
-        equation = hose_dynamics.inertance(group, cut, bench.TRANSITION)
-        found = fits("I", [equation], start, ["x"]).pooled
-        plain.append(least_squares(equation))
-        errors.append((found["I"] - bench.INERTANCE) / found.sd("I"))
+        samples, solution = alone(group, "inertance", START["inertance"], 0.03, s=0.0)
+        at = linearised(samples, samples.raw, np.array(list(START["inertance"].values())))
+        matrix = at.by_theta[:3, 0].T
+        size = np.linalg.norm(matrix, axis=0)
+        plain.append(bench.INERTANCE - (np.linalg.lstsq(matrix / size, at.e[0])[0] / size)[0])
+        errors.append((solution.fit["I"] - bench.INERTANCE) / solution.fit.sd("I"))
     # the mean of 12 standard normal errors, 4 standard deviations
     assert abs(np.mean(errors)) < 4 / np.sqrt(12)
     assert np.mean(plain) < bench.INERTANCE * 0.98
@@ -118,10 +117,10 @@ def test_samples_in_the_dead_zone_are_in_no_window():
     group = bench.moving_hose(0, groups=1)[0]
     flow = group["flow_out"].copy()
     flow[500:900] = 0.0
-    cut = hose_dynamics.good_windows(bench.changed(group, {"flow_out": flow}), 0.08)
-    touched = cut.bump[:, 500:900].sum(axis=1)
-    assert cut.bump.shape[0] > 100
-    assert not touched.any()
+    samples = alone(bench.changed(group, {"flow_out": flow}), "capacitance", START["capacitance"])[0]
+    size = samples.bump.size
+    assert samples.starts.size > 100
+    assert not np.any((samples.starts + size > 500) & (samples.starts < 900))
     still = bench.changed(group, {"flow_out": 0 * flow})
     with pytest.raises(Problem, match=r"^hose_dynamics.csv: 0 windows[^\n]*$"):
         hose_dynamics.identify([still], bench.KNOWN)

@@ -9,6 +9,7 @@ import pytest
 from identification.procedures import bench
 from kit.mistakes import problem, table
 
+from fmus.identification import finding
 from fmus.identification.procedures import hose_dynamics, hose_resistance, valve
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
@@ -99,8 +100,8 @@ def test_estimates_stay_right(name, change):
         e = estimates[parameter]
         # four standard deviations: 1 in 1e4, the seeds are fixed
         assert abs(e.value - TRUTH[parameter]) < 4 * e.sd
-        # the bar of the project for a value, here for its interval
-        assert 1.96 * e.sd < 0.02 * e.value
+        # the bar of the project for a value, here for its interval; no flow shows the foot of the valve
+        assert parameter == "valve_dead_band" or 1.96 * e.sd < 0.02 * e.value
     assert TRUTH.keys() & estimates.keys()
 
 
@@ -108,6 +109,7 @@ def test_estimates_stay_right(name, change):
 def test_good_data_cause_no_warning(name):
     """Data of the model's own equations: no warning, so the exit status of the command is 0."""
     assert result_of(name).warnings == ()
+    assert finding.named(result_of(name).findings) == []
 
 
 @pytest.mark.parametrize("name", ["valve", "hose_resistance"])
@@ -138,14 +140,15 @@ def test_no_zero_exceeds_what_the_sensors_are_declared_to_have(name, declared):
     # two sensors; a perfect one counts as 1e-6 of its reading
     assert abs(zero.value) <= 2 * (declared * bench.BAR + 1e-6 * bench.SUPPLY)
     if name == "hose_resistance":  # at the valve a curve a little off the line explains the data as well
-        assert result.warnings
+        assert finding.named(result.findings)
 
 
 def test_residuals_far_above_the_noise_are_a_warning():
     """A hose whose drop is laminar at first, which eq. (1) cannot be."""
     recordings = bench.steady_hose(5, lambda q: bench.turbulent(q) + 3e8 * q)
-    (warning,) = hose_resistance.identify(recordings, bench.KNOWN).warnings
-    assert "times as large as the noise of the sensors" in warning
+    found = finding.named(hose_resistance.identify(recordings, bench.KNOWN).findings)
+    assert {f.fault for f in found} == {"model"}
+    assert any("times the noise of the sensors" in f.sentence for f in found)
 
 
 IMPOSSIBLE = {
@@ -217,7 +220,7 @@ def test_an_undetermined_quantity_is_not_estimated():
     """Pressures whose changes are below their noise: no capacitance, but a remark."""
     result = result_of(
         "hose_dynamics",
-        lambda r: with_signals(r, lambda n, x: x.mean() + 0.001 * (x - x.mean()) if n[0] == "p" else x),
+        lambda r: with_signals(r, lambda n, x: x.mean() + 0.0005 * (x - x.mean()) if n[0] == "p" else x),
     )
     names = {e.name for e in result.estimates}
     assert "boom_stick.stick_hose_capacitance" not in names

@@ -5,20 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from identification.procedures import bench
 from kit import shards
 from kit.mistakes import problem
 
 from fmus.identification.procedures import valve
-from fmus.identification.procedures.valve_law import (
-    OpeningLaw,
-    ValveConstants,
-    flow_through,
-    resistance,
-    resistance_of,
-)
 from fmus.parameters import Number
 
 ROUNDING = "boom_stick.valve_command_rounding"
@@ -52,7 +43,7 @@ def test_area_dead_band_and_curve_are_right(results):
 
 TRUTH = {
     "valve_area": bench.AREA,
-    "valve_dead_band": bench.DEAD_BAND,
+    "dead_band + rounding/2": bench.DEAD_BAND + bench.ROUNDING / 2,
     "C_R(1.5 V)": true_resistance(1.5),
     "C_R(10 V)": true_resistance(10.0),
 }
@@ -68,10 +59,12 @@ def test_intervals_have_their_coverage(results):
     """Over noise seeds, 95 % intervals hold the truth, and errors are as large as the standard deviations."""
     for name, truth in TRUTH.items():
         bench.assert_coverage(truth, [bench.named(result)[name] for result in results])
-    for name in ("valve_area", "valve_dead_band"):
-        own = [e for f in results for n, e in bench.named(f).items() if n.startswith(f"{name}[")]
-        assert len(own) == 4 * len(results)
-        bench.assert_coverage(TRUTH[name], own)
+    own = [e for f in results for n, e in bench.named(f).items() if n.startswith("valve_area[")]
+    assert len(own) == 4 * len(results)
+    bench.assert_coverage(bench.AREA, own)
+    # no flow shows the foot: the dead band may be anywhere between two roundings, so all intervals hold it
+    starts = [bench.named(result)["valve_dead_band"] for result in results]
+    assert all(start.low <= bench.DEAD_BAND <= start.high for start in starts)
     assert_equal_edges_do_not_differ(results)
 
 
@@ -126,27 +119,6 @@ def test_uncertain_rounding_widens_the_dead_band():
     found = bench.named(valve.identify([bench.edge("P-A", 0)], known))
     assert found["valve_dead_band"].sd == pytest.approx(0.05, rel=0.02)  # next to 3e-4 V of the noise
     assert found["dead_band + rounding/2"].sd < 1e-3
-
-
-@given(area=st.floats(1e-6, 1e-3), dead_band=st.floats(0.0, 3.0), rounding=st.floats(1e-3, 2.0))
-def test_any_fitted_curve_is_positive_and_falls(area, dead_band, rounding):
-    """For any parameters C_R is positive and falls with the command, where a polynomial may not."""
-    volts = np.linspace(dead_band + 0.1, 10.0, 200)
-    curve = resistance(
-        volts, OpeningLaw(area, dead_band, rounding), ValveConstants(0.62, 10.0, 1e-14, 1e-5, 970.0)
-    )
-    assert (curve > 0).all()
-    assert (np.diff(curve) < 0).all()
-
-
-def test_the_resistance_of_an_area_is_that_of_its_flow():
-    """C_R = drop / Q^2 of eq. (2), whatever the drop; without bound at a closed edge."""
-    area, drop = np.array([1e-6, 1e-5, 1e-4]), np.array([1e5, 1e6, 1e7])
-    constants = ValveConstants(0.62, 10.0, 0.0, 1e-9, 870.0)
-    flow, _ = flow_through(area, drop, 2 * drop, constants)
-    # the laminar part below the transition flow, 1e-9 of 1e-5 m3/s, squared
-    np.testing.assert_allclose(resistance_of(area, constants), drop / flow**2, rtol=1e-6)
-    assert resistance_of(np.zeros(1), constants) == np.inf
 
 
 UNKNOWN = {n: v for n, v in bench.KNOWN.items() if n != "boom_stick.density"}

@@ -8,6 +8,7 @@ from identification.procedures.bench import measured
 from identification.procedures.lumped_machine import ENCODER, KNOWN, PRESSURE, V, gravity
 from kit import shards
 
+from fmus.identification.finding import named
 from fmus.identification.machine import nominal
 from fmus.identification.procedures.weighing import SIGNALS, identify
 from fmus.identification.recordings.reading import read
@@ -84,7 +85,7 @@ def test_payloads_of_a_quasi_static_balance_come_back():
         # noise of 0.1 bar in some 1e3 samples is 0.01 kg, an encoder's step of 1e-4 rad 0.01 % of the moment
         assert [e.value for e in found] == pytest.approx(held, rel=3e-3, abs=0.3)
         inside += [e.low < mass < e.high for e, mass in zip(found, held, strict=True)]
-        assert not result.warnings
+        assert not named(result.findings)
     assert sum(inside) >= 9  # of 12; measured: 91 % of 80 seeds
 
 
@@ -98,11 +99,13 @@ def test_tare_cancels_the_zero_of_a_pressure_sensor():
     """2 bar too much in both recordings: half a kilogram with the tare, 20 kg without it."""
     loaded, empty = recording(300.0, 1, zero=2 * BAR), recording(0.0, 2, "empty", zero=2 * BAR)
     assert payloads(loaded, empty)[1][0].value == pytest.approx(300.0, abs=0.5)
-    (alone,) = payloads(loaded)[1]
-    # the moment arm and the tip's distance change by some percent in the motion
-    assert alone.value - 300.0 == pytest.approx(2 * BAR * per_pressure(AREAS[0]), rel=0.03)
-    # 0.25 % of 400 bar may be the zero of either side: 1 bar, two standard deviations
-    assert alone.sd == pytest.approx(BAR * per_pressure(sum(AREAS)) / 2, rel=0.03)
+    result, (alone,) = payloads(loaded)
+    # 2 bar are 18 kg; by the change of the moment arm the recording itself tells most of it from a mass
+    assert abs(alone.value - 300.0) < 3.3 * alone.sd
+    # 0.25 % of 400 bar may be the zero of either side: 1 bar, two standard deviations, independent
+    assert alone.sd < BAR * per_pressure(np.hypot(*AREAS)) / 2
+    # head and rod side explain nearly the same, so the doubt about each is small
+    assert min(f.p for f in result.findings if f.fault == "zero of a pressure sensor") < 0.05
 
 
 def test_the_tare_is_the_mean_of_the_empty_recordings():
@@ -116,7 +119,7 @@ def test_the_tare_is_the_mean_of_the_empty_recordings():
     # variances of three like recordings: 1 + 1/2 against 1 + 1, of the residuals' own scatter 15 %
     one = payloads(loaded, first)[1][0]
     assert found.sd / one.sd == pytest.approx(np.sqrt(1.5 / 2), rel=0.15)
-    assert not result.warnings
+    assert not named(result.findings)
 
 
 def test_motion_one_way_is_refused():
@@ -139,5 +142,5 @@ def test_payload_of_the_rig_is_weighed_within_one_percent(machine, tmp_path):
     # the bar, without a tare as well
     assert (found.value, alone.value) == pytest.approx((WEIGHED, WEIGHED), rel=0.01)
     assert found.low < WEIGHED < found.high
-    assert bool(result.warnings) == (machine == "detailed")  # stiction and a swinging head are told
+    assert bool(named(result.findings)) == (machine == "detailed")  # stiction and a swinging head are told
     assert any("states 300 kg" in remark for remark in result.remarks)

@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.properties import examples
 
-from fmus.identification.recordings.derivatives import SavitzkyGolay, derivatives, filter_for
+from fmus.identification.recordings.derivatives import SavitzkyGolay, filter_for
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Sensor
 
 
 @given(
@@ -68,21 +67,6 @@ def test_window_with_a_gap_gives_a_gap(recording):
     missing = np.flatnonzero(np.isnan(used.apply(values, 1)))
     assert missing.tolist() == [*range(5), *range(95, 106), *range(195, 200)]
     assert np.isnan(used.apply(values[:10])).all()
-
-
-def test_derivatives_of_a_signal_have_its_sensors_noise(recording):
-    """The slope of a noisy ramp scatters by the reported standard deviation."""
-    rng = np.random.default_rng(2)
-    n, sensor = 20_000, Sensor(noise=0.02, resolution=0.02)
-    ramp = 0.7 * np.arange(n) / 200
-    values = np.round((ramp + rng.normal(0, 0.02, n)) / 0.02) * 0.02
-    found = derivatives(recording(x=values, sensors={"x": sensor}), "x", 0.1)
-    # 20 000 / 21 independent values: 1 / sqrt(2 * 950) = 2.3 %, four times that
-    assert np.nanstd(found.first) == pytest.approx(found.sd_first, rel=0.092)
-    assert np.nanstd(found.value - ramp) == pytest.approx(found.sd_value, rel=0.092)
-    assert np.nanstd(found.second) == pytest.approx(found.sd_second, rel=0.092)
-    # five standard deviations of the mean
-    assert np.nanmean(found.first) == pytest.approx(0.7, abs=5 * found.sd_first / np.sqrt(n / 21))
 
 
 def test_window_that_is_too_short_is_refused(recording):

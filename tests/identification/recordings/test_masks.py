@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus.identification.recordings.masks import averages, good, good_all, standard_error, steady
-from fmus.identification.recordings.reading import add, blank, split, take, window
+from fmus.identification.recordings.reading import add, split, take, window
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
@@ -22,7 +22,6 @@ def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
     assert good(made, "q").tolist() == expected
     assert good(made, "u").all()
     assert good_all(made, ["q", "u"]).tolist() == expected
-    assert np.isnan(blank(made, "q", ~good(made, "q"))["q"]).tolist() == [not v for v in expected]
 
 
 @given(

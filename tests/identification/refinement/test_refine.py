@@ -9,9 +9,9 @@ import pytest
 from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem, recording, run, upright
 from kit.mistakes import problem as problem_of
 
+from benchmarks.black_box import BlackBox, FiniteDifferences
 from fmus.identification.refinement.gauss_newton import Iteration, Options
 from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.simulation import BlackBox, FiniteDifferences
 
 SENSOR_ONLY = Options(model_error=False)
 

@@ -12,9 +12,8 @@ from kit import shards
 from fmus.identification import machine
 from fmus.identification.machine import nominal
 from fmus.identification.refinement.measured_runs import RecordingMap
+from fmus.identification.refinement.problem import free_zeros, parameter
 from fmus.identification.refinement.refine import compiled, refine
-from fmus.identification.refinement.sensor_zeros import free_zeros, parameter, with_zeros
-from fmus.parameters import Values
 from orchestrator.data.recording import Sensor, read_recording
 
 BOOM = "manipulator.boom_angle"
@@ -58,11 +57,10 @@ def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals(nam
 
 def _with_zero(error: float, off: float):
     """The oscillator's problem with a position sensor that is `off`, and one more run held out."""
-    sub, errors = with_zeros(OSCILLATOR, {"position": error}), {"position": error}
     base = oscillator_problem(run(recording()))
-    usual = NUMBERS
-    fixed = Values({**usual.p, parameter("position"): 0.0}, usual.u, usual.x)
-    mapping = RecordingMap(sub, base.outputs, values=fixed, zeros={"position": parameter("position")})
+    mapping = RecordingMap(
+        OSCILLATOR, base.outputs, values=NUMBERS, zeros={"position": parameter("position")}
+    )
 
     def shifted(seed: int):
         read = recording(seed)
@@ -70,9 +68,7 @@ def _with_zero(error: float, off: float):
 
     return replace(
         base,
-        sub=sub,
-        free=(*base.free, *free_zeros(sub, errors, fixed)),
-        fixed=fixed,
+        free=(*base.free, *free_zeros({"position": error}, {"position": "m"})),
         training=(shifted(0),),
         held_out=(shifted(7),),
     )

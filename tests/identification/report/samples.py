@@ -5,7 +5,6 @@ import numpy as np
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.attribution import EffectShare, Explanation
-from fmus.identification.report.identification_page import IdentificationPage, IdentifiedParameter
 from orchestrator.base.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
 
 LITRES, BAR = ("L/min", 1e-3 / 60), ("bar", 1e5)
@@ -79,7 +78,7 @@ def quality(name: str, channels: tuple[dict[str, object], ...], *remarks: str) -
     return {"name": name, **about, **numbers, "channels": channels, "remarks": remarks}
 
 
-def page(**more: object) -> IdentificationPage:
+def page(**more: object) -> dict[str, object]:
     """A page with everything on it."""
     joint = {
         "names": ("valve_area", "swing.gear_ratio", "head_mass"),
@@ -104,10 +103,14 @@ def page(**more: object) -> IdentificationPage:
         "source": "recordings",
         "kinds": ("simulation",),
         "results": (result(),),
-        "parameters": (IdentifiedParameter(AREA, "hose_resistance", 4e-5, "assumed", "Area of <all> edges"),),
+        "parameters": (
+            {"estimate": AREA, "procedure": "hose_resistance", "prior": 4e-5, "prior_source": "assumed"}
+            | {"text": "Area of <all> edges"},
+        ),
         "qualities": (quality("a.csv", (channel("flow", "m3/s", "1 sample clipped."),)),),
         "refinement": joint,
         "explanation": explanation,
         "commands": {"harvester build --parameters parameters.toml": "Build the machine:"},
     }
-    return IdentificationPage(**{**given, **more})
+    empty = {"figures": (), "findings": (), "remarks": (), "warnings": (), "prediction": None}
+    return {**empty, **given, **more}

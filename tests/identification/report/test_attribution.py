@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kit import shards
 from kit.properties import examples
 
 from fmus.identification.machine import COMMANDS
@@ -18,10 +17,9 @@ from fmus.identification.report.attribution import (
     explain,
     explained_squares,
     orthogonal_part,
-    sensitivities,
     shapley_values,
 )
-from fmus.identification.report.prediction import Excitation
+from fmus.identification.report.prediction import Excitation, predict
 from fmus.machine.work_cycle import Move
 from orchestrator.data.recording import Recording
 
@@ -106,16 +104,17 @@ def test_without_an_unexplained_residual_no_effect_is_simulated(excitation, monk
     name = "manipulator.boom_angle"
     recording = Recording(Path("a.csv"), excitation.time, {name: excitation.time}, {name: "rad"})
     monkeypatch.setattr(recording_comparison, "excitation", lambda _: excitation)
-    for simulating in ("predict", "effect_changes", "sensitivities"):
+    for simulating in ("predict", "effect_changes"):
         monkeypatch.delattr(recording_comparison, simulating)
     same = recording_comparison.compare(recording, dict(recording.signals))
-    assert recording_comparison.attribute(same, {}, [DAMPING]).shares == ()
+    assert recording_comparison.attribute(same, {}).shares == ()
 
 
 @pytest.fixture(scope="module")
 def slope(excitation):
-    """Change of the signals by the damping of the swing."""
-    return sensitivities(excitation, {DAMPING: 300.0}, [DAMPING])
+    """Change of the signals by a tenth of a percent of the damping of the swing."""
+    default, damped = (predict(excitation, {DAMPING: 300.0 * factor}) for factor in (1.0, 1.001))
+    return {DAMPING: {n: damped[n] - y for n, y in default.items()}}
 
 
 def test_parameters_and_an_effect_are_told_apart(slope, effects):
@@ -128,20 +127,6 @@ def test_parameters_and_an_effect_are_told_apart(slope, effects):
     explanation = explain(residual, effects, step=STEP, absorbed=slope)
     assert explanation.effect == "dry friction"
     assert explanation.shares[0].alone + explanation.parameters < 1.0
-
-
-@shards.machine
-def test_the_number_of_processes_changes_no_bit():
-    """Changes by parameters are those of one process, in the order of the names."""
-    time = np.linspace(0.0, 0.2, 41)
-    commands = {name: 2.0 * np.minimum(time / 0.1, 1.0) for name in COMMANDS}
-    moved = Excitation(time, commands, {"swing": 0.0, "boom": 0.2, "stick": -1.4})
-    names = [DAMPING, "valve_area"]
-    parameters = {DAMPING: 300.0, "valve_area": 4e-5}
-    one, two = (sensitivities(moved, parameters, names, processes=count) for count in (1, 2))
-    assert list(one) == list(two) == names
-    for name in names:
-        assert all(one[name][signal].tobytes() == values.tobytes() for signal, values in two[name].items())
 
 
 def test_gaps_do_not_count(effects):

@@ -12,9 +12,10 @@ from hypothesis.extra.numpy import arrays
 from identification.report.samples import panel, residual, result
 from matplotlib.image import imread
 
+from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel
 from fmus.identification.report import report_texts
-from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure
+from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure, opening_panel
 from fmus.identification.report.recording_comparison import SIGNALS, RecordingComparison, figure, nrmse
 from orchestrator.base import plotting
 from orchestrator.base.figures import plot
@@ -61,6 +62,29 @@ def looks(axes):
         (x.get_marker(), x.get_linestyle(), str(x._dash_pattern), x.get_markerfacecolor() == "none")
         for x in lines
     }
+
+
+def test_tables_of_openings_are_drawn_with_their_bands():
+    """Edges with the same table share a curve, filled between the ends of the intervals; else no panel."""
+
+    def table(edge, *openings):
+        for kind, unit in (("command", "V"), ("opening", "1")):
+            for k, y in enumerate(openings, 1):
+                ends = (2.0 * k,) * 3 if unit == "V" else (y, y - 0.1, y + 0.3)
+                stem = f"valve_{edge}_{kind}"
+                yield Estimate(f"{stem}_{k}", ends[0], unit, 0.1, *ends[1:], "", f"{stem}s")
+
+    drawn_panel = opening_panel([*table("pa", 0.2, 1.0), *table("bt", 0.2, 1.0), *table("at", 0.3, 0.9)])
+    assert [curve.label for curve in drawn_panel.curves] == ["P-A, B-T", "A-T"]
+    (axes,) = drawn(drawn_panel).axes
+    first, _ = (band.get_paths()[0].vertices for band in axes.collections)
+    # exact identity: rounding only
+    assert {(x, round(y, 9)) for x, y in first} >= {(2, 0.1), (2, 0.5), (4, 0.9), (4, 1.3)}
+    empty = [
+        Estimate(f"valve_pa_{kind}_1", 0.0, "1", 0, 0, 0, "", f"valve_pa_{kind}s")
+        for kind in ("command", "opening")
+    ]
+    assert opening_panel(empty) is None
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_a_page_without_refinement():
 @pytest.mark.filterwarnings("error")
 def test_one_parameter_has_no_correlation():
     """A refinement of one parameter is shown without a matrix."""
-    one = page().refinement
+    one = page()["refinement"]
     assert one is not None
     shown = render(page(refinement={**one, "names": ("head_mass",), "correlation": np.ones((1, 1))}))
     assert "Correlation of the estimates" not in shown
@@ -91,9 +91,9 @@ def test_values_are_written_in_si(tmp_path):
     estimate = found["parameters"][0]["estimate"]
     assert (estimate["value"], estimate["unit"], estimate["low"]) == (4.01e-5, "m2", 3.99e-5)
     assert found["refinement"]["correlation"][0][1] == 0.9
-    assert found["findings"][0]["others"][0]["name"] == "valve_area"
-    assert found["findings"][0]["estimates"][0]["high"] is None
-    assert "panels" not in found["findings"][0]
+    assert found["results"][0]["others"][0]["name"] == "valve_area"
+    assert found["results"][0]["estimates"][0]["high"] is None
+    assert "panels" not in found["results"][0]
     assert found["explanation"] is None
 
 

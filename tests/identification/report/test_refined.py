@@ -45,7 +45,7 @@ def refined(**more) -> RefinementResult:
         "converged": True,
         "reason": "converged",
         "history": (),
-        "statistics": Statistics(covariance, covariance, covariance, 1.0, 100, 10, 7.0),
+        "statistics": Statistics(covariance, covariance, covariance, 100, 10, 7.0),
         "unidentified": ("hose and valve_area: the data show only hose * valve_area, not each",),
         "at_bound": ("hose",),
         "whiteness": {"angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1), "flow": quiet},
@@ -82,7 +82,7 @@ def test_random_starts_are_compared():
     """Distance of each start from the values before; whether the search led to the same result."""
     initial = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
     ran = MultistartResult(
-        (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5, {}
+        (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5
     )
     one, other = refinement(refined(), starts=ran)["starts"]
     # exact identity: both parameters are e times as large

@@ -4,7 +4,7 @@ Time is in samples, and signals are relative to their peaks, so that all values 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import make_dataclass
+from dataclasses import make_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +16,7 @@ from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording
+from orchestrator.data.recording import Mask, Recording
 
 Rates = Callable[[Any, Any, Any], Mapping[str, Scalar]]
 
@@ -83,6 +83,12 @@ def normalised(recording: Recording) -> tuple[Recording, dict[str, float]]:
     for name, peak in peaks.items():
         recording = add(recording, name, recording[name] / peak, "1")
     return recording, peaks
+
+
+def blank(recording: Recording, name: str, mask: Mask) -> Recording:
+    """The recording with the samples of a signal under `mask` replaced by gaps (NaN)."""
+    values = np.where(mask, np.nan, recording[name])
+    return replace(recording, signals={**recording.signals, name: values})
 
 
 def all_free(

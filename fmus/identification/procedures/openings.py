@@ -1,0 +1,741 @@
+"""Opening of metering edges over the command from steady steps: straight line or curve, with its 95 % band.
+
+Each step gives the effective area of the edge from its flow and pressure drop,
+
+    a = sqrt((Q - L) sqrt(Q^2 + Q_t^2) / dp) / (C_d sqrt(2/rho))        L = G dp - G (dp_s - dp)
+
+L is the leakage (coefficient G) of the open edge minus that of the closed edge at the same port, which has
+the rest of the pressure drop dp_s from supply to tank. Means over steps with one command are the nodes of
+the opening. With the zeros z of the pressure drop and z_q of the flow meter, and the noise e,
+
+    a_i = A(V_i) + (da/ddp) z + (da/dQ) z_q + e_i
+
+- Line: A(V) = k ramp(V - V_t + w/2, w), straight behind a foot of length w, as `components.spool_valve`.
+- Curve: A(V_i) is free at each node. Between nodes it lies between their chord and the straight continuations
+  of its neighbours, where a kink would be, or the monotone cubic.
+
+The zeros have the data sheets' limits as priors: the standard deviation of a uniform distribution. Where no
+flow was measured the opening is bounded by what any valve does. Below the lowest node it is a power
+a_1 ((V - V_0) / (V_1 - V_0))^n with the slope of the opening there and an unknown exponent, not above what
+a meter without reading allows. Above the highest node its slope is between zero and twice the last one.
+The band is simultaneous: 95 of 100 curves that the data allow lie in it over their whole length [Besag et
+al., Statistical Science 10 (1995) 3, section 6.3].
+
+Validity: steady flow; the leakage is a small part of it (below a tenth).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import isotonic_regression
+
+from fmus.identification.estimate import CONFIDENCE, Estimate
+from fmus.identification.procedures.experiment_data import StepMeans, parameter_value, select
+from fmus.parameters import Number
+from orchestrator.data.recording import Mask
+from orchestrator.data.table import Array
+
+UNLIKELY = 1e-3  # probability of data below which an assumption is given up
+SAME = 2e-3  # of the full command: steps that are closer have one command
+DRAWS = 2000  # curves: the 2.5 % quantile of one has an error of a tenth of a standard deviation
+POINTS, GRID = 10, 96  # of a table; commands at which curves are drawn, besides the measured ones
+FOOT = (0.8, 3.5)  # exponents of a curve below its lowest node: a notch begins with 1 to 2, a rounding with 3
+SHORT_FOOT = (
+    0.9,
+    2.1,
+)  # of a straight line: 1 for a sharp start, 2 for a rounding that ends at the lowest node
+CURVED = 1.3  # times the change of slope to the lowest node by which a parabola through three is bent
+UNDERLAP = 1.2  # largest exponent of an edge that is open at zero command
+DETERMINED = 0.25  # largest relative standard deviation of a rounding that the data determine
+ROUNDING = (1e-3, 2.0)  # V, of the fitted rounding
+CERTAIN = 4.0  # standard errors above which a flow is certain
+ZEROS = 21  # zeros with which a falling opening is tested
+CLOSE = 0.1  # half bands: errors of a table below it do not count
+
+
+@dataclass(frozen=True)
+class ValveConstants:
+    """Known parameters of the valve and its oil."""
+
+    discharge_coefficient: float
+    full_command: float
+    leakage: float
+    transition_flow: float
+    density: float
+
+    @classmethod
+    def of(cls, parameters: Mapping[str, Number]) -> ValveConstants:
+        """From the parameters of the machine, whose three valves are identical (section 4(a))."""
+        names = ("discharge_coefficient", "full_command", "leakage", "transition_flow")
+        valve = {name: parameter_value(parameters, f"boom_stick.valve_{name}") for name in names}
+        return cls(**valve, density=parameter_value(parameters, "boom_stick.density"))
+
+    def resistance(self, area: Array) -> Array:
+        """C_R [Pa.s2/m6] of effective areas [m2] by eq. (2); infinite if the edge is closed."""
+        square = 2 * (self.discharge_coefficient * area) ** 2 / self.density
+        return np.divide(1.0, square, out=np.full_like(square, np.inf), where=square > 0)
+
+
+@dataclass(frozen=True)
+class ValveSteps(StepMeans):
+    """Means over the steps of one or several edges; drop and flow are positive if the edge is open.
+
+    command, command_error   magnitude [V] and its standard error
+    supply_drop              pressure drop from supply to tank [Pa]: the largest over an edge, nearly closed
+    time, temperature        of the middle of the step [s], of the oil (NaN if not recorded)
+    change                   1 if the command was lower before, -1 if it was higher, 0 for the first step
+    density                  of the tested oil [kg/m3]
+    idle_flow                flow [m3/s] up to which the meter may read what it reads
+    edge                     "P-A", "P-B", "A-T" or "B-T"
+    """
+
+    command: Array
+    command_error: Array
+    supply_drop: Array
+    time: Array
+    temperature: Array
+    change: Array
+    density: Array
+    idle_flow: Array
+    edge: Array
+
+    @property
+    def edges(self) -> tuple[str, ...]:
+        """The edges, in the order of the recordings."""
+        return tuple(dict.fromkeys(map(str, self.edge)))
+
+    def of(self, edge: str) -> ValveSteps:
+        """The steps of one edge."""
+        return select(self, self.edge == edge)
+
+    def shut(self) -> ValveSteps:
+        """Steps with a flow that the meter does not tell from zero."""
+        return select(self, ~self.good & np.isfinite(self.idle_flow) & (self.drop > 0))
+
+    def idle_area(self, c: ValveConstants) -> Array:
+        """Commands and largest areas at which the meter may read what it reads, shape (n, 2)."""
+        return np.column_stack([self.command, replace(self, flow=self.idle_flow).effective(c)[0]])
+
+    def effective(
+        self, c: ValveConstants, zero: float = 0.0, flow_zero: float = 0.0
+    ) -> tuple[Array, Array, Array]:
+        """Effective areas [m2] without the zeros, and their derivatives by drop and flow."""
+        drop, flow = self.drop - zero, self.flow - flow_zero
+        net = np.maximum(flow - c.leakage * (2 * drop - self.supply_drop), 1e-3 * np.abs(flow) + 1e-15)
+        gain = c.discharge_coefficient * np.sqrt(2 / self.density)
+        area = np.sqrt(net * np.hypot(flow, c.transition_flow) / drop) / gain
+        by_flow = area / 2 * (1 / net + flow / (flow**2 + c.transition_flow**2))
+        return area, -area / 2 * (1 / drop + 2 * c.leakage / net), by_flow
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known before the valve is measured.
+
+    rounding     of the foot of a straight line [V]; its sd may be unknown
+    zero         largest difference of the two pressures without flow [Pa], by their data sheets
+    flow_zero    standard deviation of the flow meter's zero [m3/s]; 0 if nothing is declared or found
+    """
+
+    rounding: Number
+    zero: float
+    flow_zero: float
+
+    @property
+    def zero_sd(self) -> float:
+        """That of a uniform distribution up to the limit, so that its 95 % interval holds the limit."""
+        return self.zero / math.sqrt(3)
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Means over the steps with one command, shape (n,), and what their scatter tells.
+
+    command, area, sd   [V], [m2], standard errors (times `scatter`)
+    by_zero, by_flow    derivatives of the areas by the zeros of drop and flow
+    steps               the steps, sorted by command; `index` is the node of each, `error` its area's sd
+    levels, slope       areas of the steps, and [m2/V] there; `deviation` from the node over its `noise`
+    chi_square, freedom of the steps about their nodes
+    """
+
+    command: Array
+    area: Array
+    sd: Array
+    by_zero: Array
+    by_flow: Array
+    steps: ValveSteps
+    index: NDArray[np.int64]
+    error: Array
+    noise: Array
+    levels: Array
+    slope: Array
+    deviation: Array
+    chi_square: float
+    freedom: int
+
+    @classmethod
+    def of(cls, steps: ValveSteps, c: ValveConstants) -> Nodes:
+        """The nodes of the measured steps."""
+        s = select(steps, steps.good)
+        order = np.argsort(s.command, kind="stable")
+        s = type(s)(**{name: column[order] for name, column in vars(s).items()})
+        area, by_zero, by_flow = s.effective(c)
+        index = np.concatenate([[0], np.cumsum(np.diff(s.command) > SAME * c.full_command)])
+        count = np.bincount(index)
+        middle = np.bincount(index, area) / count
+        voltage = np.bincount(index, s.command) / count
+        slope = np.gradient(middle, voltage)[index] if count.size > 1 else np.zeros_like(area)
+        error = np.hypot(np.hypot(by_flow * s.flow_error, by_zero * s.drop_error), slope * s.command_error)
+        level = area - slope * (s.command - voltage[index])
+        weight = error**-2.0
+        total = np.bincount(index, weight)
+
+        def mean(x: Array) -> Array:
+            return np.asarray(np.bincount(index, weight * x) / total)
+
+        means = mean(level)
+        deviation = (level - means[index]) / error
+        chi_square, freedom = float(deviation @ deviation), int(area.size - count.size)
+        return cls(
+            command=np.asarray(voltage),
+            area=means,
+            sd=np.asarray(total**-0.5),
+            by_zero=mean(by_zero),
+            by_flow=mean(by_flow),
+            steps=s,
+            index=index,
+            error=np.asarray(error),
+            noise=np.asarray(error),
+            levels=area,
+            slope=np.asarray(slope),
+            deviation=np.asarray(deviation),
+            chi_square=chi_square,
+            freedom=freedom,
+        )
+
+    @property
+    def scatter(self) -> float:
+        """Scatter of steps with one command over their noise: 1 unless significantly larger."""
+        if not self.freedom or stats.chi2.sf(self.chi_square, self.freedom) >= UNLIKELY:
+            return 1.0
+        return math.sqrt(self.chi_square / self.freedom)
+
+    def times(self, factor: float) -> Nodes:
+        """With larger errors than those of the noise alone, which `noise` keeps."""
+        return replace(self, sd=factor * self.sd, error=factor * self.error)
+
+    def draws(self, known: Priors, random: np.random.Generator) -> Array:
+        """Areas that noise and zeros allow, shape (DRAWS, n)."""
+        noise, zeros = random.standard_normal((DRAWS, self.sd.size)), random.standard_normal((2, DRAWS, 1))
+        zero, flow_zero = known.zero_sd * zeros[0], known.flow_zero * zeros[1]
+        return np.asarray(self.area + self.sd * noise - self.by_zero * zero - self.by_flow * flow_zero)
+
+    def falling(self, limit: float) -> tuple[float, float]:
+        """Probability that a rising opening falls as much, and its largest fall in parts of it.
+
+        Chi-square of the areas about the closest ones that rise (isotonic regression), whose freedom is the
+        number of areas that it joins [Robertson, Wright and Dykstra, Order Restricted Statistical Inference
+        (1988), section 2.3]; with the zero of the pressures for which it is least.
+        """
+        best = (math.inf, 1, 0.0)
+        for zero in np.linspace(-limit, limit, ZEROS):
+            areas = self.area - self.by_zero * zero
+            rising = isotonic_regression(areas, weights=self.sd**-2.0).x
+            joined = max(self.sd.size - np.unique(rising).size, 1)
+            top = np.maximum.accumulate(areas)
+            best = min(best, (float(np.sum(((areas - rising) / self.sd) ** 2)), joined, max(1 - areas / top)))
+        return float(stats.chi2.sf(best[0], best[1])), float(best[2])
+
+
+# ---- straight line -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Line:
+    """Straight openings with one zero, fitted to `nodes.steps`; one group of steps or several.
+
+    values, covariance   slope [m2/V] and zero V_t [V] of each group, then zero [Pa], if free flow zero [m3/s]
+                         and rounding [V]
+    p                    probability of residuals as large, also along a parabola or cubic
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    chi_square: float
+    freedom: int
+    p: float
+    rounding: float
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.values[self.names.index(name)])
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of one parameter."""
+        i = self.names.index(name)
+        return math.sqrt(self.covariance[i, i])
+
+    def law(self) -> tuple[float, float, float]:
+        """Slope [m2/V], zero [V] and rounding [V] of the first opening; a known rounding ends at 0 V."""
+        start = self["start0"]
+        rounding = self["rounding"] if "rounding" in self.names else min(self.rounding, 2 * start)
+        return self["slope0"], start, max(rounding, ROUNDING[0])
+
+    def area(self, command: float) -> tuple[float, float]:
+        """Area [m2] of the first opening at a command [V] behind the foot, and its standard deviation."""
+        slope, start, _ = self.law()
+        gradient = np.zeros(len(self.names))
+        for name, value in (("slope0", command - start), ("start0", -slope)):
+            gradient[self.names.index(name)] = value
+        return slope * (command - start), math.sqrt(gradient @ self.covariance @ gradient)
+
+    def draws(self) -> dict[str, Array]:
+        """Parameter -> its values in draws of the estimates' normal distribution, shape (DRAWS, 1)."""
+        scale = np.sqrt(np.diag(self.covariance))
+        normal = np.random.default_rng(0).multivariate_normal(
+            np.zeros(scale.size), self.covariance / np.outer(scale, scale), DRAWS
+        )
+        return {n: (self[n] + s * x)[:, None] for n, s, x in zip(self.names, scale, normal.T, strict=True)}
+
+
+def straight(z: Array, width: Array | float) -> Array:
+    """`fmus.components.smooth.ramp` of arrays."""
+    s = np.clip(z / width, 0.0, 1.0)
+    return np.asarray(width * (s**3 - s**4 / 2) + np.maximum(z - width, 0.0))
+
+
+def fit_line(
+    nodes: Nodes,
+    c: ValveConstants,
+    known: Priors,
+    group: Array | None = None,
+    *,
+    any_zero: bool = False,
+    foot: bool = False,
+) -> Line:
+    """Least squares of straight openings.
+
+    group      number of the opening of each step; by default all have one
+    any_zero   without the prior of the zero of the pressures
+    foot       with a free rounding
+    """
+    s, v = nodes.steps, nodes.steps.command
+    group = np.zeros(v.size, dtype=int) if group is None else group
+    count = int(group.max()) + 1
+    area = s.effective(c)[0]
+    slope, level = np.polyfit(v, area, 1, w=1 / nodes.error)
+    scales = {f"slope{g}": float(slope) for g in range(count)} | {f"start{g}": 1.0 for g in range(count)}
+    start = dict.fromkeys(scales, 1.0) | {f"start{g}": float(-level / slope) for g in range(count)}
+    priors: dict[str, tuple[float, float]] = {}
+    scales["zero"], start["zero"] = known.zero, 0.0
+    if not any_zero:
+        priors["zero"] = (0.0, known.zero_sd)
+    if known.flow_zero:
+        scales["flow_zero"], start["flow_zero"] = known.flow_zero, 0.0
+        priors["flow_zero"] = (0.0, known.flow_zero)
+    if foot or known.rounding.sd:
+        scales["rounding"], start["rounding"] = 1.0, float(np.clip(known.rounding.value, 0.01, 1.9))
+        if not foot:
+            priors["rounding"] = (known.rounding.value, known.rounding.sd or 0.0)
+    names, scale = tuple(scales), np.array(list(scales.values()))
+
+    def residual(x: Array) -> Array:
+        p = dict(zip(names, x * scale, strict=True))
+        slopes, starts = (np.array([p[f"{n}{g}"] for g in range(count)])[group] for n in ("slope", "start"))
+        w = max(p.get("rounding", known.rounding.value), ROUNDING[0])
+        law = slopes * straight(v - starts + w / 2, w)
+        measured = s.effective(c, p["zero"], p.get("flow_zero", 0.0))[0]
+        return np.append((measured - law) / nodes.error, [(p[n] - m) / sd for n, (m, sd) in priors.items()])
+
+    limits = {
+        "rounding": ROUNDING,
+        "zero": (-0.4 * s.drop.min() / known.zero, 0.4 * s.drop.min() / known.zero),
+    }
+    low, high = np.array([limits.get(n, (-np.inf, np.inf)) for n in names]).T
+    found, r, jacobian = _minimum(residual, np.array([start[n] for n in names]), low, high)
+    chi_square, freedom = float(r @ r), r.size - len(names)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * np.outer(scale, scale)
+    p = float(stats.chi2.sf(chi_square, freedom)) if freedom > 0 else 1.0
+    if nodes.command.size > 4 and count == 1:  # a smooth deviation is tested apart from single steps
+        x = v / v.max()
+        smooth = np.zeros((r.size, 2))
+        smooth[: v.size] = np.column_stack([x**2, x**3]) * (area.max() / nodes.error)[:, None]
+        # a zero may look like a cubic: what is below the noise in this is noise of the regressors
+        wide = np.hstack([jacobian, smooth])
+        x, _, rank, _ = np.linalg.lstsq(wide, r, rcond=1 / float(np.linalg.norm(wide, 2)))
+        left, more = r - wide @ x, int(rank) - len(names)
+        p = min(1.0, 2 * min(p, _tail(chi_square - float(left @ left), more)))
+    return Line(names, found * scale, np.asarray(covariance), chi_square, freedom, p, known.rounding.value)
+
+
+def _minimum(
+    residual: Callable[[Array], Array], x: Array, low: Array, high: Array
+) -> tuple[Array, Array, Array]:
+    """Gauss-Newton of a nearly linear residual: parameters of magnitude one, residual and its Jacobian."""
+    for _ in range(40):
+        r, h = residual(x), 1e-5
+        jacobian = np.column_stack(
+            [(residual(x + d) - residual(x - d)) / (2 * h) for d in h * np.eye(x.size)]
+        )
+        step = np.linalg.lstsq(jacobian, -r, rcond=None)[0]
+        size = next(
+            (s for s in (1, 0.5, 0.2, 0.05) if _less(residual(np.clip(x + s * step, low, high)), r)), 0
+        )
+        if not size or np.linalg.norm(jacobian @ step) < 1e-4:
+            break
+        x = np.clip(x + size * step, low, high)
+    return x, r, jacobian
+
+
+def _less(a: Array, b: Array) -> bool:
+    return bool(a @ a < b @ b)
+
+
+def line(nodes: Nodes, c: ValveConstants, known: Priors, *, any_zero: bool = False) -> Line:
+    """The straight line of one opening; its rounding is free if steps on the foot determine it."""
+    fixed = fit_line(nodes, c, known, any_zero=any_zero)
+    if np.count_nonzero(nodes.steps.command < fixed["start0"] + ROUNDING[1] / 2) < 2 or known.rounding.sd:
+        return fixed
+    free = fit_line(nodes, c, known, any_zero=any_zero, foot=True)
+    sharp = _with_rounding(nodes, c, known, ROUNDING[0], any_zero)
+    certain = free.sd("rounding") < DETERMINED * free["rounding"] and free["rounding"] < 0.99 * ROUNDING[1]
+    if certain and sharp.chi_square - free.chi_square > CERTAIN**2:
+        return free
+    if fixed.chi_square - min(free.chi_square, sharp.chi_square) < CERTAIN**2:
+        return fixed
+    # the known rounding is wrong, as of a sharp start
+    other = ROUNDING[0] if sharp.chi_square < free.chi_square + CERTAIN else free["rounding"]
+    return _with_rounding(nodes, c, known, other, any_zero)
+
+
+def _with_rounding(nodes: Nodes, c: ValveConstants, known: Priors, value: float, any_zero: bool) -> Line:
+    """The straight line with another rounding than the known one."""
+    other = replace(known, rounding=replace(known.rounding, value=value))
+    return fit_line(nodes, c, other, any_zero=any_zero)
+
+
+# ---- curves and their band ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OpeningCurve:
+    """An opening with its band.
+
+    command           grid [V] from zero to full command, shape (k,)
+    draws             curves that the data allow [m2], shape (DRAWS, k)
+    area, low, high   the opening through the points of the table, and the ends of the 95 % band [m2]
+    commands, areas   points of the table [V], [m2]; the first one is the start of the opening, with area 0
+    start             start of the opening [V] in each curve; negative: the edge is open at zero command
+    first_measured    lowest command [V] with a measured flow; below it the curve is extrapolated
+    last_measured     highest one, as well
+    """
+
+    command: Array
+    draws: Array
+    area: Array
+    low: Array
+    high: Array
+    commands: Array
+    areas: Array
+    start: Array
+    first_measured: float
+    last_measured: float
+
+    def band_at(self, command: Array) -> tuple[Array, Array]:
+        """Ends of the band at commands [V]."""
+        low, high = (np.interp(command, self.command, end) for end in (self.low, self.high))
+        return np.asarray(low), np.asarray(high)
+
+    def draws_at(self, command: float) -> Array:
+        """Effective area [m2] of each curve at the nearest command [V] of the grid."""
+        return np.asarray(self.draws[:, np.argmin(np.abs(self.command - command))])
+
+    def at(self, command: Array) -> Array:
+        """Effective area [m2] at commands [V], as the machine evaluates the table."""
+        return tabulated(self.commands, self.areas, command)
+
+    def estimate(self, name: str, unit: str, note: str, draws: Array, value: float | None = None) -> Estimate:
+        """An estimate from its value in each curve: median, standard deviation, 95 % interval."""
+        tail = (1 - CONFIDENCE) / 2
+        low, middle, high = (float(x) for x in np.quantile(draws, [tail, 0.5, 1 - tail]))
+        value = middle if value is None else value
+        return Estimate(name, value, unit, float(draws.std()), min(low, value), max(high, value), note)
+
+
+def tabulated(commands: Array, areas: Array, command: Array) -> Array:
+    """Monotone cubic through the points of a table, 0 up to the first and constant after the last point.
+
+    The slope at the first point is zero, as in the machine: here by a further point before it.
+    """
+    before = commands[0] - (commands[1] - commands[0])
+    cubic = PchipInterpolator([before, *commands], [0.0, *areas])
+    return np.asarray(np.where(command <= commands[0], 0.0, cubic(np.clip(command, before, commands[-1]))))
+
+
+def curve(
+    nodes: Nodes, steps: ValveSteps, c: ValveConstants, known: Priors, fitted: Line | None, monotone: bool
+) -> OpeningCurve:
+    """The opening with its band: the fitted line, or without one the curve through the nodes.
+
+    steps      of the edges of this opening, also those without a flow
+    monotone   whether the band is that of an opening that rises
+    """
+    random = np.random.default_rng(0)
+    v = nodes.command[nodes.command < c.full_command * (1 + SAME)]
+    shut = steps.shut()
+    inside = [*v, *shut.command[shut.command < c.full_command], 0.02]
+    grid = np.unique(np.round([*np.linspace(0.0, c.full_command, GRID), *inside], 6))
+    between = (grid >= v[0] - 1e-6) & (grid <= v[-1] + 1e-6)
+    if fitted:
+        p = fitted.draws()
+        w = np.maximum(p.get("rounding", np.full((DRAWS, 1), fitted.rounding)), ROUNDING[0])
+        middle, start = _law(fitted.law(), grid), fitted["start0"] - fitted.law()[2] / 2
+        draws = _law((p["slope0"], p["start0"], w), grid)
+        values, exponents = _law((p["slope0"], p["start0"], w), v), SHORT_FOOT
+        starts = (p["start0"] - w / 2)[:, 0]
+    else:
+        values = nodes.draws(known, random)[:, : v.size]
+        mean = isotonic_regression(nodes.area[: v.size], weights=nodes.sd[: v.size] ** -2.0).x
+        draws, exponents = np.empty((DRAWS, grid.size)), FOOT
+        draws[:, between] = _kinked(v, values, grid[between], random)
+        middle = PchipInterpolator(v, mean)(np.clip(grid, v[0], v[-1]))
+    first, second = (np.diff(values[:, :3], axis=1) / np.diff(v[:3])).T
+    # between the slope of the first chord and that of a parabola, and beyond
+    bend = random.uniform(0.0, CURVED, DRAWS) * (second - first) * (v[1] - v[0]) / (v[2] - v[0])
+    slope = np.maximum(first - bend, 0.3 * first)
+    below, above = grid < v[0] - 1e-6, grid > v[-1] + 1e-6
+    if not fitted or "rounding" not in fitted.names:
+        bounds = shut.idle_area(c)
+        foot = _Foot(v[0], values[:, 0], np.maximum(slope, 1e-3 * values[:, 0] / v[0]), exponents, bounds)
+        draws[:, below], starts = foot.draws(grid[below], random)
+        if not fitted:
+            start = float(np.median(starts))
+            one = _Foot(v[0], middle[between][:1], np.atleast_1d(np.median(foot.slope)), exponents, bounds)
+            middle[below] = one.at(grid[below], np.array([start]))[0]
+    last = np.diff(values[:, -2:], axis=1) / (v[-1] - v[-2])
+    way = grid[above] - v[-1]
+    draws[:, above] = values[:, -1:] + random.uniform(0.0, 2.0, (DRAWS, 1)) * last * way
+    middle[above] = np.interp(v[-1], grid, middle) + max(float(np.median(last)), 0.0) * way
+    draws = np.maximum(draws, 0.0)
+    low, high = simultaneous_band(draws)
+    if monotone:  # a rising curve that is in the band is in this one, too
+        low, high = np.maximum.accumulate(low), np.minimum.accumulate(high[::-1])[::-1]
+    points = table(grid, np.maximum.accumulate(middle), (high - low) / 2, max(start, 0.0))
+    area = tabulated(*points, grid)
+    ends = np.minimum(low, area), np.maximum(high, area)
+    return OpeningCurve(grid, draws, area, *ends, *points, starts, float(v[0]), float(v[-1]))
+
+
+def _law(p: tuple[Array | float, Array | float, Array | float], command: Array) -> Array:
+    """Areas of lines: slope, zero and rounding, at commands."""
+    return np.asarray(p[0] * straight(command - p[1] + p[2] / 2, p[2]))
+
+
+def _kinked(v: Array, values: Array, grid: Array, random: np.random.Generator) -> Array:
+    """Curves through values at nodes v: in each interval anywhere that a cubic, a chord or a kink may be."""
+    j = np.clip(np.searchsorted(v, grid, "right") - 1, 0, v.size - 2)
+    secant = np.diff(values, axis=1) / np.diff(v)
+    cubic = PchipInterpolator(v, values, axis=1)(grid)
+    chord = values[:, j] + secant[:, j] * (grid - v[j])
+    before = values[:, j] + secant[:, np.maximum(j - 1, 0)] * (grid - v[j])
+    after = values[:, j + 1] - secant[:, np.minimum(j + 1, v.size - 2)] * (v[j + 1] - grid)
+    low = np.minimum(np.minimum(chord, cubic), np.maximum(before, after))
+    high = np.maximum(np.maximum(chord, cubic), np.minimum(before, after))
+    return np.asarray(low + random.uniform(size=(len(values), v.size - 1))[:, j] * (high - low))
+
+
+@dataclass(frozen=True)
+class _Foot:
+    """Openings below the lowest node: powers with their area and slope there.
+
+    first          command of the node
+    area, slope    there, shape (n,)
+    exponents      least and largest exponent
+    bounds         commands and largest areas of steps without a flow, shape (m, 2)
+    """
+
+    first: float
+    area: Array
+    slope: Array
+    exponents: tuple[float, float]
+    bounds: Array
+
+    def at(self, grid: Array, start: Array) -> Array:
+        """Areas of powers that begin at `start`, not above the bounds."""
+        length = self.first - start[:, None]
+        exponent = length * (self.slope / self.area)[:, None]
+        share = np.clip((grid - start[:, None]) / length, 0.0, None)
+        powers = self.area[:, None] * np.where(share > 0, share**exponent, 0.0)
+        largest = [np.min(self.bounds[self.bounds[:, 0] >= x, 1], initial=np.inf) for x in grid]
+        return np.asarray(np.minimum(powers, largest))
+
+    def draws(self, grid: Array, random: np.random.Generator) -> tuple[Array, Array]:
+        """Areas of powers that the bounds allow, and their starts; without any the nearest."""
+        tangent = self.area / self.slope
+        longest = self.first / tangent  # the exponent that begins at zero command
+        low, high = self.exponents
+        high_of = np.where(longest < UNDERLAP, UNDERLAP, np.minimum(high, longest))
+        start = self.first - low * tangent
+        free: Mask = np.ones(start.size, dtype=bool)
+        rows = self.bounds[self.bounds[:, 0] < self.first]
+        unbound = replace(self, bounds=np.empty((0, 2)))
+        for _ in range(8):
+            exponent = low + (high_of - low) * random.uniform(size=start.size)
+            start = np.where(free, self.first - exponent * tangent, start)
+            free = np.asarray((unbound.at(rows[:, 0], start) > rows[:, 1]).any(axis=1))
+        latest = self.first - low * tangent
+        return self.at(grid, np.where(free, latest, start)), np.where(free, latest, start)
+
+
+def simultaneous_band(draws: Array) -> tuple[Array, Array]:
+    """Ends of a band that holds 95 % of the curves over their whole length, shape (k,) each.
+
+    A curve is as extreme as its most extreme point; the band leaves out the most extreme 5 % of the curves.
+    """
+    count, ordered = draws.shape[0], np.sort(draws, axis=0)
+    rank = np.full(count, count)
+    for column, values in zip(draws.T, ordered.T, strict=True):
+        below = np.searchsorted(values, column, side="right")  # curves at or below this one, itself included
+        above = count - np.searchsorted(values, column, side="left")
+        rank = np.minimum(rank, np.minimum(below, above))
+    k = max(int(np.quantile(rank, 1 - CONFIDENCE)), 1)
+    return ordered[k - 1], ordered[count - k]
+
+
+def table(command: Array, area: Array, half_band: Array, start: float) -> tuple[Array, Array]:
+    """Up to ten points of a curve, between which its largest error in half bands is as small as possible.
+
+    Each further point is where the table is farthest off; then points move as long as this is better.
+    """
+    tolerance = np.maximum(half_band, 1e-4 * area.max())
+    inner = [int(k) for k in np.flatnonzero(command > start + 0.01) if area[k] > 0]
+
+    def points(chosen: Collection[int]) -> tuple[Array, Array]:
+        order = sorted(chosen)
+        return np.array([start, *command[order]]), np.array([0.0, *area[order]])
+
+    def error(chosen: Collection[int]) -> Array:
+        return np.asarray(np.abs(tabulated(*points(chosen), command) - area)[inner] / tolerance[inner])
+
+    chosen = {inner[-1]}
+    while len(chosen) < min(POINTS - 1, len(inner)) and (off := error(chosen)).max() > CLOSE:
+        chosen.add(max((k for k in inner if k not in chosen), key=lambda k: float(off[inner.index(k)])))
+    best, improved = float(error(chosen).max()), True
+    while improved and best > CLOSE:
+        improved = False
+        for k in sorted(chosen - {inner[-1]}):
+            for other in (inner[i] for i in _neighbours(inner.index(k), len(inner))):
+                moved = chosen - {k} | {other}
+                if len(moved) == len(chosen) and (worst := float(error(moved).max())) < best:
+                    chosen, best, improved, k = moved, worst, True, other
+    return points(chosen)
+
+
+def _neighbours(index: int, count: int) -> Iterator[int]:
+    """Indices up to four before and after one, without the last."""
+    return (i for d in (1, 2, 4) for i in (index - d, index + d) if 0 <= i < count - 1)
+
+
+# ---- all edges ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Openings:
+    """Openings of the tested edges.
+
+    steps     all steps, also those without a flow
+    nodes     edge -> its nodes
+    lines     edge -> its straight line
+    line      the straight line of all edges together, if it suffices
+    any_zero  edge, or "all" -> its straight line with any zero of the pressures
+    curves    edge -> its opening with a band; the same object for equal edges
+    equal     probability that equal edges differ as much
+    falling   edge -> probability that a rising opening falls as much, and its largest fall
+    own       edge -> its straight opening with a band, if a line suffices
+    flow_zero reading of the flow meter at closed edges [m3/s] and its sd, which is subtracted; None if unseen
+    """
+
+    steps: ValveSteps
+    constants: ValveConstants
+    known: Priors
+    nodes: Mapping[str, Nodes]
+    lines: Mapping[str, Line]
+    line: Line | None
+    any_zero: Mapping[str, Line]
+    curves: Mapping[str, OpeningCurve]
+    equal: float
+    falling: Mapping[str, tuple[float, float]]
+    own: Mapping[str, OpeningCurve] = field(default_factory=dict)
+    flow_zero: tuple[float, float] | None = None
+
+    @property
+    def straight(self) -> bool:
+        """Whether a straight line suffices for each edge."""
+        return min(line.p for line in self.lines.values()) >= UNLIKELY / len(self.lines)
+
+    def distinct(self) -> dict[str, OpeningCurve]:
+        """One entry for all edges with the same curve; its name is "all" then."""
+        if len({id(curve) for curve in self.curves.values()}) == 1 and len(self.curves) > 1:
+            return {"all": next(iter(self.curves.values()))}
+        return dict(self.curves)
+
+
+def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Openings:
+    """Straight line or curves of all edges: a line if it suffices for each, one opening if they are equal."""
+    edges = steps.edges
+    nodes = {e: Nodes.of(steps.of(e), c) for e in edges}
+    scatter = max(n.scatter for n in nodes.values())
+    nodes = {e: n.times(scatter) for e, n in nodes.items()}
+    any_zero = {e: line(n, c, known, any_zero=True) for e, n in nodes.items()}
+    lines = {e: line(n, c, known) for e, n in nodes.items()}
+    for e, free in any_zero.items():  # a zero outside its declaration is named, and used
+        if lines[e].p < UNLIKELY / len(edges) <= free.p and free.freedom >= 4:
+            lines[e] = free
+    falling = {e: n.falling(known.zero) for e, n in nodes.items()}
+    found = Openings(steps, c, known, nodes, lines, None, any_zero, {}, 1.0, falling)
+    pooled = Nodes.of(steps, c).times(scatter)
+    group = np.array([edges.index(str(e)) for e in pooled.steps.edge])
+    rises = min(p for p, _ in falling.values()) >= UNLIKELY
+    if found.straight:
+        any_common = any(lines[e] is any_zero[e] for e in edges)
+        common = line(pooled, c, known, any_zero=any_common)
+        foot = "rounding" in common.names and not known.rounding.sd
+        apart = fit_line(pooled, c, known, group, any_zero=any_common, foot=foot)
+        equal = _tail(common.chi_square - apart.chi_square, 2 * (len(edges) - 1))
+        own = {e: curve(nodes[e], steps.of(e), c, known, lines[e], monotone=True) for e in edges}
+        found = replace(found, own=own)
+        if equal > UNLIKELY and common["start0"] > -CERTAIN * common.sd("start0"):
+            together = {"all": line(pooled, c, known, any_zero=True)} if len(edges) > 1 else any_zero
+            one = curve(pooled, steps, c, known, common, monotone=True)
+            return replace(
+                found, line=common, any_zero=together, curves=dict.fromkeys(edges, one), equal=equal
+            )
+        return replace(found, curves=own, equal=equal)
+    chi_square, freedom = _difference(list(nodes.values()), pooled)
+    equal = _tail(chi_square, freedom)
+    if equal > UNLIKELY:
+        one = curve(pooled, steps, c, known, None, monotone=rises)
+        return replace(found, curves=dict.fromkeys(edges, one), equal=equal)
+    own = {e: curve(nodes[e], steps.of(e), c, known, None, monotone=falling[e][0] >= UNLIKELY) for e in edges}
+    return replace(found, curves=own, equal=equal)
+
+
+def _tail(chi_square: float, freedom: int) -> float:
+    return float(stats.chi2.sf(chi_square, freedom)) if freedom else 1.0
+
+
+def _difference(each: Collection[Nodes], pooled: Nodes) -> tuple[float, int]:
+    """Chi-square of the nodes of edges about those of all together, and its degrees of freedom."""
+    chi_square, freedom = 0.0, -pooled.command.size
+    for nodes in each:
+        near = np.argmin(np.abs(pooled.command[:, None] - nodes.command), axis=0)
+        chi_square += float(np.sum(((nodes.area - pooled.area[near]) / nodes.sd) ** 2))
+        freedom += nodes.command.size
+    return chi_square, freedom

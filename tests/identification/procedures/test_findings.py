@@ -1,0 +1,156 @@
+"""Faults of a bench are named by the test that sees them; a rest recording tells zeros."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from identification.procedures import bench, lumped_machine, test_motor_leakage
+from identification.procedures.bench import BAR, changed
+from kit.mistakes import problem
+
+from fmus.identification import finding, pipeline
+from fmus.identification.procedures import damping, hose_dynamics, hose_resistance, motor_leakage, rest
+from orchestrator.data.recording import Recording
+
+UP_AND_DOWN = (*np.linspace(15.0, 275.0, 14), *np.linspace(265.0, 25.0, 12))  # L/min
+
+
+def names(result):
+    return {f.fault for f in finding.named(result.findings)}
+
+
+def hose(change=lambda r: r, flows=UP_AND_DOWN):
+    """Faults of a hose at stepped flows."""
+    (record,) = bench.steady_hose(1, bench.turbulent, flows)
+    return names(hose_resistance.identify([change(record)], bench.KNOWN))
+
+
+def warmer(r):
+    """The pressure drop falls by 3 % in the course of the recording."""
+    drop = r["pressure_in"] - r["pressure_out"]
+    return changed(r, {"pressure_out": r["pressure_in"] - drop * (1 - 0.03 * r.time / r.time[-1])})
+
+
+def with_sensors(r, first, **changes):
+    own = {n: replace(s, **changes) for n, s in r.sensors.items() if n.startswith(first)}
+    return replace(r, sensors={**r.sensors, **own})
+
+
+def heated(r):
+    """The same by a temperature that is recorded, and that rises at the end."""
+    course = np.clip(2 * r.time / r.time[-1] - 1, 0.0, 1.0)
+    drop = r["pressure_in"] - r["pressure_out"]
+    signals = {
+        "pressure_out": r["pressure_in"] - drop * (1 - 0.03 * course),
+        "oil_temperature": 310 + 9 * course,
+    }
+    return changed(replace(r, units={**r.units, "oil_temperature": "K"}), signals)
+
+
+FAULTS = {
+    "oil temperature": warmer,
+    "zero of a pressure sensor": lambda r: changed(
+        with_sensors(r, "pressure", zero_error=0.5 * BAR), {"pressure_out": r["pressure_out"] + 2 * BAR}
+    ),
+    "noise": lambda r: with_sensors(r, "flow", noise=1e-7),
+    "saturated signal": lambda r: changed(r, {"flow": np.minimum(r["flow"], 250 * bench.LITRES)}),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_of_a_hose_is_named(fault):
+    """Each fault alone, in a recording that is clean without it."""
+    assert fault in hose(FAULTS[fault])
+    assert not hose()
+
+
+def test_a_recorded_temperature_takes_the_place_of_time():
+    """A drop that follows the temperature is named with it."""
+    (record,) = bench.steady_hose(1, bench.turbulent, UP_AND_DOWN)
+    found = finding.named(hose_resistance.identify([heated(record)], bench.KNOWN).findings)
+    assert any("changes with the oil temperature by -" in f.sentence for f in found)
+
+
+def test_a_delay_between_two_loggers_is_named():
+    """Pressures of a hose that are 4 samples late, and angles of a joint that are 2 samples late."""
+
+    def late(r, samples, first):
+        return changed(r, {n: np.roll(x, samples) for n, x in r.signals.items() if n.startswith(first)})
+
+    groups = bench.moving_hose(1)
+    assert "time shift" in names(
+        hose_dynamics.identify([late(g, 4, "pressure") for g in groups], bench.KNOWN)
+    )
+    assert not names(hose_dynamics.identify(groups, bench.KNOWN))
+    record = lumped_machine.recording("boom", seed=1)
+    result = damping.identify([late(record, 2, "manipulator")], lumped_machine.KNOWN)
+    assert "time shift" in names(result)
+
+
+def test_a_drift_and_a_quadratic_part_of_a_leakage_are_named():
+    """A drain that falls by 2 % with time; 3 % of turbulent leakage."""
+    falling = test_motor_leakage.each(
+        lambda r: {"drain_flow": r["drain_flow"] * (1 - 0.02 * r.time / r.time[-1])}
+    )
+    assert "oil temperature" in names(motor_leakage.identify(falling, lumped_machine.KNOWN))
+    bent = test_motor_leakage.recordings(1, square=2e-21)
+    assert "model" in names(motor_leakage.identify(bent, lumped_machine.KNOWN))
+
+
+def at_rest(seed=0, **zeros):
+    """Ten seconds without pressure and flow, read by instruments with these zeros."""
+    random, time = np.random.default_rng(seed), np.arange(2001) / 200
+    sensors = {n: bench.PRESSURE if n.startswith("pressure") else bench.FLOW for n in zeros}
+    signals = {n: bench.measured(sensors[n], np.full(2001, z), random) for n, z in zeros.items()}
+    units = {n: "Pa" if n.startswith("pressure") else "m3/s" for n in zeros}
+    return Recording(Path("rest.csv"), time, signals, units, procedure="rest", sensors=sensors)
+
+
+def test_a_rest_recording_tells_zeros_also_at_the_end_of_a_range():
+    """Zeros of +-0.05 bar, of which a transducer from 0 bar on cuts the lower half, over 20 seeds."""
+    z = []
+    for seed in range(20):
+        result = rest.identify([at_rest(seed, pressure_in=5e3, pressure_out=-5e3, flow=0.0)], {})
+        found = {e.name: e for e in result.others}
+        assert set(found) == {"pressure_in", "pressure_out"}  # the turbine stands still
+        z += [
+            (found[n].value - true) / found[n].sd
+            for n, true in (("pressure_in", 5e3), ("pressure_out", -5e3))
+        ]
+        assert not names(result)
+    # mean and mean square of 40 normal errors, four standard deviations
+    assert abs(np.mean(z)) < 4 / np.sqrt(40)
+    assert np.mean(np.square(z)) < 1 + 4 * np.sqrt(2 / 40)
+
+
+def test_zeros_at_rest_are_subtracted_before_the_procedures():
+    """Transducers 3 bar apart: C_R is right with a rest recording, whose finding names them."""
+    (record,) = bench.steady_hose(1, bench.turbulent, UP_AND_DOWN)
+    moved = changed(record, {"pressure_in": record["pressure_in"] + 3 * BAR})
+    still = at_rest(2, pressure_in=3 * BAR, pressure_out=0.0)
+    found = pipeline.identify([moved, still])
+    at, hoses = found.results
+    assert "zero of a pressure sensor" in names(at)
+    assert not names(hoses)
+    resistance = bench.named(hoses)["C_R"]
+    assert abs(resistance.value - bench.RESISTANCE) < 4 * resistance.sd
+
+
+def test_a_recording_that_is_not_at_rest_is_refused():
+    """A pressure of 80 bar is no zero: one line with file, signal and value."""
+    message = problem(lambda: rest.identify([at_rest(pressure_in=80 * BAR)], {}))
+    assert message == (
+        "rest.csv: pressure_in: expected a reading near zero, with the pump off and all pressures relieved, "
+        "got 80 bar"
+    )
+
+
+def test_a_noise_that_is_described_wrongly_does_not_narrow_the_interval():
+    """Noise described as a tenth of what the data show: the interval is that of the data, within a fifth."""
+    groups = bench.moving_hose(3)
+    sensors = groups[0].sensors.items()
+    told = {n: replace(s, noise=s.noise / 10, resolution=s.resolution / 10) for n, s in sensors}
+    wrong = [replace(g, sensors=told) for g in groups]
+    right, other = (bench.named(hose_dynamics.identify(g, bench.KNOWN))["I"] for g in (groups, wrong))
+    assert other.sd == pytest.approx(right.sd, rel=0.2)
