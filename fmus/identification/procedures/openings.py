@@ -57,6 +57,8 @@ DETERMINED = 0.25  # largest relative standard deviation of a rounding that the 
 ROUNDING = (1e-3, 2.0)  # V, of the fitted rounding
 CERTAIN = 4.0  # standard errors above which a flow is certain
 ZEROS = 21  # zeros with which a falling opening is tested
+COLLINEAR = 1e3  # condition number of causes that the data cannot tell apart
+UNTOLD = 2.0  # limits of a zero above which its standard deviation tells nothing
 CLOSE = 0.1  # half bands: errors of a table below it do not count
 
 
@@ -142,11 +144,13 @@ class Priors:
     rounding     of the foot of a straight line [V]; its sd may be unknown
     zero         largest difference of the two pressures without flow [Pa], by their data sheets
     flow_zero    standard deviation of the flow meter's zero [m3/s]; 0 if nothing is declared or found
+    drift        largest part by which areas may differ from those that were measured
     """
 
     rounding: Number
     zero: float
     flow_zero: float
+    drift: float = 0.0
 
     @property
     def zero_sd(self) -> float:
@@ -162,6 +166,7 @@ class Nodes:
     by_zero, by_flow    derivatives of the areas by the zeros of drop and flow
     steps               the steps, sorted by command; `index` is the node of each, `error` its area's sd
     levels, slope       areas of the steps, and [m2/V] there; `deviation` from the node over its `noise`
+    by_pressure         derivatives of the steps' areas by the zero of the drop
     chi_square, freedom of the steps about their nodes
     """
 
@@ -176,6 +181,7 @@ class Nodes:
     noise: Array
     levels: Array
     slope: Array
+    by_pressure: Array
     deviation: Array
     chi_square: float
     freedom: int
@@ -215,6 +221,7 @@ class Nodes:
             noise=np.asarray(error),
             levels=area,
             slope=np.asarray(slope),
+            by_pressure=by_zero,
             deviation=np.asarray(deviation),
             chi_square=chi_square,
             freedom=freedom,
@@ -254,6 +261,95 @@ class Nodes:
         return float(stats.chi2.sf(best[0], best[1])), float(best[2])
 
 
+@dataclass(frozen=True)
+class Repeated:
+    """What steps with one command tell: effects that are common to all nodes, and the scatter that is left.
+
+    effects      name -> value and standard deviation, of those that the steps tell apart: "lag" of the
+                 opening, "drift" of the area [1], "zero" of the pressure drop [Pa]
+    warm         whether the drift is one with the temperature, not with time, over `span` [degrees] or [s]
+    by_command   whether the lag is one of the command [V], not a part of the flow
+    chi_square   of the steps without the effects, with its degrees of freedom
+    """
+
+    effects: Mapping[str, tuple[float, float]]
+    warm: bool
+    span: float
+    by_command: bool
+    chi_square: float
+    freedom: int
+
+    def probability(self, name: str) -> float:
+        """That of an effect as large, by the scatter of the steps; the lag has two forms to choose from."""
+        value, sd = self.effects[name]
+        forms = 2 if "lag" in self.effects else 1
+        return min(1.0, forms * 2 * float(stats.t.sf(abs(value) / sd, self.freedom)))
+
+
+def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | None:
+    """Regression of the steps about their nodes on lag, drift and zero; None if they tell none of these."""
+    zero, largest = 0.0, 0.4 * float(steps.drop[steps.good].min())
+    for _ in range(8):  # Gauss-Newton
+        found = _effects(Nodes.of(replace(steps, drop=steps.drop - zero), c), known)
+        if not found or "zero" not in found.effects:
+            return found
+        step, sd = found.effects["zero"]
+        zero = float(np.clip(zero + step, -largest, largest))
+        if abs(step) < 0.01 * sd:
+            break
+    return replace(found, effects={**found.effects, "zero": (zero, sd)})
+
+
+def _effects(nodes: Nodes, known: Priors) -> Repeated | None:
+    s = nodes.steps
+    warm = bool(np.isfinite(s.temperature).all() and np.ptp(s.temperature) > 0)
+    cause = s.temperature if warm else s.time
+    span = float(np.ptp(cause)) or 1.0
+    weight = nodes.noise**-2.0
+    total = np.bincount(nodes.index, weight)
+
+    def white(column: Array) -> Array:
+        """Deviations of a column from the means of its nodes, over the noise."""
+        mean = np.bincount(nodes.index, weight * column) / total
+        return np.asarray((column - mean[nodes.index]) / nodes.noise)
+
+    drift, zero = white(nodes.levels * (cause - cause.mean()) / span), white(nodes.by_pressure)
+    fits: list[Repeated] = []
+    for by_command in (True, False):
+        lag = white(-(nodes.slope if by_command else nodes.levels) * s.change / 2)
+        columns = {"lag": lag, "drift": drift, "zero": zero}
+        for names in (("lag", "drift", "zero"), ("lag", "drift"), ("zero",)):
+            x, freedom = np.array([columns[n] for n in names]), nodes.freedom - len(names)
+            size = np.linalg.norm(x, axis=1)
+            if freedom < 2 or not size.all() or np.linalg.cond(x.T / size) > COLLINEAR:
+                continue
+            inverse = np.linalg.inv(x @ x.T)
+            values = inverse @ x @ nodes.deviation
+            left = float(np.sum((nodes.deviation - values @ x) ** 2))
+            sd = np.sqrt(np.diag(inverse) * max(1.0, left / freedom))
+            if names[-1] == "zero" and sd[-1] > UNTOLD * known.zero:
+                continue
+            effects = dict(zip(names, zip(values.tolist(), sd.tolist(), strict=True), strict=True))
+            fits.append(Repeated(effects, warm, span, by_command, left, freedom))
+            break
+    return min(fits, key=lambda fit: fit.chi_square, default=None)
+
+
+def zero_by_pressures(each: Collection[Repeated], known: Priors) -> tuple[float, float]:
+    """Zero [Pa] of the pressure drop by steps with one command at several drops, and its standard deviation.
+
+    A zero beyond its limit is that of the data alone.
+    """
+    seen = [r.effects["zero"] for r in each if "zero" in r.effects]
+    weight = np.array([sd**-2.0 for _, sd in seen])
+    by_data = float(weight @ [z for z, _ in seen])
+    z, sd = by_data / max(weight.sum(), 1e-300), max(weight.sum(), 1e-300) ** -0.5
+    if stats.norm.sf((abs(z) - known.zero) / sd) < UNLIKELY:
+        return z, sd
+    precision = weight.sum() + known.zero_sd**-2.0
+    return by_data / precision, precision**-0.5
+
+
 # ---- straight line -----------------------------------------------------------------------------------
 
 
@@ -264,6 +360,7 @@ class Line:
     values, covariance   slope [m2/V] and zero V_t [V] of each group, then zero [Pa], if free flow zero [m3/s]
                          and rounding [V]
     p                    probability of residuals as large, also along a parabola or cubic
+    as_known             that of the known rounding against another one
     """
 
     names: tuple[str, ...]
@@ -273,6 +370,7 @@ class Line:
     freedom: int
     p: float
     rounding: float
+    as_known: float = 1.0
 
     def __getitem__(self, name: str) -> float:
         return float(self.values[self.names.index(name)])
@@ -405,14 +503,15 @@ def line(nodes: Nodes, c: ValveConstants, known: Priors, *, any_zero: bool = Fal
         return fixed
     free = fit_line(nodes, c, known, any_zero=any_zero, foot=True)
     sharp = _with_rounding(nodes, c, known, ROUNDING[0], any_zero)
+    as_known = _tail(fixed.chi_square - min(free.chi_square, sharp.chi_square), 1)
     certain = free.sd("rounding") < DETERMINED * free["rounding"] and free["rounding"] < 0.99 * ROUNDING[1]
     if certain and sharp.chi_square - free.chi_square > CERTAIN**2:
-        return free
+        return replace(free, as_known=as_known)
     if fixed.chi_square - min(free.chi_square, sharp.chi_square) < CERTAIN**2:
         return fixed
     # the known rounding is wrong, as of a sharp start
     other = ROUNDING[0] if sharp.chi_square < free.chi_square + CERTAIN else free["rounding"]
-    return _with_rounding(nodes, c, known, other, any_zero)
+    return replace(_with_rounding(nodes, c, known, other, any_zero), as_known=as_known)
 
 
 def _with_rounding(nodes: Nodes, c: ValveConstants, known: Priors, value: float, any_zero: bool) -> Line:
@@ -523,7 +622,7 @@ def curve(
     way = grid[above] - v[-1]
     draws[:, above] = values[:, -1:] + random.uniform(0.0, 2.0, (DRAWS, 1)) * last * way
     middle[above] = np.interp(v[-1], grid, middle) + max(float(np.median(last)), 0.0) * way
-    draws = np.maximum(draws, 0.0)
+    draws = np.maximum(draws, 0.0) * (1 + known.drift * random.uniform(-1.0, 1.0, (DRAWS, 1)))
     low, high = simultaneous_band(draws)
     if monotone:  # a rising curve that is in the band is in this one, too
         low, high = np.maximum.accumulate(low), np.minimum.accumulate(high[::-1])[::-1]
@@ -658,6 +757,8 @@ class Openings:
     curves    edge -> its opening with a band; the same object for equal edges
     equal     probability that equal edges differ as much
     falling   edge -> probability that a rising opening falls as much, and its largest fall
+    repeated  edge -> what its steps with one command tell
+    zero      of the pressure drop [Pa] by these steps and its standard deviation; curves are without it
     own       edge -> its straight opening with a band, if a line suffices
     flow_zero reading of the flow meter at closed edges [m3/s] and its sd, which is subtracted; None if unseen
     """
@@ -672,6 +773,8 @@ class Openings:
     curves: Mapping[str, OpeningCurve]
     equal: float
     falling: Mapping[str, tuple[float, float]]
+    repeated: Mapping[str, Repeated]
+    zero: tuple[float, float]
     own: Mapping[str, OpeningCurve] = field(default_factory=dict)
     flow_zero: tuple[float, float] | None = None
 
@@ -690,26 +793,40 @@ class Openings:
 def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Openings:
     """Straight line or curves of all edges: a line if it suffices for each, one opening if they are equal."""
     edges = steps.edges
-    nodes = {e: Nodes.of(steps.of(e), c) for e in edges}
+    measured = {e: Nodes.of(steps.of(e), c) for e in edges}
+    found_again = {e: r for e in edges if (r := repeated(steps.of(e), c, known))}
+    drifts = [
+        abs(r.effects["drift"][0])
+        for r in found_again.values()
+        if "drift" in r.effects and r.probability("drift") < UNLIKELY
+    ]
+    known = replace(known, drift=max(drifts, default=0.0))
+    zero, zero_sd = zero_by_pressures(found_again.values(), known)
+    corrected = replace(steps, drop=steps.drop - zero)
+    nodes = {e: Nodes.of(corrected.of(e), c) for e in edges}
     scatter = max(n.scatter for n in nodes.values())
     nodes = {e: n.times(scatter) for e, n in nodes.items()}
-    any_zero = {e: line(n, c, known, any_zero=True) for e, n in nodes.items()}
-    lines = {e: line(n, c, known) for e, n in nodes.items()}
+    measured = {e: n.times(scatter) for e, n in measured.items()}
+    any_zero = {e: line(n, c, known, any_zero=True) for e, n in measured.items()}
+    lines = {e: line(n, c, known) for e, n in measured.items()}
     for e, free in any_zero.items():  # a zero outside its declaration is named, and used
         if lines[e].p < UNLIKELY / len(edges) <= free.p and free.freedom >= 4:
             lines[e] = free
-    falling = {e: n.falling(known.zero) for e, n in nodes.items()}
-    found = Openings(steps, c, known, nodes, lines, None, any_zero, {}, 1.0, falling)
-    pooled = Nodes.of(steps, c).times(scatter)
-    group = np.array([edges.index(str(e)) for e in pooled.steps.edge])
-    rises = min(p for p, _ in falling.values()) >= UNLIKELY
+    by_curve = replace(known, zero=3**0.5 * zero_sd)
+    falling = {e: n.falling(by_curve.zero) for e, n in nodes.items()}
+    found = Openings(
+        steps, c, known, nodes, lines, None, any_zero, {}, 1.0, falling, found_again, (zero, zero_sd)
+    )
     if found.straight:
+        found = replace(found, nodes=measured)
+        pooled = Nodes.of(steps, c).times(scatter)
+        group = np.array([edges.index(str(e)) for e in pooled.steps.edge])
         any_common = any(lines[e] is any_zero[e] for e in edges)
         common = line(pooled, c, known, any_zero=any_common)
         foot = "rounding" in common.names and not known.rounding.sd
         apart = fit_line(pooled, c, known, group, any_zero=any_common, foot=foot)
         equal = _tail(common.chi_square - apart.chi_square, 2 * (len(edges) - 1))
-        own = {e: curve(nodes[e], steps.of(e), c, known, lines[e], monotone=True) for e in edges}
+        own = {e: curve(measured[e], steps.of(e), c, known, lines[e], monotone=True) for e in edges}
         found = replace(found, own=own)
         if equal > UNLIKELY and common["start0"] > -CERTAIN * common.sd("start0"):
             together = {"all": line(pooled, c, known, any_zero=True)} if len(edges) > 1 else any_zero
@@ -718,12 +835,17 @@ def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Opening
                 found, line=common, any_zero=together, curves=dict.fromkeys(edges, one), equal=equal
             )
         return replace(found, curves=own, equal=equal)
+    pooled = Nodes.of(corrected, c).times(scatter)
     chi_square, freedom = _difference(list(nodes.values()), pooled)
     equal = _tail(chi_square, freedom)
     if equal > UNLIKELY:
-        one = curve(pooled, steps, c, known, None, monotone=rises)
+        rises = min(p for p, _ in falling.values()) >= UNLIKELY
+        one = curve(pooled, corrected, c, by_curve, None, monotone=rises)
         return replace(found, curves=dict.fromkeys(edges, one), equal=equal)
-    own = {e: curve(nodes[e], steps.of(e), c, known, None, monotone=falling[e][0] >= UNLIKELY) for e in edges}
+    own = {
+        e: curve(nodes[e], corrected.of(e), c, by_curve, None, monotone=falling[e][0] >= UNLIKELY)
+        for e in edges
+    }
     return replace(found, curves=own, equal=equal)
 
 

@@ -30,6 +30,7 @@ from fmus.identification.procedures.experiment_data import (
     interpolated,
     parameter,
     select,
+    signal_findings,
     step_means,
     training_recordings,
 )
@@ -42,12 +43,13 @@ from fmus.identification.procedures.openings import (
     OpeningCurve,
     Openings,
     Priors,
+    Repeated,
     ValveConstants,
     ValveSteps,
     fit_openings,
 )
 from fmus.identification.procedures.valve_text import panels, remarks
-from fmus.identification.recordings.masks import at_ends, noise, steady
+from fmus.identification.recordings.masks import noise, steady
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -66,7 +68,6 @@ WRONG_NOISE, NOISE_ERROR = (
     0.05,
 )  # factor up to which a noise is known; sd of the logarithm of a found one
 SAME_OIL = 0.01  # relative difference of two densities of one oil
-COLLINEAR = 1e3  # condition number of two causes that the data cannot tell apart
 UNEVEN = 1.3  # scatter over its noise that ripple and errors of a standard error may cause
 
 
@@ -257,10 +258,10 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
         "dead band": [_start(e, found) for e in found.nodes],
         "density": _density(recordings, found.constants),
         "noise": [t for r in recordings for t in _noise(r, found.constants)],
-        "saturated signal": _saturated(recordings),
     }
-    for nodes in found.nodes.values():
-        for fault, test in _repeated(nodes):
+    yield from (f for f in signal_findings(recordings, STEP_SIGNALS, "valve") if f.fault != "noise")
+    for edge, again in found.repeated.items():
+        for fault, test in _repeated(edge, again, found.known.zero):
             tests[fault] = [*tests.get(fault, ()), test]
     for fault, results in tests.items():
         if several := list(results):
@@ -295,7 +296,6 @@ def _start(edge: str, found: Openings) -> tuple[float, str]:
     """An edge that is open at zero command, or closed where its opening would give a flow."""
     curve, nodes = found.curves[edge], found.nodes[edge]
     bounds = found.steps.of(edge).shut().idle_area(found.constants)
-    before = bounds[:, 0] < curve.first_measured
     line = found.line or (found.lines[edge] if found.straight else None)
     if line:
         first, sd = line["start0"], line.sd("start0")
@@ -304,9 +304,10 @@ def _start(edge: str, found: Openings) -> tuple[float, str]:
         length = (v[1] - v[0]) / (a[1] - a[0])
         first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
     # least area where the meter reads nothing: below the lowest node that of the steepest start
-    latest = float(curve.start.max())
-    steep = np.clip((bounds[:, 0] - latest) / (curve.first_measured - latest), 0.0, None) * nodes.area[0]
-    least = np.where(before, steep, np.interp(bounds[:, 0], nodes.command, nodes.area))
+    lowest, latest = nodes.command[0], float(curve.start.max())
+    steep = np.clip((bounds[:, 0] - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
+    inside = np.interp(bounds[:, 0], nodes.command, nodes.area)
+    least = np.where(bounds[:, 0] >= lowest, inside, steep * (latest < lowest))
     error = np.interp(bounds[:, 0], nodes.command, nodes.sd)
     idle = [
         (
@@ -321,8 +322,16 @@ def _start(edge: str, found: Openings) -> tuple[float, str]:
         f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
         "offset. The machine has no opening at zero command.",
     )
-    p, sentence = min((underlap, *idle), key=lambda test: test[0])
-    return min(1.0, p * (1 + len(idle))), sentence
+    tests = [underlap, *idle]
+    if line:
+        known = found.known.rounding.value
+        sentence = (
+            f"valve {edge}: the opening does not begin with a rounding of {known:.3g} V as known, but with"
+            f" one of {line.law()[2]:.2g} V."
+        )
+        tests.append((line.as_known, sentence))
+    p, sentence = min(tests, key=lambda test: test[0])
+    return min(1.0, p * len(tests)), sentence
 
 
 def _density(recordings: Sequence[Recording], c: ValveConstants) -> Iterator[tuple[float, str]]:
@@ -352,66 +361,39 @@ def _noise(recording: Recording, c: ValveConstants) -> Iterator[tuple[float, str
         yield float(stats.norm.sf(max(large, small) / NOISE_ERROR)), sentence
 
 
-def _saturated(recordings: Sequence[Recording]) -> Iterator[tuple[float, str]]:
-    """Readings at the ends of the declared ranges."""
-    for recording in recordings:
-        for name in STEP_SIGNALS:
-            share = 100 * float(np.mean(at_ends(recording[name], recording.sensor(name))))
-            sentence = (
-                f"{recording.source.name}: {name} is at an end of its range in {share:.2g} % of samples."
-            )
-            yield (0.0 if share > 0 else 1.0), sentence
-
-
-def _repeated(nodes: Nodes) -> Iterator[tuple[str, tuple[float, str]]]:
+def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, tuple[float, str]]]:
     """Tests of steps with one command: after a rising against a falling one, against time, and the rest."""
-    s, edge, start = nodes.steps, nodes.steps.edges[0], nodes.index
-    warm = np.isfinite(s.temperature).all() and np.ptp(s.temperature) > 0
-    cause = s.temperature if warm else s.time
-    span = float(np.ptp(cause)) or 1.0
-    weight = nodes.noise**-2.0
-    total = np.bincount(start, weight)
-
-    def white(column: Array) -> Array:
-        """Deviations of a column from the means of its nodes, over the noise."""
-        return np.asarray((column - (np.bincount(start, weight * column) / total)[start]) / nodes.noise)
-
-    drift, freedom = white(nodes.levels * (cause - cause.mean()) / span), nodes.freedom - 2
-    fits = []
-    for shape in (nodes.slope, nodes.levels):  # hysteresis shifts the command, or takes a part of the flow
-        columns = np.column_stack([white(-shape * s.change / 2), drift])
-        size = np.linalg.norm(columns, axis=0)
-        if freedom < 2 or not size.all() or np.linalg.cond(columns / size) > COLLINEAR:
-            return
-        inverse = np.linalg.inv(columns.T @ columns)
-        values = inverse @ columns.T @ nodes.deviation
-        rest = float(np.sum((nodes.deviation - columns @ values) ** 2))
-        sd = np.sqrt(np.diag(inverse) * max(1.0, rest / freedom))
-        fits.append((rest, values, 2 * stats.t.sf(np.abs(values / sd), freedom)))
-    rest, values, p = min(fits, key=lambda fit: fit[0])
-    shift = float(values[0]) * (100 if rest == fits[1][0] else 1)
-    unit = "% of the flow" if rest == fits[1][0] else "V of the command"
-    how = f"over {span:.2g} degrees of temperature" if warm else "from the first to the last step"
-    lag = (
-        f"valve {edge}: after a rising command the opening lags by {shift:.2g} {unit}, against a falling one."
-    )
-    yield "hysteresis", (min(1.0, 2 * float(p[0])), lag)
-    change = f"valve {edge}: the area at the same command changes by {100 * values[1]:.2g} % {how}."
-    yield "oil temperature", (min(1.0, 2 * float(p[1])), change)
-    times = (rest / freedom) ** 0.5
+    effects = {name: value for name, (value, _) in found.effects.items()}
+    if "lag" in effects:
+        size, unit = (1, "V of the command") if found.by_command else (100, "% of the flow")
+        lag = f"valve {edge}: after a rising command the opening lags by {size * effects['lag']:.2g} {unit}"
+        yield "hysteresis", (found.probability("lag"), f"{lag}, against a falling one.")
+        way = f"{found.span:.2g} degrees of temperature" if found.warm else f"{found.span:.2g} s"
+        drift = f"the area at the same command changes by {100 * effects['drift']:.2g} % over {way}."
+        yield "oil temperature", (found.probability("drift"), f"valve {edge}: {drift}")
+    if "zero" in effects:
+        (zero, sd), bar = found.effects["zero"], BAR[1]
+        p = 2 * float(stats.norm.sf((abs(zero) - limit) / sd)) if abs(zero) > limit else 1.0
+        sentence = (
+            f"valve {edge}: the area does not depend on the pressures if their zeros differ by "
+            f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
+        )
+        yield "zero of a pressure sensor", (p, sentence)
+    times = (found.chi_square / found.freedom) ** 0.5
     uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
-    yield "model", (float(stats.chi2.sf(rest / UNEVEN**2, freedom)), uneven)
+    yield "model", (float(stats.chi2.sf(found.chi_square / UNEVEN**2, found.freedom)), uneven)
 
 
 # ---- estimates -----------------------------------------------------------------------------------------
 
 
 def zero_of(found: Openings) -> Estimate:
-    """Difference of the two pressures without flow; of curves only its prior is known."""
-    note, known = "pressure_in - pressure_out", found.known
+    """Difference of the two pressures without flow."""
+    note = "pressure_in - pressure_out"
     lines = [found.line] if found.line else list(found.lines.values()) if found.straight else []
     if not lines:
-        return Estimate.normal("pressures without flow", 0.0, "Pa", known.zero_sd, note)
+        zero, sd = found.zero
+        return Estimate.normal("pressures without flow", zero, "Pa", sd, note)
     value = float(np.mean([line["zero"] for line in lines]))
     sd = max(line.sd("zero") for line in lines)
     return Estimate.normal("pressures without flow", value, "Pa", sd, note)
@@ -426,6 +408,7 @@ def _of_line(
     note, full = f"fit of {count} steps, section 4(a)", found.constants.full_command
     curve = curves[edge] if edge else next(iter(curves.values()))
     name, (area, sd), about = f"valve_area{suffix}", line.area(full), f"{note}, with C_d and density as known"
+    sd = float(np.hypot(sd, area * found.known.drift / 3**0.5))
     if curve.last_measured < full * (1 - SAME):
         yield curve.estimate(name, "m2", f"{about}, extrapolated", curve.draws[:, -1], area)
     else:
