@@ -58,6 +58,7 @@ ROUNDING = (1e-3, 2.0)  # V, of the fitted rounding
 CERTAIN = 4.0  # standard errors above which a flow is certain
 ZEROS = 21  # zeros with which a falling opening is tested
 COLLINEAR = 1e3  # condition number of causes that the data cannot tell apart
+LARGEST = 10.0  # limits of a zero up to which it may be a fault of a sensor
 UNTOLD = 2.0  # limits of a zero above which its standard deviation tells nothing
 CLOSE = 0.1  # half bands: errors of a table below it do not count
 
@@ -379,6 +380,10 @@ class Line:
         """Standard deviation of one parameter."""
         i = self.names.index(name)
         return math.sqrt(self.covariance[i, i])
+
+    def is_zero(self, known: Priors) -> bool:
+        """Whether a zero that was fitted without its prior may be one."""
+        return self.freedom >= 4 and abs(self["zero"]) < LARGEST * known.zero
 
     def law(self) -> tuple[float, float, float]:
         """Slope [m2/V], zero [V] and rounding [V] of the first opening; a known rounding ends at 0 V."""
@@ -810,7 +815,7 @@ def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Opening
     any_zero = {e: line(n, c, known, any_zero=True) for e, n in measured.items()}
     lines = {e: line(n, c, known) for e, n in measured.items()}
     for e, free in any_zero.items():  # a zero outside its declaration is named, and used
-        if lines[e].p < UNLIKELY / len(edges) <= free.p and free.freedom >= 4:
+        if lines[e].p < UNLIKELY / len(edges) <= free.p and free.is_zero(known):
             lines[e] = free
     by_curve = replace(known, zero=3**0.5 * zero_sd)
     falling = {e: n.falling(by_curve.zero) for e, n in nodes.items()}

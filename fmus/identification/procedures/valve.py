@@ -101,6 +101,7 @@ def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, 
     if readings:
         weight = [error**-2.0 for _, error in readings]
         flow_zero, sd = float(np.average([q for q, _ in readings], weights=weight)), sum(weight) ** -0.5
+    steps = select(steps, steps.command > SAME * constants.full_command)
     steps = _opened(replace(steps, flow=steps.flow - flow_zero), constants)
     for edge in steps.edges:
         _check_voltages(edge, steps.of(edge), constants)
@@ -122,7 +123,7 @@ def _check_voltages(edge: str, steps: ValveSteps, constants: ValveConstants) -> 
 
 
 def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Array, list[slice]]:
-    """The edge, its opening command [V] and the steps in which it is held."""
+    """The edge, its opening command [V] and the steps in which it is held, also those at zero."""
     edge, samples = condition(recording, "edge", COMMAND_SIGN), recording["command"]
     largest, full = float(np.nanmax(np.abs(samples))), constants.full_command
     if not full / UNREAL < largest < full * UNREAL:  # such as mV taken as V
@@ -134,7 +135,7 @@ def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Ar
         raise Problem(f"{recording.source}: command: expected {expected} values, which open {edge}, got none")
     gapless = replace(recording, signals={**recording.signals, "command": command})
     stretches = steady(gapless, "command", SETTLING_TIME, SHORTEST_STEP)
-    return edge, command, [step for step in stretches if command[step.start] > 0]
+    return edge, command, [step for step in stretches if command[step.start] > -SAME * full]
 
 
 def _noises(recording: Recording, constants: ValveConstants) -> Iterator[tuple[str, float, float]]:
@@ -153,13 +154,16 @@ STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
 
 
 def _with_its_noise(recording: Recording, constants: ValveConstants) -> Recording:
-    """The recording without noises that are declared much too large, which would make samples look stuck."""
-    smaller = {
-        name: replace(recording.sensor(name), noise=scatter)
-        for name, _, scatter in _noises(recording, constants)
-        if recording.sensor(name).noise > WRONG_NOISE * scatter > 0
-    }
-    return replace(recording, sensors={**recording.sensors, **smaller})
+    """The recording with the noise of its data where the declared one is wrong.
+
+    Samples would look stuck with a noise that is much too large, and a dead zone certain with one too small.
+    """
+    sensors = dict(recording.sensors)
+    for name, fast, scatter in _noises(recording, constants):
+        declared = sensors[name].noise
+        if declared > WRONG_NOISE * scatter > 0 or fast > WRONG_NOISE * declared:
+            sensors[name] = replace(sensors[name], noise=scatter if declared > scatter else fast)
+    return replace(recording, sensors=sensors)
 
 
 def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
@@ -250,7 +254,9 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
         (p, f"valve {e}: the opening falls by {100 * fall:.2g} % while the command rises.")
         for e, (p, fall) in found.falling.items()
     ]
-    zeros = ((e, free) for e, free in found.any_zero.items() if free.freedom >= 4 and free.p >= UNLIKELY)
+    zeros = (
+        (e, free) for e, free in found.any_zero.items() if free.is_zero(found.known) and free.p >= UNLIKELY
+    )
     tests: dict[str, Iterable[tuple[float, str]]] = {
         "zero of a pressure sensor": [_outside(e, free, found.known.zero) for e, free in zeros],
         "zero of a flow meter": _flow_zero(recordings, found),
