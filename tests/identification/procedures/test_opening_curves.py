@@ -132,6 +132,10 @@ def test_oil_that_warms_is_named():
     (sentence,) = (f.sentence for f in result.findings if f.fault == "oil temperature")
     # from the first measured step, at 10 s of 72 s, to the last: 0.86 %
     assert "changes by 0.8" in sentence
+    # which temperature is that of the machine is not known: the interval has both ends
+    area = named(result)["valve_area"]
+    assert area.low < bench.AREA * warm[0]
+    assert bench.AREA * warm[-1] < area.high
 
 
 def test_the_density_of_the_tested_oil_is_used():
@@ -165,6 +169,56 @@ def test_a_zero_of_the_flow_meter_is_seen_at_closed_edges():
     assert faults(result) == ["zero of a flow meter"]
     start = named(result)["dead_band + rounding/2"]
     assert start.low <= bench.DEAD_BAND <= start.high
+
+
+def test_a_zero_is_seen_at_zero_command(monkeypatch):
+    """An opening from 0.3 V has one closed command of 0.25 V only: the steps at 0 V tell the zero, too."""
+    monkeypatch.setattr(bench, "STEPS", (0.0, *bench.STEPS))
+    recording = bench.edge("P-A", bench.power(1.0, 0.3), np.zeros(2), [10])
+    result = valve.identify(
+        [changed(recording, {"flow": recording["flow"] + 0.3 * bench.LITRES})], bench.KNOWN
+    )
+    assert "zero of a flow meter" in faults(result)
+    assert all("0.3 L/min" in f.sentence for f in result.findings if f.fault == "zero of a flow meter")
+
+
+@pytest.mark.parametrize("bar", [0.4, -2.0])
+def test_a_zero_of_the_pressures_is_seen_at_two_supplies(monkeypatch, bar):
+    """A curve has the same opening at 30 and 150 bar only without the zeros; 0.5 bar each is declared."""
+    recordings = []
+    for number, supply in enumerate((30.0, 150.0)):
+        monkeypatch.setattr(bench, "SUPPLY", supply * bench.BAR)
+        recordings.append(bench.edge("P-A", bench.FINE, bar * bench.BAR * np.array([1, -1]), [11, number]))
+    result = valve.identify(recordings, bench.KNOWN)
+    assert faults(result) == (["zero of a pressure sensor"] if abs(bar) > 0.5 else [])
+    estimates = named(result)
+    assert estimates["valve_area"].low <= bench.AREA <= estimates["valve_area"].high
+    # 1 %, 0.04 bar: five standard deviations of 0.008 bar
+    assert estimates["pressures without flow"].value == pytest.approx(
+        2 * bar * bench.BAR, abs=0.04 * bench.BAR
+    )
+
+
+def test_a_start_that_is_not_rounded_as_known_is_named(monkeypatch):
+    """A meter without a dead zone sees that the opening begins at a point, not over the known 0.4 V."""
+    meter = replace(bench.SENSORS["flow"], dead_zone=0.0, resolution=0.01 * bench.LITRES)
+    monkeypatch.setitem(bench.SENSORS, "flow", meter)
+    result = found(bench.power(1.0, 0.7))
+    assert faults(result) == ["dead band"]
+    estimates = named(result)
+    assert estimates["valve_dead_band"].low <= 0.7 <= estimates["valve_dead_band"].high
+
+
+def test_an_edge_in_the_dead_zone_is_not_idle(monkeypatch):
+    """Of two equal edges one meter reads nothing at 1.5 V, 3 % below its dead zone, where the other does."""
+    at = bench.power(1.3)(np.array([1.5]))[0] * bench.C_D * bench.AREA * np.sqrt(2 / bench.DENSITY)
+    flow = at * np.sqrt(bench.SUPPLY / (1 + bench.THROTTLE * at**2))
+    recordings = []
+    for edge, factor in (("P-A", 0.97), ("P-B", 1.03)):
+        monkeypatch.setitem(bench.SENSORS, "flow", replace(bench.SENSORS["flow"], dead_zone=factor * flow))
+        recordings.append(bench.edge(edge, bench.power(1.3), np.zeros(2), [12]))
+        recordings[-1] = replace(recordings[-1], sensors=dict(bench.SENSORS))
+    assert faults(valve.identify(recordings, bench.KNOWN)) == []
 
 
 def test_an_idle_meter_is_named():
