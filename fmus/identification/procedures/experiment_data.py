@@ -12,8 +12,7 @@ from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR
 from fmus.identification.procedures.regression import SIGNIFICANT
 from fmus.identification.recording_names import TEMPERATURE
-from fmus.identification.recordings.clock import resample_uniformly
-from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.clock import filter_for, resample_uniformly
 from fmus.identification.recordings.masks import (
     MAX_CHANCE,
     MIN_CHANCE,
@@ -225,20 +224,11 @@ def declared_limits(recordings: Sequence[Recording], names: Collection[str]) -> 
     return {n: max(x for x in own if x is not None) for n, own in errors.items() if any(own)}
 
 
-def interpolated(samples: Array) -> Array:
-    """Samples with linear interpolation over gaps; zero if no sample is valid."""
-    valid = np.isfinite(samples)
-    if not valid.any():
-        return np.zeros_like(samples)
-    index = np.arange(samples.size)
-    return np.interp(index, index[valid], samples[valid])
-
-
 def course(recording: Recording, time: Array) -> tuple[Array, str]:
     """What may change a coefficient at these times since the start: the oil's temperature, or time."""
     if TEMPERATURE not in recording.signals:
         return time, "time"
-    values = interpolated(recording[TEMPERATURE])
+    values = recording.interpolated(TEMPERATURE)
     return np.interp(recording.time[0] + time, recording.time, values), "oil temperature"
 
 
@@ -263,7 +253,7 @@ def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
     margin, shortest = (round(x * derivative.rate) for x in (MARGIN, SHORTEST_CORE))
     steady = np.ones(recording.time.size, dtype=bool)
     for name in names:
-        rate = derivative.apply(interpolated(recording[name]), 1)
+        rate = derivative.apply(recording.interpolated(name), 1)
         ripple = float(stats.median_abs_deviation(rate, scale="normal", nan_policy="omit"))
         noise_of_rate = derivative.gain(1) * noise_sd(recording, name)
         steady &= np.abs(rate) < STEADY * max(noise_of_rate, ripple)  # false if NaN
