@@ -169,15 +169,16 @@ class Recording:
         """The recording with only these signals."""
         return replace(self, signals={name: self[name] for name in names})
 
+    def interpolated(self, name: str) -> Array:
+        """A signal, linear over gaps and constant before its first and after its last sample; else zeros."""
+        values, valid = self[name], np.isfinite(self[name])
+        if valid.all():
+            return values
+        return np.interp(self.time, self.time[valid], values[valid]) if valid.any() else np.zeros_like(values)
+
     def trace(self) -> Trace:
-        """The signals, interpolated over gaps and constant before the first and after the last sample."""
-        signals = {}
-        for name, values in self.signals.items():
-            valid = np.isfinite(values)
-            if valid.all():
-                signals[name] = values
-            elif valid.any():
-                signals[name] = np.interp(self.time, self.time[valid], values[valid])
+        """The signals without gaps; those without any sample are left out."""
+        signals = {n: self.interpolated(n) for n, values in self.signals.items() if np.isfinite(values).any()}
         return Trace(self.time, signals, {n: u for n, u in self.units.items() if n in signals})
 
 
@@ -229,24 +230,20 @@ def true_intervals(mask: Mask) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def fill_gaps(recording: Recording, name: str, longest: float = LONGEST_GAP) -> Array:
-    """A signal without gaps, for a simulation: linear interpolation over gaps of at most `longest` [s].
-
-    The signal is constant before its first and after its last sample.
-    """
-    values, time = recording[name], recording.time
-    valid = np.isfinite(values)
+def fill_gaps(recording: Recording, name: str) -> Array:
+    """A signal for a simulation, interpolated over gaps of at most `LONGEST_GAP`."""
+    time, valid = recording.time, np.isfinite(recording[name])
     if not valid.any():
         raise Problem(f"{recording.source}: {name}: expected a sample to simulate with, got none")
     for gap in true_intervals(~valid):
         first, last = max(gap.start - 1, 0), min(gap.stop, len(time) - 1)
-        if time[last] - time[first] > longest:
+        if time[last] - time[first] > LONGEST_GAP:
             raise Problem(
-                f"{recording.source}: {name}: expected gaps of at most {longest:g} s, got one from"
+                f"{recording.source}: {name}: expected gaps of at most {LONGEST_GAP:g} s, got one from"
                 f" {time[gap.start]:.6g} s to {time[gap.stop - 1]:.6g} s:"
                 " leave that part out with start or stop of [time]"
             )
-    return np.interp(time, time[valid], values[valid])
+    return recording.interpolated(name)
 
 
 def _data_file(path: Path, description: Description) -> Path:

@@ -167,14 +167,11 @@ def test_parquet_and_matlab_are_compared_like_csv(folder: Path, trace: Trace, ki
 
 
 def test_short_gaps_of_a_command_are_bridged() -> None:
-    """What drives a run has a value at every time; half a second without is refused."""
+    """What drives a run has a value at every time; a signal without any sample is left out of a trace."""
     time = np.arange(0.0, 2.0, 0.01)
     short = np.where((time > 0.495) & (time < 0.555), np.nan, time)
     made = Recording(Path("ref.csv"), time, {"short": short, "none": np.full(200, np.nan)}, {})
     np.testing.assert_allclose(fill_gaps(made, "short"), time, atol=1e-15)  # a straight line, rounding
-    line = problem(lambda: fill_gaps(made, "short", longest=0.05))
-    assert line.startswith("ref.csv: short: expected gaps of at most 0.05 s, got one from 0.5 s to 0.55 s")
-    assert problem(lambda: fill_gaps(made, "none")).startswith("ref.csv: none: expected a sample")
     np.testing.assert_allclose(made.trace()["short"], time, atol=1e-15)
     assert "none" not in made.trace().signals
 

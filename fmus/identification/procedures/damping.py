@@ -61,8 +61,7 @@ from fmus.identification.procedures.momentum_balance import (
     parameter_vector,
     speed_ratio,
 )
-from fmus.identification.recordings.clock import uniform_rate
-from fmus.identification.recordings.derivatives import SavitzkyGolay
+from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.reading import require
 from fmus.parameters import Number

@@ -12,18 +12,15 @@ from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR
 from fmus.identification.procedures.regression import SIGNIFICANT
 from fmus.identification.recording_names import TEMPERATURE
-from fmus.identification.recordings.clock import resample_uniformly
-from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.clock import filter_for, resample_uniformly
 from fmus.identification.recordings.masks import (
     MAX_CHANCE,
     MIN_CHANCE,
     OVERSTATED,
     averages,
-    dead,
     equal_by_chance,
-    good,
+    faults,
     noise,
-    noise_in_motion,
 )
 from fmus.identification.recordings.reading import require
 from fmus.parameters import Number
@@ -147,7 +144,7 @@ def _most_noise(values: Array, sensor: Sensor) -> float:
     Correlated noise shows itself in means; so does a fast motion, which makes the result too large. A
     converter hides noise of half a step.
     """
-    found = [noise_in_motion(values, sensor)]
+    found = [noise(values, sensor, moving=True)]
     for size in (4, 16):
         blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
         found.append(noise(blocks) * math.sqrt(size))
@@ -227,20 +224,11 @@ def declared_limits(recordings: Sequence[Recording], names: Collection[str]) -> 
     return {n: max(x for x in own if x is not None) for n, own in errors.items() if any(own)}
 
 
-def interpolated(samples: Array) -> Array:
-    """Samples with linear interpolation over gaps; zero if no sample is valid."""
-    valid = np.isfinite(samples)
-    if not valid.any():
-        return np.zeros_like(samples)
-    index = np.arange(samples.size)
-    return np.interp(index, index[valid], samples[valid])
-
-
 def course(recording: Recording, time: Array) -> tuple[Array, str]:
     """What may change a coefficient at these times since the start: the oil's temperature, or time."""
     if TEMPERATURE not in recording.signals:
         return time, "time"
-    values = interpolated(recording[TEMPERATURE])
+    values = recording.interpolated(TEMPERATURE)
     return np.interp(recording.time[0] + time, recording.time, values), "oil temperature"
 
 
@@ -265,7 +253,7 @@ def steady_stretches(recording: Recording, names: Sequence[str]) -> list[slice]:
     margin, shortest = (round(x * derivative.rate) for x in (MARGIN, SHORTEST_CORE))
     steady = np.ones(recording.time.size, dtype=bool)
     for name in names:
-        rate = derivative.apply(interpolated(recording[name]), 1)
+        rate = derivative.apply(recording.interpolated(name), 1)
         ripple = float(stats.median_abs_deviation(rate, scale="normal", nan_policy="omit"))
         noise_of_rate = derivative.gain(1) * noise_sd(recording, name)
         steady &= np.abs(rate) < STEADY * max(noise_of_rate, ripple)  # false if NaN
@@ -323,39 +311,24 @@ def step_means(recording: Recording, steps: Sequence[slice]) -> StepMeans:
             f"{recording.source}: expected commands that are held for {SETTLING_TIME + SHORTEST_STEP:g} s or "
             "longer, got none"
         )
-    means = averages(recording, STEP_SIGNALS, steps)
-    in_dead_zone, flow = dead(recording, "flow"), recording["flow"]
+    (means, errors), flow = averages(recording, STEP_SIGNALS, steps), recording["flow"]
+    errors = np.maximum(errors, FINEST * np.abs(means))
+    causes = {name: faults(recording, name) for name in STEP_SIGNALS}
+    in_dead_zone = causes["flow"]["dead zone"]
     # a missing sample only drops out of the mean, but a sample with a wrong value biases it
-    bad = [np.isfinite(recording[n]) & ~good(recording, n) for n in STEP_SIGNALS]
-    wrong = np.logical_or.reduce(bad) & ~in_dead_zone
-    error = {n: np.maximum(means.error[n], FINEST * np.abs(means.mean[n])) for n in STEP_SIGNALS}
-    drop = means.mean["pressure_in"] - means.mean["pressure_out"]
-    dead_steps, wrong_steps = (
-        np.array([bool(mask[step].any()) for step in steps]) for mask in (in_dead_zone, wrong)
-    )
+    wrong = [mask for masks in causes.values() for cause, mask in masks.items() if cause != "gaps"]
+    wrong_samples = np.logical_or.reduce(wrong) & ~in_dead_zone
+    dead, wrong_steps = (np.array([mask[s].any() for s in steps]) for mask in (in_dead_zone, wrong_samples))
     readings = [flow[step][np.isfinite(flow[step])] for step in steps]  # also those in the dead zone
     return StepMeans(
-        drop=drop,
-        drop_error=np.hypot(error["pressure_in"], error["pressure_out"]),
+        drop=means[0] - means[1],
+        drop_error=np.hypot(errors[0], errors[1]),
         flow=np.array([samples.mean() if samples.size else math.nan for samples in readings]),
-        flow_error=error["flow"],
-        dead=dead_steps,
-        clipped=wrong_steps & ~dead_steps,
-        good=~dead_steps & ~wrong_steps & np.isfinite(drop + means.mean["flow"]),
+        flow_error=errors[2],
+        dead=dead,
+        clipped=wrong_steps & ~dead,
+        good=~dead & ~wrong_steps & np.isfinite(means).all(axis=0),
     )
-
-
-def zero_warning(name: str, offset: float, sd: float, limit: float, unit: tuple[str, float]) -> Iterator[str]:
-    """A sentence if data want a larger difference between two zeros than the sensors can have.
-
-    limit   largest difference by the data sheets
-    """
-    if abs(offset) - SIGNIFICANT * sd > limit:
-        yield (
-            f"{name}: to fit the data, the zero offsets of the sensors would have to differ by "
-            f"{offset / unit[1]:.3g} {unit[0]}, but the declared limit is {limit / unit[1]:.3g} "
-            f"{unit[0]}: the model or a sensor is wrong."
-        )
 
 
 def pressure_offset_remark(offset: float, sd: float) -> tuple[str, ...]:

@@ -58,7 +58,6 @@ from fmus.identification.procedures.experiment_data import (
     course,
     density_ratio,
     hose_size,
-    interpolated,
     noise_sd,
     parameter_value,
     signal_findings,
@@ -68,8 +67,7 @@ from fmus.identification.procedures.experiment_data import (
 )
 from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.procedures.regression import SIGNIFICANT, UNLIKELY, Regression, misfit_remark
-from fmus.identification.recordings.clock import period, uniform_rate
-from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.clock import filter_for, period, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -198,7 +196,7 @@ def prepared(recording: Recording, model: Law, half_width: float, transition_flo
     rate = uniform_rate(recording)
     half = max(round(half_width * rate), 3)
     bump, slope = modulating_function(half)
-    raw = np.array([interpolated(recording[n]) for n in SIGNALS])
+    raw = np.array([recording.interpolated(n) for n in SIGNALS])
     return Samples(
         law=model,
         names=model.unknowns,

@@ -34,14 +34,12 @@ from fmus.identification.balance import (
 )
 from fmus.identification.procedures.experiment_data import (
     course,
-    interpolated,
     noise_sd,
     parameter_value,
     tank_pressure,
 )
 from fmus.identification.procedures.regression import NEGLIGIBLE
-from fmus.identification.recordings.clock import uniform_rate
-from fmus.identification.recordings.derivatives import SavitzkyGolay
+from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS, VISCOUS
@@ -202,13 +200,13 @@ class JointRecording:
 
 def angles(recording: Recording) -> Array:
     """The joint angles without gaps, shape (3, n)."""
-    return np.array([interpolated(recording[name]) for name in ANGLES])
+    return np.array([recording.interpolated(name) for name in ANGLES])
 
 
 def pressures(recording: Recording, needed: Collection[str]) -> Array:
     """The pressures without gaps, shape (6, n); zero for those that are not needed."""
     zero = np.zeros(recording.time.size)
-    return np.array([interpolated(recording[n]) if n in needed else zero for n in ALL_PRESSURES])
+    return np.array([recording.interpolated(n) if n in needed else zero for n in ALL_PRESSURES])
 
 
 def all_good(good: Mask, width: int) -> Mask:

@@ -185,10 +185,10 @@ def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
             condition(recording, "shaft", ["locked"])
         steady = steady_stretches(recording, PRESSURES)
         if steady:
-            average = averages(recording, list(SIGNALS), steady)
-            means, errors = (np.array([table[n] for n in SIGNALS]) for table in (average.mean, average.error))
+            means, errors = averages(recording, tuple(SIGNALS), steady)
             means[:2] -= tank_pressure(recording)
-            along, word = course(recording, average.time - recording.time[0])
+            middles = np.array([recording.time[s].mean() - recording.time[0] for s in steady])
+            along, word = course(recording, middles)
             more = np.array([np.full(len(steady), k), along])
             columns.append(np.concatenate([means, errors, more]))
     table = np.concatenate(columns, axis=1)

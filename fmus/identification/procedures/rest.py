@@ -23,7 +23,7 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
-from fmus.identification.recordings.masks import dead, standard_error
+from fmus.identification.recordings.masks import in_dead_zone, standard_error
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -77,7 +77,7 @@ def identify(recordings: Sequence[Recording], _parameters: Mapping[str, Number])
 def _zero(recording: Recording, name: str) -> tuple[float, float]:
     """Zero of a sensor and its standard deviation, infinite if the recording does not tell it."""
     sensor = recording.sensor(name)
-    values = recording[name][np.isfinite(recording[name]) & ~dead(recording, name)]
+    values = recording[name][np.isfinite(recording[name]) & ~in_dead_zone(recording[name], sensor)]
     if values.size < 2 or not values.size > recording.time.size / 2:
         return 0.0, math.inf
     cut = float(np.mean(values <= sensor.low + sensor.resolution / 2))

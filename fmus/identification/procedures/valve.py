@@ -27,7 +27,6 @@ from fmus.identification.procedures.experiment_data import (
     concatenate,
     condition,
     difference_limit,
-    interpolated,
     parameter,
     select,
     signal_findings,
@@ -129,7 +128,7 @@ def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Ar
     if not full / UNREAL < largest < full * UNREAL:  # such as mV taken as V
         expected = f"expected a full command of about {full:g} V, got {largest:g} V: is its unit right?"
         raise Problem(f"{recording.source}: command: {expected}")
-    command = COMMAND_SIGN[edge] * interpolated(samples)  # a missing sample does not end a step
+    command = COMMAND_SIGN[edge] * recording.interpolated("command")  # a missing sample does not end a step
     if not (command > 0).any():
         expected = "positive" if COMMAND_SIGN[edge] > 0 else "negative"
         raise Problem(f"{recording.source}: command: expected {expected} values, which open {edge}, got none")

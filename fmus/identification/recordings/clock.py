@@ -1,10 +1,11 @@
-"""Resampling of recordings to a uniform clock: at the same rate, at a lower one for simulation, at any rate.
+"""Uniform clocks: resampling at the same rate, at a lower one for simulation, at any rate; derivatives.
 
-A missing sample becomes a gap (NaN) of the new clock; it is not interpolated.
+A missing sample becomes a gap (NaN) of a new clock; it is not interpolated.
 """
 
 from collections.abc import Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.signal
@@ -60,12 +61,12 @@ def resample_uniformly(recording: Recording) -> Recording:
     return resample(recording, 1 / period(time))
 
 
-def downsample(recording: Recording, max_rate: float = MAX_RATE) -> Recording:
-    """The recording at a rate of at most `max_rate` [Hz]; commands are held, other signals are filtered."""
-    if len(recording.time) < 2 or period(recording.time) > 0.99 / max_rate:
+def downsample(recording: Recording) -> Recording:
+    """The recording at a rate of at most `MAX_RATE`; commands are held, other signals are filtered."""
+    if len(recording.time) < 2 or period(recording.time) > 0.99 / MAX_RATE:
         return recording
     commands = [name for name in recording.signals if name.endswith("command")]
-    return resample(recording, max_rate, hold=commands)
+    return resample(recording, MAX_RATE, hold=commands)
 
 
 def resample(recording: Recording, rate: float, hold: Collection[str] = ()) -> Recording:
@@ -113,9 +114,14 @@ def _interpolated(clock: Array, time: Array, values: Array, longest: float, hold
     return np.where(inside & (time[after] - time[after - 1] > longest), np.nan, result)
 
 
+def _filter(ratio: float) -> Array:
+    """Second-order sections of the anti-aliasing filter; `ratio` is new over old rate."""
+    return np.asarray(scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos"))
+
+
 def _filtered(values: Array, ratio: float) -> Array:
     """A signal filtered forwards and backwards by a Butterworth filter, in each interval without gaps."""
-    sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
+    sections = _filter(ratio)
     result = np.full_like(values, np.nan)
     for part in true_intervals(np.isfinite(values)):
         # subtracting the line through both ends, which passes the filter unchanged, reduces ringing there
@@ -131,10 +137,63 @@ def _filtered_sensor(sensor: Sensor, ratio: float) -> Sensor:
     The quantisation error is white only if noise of half a step or more moves the signal from step to step.
     Otherwise all samples that the filter averages may have the same error, and the resolution is kept.
     """
-    sections = scipy.signal.butter(ORDER, CUTOFF * ratio, output="sos")
-    _, response = scipy.signal.sosfreqz(sections, worN=4096)
+    _, response = scipy.signal.sosfreqz(_filter(ratio), worN=4096)
     # forwards and backwards is |H|^2, so that the power is |H|^4
     gain = float(np.sqrt(np.mean(np.abs(response) ** 4)))
     if sensor.noise < sensor.resolution / 2:
         return replace(sensor, noise=sensor.noise * gain)
     return replace(sensor, noise=sensor.sd * gain, resolution=0.0)
+
+
+@dataclass(frozen=True)
+class SavitzkyGolay:
+    """The filter of Savitzky and Golay, Analytical Chemistry 36 (1964), for a uniform clock.
+
+    A polynomial is fitted to the samples of a window; its value, slope and curvature in the middle are the
+    filtered signal and its derivatives, without delay. All signals of an equation have to pass one filter.
+
+    rate     samples per second [Hz]
+    window   length of the window [s], rounded to an odd number of samples
+    degree   degree of the polynomial
+    """
+
+    rate: float
+    window: float
+    degree: int = 3
+
+    def __post_init__(self) -> None:
+        if self.size <= self.degree:
+            raise Problem(
+                f"filter: window of {self.window:g} s at {self.rate:g} Hz is {self.size} samples;"
+                f" expected 2 <= degree < samples, got degree {self.degree}"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of samples in the window."""
+        return 2 * round(self.window * self.rate / 2) + 1
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of the samples of the window, earliest first, shape (3, size): value, slope, curvature."""
+        step = 1 / self.rate
+        return np.array(
+            [scipy.signal.savgol_coeffs(self.size, self.degree, n, step, use="dot") for n in range(3)]
+        )
+
+    def apply(self, values: Array, order: int = 0) -> Array:
+        """The filtered signal or its derivative; NaN if the window is incomplete or contains a gap."""
+        result = np.full(len(values), np.nan)
+        if len(values) >= self.size:
+            half = self.size // 2
+            result[half : len(values) - half] = np.correlate(values, self.weights[order], mode="valid")
+        return result
+
+    def gain(self, order: int) -> float:
+        """Standard deviation of white noise after the filter over that before it [1/s^order]."""
+        return float(np.linalg.norm(self.weights[order]))
+
+
+def filter_for(recording: Recording, window: float, degree: int = 3) -> SavitzkyGolay:
+    """The filter for the clock of a recording; the clock must be uniform."""
+    return SavitzkyGolay(uniform_rate(recording), window, degree)

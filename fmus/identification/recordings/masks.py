@@ -13,13 +13,12 @@ A signal without visible noise (a command, an encoder at rest) may be constant a
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import correlate
 
-from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, Sensor
 from orchestrator.data.table import Array
 
@@ -34,40 +33,24 @@ OVERSTATED = 3.0  # stated noise over estimated noise, from which the stated noi
 WHITE = 0.7  # least ratio of the noise estimates by the sixth and the fourth difference if the noise is white
 MIN_GOOD = 0.5  # least fraction of good samples for an average
 ROUNDING = 1e-9  # s, of time stamps, in a settling time
+EXACT = Sensor()  # without noise, steps, ends and dead zone
 
 
-def noise(values: Array, sensor: Sensor | None = None) -> float:
+def noise(values: Array, sensor: Sensor = EXACT, order: int = ORDER, moving: bool = False) -> float:
     """Standard deviation of the white noise of one sample; NaN if there are too few samples.
 
     The estimate is the median of the sixth difference. It is insensitive to a smooth signal, and to any
     disturbance of less than half of the recording. Samples in the dead zone are left out.
+
+    moving   leave out samples whose difference is zero: a signal is stuck there, or an encoder at rest
     """
-    sd = _noise_by_difference(values, sensor, ORDER, moving=False)
-    if math.isnan(sd):
-        return sd
-    rounding = 1e-12 * float(np.nanmax(np.abs(values)))
-    return sd if sd > rounding else 0.0
-
-
-def noise_in_motion(values: Array, sensor: Sensor | None = None, order: int = ORDER) -> float:
-    """The noise of samples that differ from their neighbours; NaN if there are too few of them.
-
-    It leaves out intervals without noise, in which a signal is stuck or an encoder at rest.
-    """
-    return _noise_by_difference(values, sensor, order, moving=True)
-
-
-def _noise_by_difference(values: Array, sensor: Sensor | None, order: int, moving: bool) -> float:
-    """Noise from the median of a difference, outside the dead zone; NaN if there are too few samples.
-
-    moving   leave out samples whose difference is zero
-    """
-    outside = values if sensor is None else np.where(in_dead_zone(values, sensor), np.nan, values)
-    difference = np.abs(np.diff(outside, order))
+    difference = np.abs(np.diff(np.where(in_dead_zone(values, sensor), np.nan, values), order))
     difference = difference[np.isfinite(difference) & ((difference > 0) | (not moving))]
     if len(difference) < 4 * order:
         return math.nan
-    return float(np.median(difference)) / (MEDIAN_TO_SD * math.sqrt(math.comb(2 * order, order)))
+    sd = float(np.median(difference)) / (MEDIAN_TO_SD * math.sqrt(math.comb(2 * order, order)))
+    rounding = 1e-12 * float(np.nanmax(np.abs(values)))
+    return sd if sd > rounding else 0.0
 
 
 def in_dead_zone(values: Array, sensor: Sensor) -> Mask:
@@ -100,25 +83,12 @@ def step(values: Array) -> float:
     return float(line[0]) if float(np.sqrt(np.mean(residual**2))) < 0.15 * line[0] else 0.0
 
 
-def clipped(values: Array, sensor: Sensor) -> Mask:
-    """Mask of the samples at an end of the sensor's range, or held at an extreme of the signal."""
-    return at_ends(values, sensor) | (
-        _long_runs(values, sensor, at_extreme=True) & ~in_dead_zone(values, sensor)
-    )
-
-
 def at_ends(values: Array, sensor: Sensor) -> Mask:
     """Mask of the samples within half a step of an end of the sensor's range."""
     width = sensor.high - sensor.low
     margin = max(sensor.resolution / 2, 1e-9 * width) if math.isfinite(width) else sensor.resolution / 2
     result: Mask = (values >= sensor.high - margin) | (values <= sensor.low + margin)
     return result
-
-
-def stuck(values: Array, sensor: Sensor) -> Mask:
-    """Mask of runs of equal values that noise does not explain, except at the ends and in the dead zone."""
-    runs = _long_runs(values, sensor, at_extreme=False)
-    return runs & ~clipped(values, sensor) & ~in_dead_zone(values, sensor)
 
 
 def equal_by_chance(values: Array, sensor: Sensor) -> float:
@@ -134,59 +104,48 @@ def step_and_noise(values: Array, sensor: Sensor) -> tuple[float, float]:
     width = sensor.resolution or step(values)
     total = noise(values, sensor)
     estimate = math.sqrt(max(total**2 - width**2 / 12, 0.0)) if total > 0 else 0.0
-    if overstated(values, sensor):
+    if overstated(sensor, noise(values, sensor, moving=True)):
         return width, estimate
     if not sensor.noise > 0:
         # a smooth signal, such as a command, is not white: each higher difference of it is smaller
-        high, low = (noise_in_motion(values, sensor, order) for order in (ORDER, ORDER - 2))
+        high, low = (noise(values, sensor, order, moving=True) for order in (ORDER, ORDER - 2))
         estimate = estimate if high > WHITE * low else 0.0
     return width, max(sensor.noise, estimate)
 
 
-def overstated(values: Array, sensor: Sensor) -> bool:
-    """Is the stated noise much larger than the noise of the samples that differ from their neighbours?
+def overstated(sensor: Sensor, moving: float) -> bool:
+    """Is the stated noise much larger than that of the samples that differ from their neighbours?
 
     A step of the converter hides noise of up to half a step.
     """
-    moving = noise_in_motion(values, sensor)
-    if math.isnan(moving):
-        return False
     return sensor.noise > OVERSTATED * math.hypot(moving, sensor.resolution / 2)
 
 
-def _long_runs(values: Array, sensor: Sensor, at_extreme: bool) -> Mask:
-    """Mask of runs of equal values that are too long for chance, at the signal's extremes or anywhere."""
-    result = np.zeros(len(values), dtype=bool)
+def _long_runs(values: Array, sensor: Sensor) -> Mask:
+    """Mask of runs of equal values that are too long for chance."""
     chance = max(equal_by_chance(values, sensor), MIN_CHANCE)
-    if chance > MAX_CHANCE or not np.isfinite(values).any():
-        return result
+    if chance > MAX_CHANCE:
+        return np.zeros(len(values), dtype=bool)
     longest = 1 + math.ceil(math.log(FALSE_ALARM / len(values)) / math.log(chance))
-    extremes = (np.nanmin(values), np.nanmax(values))
     edges = np.flatnonzero(~(np.diff(values) == 0)) + 1  # each gap is a run of its own
-    starts, stops = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
-    for start, stop in zip(starts[stops - starts > longest], stops[stops - starts > longest], strict=True):
-        if not at_extreme or values[start] in extremes:
-            result[start:stop] = True
-    return result
+    lengths = np.diff(edges, prepend=0, append=len(values))
+    return np.repeat(lengths > longest, lengths)
+
+
+def faults(recording: Recording, name: str) -> dict[str, Mask]:
+    """Masks (n,) of the samples that are not used, by cause; a command may be constant and is never stuck."""
+    values, sensor = recording[name], recording.sensor(name)
+    dead, held = in_dead_zone(values, sensor), _long_runs(values, sensor)
+    ends = np.nanmin(values, initial=math.inf), np.nanmax(values, initial=-math.inf)
+    clipped = at_ends(values, sensor) | (held & np.isin(values, ends) & ~dead)
+    stuck = held & ~clipped & ~dead & (not name.endswith("command"))
+    return {"gaps": ~np.isfinite(values), "clipped": clipped, "stuck": stuck, "dead zone": dead}
 
 
 def good(recording: Recording, name: str) -> Mask:
     """Mask of the usable samples, (n,): not missing, clipped, stuck or in the dead zone."""
-    values, sensor = recording[name], recording.sensor(name)
-    unclipped: Mask = np.isfinite(values) & ~clipped(values, sensor)
-    return unclipped & ~stuck_samples(recording, name) & ~dead(recording, name)
-
-
-def stuck_samples(recording: Recording, name: str) -> Mask:
-    """Mask of the samples at which a signal is stuck; a command may be constant."""
-    if name.endswith("command"):
-        return np.zeros(len(recording.time), dtype=bool)
-    return stuck(recording[name], recording.sensor(name))
-
-
-def dead(recording: Recording, name: str) -> Mask:
-    """Mask of the samples in the dead zone of the signal's sensor."""
-    return in_dead_zone(recording[name], recording.sensor(name))
+    bad: Mask = np.logical_or.reduce(list(faults(recording, name).values()))
+    return ~bad
 
 
 def good_all(recording: Recording, names: Collection[str]) -> Mask:
@@ -195,12 +154,7 @@ def good_all(recording: Recording, names: Collection[str]) -> Mask:
     return result
 
 
-def steady(
-    recording: Recording,
-    command: str,
-    settle: float = 0.0,
-    shortest: float = 0.0,
-) -> list[slice]:
+def steady(recording: Recording, command: str, settle: float = 0.0, shortest: float = 0.0) -> list[slice]:
     """Intervals in which a signal is constant, without the first `settle` seconds of each.
 
     shortest   least length of the rest of an interval [s]
@@ -212,67 +166,34 @@ def steady(
     width = 4 * sensor.sd + sensor.resolution
     # the mean of equal values differs from them by rounding
     width += 1e-9 * float(np.nanmax(np.abs(values), initial=0.0))
-    result, start = [], 0
-    while start < len(values):
-        stop = start + _steady_size(values[start:], width)
+    starts, total = [0], 0.0
+    for k, value in enumerate(values.tolist()):
+        if k > starts[-1] and not abs(value - total / (k - starts[-1])) <= width:  # also after and at a gap
+            starts.append(k)
+            total = 0.0
+        total += value
+    result = []
+    for start, stop in pairwise([*starts, len(values)]):
         first = max(int(np.searchsorted(time, time[start] + settle - ROUNDING)), start)
         long_enough = first < stop and time[stop - 1] - time[first] >= shortest - ROUNDING
         if long_enough and np.isfinite(values[start]):
             result.append(slice(first, stop))
-        start = stop
     return result
 
 
-def _steady_size(values: Array, width: float) -> int:
-    """Number of samples from the first on that are within `width` of the mean before them, at least one."""
-    size = 64
-    while True:
-        part = values[:size]
-        mean = np.cumsum(part[:-1]) / np.arange(1, len(part))
-        # a comparison with a gap is False: a gap ends an interval, and is an interval of one sample by itself
-        outside = np.flatnonzero(~(np.abs(part[1:] - mean) <= width))
-        if len(outside):
-            return int(outside[0]) + 1
-        if size >= len(values):
-            return len(values)
-        size *= 2
+def averages(recording: Recording, names: Sequence[str], intervals: Sequence[slice]) -> tuple[Array, Array]:
+    """Means of the good samples of signals over intervals such as those of `steady`, and standard errors.
 
-
-@dataclass(frozen=True)
-class Averages:
-    """Means of signals over k intervals, each array of shape (k,).
-
-    time          middle of each interval [s]
-    mean, error   by signal: mean and its standard error, NaN if too few samples are good
-    fraction      by signal: fraction of good samples
+    Both have a row for each signal; NaN if less than half of the samples are good.
     """
-
-    time: Array
-    mean: Mapping[str, Array]
-    error: Mapping[str, Array]
-    fraction: Mapping[str, Array]
-
-
-def averages(recording: Recording, names: Sequence[str], intervals: Sequence[slice]) -> Averages:
-    """Means of the good samples over intervals, such as those of `steady`."""
-    if not intervals:
-        raise Problem(f"{recording.source}: expected intervals to average over, got none")
-    mean, error, fraction = dict[str, Array](), dict[str, Array](), dict[str, Array]()
-    for name in names:
-        values, usable, sensor = recording[name], good(recording, name), recording.sensor(name)
-        rows = [_average(values[part], usable[part], sensor.resolution) for part in intervals]
-        mean[name], error[name], fraction[name] = (np.array(column) for column in zip(*rows, strict=True))
-    middle = np.array([recording.time[part].mean() for part in intervals])
-    return Averages(middle, mean, error, fraction)
-
-
-def _average(values: Array, usable: Mask, resolution: float) -> tuple[float, float, float]:
-    """Mean, standard error and fraction of the usable samples."""
-    fraction = float(usable.mean())
-    if fraction < MIN_GOOD:
-        return math.nan, math.nan, fraction
-    used = values[usable]
-    return float(used.mean()), standard_error(used, resolution), fraction
+    found = np.full((2, len(names), len(intervals)), math.nan)
+    for i, name in enumerate(names):
+        values, usable, resolution = recording[name], good(recording, name), recording.sensor(name).resolution
+        for k, part in enumerate(intervals):
+            if usable[part].mean() >= MIN_GOOD:
+                used = values[part][usable[part]]
+                found[:, i, k] = used.mean(), standard_error(used, resolution)
+    return found[0], found[1]
 
 
 def standard_error(values: Array, resolution: float = 0.0) -> float:

@@ -213,23 +213,18 @@ def read_series(
     *,
     rate: float = 1.0,
     units: Mapping[str, str] | None = None,
-    delimiter: str | None = None,
-    decimal: str | None = None,
     skip_lines: int = 0,
-    title: str = "",
 ) -> Recording:
     """A recording from a file of numbers without a description, such as a foreign data set.
 
-    columns              signal -> index from 0 in a text file without names, or name of a column, or of a
-                         variable of a .mat file
-    rate                 samples per second [Hz]
-    units                unit of each signal, "1" by default
-    delimiter, decimal   of a text file; None: the delimiter is detected from the first line, the decimal mark
-                         from the first lines
+    columns      signal -> index from 0 in a text file without names, or name of a column, or of a variable of
+                 a .mat file
+    rate         samples per second [Hz]
+    units        unit of each signal, "1" by default
+    skip_lines   number of lines of a text file before the names or the numbers
     """
     path, units = Path(path), units or {}
-    unknown = [name for name in units if name not in columns]
-    if unknown:
+    if unknown := [name for name in units if name not in columns]:
         raise Problem(f"{path}: a unit is given for {unknown[0]}, which is not among the columns")
     if not columns:
         raise Problem(f"{path}: expected at least one column, got none")
@@ -243,7 +238,7 @@ def read_series(
             f"{path}: expected all columns by name, got index {indices[0]}: an index is possible only in a "
             "text file, and not mixed with names"
         )
-    text_format = _text_format(path, delimiter, decimal, skip_lines, not indices) if plain_text else None
+    text_format = _text_format(path, skip_lines, not indices) if plain_text else None
     table = read_columns(path, {str(column) for column in columns.values()}, text_format, named=not indices)
     raw = {name: table.values[str(column)] for name, column in columns.items()}
     return Recording(
@@ -251,14 +246,12 @@ def read_series(
         time=np.arange(len(table.rows)) / rate,
         signals={name: scales[name].factor * values + scales[name].offset for name, values in raw.items()},
         units={name: si_unit(units.get(name, "1")) for name in columns},
-        title=title or path.stem,
+        title=path.stem,
     )
 
 
-def _text_format(
-    path: Path, delimiter: str | None, decimal: str | None, skip_lines: int, named: bool
-) -> TextFormat:
-    """Format of a text file, detected from its first lines unless it is given.
+def _text_format(path: Path, skip_lines: int, named: bool) -> TextFormat:
+    """Format of a text file, detected from its first lines.
 
     A comma between digits is decimal if something else separates the cells. Raises Problem if the first line
     holds names although the columns are selected by index (`named` is false).
@@ -270,10 +263,10 @@ def _text_format(
         lines = [line.strip() for line in islice(file, skip_lines, skip_lines + FIRST_LINES)]
     rows = [re.split(r"[;\s]+", line.strip(" ;")) for line in lines]
     comma = any(len(r) > 1 and "," in "".join(r) and all(map(DECIMAL_COMMA.fullmatch, r)) for r in rows)
-    point = decimal or ("," if comma and delimiter != "," else ".")
+    point = "," if comma else "."
     first = lines[0] if lines else ""
-    mark = delimiter or next((mark for mark in ";," if mark in first and mark != point), r"\s+")
-    cells = [cell.strip(' "') for cell in re.split(mark if len(mark) > 1 else re.escape(mark), first)]
+    mark = next((mark for mark in ";," if mark in first and mark != point), r"\s+")
+    cells = [cell.strip(' "') for cell in re.split(mark, first)]
     if not named and all(re.match(r"[^\W\d_]", cell) and cell.lower() not in GAP_MARKS for cell in cells):
         raise Problem(
             f"{path}: line {skip_lines + 1}: expected numbers, got names: select columns by name, "

@@ -142,7 +142,7 @@ def quality(recording: Recording) -> dict[str, Any]:
                (which are not used), and remarks
     """
     report = examine(recording)
-    rate, remarks = report.clock.rate, list(report.clock.remarks())
+    rate, remarks = report.rate, list(report.clock)
     if resample_uniformly(recording) is not recording:
         remarks.append(f"The clock: all signals are interpolated at {rate:.6g} Hz; gaps stay gaps.")
     if rate > 1.01 * MAX_RATE and recording.procedure == "machine":
@@ -151,12 +151,12 @@ def quality(recording: Recording) -> dict[str, Any]:
         {
             "signal": signal.name,
             "unit": signal.unit,
-            "low": signal.lowest,
-            "high": signal.highest,
+            "low": signal.low,
+            "high": signal.high,
             "noise": signal.noise,
             "sensor": signal.sensor.text,
-            "remarks": [text.removeprefix(f"{signal.name}: ") for text in signal.faults()],
-            "dead": signal.dead.fraction,
+            "remarks": signal.faults(),
+            "dead": signal.unused["dead zone"].fraction,
         }
         for signal in report.signals
     ]

@@ -7,7 +7,7 @@ import numpy as np
 
 from fmus.identification.machine import COMMANDS
 from fmus.identification.procedures.momentum_balance import JOINTS
-from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.clock import filter_for
 from fmus.machine.parts import parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import Values, values

@@ -12,7 +12,7 @@ import numpy as np
 from fmus.identification.estimate import coverage_factor
 from fmus.identification.machine import COMMANDS
 from fmus.identification.procedures.momentum_balance import JOINTS
-from fmus.identification.recordings.derivatives import filter_for
+from fmus.identification.recordings.clock import filter_for
 from fmus.identification.recordings.masks import good
 from fmus.identification.report.attribution import (
     SMALL,

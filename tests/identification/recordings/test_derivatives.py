@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kit.properties import examples
 
-from fmus.identification.recordings.derivatives import SavitzkyGolay, filter_for
+from fmus.identification.recordings.clock import SavitzkyGolay, filter_for
 from orchestrator.base.errors import Problem
 
 
@@ -43,19 +43,6 @@ def test_gain_is_the_noise_of_a_simulation(window, degree, seed):
         found = found[np.isfinite(found)]
         # at least 40 000 / 101 independent values: 1 / sqrt(2 * 400) = 3.5 %, five times that
         assert found.std() == pytest.approx(used.gain(order), rel=0.18)
-
-
-def test_covariance_of_value_and_derivatives_is_that_of_a_simulation():
-    """The covariance between orders and over a lag agrees with simulated noise."""
-    used = SavitzkyGolay(200.0, 0.05, 3)
-    samples = np.random.default_rng(1).normal(size=400_000)
-    orders = [used.apply(samples, order)[5:-5] for order in range(3)]
-    for one, other, lag in [(0, 0, 3), (0, 1, 2), (0, 1, -2), (1, 2, 1), (0, 2, 0), (1, 1, 10), (1, 1, 11)]:
-        a, b = orders[one], orders[other]
-        n = len(a) - 21
-        found = np.mean(a[10 : 10 + n] * b[10 + lag : 10 + lag + n])
-        # error of a mean of 400 000 products, correlated over 11 samples: 0.5 % of the two gains
-        assert abs(found - used.covariance(one, other, lag)) < 0.025 * used.gain(one) * used.gain(other)
 
 
 def test_window_with_a_gap_gives_a_gap(recording):

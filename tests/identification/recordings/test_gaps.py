@@ -61,14 +61,14 @@ def test_a_fast_recording_is_thinned(recording):
     noisy = np.sin(2 * np.pi * t) + rng.normal(0, 0.1, t.size)
     steps = np.where(t < 2, 0.0, 3.0)
     made = recording(rate=5000.0, sensors={"x": Sensor(noise=0.1)}, x=noisy, boom_command=steps)
-    found = downsample(made, 500.0)
+    found = downsample(made)
     assert uniform_rate(found) == pytest.approx(500.0)  # rounding of stamps
     assert set(found["boom_command"]) == {0.0, 3.0}
     error = (found["x"] - np.sin(2 * np.pi * found.time))[50:-50]
     # the standard error of a standard deviation of 1900 samples that the filter correlates a little: 3 %
     assert error.std() == pytest.approx(found.sensor("x").sd, rel=0.1)
     assert found.sensor("x").sd < 0.04
-    assert downsample(found, 500.0) is found
+    assert downsample(found) is found
 
 
 def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
@@ -76,7 +76,7 @@ def test_a_slow_encoder_does_not_gain_by_the_filter(recording):
     t = np.arange(20_000) / 5000
     true = 5.0 * t
     made = recording(rate=5000.0, sensors={"x": Sensor(resolution=1.0)}, x=np.round(true))
-    found = downsample(made, 500.0)
+    found = downsample(made)
     error = (found["x"] - 5.0 * found.time)[50:-50]
     # a saw tooth of 20 periods, whose corners the filter rounds a little
     assert error.std() == pytest.approx(found.sensor("x").sd, rel=0.05)
