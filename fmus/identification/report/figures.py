@@ -270,7 +270,7 @@ def _draw_legend(axes: Axes, panel: Panel, columns: int) -> None:
 
 # ---- a predicted recording
 
-JOINT_FIGURES = {"swing": 10, "boom": 0, "stick": 11}  # in the paper; the boom has none
+JOINT_FIGURES = {"swing": 10, "stick": 11, "boom": 0}  # number in the paper, which has none of the boom
 CYLINDER = ("boom_stick", "flow into head", "head_flow", {"head_pressure": "head", "rod_pressure": "rod"})
 # joint -> label of a panel -> signals and labels of its curves, as in the paper's Figs. 10 and 11
 SIGNALS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
