@@ -15,16 +15,15 @@ from pathlib import Path
 from benchmarks import openings
 from fmus.identification.estimate import Estimate
 from fmus.identification.machine import lookup, nominal
-from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import Identified, identify
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures import valve, weighing
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.reading import read_folder
 from fmus.identification.report import report_texts
-from fmus.identification.report.attribution import Explanation
-from fmus.identification.report.procedure_figures import draw_procedure
-from fmus.identification.report.recording_comparison import WINDOW, RecordingComparison, captioned_figure
+from fmus.identification.report.attribution import Explanation, attribute
+from fmus.identification.report.figures import draw_procedure, joint_figure
+from fmus.identification.report.prediction import WINDOW, RecordingComparison, default_values, prediction
 from fmus.rig import write_all
 from orchestrator.base import plotting
 from orchestrator.base.plotting import png
@@ -66,12 +65,10 @@ def everything(folder: Path) -> None:
     seen = prediction(found["detailed"])
     assert seen is not None
     for joint, number in JOINTS.items():
-        shown = captioned_figure(seen, joint)
-        (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(plotting.draw(shown.figure)))
+        (FIGURES / f"fig{number:02d}_{joint}.png").write_bytes(png(plotting.draw(joint_figure(seen, joint))))
     fill("figures 10 and 11", work_cycle(seen))
     fill("held out", held_out(seen))
-    told = explanation(seen, found["detailed"])
-    assert told is not None
+    told = attribute(seen, default_values(found["detailed"]))
     fill("residual", effects(told))
     fill("refined", refined(found["detailed"]))
 
@@ -165,7 +162,7 @@ def held_out(seen: RecordingComparison) -> str:
     """The worst signal of each kind in the cycle that was not used for fitting."""
     rows = [
         (KINDS[kind], f"`{name}`", report_texts.percentage(error, 3), LIMITS.get(kind, ""))
-        for kind, (name, error) in worst_signals(seen).items()
+        for kind, (name, error) in seen.worst().items()
     ]
     return table(("", "worst signal", "NRMSE", "limit"), rows)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from scipy import stats
 
 from fmus.parameters import Number
+from orchestrator.base.text import display_unit
 
 CONFIDENCE = 0.95  # level of all intervals
 
@@ -75,6 +76,20 @@ class Estimate:
         """An estimate with the interval that `confidence_interval` computes."""
         low, high = confidence_interval(value, sd, freedom, log=log, minimum=minimum)
         return cls(name, value, unit, sd, low, high, note)
+
+    @property
+    def digits(self) -> int:
+        """Significant digits of the value at which the interval has two significant digits."""
+        half, size = (self.high - self.low) / 2, abs(self.value)
+        if not (half > 0 and size > 0 and math.isfinite(half)):
+            return 4
+        return min(7, max(2, math.floor(math.log10(size)) - math.floor(math.log10(half)) + 2))
+
+    def displayed(self, digits: int) -> tuple[str, str, str, str]:
+        """Value, ends of the interval and unit as a reader sees them, in ASCII for any terminal."""
+        unit = display_unit(self.unit)
+        value, low, high = (f"{unit.factor * x:.{digits}g}" for x in (self.value, self.low, self.high))
+        return value, low, high, unit.display
 
     def number(self) -> Number:
         """The entry for parameters.toml; that of a list has no interval, because its entries share a note."""

@@ -29,7 +29,6 @@ from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values
 from orchestrator.base.errors import Problem
-from orchestrator.base.units import display_conversion
 from orchestrator.data.recording import Recording
 
 Parameters = Mapping[str, Number]
@@ -234,12 +233,11 @@ def zeros(refined: RefinementResult) -> dict[str, Estimate]:
 
 def zero_sentences(refined: RefinementResult) -> list[str]:
     """One sentence on each estimated zero of a sensor, in display units."""
-    sentences = []
-    for signal, e in zeros(refined).items():
-        unit, factor = display_conversion(e.unit) or (e.unit, 1.0)
-        value, low, high = (f"{factor * x:.3g}" for x in (e.value, e.low, e.high))
-        sentences.append(f"zero of the sensor of {signal}: {value} {unit} ({low} to {high} {unit})")
-    return sentences
+    return [
+        f"zero of the sensor of {signal}: {value} {unit} ({low} to {high} {unit})"
+        for signal, e in zeros(refined).items()
+        for value, low, high, unit in [e.displayed(3)]
+    ]
 
 
 def findings(refined: RefinementResult) -> tuple[Finding, ...]:

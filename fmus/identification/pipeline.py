@@ -46,12 +46,8 @@ INERTIA = "inertia"
 NO_RECORDING = "no recording"
 DEAD_BAND = "valve_dead_band"
 
-Report = Callable[[str], None]  # prints a line about the progress
+Report = Callable[[str], None]  # prints lines about the progress
 Activity = Callable[[str], AbstractContextManager[object]]  # shows what is done inside its block
-
-
-def _silent(_: str) -> AbstractContextManager[object]:
-    return nullcontext()
 
 
 @dataclass
@@ -118,8 +114,7 @@ def identify(
     names: Sequence[str] = machine.FREE,
     starts: int = 0,
     report: Report = lambda _: None,
-    show: Callable[[ProcedureResult], None] = lambda _: None,
-    activity: Activity = _silent,
+    activity: Activity = lambda _: nullcontext(),
 ) -> Identified:
     """Estimate all parameters that the recordings determine.
 
@@ -128,8 +123,7 @@ def identify(
     inertial     also estimate the inertial parameters by their procedure; the paper took them from CAD
     names        parameters of the joint refinement
     starts       number of random start points from which the refinement is repeated
-    report       called with each line about the progress
-    show         called with the result of each procedure
+    report       called with lines about the progress and the result of each procedure
     activity     context manager around what takes long, called with a text
     """
     procedures = {r.procedure for r in recordings if r.use == "train"}
@@ -144,7 +138,7 @@ def identify(
     stated = [machine.with_return_line(r) if r.procedure == MACHINE else r for r in recordings]
     identified = Identified(stated, dict(parameters or nominal()))
     try:
-        _run_procedures(identified, procedures, inertial, report, show, activity)
+        _run_procedures(identified, procedures, inertial, report, activity)
         if joint and MACHINE in procedures:
             _run_joint(identified, names, starts, report, activity)
     except KeyboardInterrupt:  # estimates until the interrupt are kept
@@ -166,12 +160,7 @@ def _no_result(procedures: set[str], joint: bool) -> str:
 
 
 def _run_procedures(
-    identified: Identified,
-    recorded: Collection[str],
-    inertial: bool,
-    report: Report,
-    show: Callable[[ProcedureResult], None],
-    activity: Activity,
+    identified: Identified, recorded: Collection[str], inertial: bool, report: Report, activity: Activity
 ) -> None:
     """The paper's procedures in its order; a procedure that fails does not stop the others."""
     for name, procedure in {**PROCEDURES, **({INERTIA: inertia} if inertial else {})}.items():
@@ -188,7 +177,7 @@ def _run_procedures(
         if procedure is rest:
             identified.recordings = rest.subtracted(identified.recordings, result)
         identified.parameters = updated(identified.parameters, (*result.estimates, *result.listed))
-        show(result)
+        report(str(result))
 
 
 def _run_joint(
@@ -200,20 +189,24 @@ def _run_joint(
         report(f"{DEAD_BAND}: not refined, because tables replace it; they stay as they are")
         names = [name for name in names if name != DEAD_BAND]
     try:
-        identified.refined = refine_together(recordings, identified.parameters, names, report, activity)
+        refined = refine_together(recordings, identified.parameters, names, report, activity)
     except Problem as error:
         if not identified.results:
             raise
         identified.skip(MACHINE, error, report)
         return
-    refined = identified.refined
+    identified.refined = refined
     identified.parameters = updated(identified.parameters, machine.estimates(refined))
     identified.recordings = machine.without_zeros(identified.recordings, refined)
     identified.interrupted = refined.reason == INTERRUPTED
     if starts and not identified.interrupted:
         with activity(f"refinement from {starts} random starts"):
-            identified.starts = refine_from_other_starts(refined, starts, report)
-        identified.interrupted = identified.starts.interrupted
+            identified.starts = found = multistart(refined, starts)
+        identified.interrupted = found.interrupted
+        if found.starts:
+            same = f"{round(found.fraction * len(found.starts))} of {len(found.starts)}"
+            away = f"up to {100 * SPREAD:.0f} % away or twice the prior standard deviation"
+            report(f"random starts, {away}: {same} lead to the same result, on every fourth sample")
 
 
 def _all_tables(parameters: Parameters) -> bool:
@@ -227,7 +220,7 @@ def refine_together(
     parameters: Parameters,
     names: Sequence[str],
     report: Report,
-    activity: Activity = _silent,
+    activity: Activity,
 ) -> RefinementResult:
     """Output-error estimate of all parameters from all recordings of the machine."""
     with activity("compiling the model for the joint refinement"):
@@ -249,15 +242,3 @@ def refine_together(
     for line in (*machine.zero_sentences(refined), *advice(refined)):
         report(f"  {line}")
     return refined
-
-
-def refine_from_other_starts(refined: RefinementResult, count: int, report: Report) -> MultistartResult:
-    """The refinement from random start points."""
-    result = multistart(refined, count=count)
-    if result.starts:
-        same = round(result.fraction * len(result.starts))
-        report(
-            f"random starts, up to {100 * SPREAD:.0f} % away or twice the prior standard deviation: "
-            f"{same} of {len(result.starts)} lead to the same result, on every fourth sample"
-        )
-    return result

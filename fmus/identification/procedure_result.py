@@ -86,3 +86,11 @@ class ProcedureResult:
     warnings: tuple[str, ...] = ()
     listed: tuple[Estimate, ...] = ()
     findings: tuple[Finding, ...] = ()
+
+    def __str__(self) -> str:
+        """The estimates; of a procedure without parameters, such as a weighing, the others."""
+        lines = [f"{self.procedure}:"]
+        for e in self.estimates or self.others:
+            value, low, high, unit = e.displayed(e.digits)
+            lines.append(f"  {e.name:<38}{value:>12}  ({low} to {high}) {unit}")
+        return "\n".join(lines)

@@ -155,12 +155,8 @@ class BenchValve:
 
 
 def stick_hose(machine: str, resistance: float, time: Array, command: Array) -> dict[str, Array]:
-    """Pressures [Pa] and flows [m3/s] at both ends of the hose, for commands [V] to the valve.
-
-    resistance   C_R [Pa.s2/m6] of the throttle
-    """
-    bench = _detailed_hose if machine == "detailed" else _lumped_hose
-    return bench(resistance, time, command)
+    """Pressures [Pa] and flows [m3/s] at both ends of the hose, for commands [V] and the throttle's C_R."""
+    return (_detailed_hose if machine == "detailed" else _lumped_hose)(resistance, time, command)
 
 
 def _lumped_hose(resistance: float, time: Array, command: Array) -> dict[str, Array]:

@@ -36,12 +36,6 @@ def levels(values: Sequence[float], hold: float, ramp: float, first: float = 1.0
     return time, np.interp(time, corners, values_at_corners)
 
 
-def up_and_down(steps: Sequence[float]) -> list[float]:
-    """Levels from zero up all steps and down again to zero."""
-    up = [0.0, *steps]
-    return up + up[-2::-1]
-
-
 # ---- commands on the whole machine -----------------------------------------------------------------
 
 # slow and fast strokes to and fro: (command [V], hold [s]) of each
@@ -55,20 +49,10 @@ _FALL = {"swing": 1.3, "boom": 0.5, "stick": 0.6}  # s, at its end
 _PAUSE = 0.3  # s between strokes
 
 
-def strokes(joint: str, sign: int = 1) -> list[Move]:
-    """Strokes of one joint to and fro, from 1 s on; sign -1 reverses the directions."""
-    rows = [(sign * command, hold) for command, hold in _STROKES[joint]]
-    return _one_by_one(joint, rows, _RISE[joint], _FALL[joint], _PAUSE)
-
-
-def weighing_strokes(pairs: int = 3) -> list[Move]:
-    """Strokes of the boom up and down, slower than 2 cm/s, from 1 s on."""
-    return _one_by_one("boom", _WEIGHING * pairs, 0.5, 0.5, 0.5)
-
-
 def _one_by_one(
     joint: str, rows: Sequence[tuple[float, float]], rise: float, fall: float, pause: float
 ) -> list[Move]:
+    """Strokes of one joint from 1 s on: (command [V], hold [s]) of each."""
     moves, start = [], 1.0
     for command, hold in rows:
         moves.append(Move(joint, start, command, rise, hold, fall))
@@ -125,8 +109,8 @@ TRAIN_2 = _moves("""
 TRAINING = ((TRAIN_1, Pose(-0.1, -1.5, -0.4)), (TRAIN_2, Pose(0.7, -0.95, 0.5)))
 TRAINING_STOP = 30.0  # s
 
-# slow strokes of the boom to and fro about the same angles: (command [V], hold [s]) up, then down
-_WEIGHING = ((1.2, 2.0), (-1.0, 2.0))
+# strokes of the boom up and down about the same angles, slower than 2 cm/s
+_WEIGHING = ((1.2, 2.0), (-1.0, 2.0)) * 3
 WEIGHING_POSE = Pose(0.1, -1.2)
 WEIGHED = 300.0  # kg, payload of the loaded experiment
 
@@ -184,7 +168,8 @@ def _rest(_: str) -> Experiment:
 
 
 def _edge(edge: str, machine: str) -> Experiment:
-    time, steps = levels(up_and_down(VALVE_STEPS), HOLD, RAMP)
+    up = (0.0, *VALVE_STEPS)
+    time, steps = levels((*up, *up[-2::-1]), HOLD, RAMP)
     command = EDGES[edge] * steps
     signals = {"command": command, **valve(machine, edge, time, command)}
     return _bench(("valve", f"Valve edge {edge}, stepped command"), time, signals, edge=edge)
@@ -298,13 +283,14 @@ def _driven(
 
 def _damping(joint: str, number: int, machine: str) -> Experiment:
     pose, sign = DAMPING[joint][number - 1]
-    moves = strokes(joint, sign)
+    rows = [(sign * command, hold) for command, hold in _STROKES[joint]]
+    moves = _one_by_one(joint, rows, _RISE[joint], _FALL[joint], _PAUSE)
     named = ("damping", f"Only the {joint} moves, pose {number}")
     return replace(_driven(named, machine, moves, end_of(moves) + 1.0, pose), conditions={"joint": joint})
 
 
 def _weighing(held: float, machine: str) -> Experiment:
-    moves = weighing_strokes()
+    moves = _one_by_one("boom", _WEIGHING, 0.5, 0.5, 0.5)
     named = ("weighing", f"Slow strokes of the boom, {f'payload of {held:g} kg' if held else 'empty head'}")
     done = _driven(named, machine, moves, end_of(moves) + 1.0, WEIGHING_POSE, held)
     return replace(done, conditions={"payload": Condition(held, "kg")})

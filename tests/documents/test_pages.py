@@ -17,7 +17,6 @@ from sweep.synthetic import ISHIGAMI, ishigami, results
 from view.standin import LONG, URL, started
 
 from fmus.identification.report.identification_page import render as identification
-from fmus.identification.report.recording_comparison import CaptionedFigure
 from orchestrator.base import figures
 from orchestrator.base.figures import TraceFigure, TraceLine, TracePanel, pack, plot, still
 from orchestrator.data.description import Tolerance
@@ -78,9 +77,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "comparison": lambda: comparison(compare({"usual": run(0.0), "other": run(0.01), "third": run(0.02)})),
     "study": studied,
     "identification": lambda: identification(
-        samples.page(
-            figures=(CaptionedFigure("Swing", samples.traces(), "Measured."),), warnings=("At a bound.",)
-        )
+        samples.page(figures=(("Swing", samples.traces(), "Measured."),), warnings=("At a bound.",))
     ),
 }
 

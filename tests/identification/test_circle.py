@@ -2,9 +2,10 @@
 
 from kit import shards
 
-from fmus.identification.outcome import explanation, prediction, worst_signals
 from fmus.identification.pipeline import identify
 from fmus.identification.recordings.reading import read_folder
+from fmus.identification.report.attribution import attribute
+from fmus.identification.report.prediction import default_values, prediction
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values, write
 from fmus.rig import write_all
@@ -23,14 +24,12 @@ def test_the_lumped_machine_predicts_the_detailed_one(tmp_path):
     seen = prediction(found)
     assert seen is not None
     assert seen.recording.use == "test"
-    errors = {kind: error for kind, (_, error) in worst_signals(seen).items()}
+    errors = {kind: error for kind, (_, error) in seen.worst().items()}
     # the bars of the project: NRMSE over the range of the whole recording, worst signal of each kind
     assert errors["angle"] < 0.01
     assert errors["speed"] < 0.05
     assert errors["pressure"] < 0.10
-    told = explanation(seen, found)
-    assert told is not None
-    assert told.effect == "swinging head"
+    assert attribute(seen, default_values(found)).effect == "swinging head"
     write(tmp_path / "own.toml", {"parameters": {n: e.number() for n, (e, _) in found.estimates.items()}})
     usual, others = parts_with_parameters(tmp_path / "own.toml")
     for sub in (*usual.values(), *others):

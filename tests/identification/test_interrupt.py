@@ -73,7 +73,7 @@ def test_an_interrupted_search_is_not_restarted(quick):
     better = (replace(AREA, value=3e-5),)
     best = SimpleNamespace(reason="interrupted", problem=WITHOUT_ZEROS, estimates=lambda **_: better)
     quick.setattr(pipeline, "refine_together", lambda *_: best)
-    quick.setattr(pipeline, "refine_from_other_starts", lambda *_: pytest.fail("restarted"))
+    quick.setattr(pipeline, "multistart", lambda *_: pytest.fail("restarted"))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.parameters["swing.valve_area"].value == 3e-5

@@ -293,12 +293,13 @@ def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | 
     for _ in range(8):  # Gauss-Newton
         found = _effects(Nodes.of(replace(steps, drop=steps.drop - zero), c), known)
         if not found or "zero" not in found.effects:
-            return found
+            break
         step, sd = found.effects["zero"]
         zero = float(np.clip(zero + step, -largest, largest))
+        found = replace(found, effects={**found.effects, "zero": (zero, sd)})
         if abs(step) < 0.01 * sd:
             break
-    return replace(found, effects={**found.effects, "zero": (zero, sd)})
+    return found
 
 
 def _effects(nodes: Nodes, known: Priors) -> Repeated | None:

@@ -18,15 +18,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
-from math import factorial
+from itertools import permutations
 
 import numpy as np
 import statsmodels.api as sm
 from scipy.optimize import nnls
 
 from fmus.identification.estimate import CONFIDENCE
-from fmus.identification.report.prediction import Excitation, Signals, predict
+from fmus.identification.report.prediction import (
+    Excitation,
+    RecordingComparison,
+    Signals,
+    excitation,
+    predict,
+    rms,
+)
+from fmus.identification.report.report_texts import percent
 from orchestrator.base.processes import mapping
 from orchestrator.data.table import Array
 
@@ -52,20 +59,35 @@ def candidate_effects(excitation: Excitation) -> dict[str, Mapping[str, str]]:
 
 
 def effect_changes(
-    excitation: Excitation,
-    parameters: Mapping[str, float],
-    default: Signals | None = None,
-    processes: int = 1,
+    excitation: Excitation, parameters: Mapping[str, float], processes: int = 1
 ) -> dict[str, dict[str, Array]]:
-    """Change of every signal of the machine by each effect; `default`: its signals, if they are known."""
-    default = default or predict(excitation, parameters)
-    effects = candidate_effects(excitation)
+    """Change of every signal of the machine by each effect."""
+    default, effects = predict(excitation, parameters), candidate_effects(excitation)
     with mapping(min(processes, len(effects))) as each:
         predicted = each(partial(predict, excitation, parameters), effects.values())
         return {
             name: {n: y[n] - default[n] for n in default if n in y}
             for name, y in zip(effects, predicted, strict=True)
         }
+
+
+def attribute(
+    comparison: RecordingComparison, parameters: Mapping[str, float], processes: int = 1
+) -> Explanation:
+    """Which effect the residual shows, apart from errors of the identified parameters.
+
+    parameters   values of the identified machine
+    processes    number of processes that simulate the machine, which take most of the time
+    """
+    recording, residual = comparison.recording, comparison.residual()
+    noise = {name: recording.sensor(name).sd for name in residual}
+    measured = {n: y for n in residual if np.isfinite(y := comparison.measured[n]).any()}
+    small = {name: SMALL * float(np.nanmax(y) - np.nanmin(y)) for name, y in measured.items()}
+    effects: Mapping[str, Signals] = {}
+    if unexplained(residual, noise, small):  # else the simulations, most of the time, would tell nothing
+        effects = effect_changes(excitation(recording), parameters, processes)
+    step = float(np.median(np.diff(recording.time)))
+    return explain(residual, effects, step=step, noise=noise, small=small, absorbed=comparison.sensitivities)
 
 
 @dataclass(frozen=True)
@@ -138,39 +160,37 @@ def explain(
         only_small = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
         return Explanation((), 0.0, 0.0, 1.0, (), quiet, nothing_to_explain(only_small))
     valid = {n: np.isfinite(residual[n]) for n in used}
+    counts = [int(valid[n].sum()) for n in used]
 
     def column(signals: Signals) -> Array:
         """All signals in one column, each over its rms residual and the root of its number of samples."""
-        weights = {n: 1 / (size[n] * np.sqrt(valid[n].sum())) for n in used}
-        return np.concatenate(
-            [weights[n] * (signals[n] if n in signals else 0 * residual[n])[valid[n]] for n in used]
-        )
+        parts = [signals.get(n, 0 * residual[n])[valid[n]] / size[n] for n in used]
+        return np.concatenate([y / np.sqrt(y.size) for y in parts])
 
     r = column(residual)
     d = np.column_stack([column(change) for change in effects.values()])
     total = float(r @ r)
-    ends = np.cumsum([0, *(int(valid[n].sum()) for n in used)])
-    rows = {n: slice(int(ends[k]), int(ends[k + 1])) for k, n in enumerate(used)}
     if absorbed:
         s = np.column_stack([column(change) for change in absorbed.values()])
         r, d = orthogonal_part(r, s), orthogonal_part(d, s)
     parameters = 1 - float(r @ r) / total
     explained = explained_squares(d, r) / total
-    together = shapley_values(explained, len(effects))
     shares = [
         EffectShare(
             name,
             float(explained[1 << k]),
-            together[k],
-            *strength_interval(d[:, k], r, round(MEMORY / step)),
-            shares_by_signal(d[:, k], r, rows),
+            together,
+            *strength_interval(change, r, round(MEMORY / step)),
+            dict(zip(used, shares_by_part(change, r, counts), strict=True)),
         )
-        for k, name in enumerate(effects)
+        for k, (name, together, change) in enumerate(
+            zip(effects, shapley_values(explained), d.T, strict=True)
+        )
     ]
     ordered = tuple(sorted(shares, key=lambda s: -s.alone))
-    noise_share = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
-    text = verdict(ordered, float(explained[-1]), parameters, noise_share)
-    return Explanation(ordered, float(explained[-1]), parameters, noise_share, tuple(used), quiet, text)
+    of_noise = float(np.mean([min(1.0, (noise.get(n, 0.0) / size[n]) ** 2) for n in used]))
+    text = verdict(ordered, float(explained[-1]), parameters, of_noise)
+    return Explanation(ordered, float(explained[-1]), parameters, of_noise, tuple(used), quiet, text)
 
 
 def unexplained(residual: Signals, noise: Mapping[str, float], small: Mapping[str, float]) -> list[str]:
@@ -179,18 +199,12 @@ def unexplained(residual: Signals, noise: Mapping[str, float], small: Mapping[st
     return [n for n, values in residual.items() if rms(values) > least[n]]
 
 
-def rms(values: Array) -> float:
-    """Root mean square of the finite values, 0 if there is none."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
-
-
 def orthogonal_part(columns: Array, regressors: Array) -> Array:
     """The part of columns that is orthogonal to the regressors."""
     length = np.linalg.norm(regressors, axis=0)
-    q, s, _ = np.linalg.svd(regressors[:, length > 0] / length[length > 0], full_matrices=False)
-    q = q[:, s > 1e-6 * s[0]] if s.size else q  # without directions that are rounding errors
-    orthogonal: Array = columns - q @ (q.T @ columns)
+    scaled = regressors / np.where(length > 0, length, 1.0)
+    # without directions that are rounding errors
+    orthogonal: Array = columns - scaled @ np.linalg.lstsq(scaled, columns, rcond=1e-6)[0]
     return orthogonal
 
 
@@ -206,19 +220,12 @@ def explained_squares(d: Array, r: Array) -> Array:
     return np.maximum(explained, 0.0)
 
 
-def shapley_values(explained: Array, count: int) -> list[float]:
+def shapley_values(explained: Array) -> list[float]:
     """Mean increase of the explained sum of squares by each effect over all orders of adding effects."""
-    values = []
-    for k in range(count):
-        others = [j for j in range(count) if j != k]
-        value = 0.0
-        for size in range(count):
-            weight = factorial(size) * factorial(count - size - 1) / factorial(count)
-            for members in combinations(others, size):
-                index = sum(1 << j for j in members)
-                value += weight * float(explained[index | 1 << k] - explained[index])
-        values.append(value)
-    return values
+    count = len(explained).bit_length() - 1
+    orders = np.array(list(permutations(range(count))))
+    gains = np.diff(explained[np.cumsum(1 << orders, axis=1)], axis=1, prepend=0.0)
+    return [float(gains[orders == k].mean()) for k in range(count)]
 
 
 def strength_interval(d: Array, r: Array, lags: int) -> tuple[float, float, float]:
@@ -230,15 +237,11 @@ def strength_interval(d: Array, r: Array, lags: int) -> tuple[float, float, floa
     return float(fit.params[0]), float(low), float(high)
 
 
-def shares_by_signal(d: Array, r: Array, rows: Mapping[str, slice]) -> dict[str, float]:
-    """Share of each signal's residual that an effect explains at its strength from all signals."""
+def shares_by_part(d: Array, r: Array, counts: Sequence[int]) -> list[float]:
+    """Share of each part of a residual that an effect explains at its strength from all parts."""
     strength = max(0.0, float(d @ r) / float(d @ d)) if d.any() else 0.0
-    shares = {}
-    for name, part in rows.items():
-        total = float(r[part] @ r[part])
-        unexplained = r[part] - strength * d[part]
-        shares[name] = 1 - float(unexplained @ unexplained) / total if total else 0.0
-    return shares
+    left, total = (np.add.reduceat(x**2, np.cumsum([0, *counts[:-1]])) for x in (r - strength * d, r))
+    return [1 - float(x / of) if of else 0.0 for x, of in zip(left, total, strict=True)]
 
 
 def nothing_to_explain(small: bool) -> str:
@@ -255,30 +258,26 @@ def verdict(shares: Sequence[EffectShare], together: float, parameters: float, n
     first = shares[0]
     if first.alone < LEAST:
         text = (
-            f"None of the effects below explains the residual: the largest share is {_percent(first.alone)} "
-            f"({first.effect}), and all effects together explain {_percent(together)}."
+            f"None of the effects below explains the residual: the largest share is {percent(first.alone)} "
+            f"({first.effect}), and all effects together explain {percent(together)}."
         )
     else:
         text = (
             f"The largest part of the residual comes from one effect: {first.effect}, "
-            f"{_percent(first.alone)}, {first.coefficient:.2g} times as strong as in the variant. "
-            f"All effects together explain {_percent(together)}."
+            f"{percent(first.alone)}, {first.coefficient:.2g} times as strong as in the variant. "
+            f"All effects together explain {percent(together)}."
         )
         close = [s.effect for s in shares[1:] if s.alone >= CLOSE * first.alone]
         if close:
             text += f" The data can hardly distinguish it from {' and '.join(close)}."
-    unexplained = 1 - together - parameters - noise
     if parameters > LEAST / 2:
         text += (
-            f" Slightly different values of the identified parameters would remove {_percent(parameters)}: "
+            f" Slightly different values of the identified parameters would remove {percent(parameters)}: "
             "this part is their uncertainty, or an effect that resembles it."
         )
     if noise > LEAST / 2:
-        text += f" {_percent(noise)} is noise of the sensors."
+        text += f" {percent(noise)} is noise of the sensors."
+    unexplained = 1 - together - parameters - noise
     if unexplained > LEAST / 2:
-        text += f" {_percent(unexplained)} has a cause that is not in the list."
+        text += f" {percent(unexplained)} has a cause that is not in the list."
     return text
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"

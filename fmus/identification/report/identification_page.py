@@ -8,13 +8,35 @@ from typing import Any
 
 import numpy as np
 
+from fmus.contract import quantities
+from fmus.identification.estimate import Estimate
+from fmus.identification.finding import named
+from fmus.identification.machine import (
+    COMMANDS,
+    lookup,
+    nominal,
+    parameter_names,
+    signal_names,
+    zero_sentences,
+)
+from fmus.identification.pipeline import NO_RECORDING, Identified
+from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
+from fmus.identification.recordings.reading import Extrapolation, extrapolations
 from fmus.identification.refinement.multistart import MultistartResult
 from fmus.identification.refinement.refine import RefinementResult, advice
 from fmus.identification.report import report_texts
-from fmus.identification.report.attribution import rms
-from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure, opening_panel
+from fmus.identification.report.attribution import attribute
+from fmus.identification.report.figures import (
+    JOINT_FIGURES,
+    draw_correlation,
+    draw_procedure,
+    joint_figure,
+    opening_panel,
+)
+from fmus.identification.report.prediction import RecordingComparison, default_values, rms
+from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from orchestrator.base import html_page
 from orchestrator.base.figures import plot
 from orchestrator.base.plotting import embed
@@ -22,12 +44,13 @@ from orchestrator.data.recording import Recording
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html.j2"
 NAME = "identification"
+MOVES = 0.01  # rad, angular range above which a joint is shown
 
 
 def write_page(folder: Path, page: Mapping[str, Any]) -> tuple[Path, Path]:
     """Write identification.html and identification.json to a folder; returns both paths.
 
-    page   result of `outcome.page_content`
+    page   result of `page_content`
 
     The JSON file has all values of the page in SI units, without the curves of the figures.
     """
@@ -57,23 +80,120 @@ def render(page: Mapping[str, Any]) -> str:
         origin=report_texts.origin(kinds),
         results=results,
         heatmap=heatmap,
-        figures=[(f, plot(replace(f.figure, title=""), f.title)) for f in page["figures"]],
+        figures=[(name, plot(replace(f, title=""), name), caption) for name, f, caption in page["figures"]],
         plots=bool(page["figures"]),
     )
 
 
-def refinement(
-    refined: RefinementResult,
-    names: Mapping[str, str] | None = None,
-    signals: Mapping[str, str] | None = None,
-    starts: MultistartResult | None = None,
+def page_content(
+    folder: Path,
+    out: Path,
+    identified: Identified,
+    comparison: RecordingComparison | None,
+    qualities: Sequence[Mapping[str, Any]] = (),
+    processes: int = 1,
 ) -> dict[str, Any]:
-    """Content of the page and the JSON file for a refinement.
+    """The content of the report: the values of the JSON file, and `figures` of the predicted signals.
 
-    names, signals   parameter and output of the problem -> its name in the report
-    starts           the refinement from random start points, on fewer samples
+    folder       folder of the recordings
+    out          file of the estimated parameters
+    comparison   result of `prediction`
+    processes    number of processes that simulate the effects
+    """
+    refined, outside, tests = identified.refined, extrapolated(identified), identified.findings
+    shown = named(finding for _, finding in tests)
+    explanation = None
+    if comparison and refined:
+        explanation = attribute(comparison, default_values(identified), processes)
+    return {
+        "title": f"Identification from {folder.name}",
+        "source": str(folder),
+        "kinds": list(dict.fromkeys(r.kind for r in identified.recordings)),
+        "results": identified.results,
+        "parameters": [_parameter(e, procedure) for e, procedure in identified.estimates.values()],
+        "qualities": qualities,
+        "refinement": refinement(refined, identified.starts) if refined else None,
+        "explanation": explanation,
+        "figures": list(_joints(comparison)) if comparison else [],
+        "commands": _next_commands(folder, out, identified),
+        "remarks": [
+            *(f"{name}: {reason}." for name, reason in identified.skipped.items() if reason == NO_RECORDING),
+            *(f"{sentence}." for sentence in (zero_sentences(refined) if refined else ())),
+            *map(extrapolation_text, outside),
+        ],
+        "findings": [{"procedure": name, **vars(f), "named": f in shown} for name, f in tests],
+        "prediction": comparison
+        and {
+            "recording": comparison.recording.source.name,
+            "use": comparison.recording.use,
+            "nrmse": comparison.nrmse(),
+            "held": comparison.held(),
+            "extrapolated": [{"recording": file, **vars(found)} for file, found in outside],
+        },
+        "warnings": [
+            *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
+            *(warning for result in identified.results for warning in result.warnings),
+            *(report_texts.warnings(refined) if refined else ()),
+        ],
+    }
 
-    Of the result, `fits` has for each signal, None if there is no such recording:
+
+def extrapolated(identified: Identified) -> list[tuple[str, Extrapolation]]:
+    """Inputs of the held-out recordings of the machine that leave their ranges in training, with the file."""
+    training = [r for r in identified.recordings if r.use == "train"]
+    inputs = [targets[0] for targets in INPUTS.values()]
+    ranges = {n: [r[n] for r in training if n in r.signals] for n in inputs}
+    valves = [r["command"] for r in training if r.procedure == "valve" and "command" in r.signals]
+    for name in COMMANDS.values():  # a bench shows an edge, and the machine has the same for the other sign
+        ranges[name] += [sign * volts for volts in valves for sign in (1, -1)]
+    known = {n: np.concatenate(values) for n, values in ranges.items() if values}
+    return [
+        (r.source.name, found) for r in _held_out(identified) for found in extrapolations(r, known, known)
+    ]
+
+
+def extrapolation_text(outside: tuple[str, Extrapolation]) -> str:
+    """A sentence on an input outside its range in training: the prediction is doubtful, not the estimates."""
+    file, found = outside
+    return f"{file}: {found}: its prediction is an extrapolation, which the bands do not cover."
+
+
+def _held_out(identified: Identified) -> list[Recording]:
+    return [r for r in identified.recordings if r.procedure == MACHINE and r.use == "test"]
+
+
+def _joints(comparison: RecordingComparison) -> Iterator[tuple[str, Any, str]]:
+    """Title, figure and caption of each joint that moves."""
+    for joint, number in JOINT_FIGURES.items():
+        if np.ptp(comparison.predicted[f"manipulator.{joint}_angle"]) > MOVES:
+            caption = report_texts.joint_caption(comparison.recording, joint, number)
+            yield joint.capitalize(), joint_figure(comparison, joint), caption
+
+
+def _parameter(estimate: Estimate, procedure: str) -> dict[str, Any]:
+    """An estimate with its procedure, and the value that the parameter files have."""
+    known = lookup(estimate.name, nominal())
+    name = estimate.name.rpartition(".")[2]
+    text = next(q[name].text for s in SUBSYSTEMS.values() if name in (q := quantities(s.parameters)))
+    before = {"prior": known.value, "prior_source": known.source}
+    return {"estimate": estimate, "procedure": procedure, **before, "text": text}
+
+
+def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str, str]:
+    """Commands that use the estimates -> their purpose."""
+    commands = {f"harvester build --parameters {out}": "FMUs with these parameters"}
+    for recording in _held_out(identified)[:1]:
+        lines = [n for n in ("supply", "tank") if f"swing.{n}_pressure" in recording.signals]
+        play = "".join(f' --play "*.{line}_pressure"' for line in lines)
+        command = f"harvester validate --reference {folder / recording.source.name}{play}"
+        commands[command] = "Validation of these FMUs against the held-out recording"
+    return commands
+
+
+def refinement(refined: RefinementResult, starts: MultistartResult | None = None) -> dict[str, Any]:
+    """Content of the page and the JSON file for a refinement; `starts`: from random start points.
+
+    `fits` has for each signal, None if there is no such recording:
 
     train, test   NRMSE
     noise         root mean square of the training residual in standard deviations of the sensor
@@ -89,21 +209,11 @@ def refinement(
     same       whether the search led to the result, within a standard deviation
     joined     whether the search was ended on the path that leads to the result
     """
-    names, signals, problem = names or {}, signals or {}, refined.problem
+    names, problem = parameter_names(), refined.problem
     seconds = sum(float(run.time[-1] - run.time[0]) for run in problem.training)
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
-    fits, rows = [], []
-    for k, output in enumerate(problem.outputs):
-        tests, errors = refined.whiteness[output], {}
-        for use, traces in (("train", refined.training), ("test", refined.held_out)):
-            relative = np.array([float(trace.nrmse()[k]) for trace in traces])
-            errors[use] = rms(relative) if np.isfinite(relative).any() else None
-        fit = errors | {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
-        fits.append(
-            {"signal": signals.get(output, output), **{n: html_page.json_values(v) for n, v in fit.items()}}
-        )
-        fits[-1]["inputs"] = max(tests.inputs.values(), default=None)
+    rows = []
     for number, start in enumerate(starts.starts if starts else (), 1):
         z = np.array([f.z_of(start.initial[f.name]) for f in problem.free])
         row = {"name": f"random {number}", "away": rms(z - problem.initial()), "apart": start.distance}
@@ -113,7 +223,7 @@ def refinement(
         "names": [names.get(n, n) for n in problem.names],
         "correlation": refined.statistics.correlation,
         "condition": refined.statistics.condition,
-        "fits": fits,
+        "fits": [_fit(refined, k) for k in range(len(problem.outputs))],
         "unidentified": [_renamed(sentence, names) for sentence in refined.unidentified],
         "starts": rows,
         "facts": {
@@ -127,11 +237,23 @@ def refinement(
     }
 
 
+def _fit(refined: RefinementResult, k: int) -> dict[str, Any]:
+    """Goodness of fit of an output."""
+    output = refined.problem.outputs[k]
+    tests, errors = refined.whiteness[output], {}
+    for use, traces in (("train", refined.training), ("test", refined.held_out)):
+        relative = np.array([float(trace.nrmse()[k]) for trace in traces])
+        errors[use] = rms(relative) if np.isfinite(relative).any() else None
+    fit = errors | {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
+    inputs = max(tests.inputs.values(), default=None)
+    return {"signal": signal_names()[output], **html_page.json_values(fit), "inputs": inputs}
+
+
 def _renamed(sentence: str, names: Mapping[str, str]) -> str:
     """A sentence with the names of the report; longest first, because one may be the beginning of another."""
     pattern = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
-    text = re.sub(rf"\b({pattern})\b", lambda m: names[m[1]], sentence) if names else sentence
-    return text if text.endswith(".") else f"{text}."
+    text = re.sub(rf"\b({pattern})\b", lambda m: names[m[1]], sentence)
+    return f"{text.rstrip('.')}."
 
 
 def quality(recording: Recording) -> dict[str, Any]:
@@ -145,7 +267,7 @@ def quality(recording: Recording) -> dict[str, Any]:
     rate, remarks = report.rate, list(report.clock)
     if resample_uniformly(recording) is not recording:
         remarks.append(f"The clock: all signals are interpolated at {rate:.6g} Hz; gaps stay gaps.")
-    if rate > 1.01 * MAX_RATE and recording.procedure == "machine":
+    if rate > 1.01 * MAX_RATE and recording.procedure == MACHINE:
         remarks.append(f"The clock: {rate:.6g} Hz, filtered to {MAX_RATE:g} Hz to be fitted together.")
     channels: list[dict[str, Any]] = [
         {
@@ -162,10 +284,7 @@ def quality(recording: Recording) -> dict[str, Any]:
     ]
     return {
         "name": recording.source.name,
-        "title": recording.title,
-        "procedure": recording.procedure,
-        "use": recording.use,
-        "kind": recording.kind,
+        **{name: getattr(recording, name) for name in ("title", "procedure", "use", "kind")},
         "duration": float(recording.time[-1] - recording.time[0]),
         "rate": rate,
         "channels": channels,
@@ -176,12 +295,11 @@ def quality(recording: Recording) -> dict[str, Any]:
 
 def faults(qualities: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Lines on the faults of all recordings for a terminal; dead zones are summarised in one line."""
+    dead = []
     for q in qualities:
         yield from (f"{q['name']}: {remark}" for remark in q["remarks"])
         yield from (f"{q['name']}: {c['signal']}: {text}" for c in q["channels"] for text in c["remarks"])
-    dead = [
-        (c["dead"], q["name"], c["signal"]) for q in qualities for c in q["channels"] if 0 < c["dead"] < 1
-    ]
+        dead += [(c["dead"], q["name"], c["signal"]) for c in q["channels"] if 0 < c["dead"] < 1]
     if dead:
         fraction, name, signal = max(dead)
         files = len({file for _, file, _ in dead})

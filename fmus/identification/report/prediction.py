@@ -1,16 +1,21 @@
-"""Prediction of a recording: the machine simulated with its commands, parameter values and variants."""
+"""Prediction of a recording: the machine with the estimates, simulated and compared with the measurement."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fmus.identification.machine import COMMANDS
+from fmus.composition import declared
+from fmus.identification.estimate import coverage_factor
+from fmus.identification.machine import COMMANDS, signal_names, zeros
+from fmus.identification.pipeline import Identified
 from fmus.identification.procedures.momentum_balance import JOINTS
+from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import filter_for
-from fmus.machine.parts import parts, wiring
+from fmus.identification.recordings.masks import good
+from fmus.machine.parts import SUBSYSTEMS, parts, wiring
 from fmus.monolith import join, simulate
-from fmus.parameters import Values, values
+from fmus.parameters import values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording, fill_gaps
 from orchestrator.data.table import Array
@@ -22,6 +27,9 @@ SMOOTHING = 0.05  # s, filter against the noise of the pressures of the lines; t
 LINE_TOLERANCE = 5e4  # Pa, error of the supply pressure that changes flows by 0.1 %
 COMMAND_TOLERANCE = 1e-4  # V, error of a command that changes the opening of a valve by 0.001 %
 TOLERANCE = 1e-8  # of CVODES, far below the resolution of sensors; dry friction requires it
+WINDOW = 0.1  # s, filter that differentiates angles, wide enough for the encoder's steps
+CONSTANT = 1e-9  # range over largest value below which a signal is constant
+QUANTITIES = ("angle", "speed", "pressure", "flow")
 
 
 @dataclass(frozen=True)
@@ -48,11 +56,10 @@ def excitation(recording: Recording) -> Excitation:
 
 def _initial_mean(recording: Recording, name: str) -> float:
     """Mean of a signal over the first `REST` seconds."""
-    values = recording[name][recording.time <= recording.time[0] + REST]
-    valid = values[np.isfinite(values)]
-    if not valid.size:
+    first = recording[name][recording.time <= recording.time[0] + REST]
+    if not np.isfinite(first).any():
         raise Problem(f"{recording.source}: {name}: expected a sample in the first {REST:g} s, got none")
-    return float(valid.mean())
+    return float(np.nanmean(first))
 
 
 def _smooth(recording: Recording, signal: str) -> Array:
@@ -81,8 +88,7 @@ def simplify(time: Array, samples: Array, tolerance: float = COMMAND_TOLERANCE) 
             kept.add(worst)
             pending += [(a, b) for a, b in ((first, worst), (worst, last)) if b - a > 1]
     corners = sorted(kept)
-    lines = [np.interp(time, time[corners], column[corners]) for column in samples.T]
-    return np.column_stack(lines)
+    return np.column_stack([np.interp(time, time[corners], column[corners]) for column in samples.T])
 
 
 def predict(
@@ -90,15 +96,19 @@ def predict(
 ) -> Signals:
     """All outputs of the machine, `part.name`, shape (n,) each, and the commands.
 
-    parameters   values by `part.name`, or by `name` for every part that has it; others are those of the files
+    parameters   values by `part.name`; others are those of the files, and a variant may lack some
     variants     part -> its variant, for parts that are not the default ones
     """
     machine = parts(**(variants or {}))
-    wires, inputs = wiring(machine)
-    pose = {f"manipulator.initial_{joint}_angle": angle for joint, angle in excitation.pose.items()}
-    defaults = {part: values(sub) for part, sub in machine.items()}
-    replaced = _with_values(defaults, {**parameters, **pose}, allow_unused=bool(variants))
-    model = join(machine, wires, inputs, replaced)
+    known = {
+        **parameters,
+        **{f"manipulator.initial_{joint}_angle": q for joint, q in excitation.pose.items()},
+    }
+    chosen = {}
+    for part, sub in machine.items():
+        of_part = values(sub)
+        chosen[part] = replace(of_part, p={n: known.get(f"{part}.{n}", p) for n, p in of_part.p.items()})
+    model = join(machine, *wiring(machine), chosen)
     u = np.tile(model.u, (excitation.time.size, 1))
     for name, samples in {**excitation.commands, **excitation.lines}.items():
         if name in model.inputs:  # a variant with a supply computes the pressures of its lines
@@ -112,18 +122,108 @@ def predict(
     return outputs | {signal: excitation.commands[name] for name, signal in COMMANDS.items()}
 
 
-def _with_values(
-    defaults: Mapping[str, Values], parameters: Mapping[str, float], *, allow_unused: bool
-) -> dict[str, Values]:
-    """Values with parameters replaced. Raises Problem for a name that no part has, unless that is allowed."""
-    result, used = {}, set[str]()
-    for part, known in defaults.items():
-        # `part.name` has precedence over `name`
-        keys = {name: [k for k in (f"{part}.{name}", name) if k in parameters] for name in known.p}
-        used.update(*keys.values())
-        p = {name: parameters[keys[name][0]] if keys[name] else value for name, value in known.p.items()}
-        result[part] = replace(known, p=p)
-    unknown = sorted(set(parameters) - used)
-    if unknown and not allow_unused:
-        raise Problem(f"parameters: expected parameters of the machine, got {unknown[0]}")
-    return result
+@dataclass(frozen=True)
+class RecordingComparison:
+    """Measured and predicted signals by name, in SI units, shape (n,); NaN if no good sample was measured.
+
+    Speeds are added to measured angles. Measured and predicted speeds are derivatives by the same filter.
+
+    sd              standard deviation of measured minus predicted, of the signals for which it is known
+    sensitivities   identified parameter -> change of the signals by its search variable
+    """
+
+    recording: Recording
+    measured: Signals
+    predicted: Signals
+    units: Mapping[str, str]
+    sd: Signals = field(default_factory=dict)
+    sensitivities: Mapping[str, Signals] = field(default_factory=dict)
+
+    def band(self, name: str) -> tuple[Array, Array]:
+        """Lower and upper end of the pointwise 95 % band of the readings of a signal, (n,) each."""
+        half = coverage_factor() * self.sd[name]
+        return self.predicted[name] - half, self.predicted[name] + half
+
+    def held(self) -> dict[str, float]:
+        """Share of the good samples of each signal in its band."""
+        shares = {}
+        for name in self.sd:
+            (low, high), y = self.band(name), self.measured.get(name, np.zeros(0))
+            if np.isfinite(y).any():
+                shares[name] = float(np.mean(((y >= low) & (y <= high))[np.isfinite(y)]))
+        return shares
+
+    def residual(self) -> dict[str, Array]:
+        """Measured - predicted of every signal that has a sensor and is an output of the machine."""
+        names = [n for n in self.recording.signals if n in self.predicted]
+        return {n: self.measured[n] - self.predicted[n] for n in names}
+
+    def nrmse(self) -> dict[str, float]:
+        """NRMSE of all signals that are not constant."""
+        errors = {n: nrmse(y, self.predicted[n]) for n, y in self.measured.items() if n in self.predicted}
+        return {name: error for name, error in errors.items() if error is not None}
+
+    def worst(self) -> dict[str, tuple[str, float]]:
+        """The signal with the largest NRMSE of each quantity, and its NRMSE."""
+        errors = self.nrmse()
+        by_quantity = {q: {n: e for n, e in errors.items() if q in n.split("_")} for q in QUANTITIES}
+        return {q: max(e.items(), key=lambda item: item[1]) for q, e in by_quantity.items() if e}
+
+
+def rms(values: Array) -> float:
+    """Root mean square of the finite values, 0 if there is none."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
+
+
+def nrmse(measured: Array, predicted: Array) -> float | None:
+    """Root mean square residual over the range of the measurement, without gaps; None if it is constant."""
+    residual = predicted - measured
+    valid = measured[np.isfinite(residual)]
+    if not valid.size:
+        return None
+    span = float(np.ptp(valid))
+    return rms(residual) / span if span > CONSTANT * (1 + float(np.abs(valid).max())) else None
+
+
+def compare(recording: Recording, predicted: Signals) -> RecordingComparison:
+    """A recording and a prediction over the same samples."""
+    smooth = filter_for(recording, WINDOW)
+    measured = {n: np.where(good(recording, n), recording[n], np.nan) for n in recording.signals}
+    outputs = {n: y for n, y in predicted.items() if n not in COMMANDS.values()}
+    units = dict(recording.units)
+    for joint in JOINTS:
+        angle, speed = f"manipulator.{joint}_angle", f"manipulator.{joint}_speed"
+        if angle in measured and angle in predicted:
+            measured[speed] = smooth.apply(measured[angle], 1)
+            outputs[speed] = smooth.apply(predicted[angle], 1)
+            units[speed] = "rad/s"
+    return RecordingComparison(recording, measured, outputs, units)
+
+
+def default_values(identified: Identified) -> dict[str, float]:
+    """Values of the parameters of the default parts, by `part.name`; those of variants are left out."""
+    return {name: identified.parameters[name].value for name in declared(SUBSYSTEMS, "parameters")}
+
+
+def prediction(identified: Identified) -> RecordingComparison | None:
+    """A recording of the machine and its prediction with the estimates; a held-out one if possible."""
+    recordings = [r for r in identified.recordings if r.procedure == MACHINE]
+    if not recordings:
+        return None
+    selected = next((r for r in recordings if r.use == "test"), recordings[0])
+    predicted = predict(excitation(selected), default_values(identified))
+    if (refined := identified.refined) is None:
+        return compare(selected, predicted)
+    simulated = (refined.held_out if selected.use == "test" else refined.training)[0]
+    names = [signal_names()[output] for output in refined.problem.outputs]
+    if np.isfinite(simulated.y).all():  # with all corners of the inputs; its readings contain the zeros
+        predicted = {**predicted, **dict(zip(names, simulated.y.T, strict=True))}
+        predicted |= {name: predicted[name] - zero.value for name, zero in zeros(refined).items()}
+    by_z, sd = refined.uncertainty(simulated.run)
+    changes = zip(refined.problem.names, np.moveaxis(by_z, 2, 0), strict=True)
+    return replace(
+        compare(selected, predicted),
+        sd=dict(zip(names, sd.T, strict=True)),
+        sensitivities={parameter: dict(zip(names, y.T, strict=True)) for parameter, y in changes},
+    )

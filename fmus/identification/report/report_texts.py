@@ -6,11 +6,14 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from fmus.identification.estimate import Estimate
+from fmus.identification.machine import parameter_names, signal_names
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures.regression import FAR
 from fmus.identification.refinement.refine import RefinementResult
+from fmus.identification.report.prediction import WINDOW
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset
+from orchestrator.data.recording import Recording
 
 WIDE = 0.5  # half interval over value above which the interval is shown as a factor
 FACTOR = "\N{MULTIPLICATION SIGN}÷"
@@ -31,17 +34,9 @@ def number(value: float | None, digits: int = 3) -> str:
     return typeset(text.number(value, digits, zeros=True))
 
 
-def digits(estimate: Estimate) -> int:
-    """Significant digits of the value at which the interval has two significant digits."""
-    half, size = (estimate.high - estimate.low) / 2, abs(estimate.value)
-    if not (half > 0 and size > 0 and math.isfinite(half)):
-        return 4
-    return min(7, max(2, math.floor(math.log10(size)) - math.floor(math.log10(half)) + 2))
-
-
 def value(estimate: Estimate) -> str:
     """The value in its display unit."""
-    return number(in_unit(estimate.value, estimate.unit), digits(estimate))
+    return number(in_unit(estimate.value, estimate.unit), estimate.digits)
 
 
 def interval(estimate: Estimate) -> str:
@@ -57,7 +52,7 @@ def _aligned(end: float, estimate: Estimate) -> str:
     if not math.isfinite(end) or not end or not estimate.value:
         return number(end)
     sizes = (math.floor(math.log10(abs(x))) for x in (in_unit(estimate.value, estimate.unit), end))
-    return number(end, max(1, digits(estimate) - next(sizes) + next(sizes)))
+    return number(end, max(1, estimate.digits - next(sizes) + next(sizes)))
 
 
 def half_width(estimate: Estimate) -> str:
@@ -99,16 +94,9 @@ CHECK = (
 )
 
 
-def warnings(
-    refined: RefinementResult,
-    names: Mapping[str, str] | None = None,
-    signals: Mapping[str, str] | None = None,
-) -> list[str]:
-    """Sentences on doubtful results, the last one with advice; empty if there is no doubt.
-
-    names, signals   parameter and output of the problem -> its name in the report
-    """
-    names, signals = names or {}, signals or {}
+def warnings(refined: RefinementResult) -> list[str]:
+    """Sentences on doubtful results, the last one with advice; empty if there is no doubt."""
+    names, signals = parameter_names(), signal_names()
     sentences = []
     if not refined.converged:
         sentences.append(f"The search did not converge: {refined.reason}.")
@@ -117,28 +105,25 @@ def warnings(
         sentences.append(f"At a bound, so not identified: {at_bound}.")
     residual = refined.history[-1].residual if refined.history else 0.0
     if residual > FAR:
-        sentences.append(_far_above_noise(refined, residual, signals))
-    poor = {name: error for name, error in _training_nrmse(refined).items() if error > POOR}
-    if poor:
-        worst = sorted(poor, key=lambda name: -poor[name])
+        ratios = {signals[n]: test.rms for n, test in refined.whiteness.items() if test.rms > FAR}
+        far = ", ".join(f"{name} {ratios[name]:.3g} times" for name in _largest(ratios)[:NAMED])
         sentences.append(
-            "The model does not even reproduce the recordings that were used for fitting. NRMSE "
-            f"above {_percent(POOR)} of the range: "
-            f"{', '.join(f'{signals.get(n, n)} {_percent(poor[n])}' for n in worst)}."
+            f"The joint refinement leaves residuals {residual:.3g} times as large as the noise of the "
+            f"sensors{f' ({far})' if far else ''}: the data contain an effect that the model lacks, "
+            "and the estimates compensate for this effect. The report shows which effects are likely."
+        )
+    errors = _training_nrmse(refined)
+    if poor := [name for name in _largest(errors) if errors[name] > POOR]:
+        sentences.append(
+            "The model does not even reproduce the recordings that were used for fitting. NRMSE above "
+            f"{percent(POOR)} of the range: {', '.join(f'{signals[n]} {percent(errors[n])}' for n in poor)}."
         )
     return [*sentences, CHECK] if sentences else []
 
 
-def _far_above_noise(refined: RefinementResult, residual: float, signals: Mapping[str, str]) -> str:
-    """A sentence on residuals that are errors of the model, with the signals that show them most."""
-    ratios = {name: test.rms for name, test in refined.whiteness.items() if test.rms > FAR}
-    worst = sorted(ratios, key=lambda name: -ratios[name])[:NAMED]
-    named = ", ".join(f"{signals.get(name, name)} {ratios[name]:.3g} times" for name in worst)
-    return (
-        f"The joint refinement leaves residuals {residual:.3g} times as large as the noise of the "
-        f"sensors{f' ({named})' if named else ''}: the data contain an effect that the model lacks, "
-        "and the estimates compensate for this effect. The report shows which effects are likely."
-    )
+def _largest(values: Mapping[str, float]) -> list[str]:
+    """Names of the values, the largest first."""
+    return sorted(values, key=lambda name: -values[name])
 
 
 def _training_nrmse(refined: RefinementResult) -> dict[str, float]:
@@ -149,15 +134,16 @@ def _training_nrmse(refined: RefinementResult) -> dict[str, float]:
     """
     errors = {}
     for k, name in enumerate(refined.problem.outputs):
-        traces = [t for t in refined.training if np.any(t.run.compared[:, k])]
+        traces = [t for t in refined.training if t.run.compared[:, k].any()]
         if traces:
             error = np.concatenate([t.error[t.run.compared[:, k], k] for t in traces])
-            relative = float(np.sqrt(np.mean(error**2)) / max(t.run.scale[k] for t in traces))
-            errors[name] = relative if np.isfinite(relative) else np.inf
+            relative = np.sqrt(np.mean(error**2)) / max(t.run.scale[k] for t in traces)
+            errors[name] = float(np.nan_to_num(relative, nan=np.inf))
     return errors
 
 
-def _percent(ratio: float) -> str:
+def percent(ratio: float) -> str:
+    """A ratio in whole percent; infinite for a simulation that failed."""
     return f"{100 * ratio:.0f} %" if np.isfinite(ratio) else "(could not be simulated)"
 
 
@@ -194,3 +180,15 @@ def footer(number: int, kinds: Iterable[str]) -> str:
 def caption(result: ProcedureResult, kinds: Iterable[str]) -> str:
     """Title, origin of the data, and corresponding figure of the paper."""
     return sentences(result.title, origin(kinds), counterpart(result.figure))
+
+
+def joint_caption(recording: Recording, joint: str, number: int) -> str:
+    """What the figure of a joint shows; `number` of the corresponding figure of the paper."""
+    use = "not used for fitting" if recording.use == "test" else "used for fitting"
+    return sentences(
+        f"Measured and predicted signals of the {joint} over {recording.title}, {use}",
+        origin([recording.kind]),
+        counterpart(number),
+        f"Speeds: both angles differentiated by one filter, {1000 * WINDOW:.0f} ms wide",
+        "Flows in the dead zone of the meter are left out",
+    )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kit.properties import examples
 
 from fmus.identification.machine import COMMANDS
-from fmus.identification.report import recording_comparison
+from fmus.identification.report import attribution
 from fmus.identification.report.attribution import (
     EFFECTS,
     LEAST,
@@ -19,7 +19,7 @@ from fmus.identification.report.attribution import (
     orthogonal_part,
     shapley_values,
 )
-from fmus.identification.report.prediction import Excitation, predict
+from fmus.identification.report.prediction import Excitation, compare, predict
 from fmus.machine.work_cycle import Move
 from orchestrator.data.recording import Recording
 
@@ -103,11 +103,8 @@ def test_without_an_unexplained_residual_no_effect_is_simulated(excitation, monk
     """The simulations of effects and parameters, most of the time of `identify`, are left out."""
     name = "manipulator.boom_angle"
     recording = Recording(Path("a.csv"), excitation.time, {name: excitation.time}, {name: "rad"})
-    monkeypatch.setattr(recording_comparison, "excitation", lambda _: excitation)
-    for simulating in ("predict", "effect_changes"):
-        monkeypatch.delattr(recording_comparison, simulating)
-    same = recording_comparison.compare(recording, dict(recording.signals))
-    assert recording_comparison.attribute(same, {}).shares == ()
+    monkeypatch.delattr(attribution, "effect_changes")
+    assert attribution.attribute(compare(recording, dict(recording.signals)), {}).shares == ()
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +149,7 @@ def test_shares_add_up(case):
     d, r = rng.standard_normal((60, count)), rng.standard_normal(60)
     part = explained_squares(d, r)
     # exact identity: rounding only
-    assert sum(shapley_values(part, count)) == pytest.approx(part[-1], abs=1e-9)
+    assert sum(shapley_values(part)) == pytest.approx(part[-1], abs=1e-9)
     np.testing.assert_allclose(explained_squares(scale * d, r), part, atol=1e-9 * float(r @ r))
 
 

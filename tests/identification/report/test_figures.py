@@ -15,8 +15,14 @@ from matplotlib.image import imread
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel
 from fmus.identification.report import report_texts
-from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure, opening_panel
-from fmus.identification.report.recording_comparison import SIGNALS, RecordingComparison, figure, nrmse
+from fmus.identification.report.figures import (
+    SIGNALS,
+    draw_correlation,
+    draw_procedure,
+    joint_figure,
+    opening_panel,
+)
+from fmus.identification.report.prediction import RecordingComparison, nrmse
 from orchestrator.base import plotting
 from orchestrator.base.figures import plot
 from orchestrator.base.text import typeset
@@ -193,7 +199,7 @@ def test_traces_have_their_residual_below():
     pressure = 1e7 + 1e6 * np.sin(TIME)  # with a prediction that is 1 % of its range off
     measured = {"swing.swing_command": TIME, "swing.swing_pressure_a": pressure}
     predicted = {"swing.swing_pressure_a": pressure + 2e4 * np.cos(9 * TIME)}
-    drawn = plotting.draw(figure(comparison(measured, predicted), "swing"))
+    drawn = plotting.draw(joint_figure(comparison(measured, predicted), "swing"))
     command, pressure, strip = drawn.axes
     assert command.get_ylabel() == "command\n[V]"
     assert pressure.get_ylabel() == "pressure\n[bar]"
@@ -211,7 +217,7 @@ def test_traces_have_their_residual_below():
 def test_a_flow_in_the_dead_zone_is_drawn():
     """Always in the dead zone: the panel is empty, without a warning."""
     lost = {"swing.swing_flow_a": np.full(TIME.size, np.nan)}
-    drawn = figure(comparison(lost, {"swing.swing_flow_a": TIME}), "swing")
+    drawn = joint_figure(comparison(lost, {"swing.swing_flow_a": TIME}), "swing")
     assert len(plotting.draw(drawn).axes) == 2
     assert "flow into A" in plot(drawn, "Swing")
 
@@ -228,7 +234,7 @@ def test_nrmse_is_over_the_range():
 def test_panels_of_measured_signals_and_correlations():
     """A joint without a flow meter has no panel for flow; each pair is drawn once, large ones with value."""
     names = [n for signals in SIGNALS["swing"].values() for n in signals if "flow" not in n]
-    drawn = figure(comparison(dict.fromkeys(names[:4], TIME), {}), "swing")
+    drawn = joint_figure(comparison(dict.fromkeys(names[:4], TIME), {}), "swing")
     assert [panel.label for panel in drawn.panels] == ["command", "angle", "speed", "pressure"]
     names = ["a", "b", "c"]
     axes = draw_correlation(names, np.array([[1.0, 0.9, 0.1], [0.9, 1.0, -0.4], [0.1, -0.4, 1.0]])).axes[0]

@@ -13,14 +13,13 @@ from lxml import html
 from fmus.identification.estimate import Estimate
 from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import render, write_page
-from fmus.identification.report.recording_comparison import CaptionedFigure
 from orchestrator.base.figures import VENDOR
 
 
 @pytest.fixture(scope="module")
 def text():
     """A page with everything on it."""
-    return render(page(figures=(CaptionedFigure("Swing", traces(), "A caption."),)))
+    return render(page(figures=(("Swing", traces(), "A caption."),)))
 
 
 def test_the_page_needs_no_network(text):

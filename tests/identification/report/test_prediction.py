@@ -55,16 +55,6 @@ def usual() -> float:
     return float(np.ptp(predict(boom_motion(), {})["manipulator.boom_angle"]))
 
 
-def test_a_value_of_one_part_has_precedence(usual):
-    """`valve_area` sets all valves, `boom_stick.valve_area` the two of one part."""
-    small = predict(boom_motion(), {"valve_area": 2e-5})
-    mixed = predict(boom_motion(), {"valve_area": 4e-5, "boom_stick.valve_area": 2e-5})
-    name = "manipulator.boom_angle"
-    assert usual > 1.5 * np.ptp(small[name])
-    # same numerics: the swing stands still, so its valve does not matter
-    np.testing.assert_allclose(mixed[name], small[name], atol=1e-6)
-
-
 def test_a_variant_does_not_need_all_parameters():
     """Parameters of the default part that its variant does not have are left out."""
     found = predict(boom_motion(), {"boom_stick.boom_hose_inertance": 1e7}, {"boom_stick": "detailed"})
@@ -113,12 +103,6 @@ def test_a_measured_supply_pressure_drives_the_machine(usual):
     weak = replace(boom_motion(), lines={"supply_pressure": np.full(boom_motion().time.size, 8e6)})
     assert np.ptp(predict(weak, {})["manipulator.boom_angle"]) < 0.8 * usual
     assert set(candidate_effects(boom_motion())) - set(candidate_effects(weak)) == {"pump and engine"}
-
-
-def test_an_unknown_parameter_is_refused():
-    """It would be ignored otherwise."""
-    with pytest.raises(Problem, match="expected parameters of the machine, got valve_aera"):
-        predict(boom_motion(), {"valve_aera": 1e-5})
 
 
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=40), st.floats(0, 1))

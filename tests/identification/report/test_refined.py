@@ -15,13 +15,13 @@ from fmus.identification.refinement.refine import RefinementResult
 from fmus.identification.refinement.residuals import SimulatedRun, Whiteness
 from fmus.identification.refinement.statistics import Statistics
 from fmus.identification.report.identification_page import faults, quality, refinement
-from fmus.identification.report.recording_comparison import compare
+from fmus.identification.report.prediction import compare
 from fmus.identification.report.report_texts import CHECK, warnings
 from fmus.machine.one_block import HARVESTER
 from orchestrator.data.recording import Recording, Sensor
 
 TIME = np.arange(0.0, 2.0, 0.005)
-NAMES = {"valve_area": "valve_area", "hose": "boom_stick.hose"}
+PRELOAD = "boom_stick.initial_preload"
 
 
 def traces(name: str, error: float) -> SimulatedRun:
@@ -34,9 +34,11 @@ def traces(name: str, error: float) -> SimulatedRun:
 
 def refined(**more) -> RefinementResult:
     """A synthetic result."""
-    free = tuple(FreeParameter(name, 2.0, log=True) for name in NAMES)
+    free = tuple(FreeParameter(n, 2.0, log=True) for n in ("valve_area", "boom_stick_initial_preload"))
     training = (traces("a", 0.03), traces("b", 0.04))
-    problem = EstimationProblem(HARVESTER, ("angle", "flow"), free, tuple(t.run for t in training))
+    problem = EstimationProblem(
+        HARVESTER, ("boom_angle", "swing_flow_a"), free, tuple(t.run for t in training)
+    )
     covariance = np.array([[0.04, 0.01], [0.01, 0.01]])
     quiet = Whiteness(np.nan, np.nan, {}, np.nan)
     given = {
@@ -46,9 +48,9 @@ def refined(**more) -> RefinementResult:
         "reason": "converged",
         "history": (),
         "statistics": Statistics(covariance, covariance, covariance, 100, 10, 7.0),
-        "unidentified": ("hose and valve_area: the data show only hose * valve_area, not each",),
-        "at_bound": ("hose",),
-        "whiteness": {"angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1), "flow": quiet},
+        "unidentified": ("boom_stick_initial_preload and valve_area: not each",),
+        "at_bound": ("boom_stick_initial_preload",),
+        "whiteness": {"boom_angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1), "swing_flow_a": quiet},
         "training": training,
         "held_out": (traces("c", 0.05),),
         "model_error": {},
@@ -59,20 +61,18 @@ def refined(**more) -> RefinementResult:
 
 def test_a_refinement_has_the_names_of_the_report():
     """Names of parameters.toml, root mean square over the recordings, None if nothing was measured."""
-    found = refinement(refined(), NAMES, {"angle": "manipulator.angle"})
+    found = refinement(refined())
     angle, flow = found["fits"]
-    assert angle["signal"] == "manipulator.angle"
+    assert angle["signal"] == "manipulator.boom_angle"
     # exact identity: rounding only
     assert angle["train"] == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
     assert angle["test"] == pytest.approx(0.05)
     assert (angle["noise"], angle["memory"], angle["inputs"]) == (1.1, 0.01, 0.3)
     assert [flow[name] for name in ("train", "test", "noise", "inputs")] == [None] * 4
-    assert found["names"] == ["valve_area", "boom_stick.hose"]
+    assert found["names"] == ["valve_area", PRELOAD]
     assert found["correlation"][0, 1] == pytest.approx(0.5)
-    assert found["unidentified"] == [
-        "boom_stick.hose and valve_area: the data show only boom_stick.hose * valve_area, not each."
-    ]
-    assert found["remarks"] == ["boom_stick.hose ended at its bound."]
+    assert found["unidentified"] == [f"{PRELOAD} and valve_area: not each."]
+    assert found["remarks"] == [f"{PRELOAD} ended at its bound."]
     remark = refinement(refined(converged=False, reason="40 iterations"))["remarks"][0]
     assert remark.startswith("The search did not converge: 40 iterations were not enough.")
     assert "--free" in remark  # what to do
@@ -80,11 +80,11 @@ def test_a_refinement_has_the_names_of_the_report():
 
 def test_random_starts_are_compared():
     """Distance of each start from the values before; whether the search led to the same result."""
-    initial = {"valve_area": 2.0 * np.e, "hose": 2.0 * np.e}
+    initial = {"valve_area": 2.0 * np.e, "boom_stick_initial_preload": 2.0 * np.e}
     ran = MultistartResult(
         (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5
     )
-    one, other = refinement(refined(), starts=ran)["starts"]
+    one, other = refinement(refined(), ran)["starts"]
     # exact identity: both parameters are e times as large
     assert one["away"] == pytest.approx(1.0)
     assert (one["same"], other["same"]) == (True, False)
@@ -158,23 +158,23 @@ def test_residuals_far_above_the_noise_are_a_warning():
     """168 times: the number, and the worst signals as the report names them; a good fit has none."""
     assert warnings(refined(at_bound=())) == []
     history = (Iteration(0, 168.0, 0.1, 0.0, TrustRegion(1.0), {}),)
-    tests = {"angle": Whiteness(0.0, 1.0, {}, 505.0), "flow": Whiteness(0.2, 0.01, {}, 1.1)}
+    tests = {"boom_angle": Whiteness(0.0, 1.0, {}, 505.0), "swing_flow_a": Whiteness(0.2, 0.01, {}, 1.1)}
     far = refined(history=history, whiteness=tests, at_bound=())
-    told, check = warnings(far, NAMES, {"angle": "manipulator.angle"})
+    told, check = warnings(far)
     assert "residuals 168 times as large as the noise" in told
-    assert "(manipulator.angle 505 times)" in told
+    assert "(manipulator.boom_angle 505 times)" in told
     assert check == CHECK
 
 
 def test_warnings_have_the_names_of_the_report():
     """Search, bound and poor signal, then the advice; of a failed simulation the signal without a value."""
     poor = refined(converged=False, reason="40 iterations", training=(traces("a", 0.03), traces("b", 0.4)))
-    search, bound, fit, check = warnings(poor, NAMES, {"angle": "manipulator.angle"})
+    search, bound, fit, check = warnings(poor)
     assert "did not converge: 40 iterations" in search
-    assert "boom_stick.hose" in bound
+    assert PRELOAD in bound
     # root mean square of 3 % and 40 % over the same range
-    assert "manipulator.angle 28 %" in fit
+    assert "manipulator.boom_angle 28 %" in fit
     assert "flow" not in fit  # it was never measured
     assert check == CHECK
     *_, fit, _ = warnings(refined(at_bound=(), training=(traces("a", np.nan),)))
-    assert "angle (could not be simulated)" in fit
+    assert "boom_angle (could not be simulated)" in fit

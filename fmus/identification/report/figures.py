@@ -1,14 +1,17 @@
-"""Figures of procedures (measurement, fit, residual, as in the paper's Figs. 5 to 9) and correlations.
+"""Figures of procedures, of a predicted recording, and of correlations, as in the paper's Figs. 5 to 11.
 
 Curves can be distinguished without colour: measured values are marks or a broad line, a fit is a thin dark
 line, masked values are hollow marks, and compared curves are dashed. Successive panels over the same quantity
 form a column and share their x axis. Other quantities get a separate column.
+
+Of a predicted recording, the measurement is a solid line, the prediction a dotted one, and the strip below
+each panel shows the residual.
 """
 
 import re
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -16,26 +19,39 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
-from fmus.identification.report.report_texts import footer
-from orchestrator.base.figures import DASHES, DOTS, PALETTE, decimate
+from fmus.identification.report.prediction import RecordingComparison, nrmse
+from fmus.identification.report.report_texts import footer, percentage
+from orchestrator.base.figures import (
+    DASHES,
+    DOTS,
+    PALETTE,
+    REFERENCE,
+    SIMULATION,
+    TraceArea,
+    TraceFigure,
+    TraceLine,
+    TracePanel,
+    decimate,
+)
 from orchestrator.base.plotting import WIDTH, heading, legend, new_figure, power_ticks, style_axes
-from orchestrator.base.text import MINUS, name_with_unit, typeset
+from orchestrator.base.text import MINUS, display_unit, name_with_unit, typeset
 from orchestrator.base.units import pretty
 from orchestrator.data.table import Array
 
+# ---- procedures
+
 COLUMNS = 2
 MAX_COLUMN = 3  # panels over one quantity, from this number on, are split into two columns
-PANEL_HEIGHT, RESIDUAL_HEIGHT = 2.35, 1.15  # in
+PANEL_HEIGHT, RESIDUAL_HEIGHT, LEGEND_HEIGHT = 2.35, 1.15, 0.2  # in; the last one of a line
 LABEL_WIDTH = 0.95  # in, for the labels of each column
 COUNTED = ("group", "recording", "run")  # x axes with integer ticks
-LEGEND_LINE = 13.0  # pt, height of a line of the legend
 MIN_MARK = 4.0  # pt, in the legend; the points of a cloud are smaller
 RESIDUAL_LABEL = 16  # letters per line of the label of a residual
 CLOUD = 1500  # points above which a cloud is drawn as a bitmap inside the SVG
@@ -50,7 +66,6 @@ COMPARED: tuple[tuple[str, Any, int], ...] = (
     (">", (0, (3, 1, 1, 1, 1, 1)), 0),
 )
 CORRECTED: tuple[str, Any, int] = ("P", (0, (6, 1.5, 1, 1.5)), 2)
-LARGE_CORRELATION = 0.3  # magnitude above which a correlation is printed
 Column = tuple[Panel, ...]
 
 
@@ -58,17 +73,17 @@ def draw_procedure(result: ProcedureResult, kinds: Iterable[str] = (), *, titled
     """The figure of a procedure; `kinds` of its recordings for the line on the origin of the data."""
     columns = _columns(result.panels)
     rows = [columns[k : k + COLUMNS] for k in range(0, len(columns), COLUMNS)]
-    width = _axes_width(max(map(len, rows)))
-    heights = [max(sum(_height(panel, width) for panel in column) for column in row) for row in rows]
+    count = max(map(len, rows))
+    heights = [max(sum(_height(panel, count) for panel in column) for column in row) for row in rows]
     height = sum(heights) + 0.35 * len(rows) + 0.75
     figure = new_figure(WIDTH, height, h_pad=0.03, hspace=0.02, wspace=0.06, w_pad=0.06)
-    grid = figure.add_gridspec(len(rows), max(map(len, rows)), height_ratios=heights)
+    grid = figure.add_gridspec(len(rows), count, height_ratios=heights)
     shared: dict[Any, Axes] = {}
     for i, row in enumerate(rows):
         for k, column in enumerate(row):
             cell = grid[i, k] if len(row) > 1 else grid[i, :]
             x_axis = (column[0].x_label, column[0].x_unit)
-            shared[x_axis] = _draw_column(figure, cell, column, _axes_width(len(row)), shared.get(x_axis))
+            shared[x_axis] = _draw_column(figure, cell, column, len(row), shared.get(x_axis))
     heading(figure, result.title if titled else "", footer(result.figure, kinds))
     return figure
 
@@ -91,11 +106,6 @@ def opening_panel(listed: Sequence[Estimate]) -> Panel | None:
     return Panel("command [V]", "opening", tuple(curves), "Tables with their 95 % bands") if curves else None
 
 
-def _axes_width(columns: int) -> float:
-    """Width of axes [in] if there are several columns."""
-    return WIDTH / columns - LABEL_WIDTH
-
-
 def _columns(panels: Sequence[Panel]) -> list[Column]:
     """Successive panels over the same quantity as columns; a single high column is divided into two."""
     columns = [tuple(group) for _, group in groupby(panels, key=lambda p: (p.x_label, p.x_unit))]
@@ -111,26 +121,36 @@ def is_residual(panel: Panel) -> bool:
     return "residual" in f"{panel.title} {panel.y_label}".lower()
 
 
-def _height(panel: Panel, width: float) -> float:
-    """Height of a panel with its labels [in], whose axes have this width [in]."""
-    return RESIDUAL_HEIGHT if is_residual(panel) else PANEL_HEIGHT + 0.2 * _legend_lines(panel, width)
+def _height(panel: Panel, columns: int) -> float:
+    """Height of a panel with its labels [in], in a figure with several columns."""
+    if is_residual(panel):
+        return RESIDUAL_HEIGHT
+    return PANEL_HEIGHT + LEGEND_HEIGHT * len(_legend_lines(panel, columns))
 
 
-def _draw_column(figure: Figure, cell: Any, column: Column, width: float, first: Axes | None) -> Axes:
+def _legend_lines(panel: Panel, columns: int) -> list[list[str]]:
+    """The different entries of the legend, line by line: all in one line if they fit over the axes."""
+    ordered = sorted(panel.curves, key=lambda c: LEGEND_ORDER.index(c.kind))
+    labels = list(dict.fromkeys(typeset(c.label) for c in ordered if c.label))
+    width = WIDTH / columns - LABEL_WIDTH
+    widths = [0.062 * len(label) + 0.53 for label in labels]  # in, of a usual letter, and of the mark
+    count = len(labels) if sum(widths) <= width else int(width / max(widths))
+    return [labels[k : k + max(1, count)] for k in range(0, len(labels), max(1, count))]
+
+
+def _draw_column(figure: Figure, cell: SubplotSpec, column: Column, columns: int, first: Axes | None) -> Axes:
     """Panels in a column; they share the x axis of `first`, and only the lowest one has labels there."""
-    grid: GridSpec = cell.subgridspec(len(column), 1, height_ratios=[_height(p, width) for p in column])
-    drawn = []
+    grid = cell.subgridspec(len(column), 1, height_ratios=[_height(p, columns) for p in column])
+    drawn = list[Axes]()
     for i, panel in enumerate(column):
-        axes = figure.add_subplot(grid[i, 0], sharex=first)
-        first = first or axes
-        _draw_panel(axes, panel, width)
-        axes.tick_params(labelbottom=i == len(column) - 1)
-        drawn.append(axes)
-    last = column[-1]
+        drawn.append(figure.add_subplot(grid[i, 0], sharex=first or (drawn[0] if drawn else None)))
+        _draw_panel(drawn[-1], panel, columns)
+        drawn[-1].tick_params(labelbottom=i == len(column) - 1)
+    lowest, last = drawn[-1], column[-1]
     if last.x_label in COUNTED:
-        drawn[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
-    power_ticks(drawn[-1].xaxis)
-    drawn[-1].set_xlabel(_label(last.x_label, last.x_unit[0]), color=PALETTE.ink, fontsize=9)
+        lowest.xaxis.set_major_locator(MaxNLocator(integer=True))
+    power_ticks(lowest.xaxis)
+    lowest.set_xlabel(_label(last.x_label, last.x_unit[0]), color=PALETTE.ink, fontsize=9)
     figure.align_ylabels(drawn)
     return drawn[0]
 
@@ -140,28 +160,24 @@ def _label(text: str, unit: str) -> str:
     return name_with_unit(re.sub(r"\[(.+)\]", lambda m: f"[{pretty(m[1])}]", text), unit)
 
 
-def _draw_panel(axes: Axes, panel: Panel, width: float) -> None:
-    residual = is_residual(panel)
-    if residual:  # the unit on a separate line
-        unit = [f"[{pretty(panel.y_unit[0])}]"] if pretty(panel.y_unit[0]) else []
-        style_axes(axes, y="\n".join([*textwrap.wrap(panel.y_label, RESIDUAL_LABEL), *unit]), size=8)
-    else:
-        style_axes(axes, y=_label(panel.y_label, panel.y_unit[0]))
+def _draw_panel(axes: Axes, panel: Panel, columns: int) -> None:
+    residual, unit = is_residual(panel), panel.y_unit[0]
     _draw_curves(axes, panel, residual)
-    if panel.title:
-        pad = 4.0 if residual else 4.0 + LEGEND_LINE * _legend_lines(panel, width)
-        axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=pad)
     if panel.log:
         axes.set_yscale("log")
-    if residual:
+    if residual:  # the unit on a separate line
+        label = [*textwrap.wrap(panel.y_label, RESIDUAL_LABEL), f"[{pretty(unit)}]" if pretty(unit) else ""]
+        style_axes(axes, y="\n".join(filter(None, label)), size=8)
+        axes.set_title(panel.title, loc="left", fontsize=9, color=PALETTE.ink, pad=4)
         axes.axhline(0, color=PALETTE.faint, linewidth=0.8)
         if not panel.log:
             largest = max(map(abs, axes.get_ylim()))
             axes.set_ylim(-largest, largest)
             axes.locator_params(axis="y", nbins=4)
     else:
+        style_axes(axes, y=_label(panel.y_label, unit))
         axes.margins(y=0.08)
-        _draw_legend(axes, panel, width)
+        _draw_legend(axes, panel, columns)
     power_ticks(axes.yaxis)
 
 
@@ -187,16 +203,12 @@ def _style(curve: Curve, index: int, *, measured_line: bool, several: bool) -> d
     light, dark = PALETTE.pair(index)
     mark = MARKS[index % len(MARKS)]
     if curve.kind == "measured":
-        return {"color": light, "linewidth": 2.6} if curve.line else _marks(mark, light, light, 5)
+        return _line(light, 2.6, "-") if curve.line else _marks(mark, light, light, 5)
     if curve.kind == "masked":
         return _line(PALETTE.grid, 7.0, "-") if curve.line else _marks(mark, PALETTE.faint, "none", 4.5)
     if curve.kind == "fit":
-        colour = dark if several else PALETTE.pair(0)[1]
-        return (
-            _line(colour, 1.5, DOTS if measured_line else "-")
-            if curve.line
-            else _marks("x", colour, colour, 6)
-        )
+        colour, dashes = dark if several else PALETTE.pair(0)[1], DOTS if measured_line else "-"
+        return _line(colour, 1.5, dashes) if curve.line else _marks("x", colour, colour, 6)
     mark, dashes, pair = CORRECTED if curve.kind == "corrected" else COMPARED[index % len(COMPARED)]
     colour = PALETTE.pair(pair)[1]
     return _line(colour, 1.3, dashes) if curve.line else _marks(mark, colour, "none", 5)
@@ -214,13 +226,13 @@ def _line(colour: str, width: float, dashes: Any) -> dict[str, Any]:
 
 def _draw_curve(axes: Axes, panel: Panel, curve: Curve, style: dict[str, Any]) -> None:
     x, y = curve.x / panel.x_unit[1], curve.y / panel.y_unit[1]
+    if curve.band is not None:
+        low, high = (end / panel.y_unit[1] for end in curve.band)
+        axes.fill_between(x, low, high, color=style["color"], alpha=0.2, linewidth=0)
     if curve.line and curve.error is None and bool(np.all(np.diff(x) > 0)):
         x, y = decimate(x, y)
     if len(x) > CLOUD and not curve.line:
         style = style | {"rasterized": True, "markersize": 1.6, "markeredgewidth": 0.3}
-    if curve.band is not None:
-        low, high = (end / panel.y_unit[1] for end in curve.band)
-        axes.fill_between(curve.x / panel.x_unit[1], low, high, color=style["color"], alpha=0.2, linewidth=0)
     label = typeset(curve.label) or None
     if curve.error is None:
         axes.plot(x, y, label=label, **style)
@@ -231,38 +243,106 @@ def _draw_curve(axes: Axes, panel: Panel, curve: Curve, style: dict[str, Any]) -
     axes.errorbar(x, y, error, label=label, capsize=2.5, elinewidth=1.1, ecolor=dark, **style)
 
 
-def _labels(panel: Panel) -> list[str]:
-    """The different entries of the legend in its order."""
-    ordered = sorted(panel.curves, key=lambda c: LEGEND_ORDER.index(c.kind))
-    return list(dict.fromkeys(typeset(c.label) for c in ordered if c.label))
-
-
-def _legend_columns(panel: Panel, width: float) -> int:
-    """Entries of the legend per line over axes of this width [in]: all in one line if they fit."""
-    widths = [0.062 * len(label) + 0.53 for label in _labels(panel)]
-    return len(widths) if sum(widths) <= width else max(1, int(width / max(widths)))
-
-
-def _legend_lines(panel: Panel, width: float) -> int:
-    """Lines of the legend over axes of this width [in]."""
-    return -(-len(_labels(panel)) // _legend_columns(panel, width)) if _labels(panel) else 0
-
-
-def _draw_legend(axes: Axes, panel: Panel, width: float) -> None:
-    """Legend above the panel, ordered from left to right, line by line."""
-    labels = _labels(panel)
-    if not labels:
-        return
-    handles, names = axes.get_legend_handles_labels()
-    by_label = dict(zip(names, handles, strict=True))
-    columns = _legend_columns(panel, width)
+def _draw_legend(axes: Axes, panel: Panel, columns: int) -> None:
+    """Title and legend above the panel, ordered from left to right, line by line."""
+    lines = _legend_lines(panel, columns) or [[]]
     # matplotlib fills column by column
-    order = [label for k in range(columns) for label in labels[k::columns]]
-    style = {"borderaxespad": 0.1, "handlelength": 2.4, "columnspacing": 1.4, "ncols": columns}
-    entries = legend(axes, handles=[by_label[label] for label in order], labels=order, **style).legend_handles
-    for entry in entries:
+    order = [line[k] for k in range(len(lines[0])) for line in lines if k < len(line)]
+    handles = {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    shown = legend(
+        axes,
+        handles=[handles[label] for label in order],
+        labels=order,
+        ncols=max(1, len(lines[0])),
+        title=panel.title or None,
+        title_fontsize=9,
+        alignment="left",
+        borderaxespad=0.1,
+        borderpad=0.2,
+        handlelength=2.4,
+        columnspacing=1.4,
+    )
+    shown.get_title().set_color(PALETTE.ink)
+    for entry in shown.legend_handles:
         if isinstance(entry, Line2D):
             entry.set_markersize(max(entry.get_markersize(), MIN_MARK))
+
+
+# ---- a predicted recording
+
+JOINT_FIGURES = {"swing": 10, "stick": 11, "boom": 0}  # number in the paper, which has none of the boom
+CYLINDER = ("boom_stick", "flow into head", "head_flow", {"head_pressure": "head", "rod_pressure": "rod"})
+# joint -> label of a panel -> signals and labels of its curves, as in the paper's Figs. 10 and 11
+SIGNALS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
+    joint: {
+        "command": {f"{part}.{joint}_command": ""},
+        "angle": {f"manipulator.{joint}_angle": ""},
+        "speed": {f"manipulator.{joint}_speed": ""},
+        flow: {f"{part}.{joint}_{meter}": ""},
+        "pressure": {f"{part}.{joint}_{port}": label for port, label in ports.items()},
+    }
+    for joint, part, flow, meter, ports in (
+        ("swing", "swing", "flow into A", "flow_a", {"pressure_a": "line A", "pressure_b": "line B"}),
+        ("boom", *CYLINDER),
+        ("stick", *CYLINDER),
+    )
+}
+
+
+def joint_figure(comparison: RecordingComparison, joint: str) -> TraceFigure:
+    """Command, angle, speed, flow and pressures of a joint, if they were measured."""
+    recording, time = comparison.recording, comparison.recording.time
+    panels = [
+        _trace_panel(label, measured, comparison)
+        for label, curves in SIGNALS[joint].items()
+        if (measured := {n: curve for n, curve in curves.items() if n in comparison.measured})
+    ]
+    return TraceFigure(
+        panels,
+        (float(time[0]), float(time[-1])),
+        f"{joint.capitalize()}: {recording.title}",
+        footer(JOINT_FIGURES[joint], [recording.kind]),
+        (("measured", REFERENCE), ("predicted", SIMULATION)),
+    )
+
+
+def _trace_panel(label: str, curves: Mapping[str, str], comparison: RecordingComparison) -> TracePanel:
+    """Signals of one quantity with their residuals and NRMSE; a command is an input and has none."""
+    time, unit = comparison.recording.time, display_unit(comparison.units[next(iter(curves))])
+    lines, residuals, remarks = list[TraceLine](), list[TraceLine](), list[tuple[str, str]]()
+    areas = list[TraceArea]()
+    for index, (signal, curve) in enumerate(curves.items()):
+        light, dark = PALETTE.pair(index)
+        measured = comparison.measured[signal]
+        if signal not in comparison.predicted:
+            lines.append(TraceLine(time, unit.factor * measured, {"color": dark, "linewidth": 1.2}))
+            continue
+        predicted = comparison.predicted[signal]
+        broad, dotted = {"color": light, "linewidth": 2.6}, {**SIMULATION, "color": dark}
+        lines.append(TraceLine(time, unit.factor * measured, broad, curve, "measured"))
+        lines.append(TraceLine(time, unit.factor * predicted, dotted, curve, "predicted"))
+        if signal in comparison.sd:
+            low, high = (unit.factor * end for end in comparison.band(signal))
+            areas.append(TraceArea(time, low, high, light, "95 % band"))
+        residuals.append(TraceLine(time, unit.factor * (measured - predicted), {"color": dark}, curve))
+        if (error := nrmse(measured, predicted)) is not None:
+            remarks.append((f"{curve}\nNRMSE {percentage(error)}".strip(), dark))
+    return TracePanel(
+        unit.display,
+        lines,
+        label,
+        errors=residuals,
+        error_label="residual",
+        error_unit=unit.display,
+        remarks=remarks,
+        areas=areas,
+        heights=(2.7 if residuals else 1.6, 1.2),
+    )
+
+
+# ---- correlations
+
+LARGE_CORRELATION = 0.3  # magnitude above which a correlation is printed
 
 
 def draw_correlation(names: Sequence[str], correlation: Array) -> Figure:
@@ -271,25 +351,24 @@ def draw_correlation(names: Sequence[str], correlation: Array) -> Figure:
     size = 2.9 + 0.30 * count
     figure = new_figure(min(size + 1.0, 11), min(size, 10.4))
     axes = figure.add_subplot()
-    lower = np.where(np.tri(count, k=-1, dtype=bool), correlation, np.nan)[1:, :-1]
-    cells = np.argwhere(np.isfinite(lower))
-    squares = [Rectangle((float(j), float(i)), 1, 1) for i, j in cells]
+    rows, columns = np.tril_indices(count - 1)
+    cells = [(j, i, r) for i, j in zip(rows, columns, strict=True) if np.isfinite(r := correlation[i + 1, j])]
+    squares = [Rectangle((float(x), float(y)), 1, 1) for x, y, _ in cells]
     image = PatchCollection(squares, cmap="RdBu_r", edgecolor=PALETTE.grid, linewidth=0.6)
-    image.set_array(lower[cells[:, 0], cells[:, 1]])
+    image.set_array([r for *_, r in cells])
     image.set_clim(-1, 1)
     axes.add_collection(image)
-    axes.set(xlim=(0, count - 1), ylim=(count - 1, 0))
-    axes.set_aspect("equal")
+    for x, y, r in cells:
+        if abs(r) >= LARGE_CORRELATION:
+            colour = "#ffffff" if abs(r) > 0.65 else "#000000"
+            place: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6.5}
+            axes.text(x + 0.5, y + 0.5, f"{r:.1f}".replace("-", MINUS), color=colour, **place)
+    axes.set(xlim=(0, count - 1), ylim=(count - 1, 0), aspect="equal")
     axes.spines[:].set_visible(False)
     ticks = np.arange(count - 1) + 0.5
     axes.set_xticks(ticks, names[:-1], rotation=55, ha="right", rotation_mode="anchor", fontsize=7.5)
     axes.set_yticks(ticks, names[1:], fontsize=7.5)
     axes.tick_params(length=0, colors=PALETTE.ink)
-    for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(lower)) >= LARGE_CORRELATION), strict=True):
-        value = lower[i, j]
-        colour = "#ffffff" if abs(value) > 0.65 else "#000000"
-        text = f"{value:.1f}".replace("-", MINUS)
-        axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=6.5, color=colour)
     bar = figure.colorbar(image, ax=axes, shrink=0.5, aspect=25, pad=0.02)
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=8, colors=PALETTE.ink, length=2)
