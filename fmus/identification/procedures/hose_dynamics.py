@@ -19,9 +19,9 @@ One Savitzky-Golay filter gives the derivatives and smooths the other signals. S
 are left out, because the ratio is undetermined. Noise of the derivative biases the ratio towards zero, and it
 includes what the lumped model neglects (the position s).
 
-If an equation does not fit, the delay of one logger against the other is searched for, as that of each group
-of signals with which plain least squares leave least of both equations. A delay that noise does not explain is
-taken out of the recordings, and its error is in the intervals: 1 ms between the flows is half of C.
+If an equation does not fit, the delay between two loggers is searched for: signals and time with which plain
+least squares leave least of both equations. A delay that noise does not explain is taken out of the
+recordings, and its error is in the intervals: 1 ms between the flows is half of C.
 
 Validity: changes below the frequency of eq. (3), C_0/(2 pi l), above which a hose is not a single lump.
 Windows of four periods of this frequency to each side pass what is below a quarter of it. Recordings with
