@@ -616,23 +616,31 @@ def model_finding(solution: Solution, label: str) -> Finding:
     return Finding("model", min(1.0, 2 * too_large, 2 * LAGS * correlated), sentence)
 
 
-def shift_finding(
-    solution: Solution, sensors: Collection[str], step: float, label: str, given: Sequence[str] = ()
-) -> Finding:
-    """Whether some sensors are late against the others, by more than `SHIFT` sample times `step` [s].
+def delay(
+    solution: Solution, sensors: Collection[str], steps: Sequence[float], given: Sequence[str] = ()
+) -> tuple[float, float]:
+    """Time [s] by which some sensors are late against the others, to first order, and its standard deviation.
 
+    steps   sampling period of each recording [s]
     given   tested unknowns that are estimated together with the delay
     """
     rows = []
-    for s, part in zip(solution.samples, solution.parts, strict=True):
-        smooth = savgol_filter(s.raw, min(9, s.raw.shape[1] - 1 | 1), 3, deriv=1, axis=1)
+    for s, part, step in zip(solution.samples, solution.parts, steps, strict=True):
+        slope = savgol_filter(s.raw, min(9, s.raw.shape[1] - 1 | 1), 3, deriv=1, delta=step, axis=1)
         late = [k for k, name in enumerate(s.sensors) if name in sensors]
-        rows.append(np.einsum("krml,kml->rm", part.linear.g[late], s.windows(smooth[late])))
+        rows.append(np.einsum("krml,kml->rm", part.linear.g[late], s.windows(slope[late])))
     columns = solution.whitened(rows)[None]
     if not np.any(solution.without(columns)):
-        return Finding("time shift", 1.0, label)
+        return 0.0, math.inf
     value, covariance = solution.effects(np.array([*columns, *(solution.column(n) for n in given)]))
-    late_by, sd = float(value[0]) * step, math.sqrt(covariance[0, 0]) * step
+    return float(value[0]), math.sqrt(covariance[0, 0]) or math.inf
+
+
+def shift_finding(
+    solution: Solution, sensors: Collection[str], step: float, label: str, given: Sequence[str] = ()
+) -> Finding:
+    """Whether some sensors are late against the others, by more than `SHIFT` sample times `step` [s]."""
+    late_by, sd = delay(solution, sensors, [step] * len(solution.samples), given)
     return Finding(
         "time shift",
         probability(late_by, sd, SHIFT * step),

@@ -19,6 +19,10 @@ One Savitzky-Golay filter gives the derivatives and smooths the other signals. S
 are left out, because the ratio is undetermined. Noise of the derivative biases the ratio towards zero, and it
 includes what the lumped model neglects (the position s).
 
+If an equation does not fit, the delay between two loggers is searched for: signals and time with which plain
+least squares leave least of both equations. A delay that noise does not explain is taken out of the
+recordings, and its error is in the intervals: 1 ms between the flows is half of C.
+
 Validity: changes below the frequency of eq. (3), C_0/(2 pi l), above which a hose is not a single lump.
 Windows of four periods of this frequency to each side pass what is below a quarter of it. Recordings with
 fewer than 2.5 samples per period are refused.
@@ -29,23 +33,27 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+from scipy import optimize
+from scipy.ndimage import shift
 
 from fmus.components import hose
 from fmus.identification.balance import (
+    HOP,
+    SHIFT,
     Law,
     Samples,
     Solution,
+    delay,
     drift_finding,
     homogeneity,
     law,
     model_finding,
     modulating_function,
     noise_of,
-    shift_finding,
+    probability,
     solve,
     window_starts,
     zero_findings,
@@ -68,7 +76,7 @@ from fmus.identification.procedures.experiment_data import (
 from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.procedures.regression import SIGNIFICANT, UNLIKELY, Regression, misfit_remark
 from fmus.identification.recordings.clock import filter_for, period, uniform_rate
-from fmus.identification.recordings.masks import good_all
+from fmus.identification.recordings.masks import good, good_all
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -98,27 +106,31 @@ LINES = {
 MIN_WINDOWS = 20  # per group: fewer do not determine five unknowns
 DEFINITION_WINDOW = 0.055  # s, filter for the definitions: a third of the shortest change
 DEFINITION_SAMPLES = 4  # intervals in that filter at least: more than the degree of its polynomial
+LOGGERS: tuple[Sequence[str], ...] = (  # signals that may have another logger than the others
+    ("pressure_in", "pressure_out"),
+    ("pressure_out", "flow_out"),
+    *((name,) for name in SIGNALS),
+)
+DELAYS = 11  # that are tried, up to the distance of neighbouring windows
 POSITION = 1.0  # standard deviation of the prior of s, which is between 0 and 1
 CLEAR = 0.3  # derivatives above this fraction of the recording's largest one are used in the definitions
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Inertance and capacitance of the stick's, the boom's and the swing's lines from the tested hose."""
-    groups = training_recordings(recordings, "hose_dynamics", SIGNALS)
-    length, bore = hose_size(groups)
-    for group in groups:
-        _check_flows(group)
-    # resistance of the tested hose from that of the stick's hose, eq. (10)
-    names = (f"boom_stick.stick_hose_{name}" for name in ("resistance", "length", "bore"))
-    stick_resistance, stick_length, stick_bore = (parameter_value(parameters, name) for name in names)
-    resistance = scaled(stick_resistance, stick_length, stick_bore, length, bore)
-    inertances, capacitances = _fit_both(groups, parameters, length, bore, resistance)
-    defined = [by_definition(group, resistance) for group in groups]
+    tests = training_recordings(recordings, "hose_dynamics", SIGNALS)
+    length, bore = hose_size(tests)
+    both = equations(parameters, length, bore)
+    for test in tests:
+        _check(test, both[0])
+    aligned = align(both, tests)
+    inertances, capacitances = (fits(*own, aligned) for own in zip(both, aligned.solutions, strict=True))
+    defined = [by_definition(group, both[0].start["C_R"]) for group in aligned.groups]
     return ProcedureResult(
         procedure="hose_dynamics",
         title=f"Hose inertance and capacitance: {length:g} m, bore {bore * 1e3:.4g} mm",
         figure=7,
-        estimates=(*_lines(inertances, groups, parameters), *_lines(capacitances, groups, parameters)),
+        estimates=(*_lines(inertances, tests, parameters), *_lines(capacitances, tests, parameters)),
         panels=(
             _groups_panel(inertances, [i for i, _ in defined], "inertance [kg/m4]"),
             _groups_panel(capacitances, [c for _, c in defined], "capacitance [m3/Pa]"),
@@ -127,88 +139,234 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         ),
         remarks=(
             *_remarks(inertances, capacitances),
-            constants_remark(parameters, ["density", "bulk_modulus"], tested_density(groups)),
+            constants_remark(parameters, ["density", "bulk_modulus"], tested_density(tests)),
         ),
         others=tuple(_others(inertances, capacitances, defined)),
-        findings=tuple(_findings(inertances, capacitances)),
+        findings=(
+            *_findings(inertances, capacitances, aligned),
+            *signal_findings(tests, SIGNALS, "hose_dynamics"),
+        ),
     )
 
 
-def _check_flows(group: Recording) -> None:
-    """Refuse constant flows, and meters at the two ends that count in opposite directions."""
-    ends = [group[name] for name in ("flow_in", "flow_out")]
+@dataclass(frozen=True)
+class Equation:
+    """The law of one quantity, "I" or "C", with the start of its search and its windows.
+
+    start             initial value of each unknown
+    half_width        of the windows [s]
+    transition_flow   at which |Q| is rounded [m3/s]
+    """
+
+    name: str
+    law: Law
+    start: Mapping[str, float]
+    half_width: float
+    transition_flow: float
+
+
+def equations(parameters: Mapping[str, Number], length: float, bore: float) -> tuple[Equation, Equation]:
+    """Both equations of a hose; |Q| is rounded as in `spool_valve.turbulent_drop`."""
+    density, modulus, known = (
+        parameter_value(parameters, f"boom_stick.{name}")
+        for name in ("density", "bulk_modulus", "valve_transition_flow")
+    )
+    # resistance of the tested hose from that of the stick's hose, eq. (10)
+    resistance, stick_length, stick_bore = (
+        parameter_value(parameters, f"boom_stick.stick_hose_{name}")
+        for name in ("resistance", "length", "bore")
+    )
+    half_width = PERIODS / float(hose.frequency_limit(length, density, modulus))
+    z, transition = ca.SX.sym("z", 4), ca.SX.sym("transition")
+    p_in, p_out, q_in, q_out = ca.vertsplit(z)
+    u = {name: ca.SX.sym(name) for name in ("I", "C_R", "R", "s", "C")}
+    flow, pressure = q_in + u["s"] * (q_out - q_in), p_out + u["s"] * (p_in - p_out)
+    friction = flow * (u["R"] + u["C_R"] * ca.sqrt(flow**2 + transition**2))
+    inertance = {
+        "I": float(hose.inertance(length, bore, density)),
+        "C_R": scaled(resistance, stick_length, stick_bore, length, bore),
+        "R": 0.0,
+        "s": 0.0,
+    }
+    capacitance = {"C": float(hose.capacitance(length, bore, modulus)), "s": 0.0}
+    terms = (
+        (inertance, p_in - p_out - friction, u["I"] * flow),
+        (capacitance, q_in - q_out, u["C"] * pressure),
+    )
+    first, second = (
+        Equation(
+            next(iter(start)), law(z, {n: u[n] for n in start}, transition, f, h), start, half_width, known
+        )
+        for start, f, h in terms
+    )
+    return first, second
+
+
+def _check(test: Recording, equation: Equation) -> None:
+    """Refuse constant flows, meters that count in opposite directions, too few samples."""
+    ends = [test[name] for name in ("flow_in", "flow_out")]
     valid = np.isfinite(ends[0]) & np.isfinite(ends[1])
     inlet, outlet = (flow[valid] for flow in ends)
     if inlet.size and not np.ptp(inlet) > 0:
-        raise Problem(f"{group.source}: flow_in: expected fast changes of flow and pressure, got a constant")
+        raise Problem(f"{test.source}: flow_in: expected fast changes of flow and pressure, got a constant")
     if inlet @ outlet < 0:
         raise Problem(
-            f"{group.source}: flow_in, flow_out: expected both positive from inlet to outlet, got "
+            f"{test.source}: flow_in, flow_out: expected both positive from inlet to outlet, got "
             "opposite signs"
+        )
+    rate, limit = uniform_rate(test), PERIODS / equation.half_width
+    if rate < SAMPLES_PER_PERIOD * limit:
+        raise Problem(
+            f"{test.source}: sampling rate: expected {SAMPLES_PER_PERIOD * limit:.0f} Hz or more, got "
+            f"{rate:.0f} Hz: the hose oscillates at up to {limit:.0f} Hz, which would be aliased"
+        )
+    windows = prepared(test, equation).starts.size
+    if windows < MIN_WINDOWS:
+        raise Problem(
+            f"{test.source}: {windows} windows without a bad sample (gap, clipped, dead zone), "
+            f"expected at least {MIN_WINDOWS}"
         )
 
 
-def _fit_both(
-    groups: Sequence[Recording],
-    parameters: Mapping[str, Number],
-    length: float,
-    bore: float,
-    resistance: float,
-) -> tuple[GroupFits, GroupFits]:
-    """Fits of the inertance and of the capacitance."""
-    density = parameter_value(parameters, "boom_stick.density")
-    modulus = parameter_value(parameters, "boom_stick.bulk_modulus")
-    limit = float(hose.frequency_limit(length, density, modulus))
-    for group in groups:
-        rate = uniform_rate(group)
-        if rate < SAMPLES_PER_PERIOD * limit:
-            raise Problem(
-                f"{group.source}: sampling rate: expected {SAMPLES_PER_PERIOD * limit:.0f} Hz or more, got "
-                f"{rate:.0f} Hz: the hose oscillates at up to {limit:.0f} Hz, which would be aliased"
-            )
-    known = parameter_value(parameters, "boom_stick.valve_transition_flow")
-    start = {"I": float(hose.inertance(length, bore, density)), "C_R": resistance, "R": 0.0, "s": 0.0}
-    inertances = fits("I", inertance_law(), groups, start, PERIODS / limit, known)
-    start = {"C": float(hose.capacitance(length, bore, modulus)), "s": 0.0}
-    return inertances, fits("C", capacitance_law(), groups, start, PERIODS / limit, known)
-
-
-@lru_cache(maxsize=1)
-def inertance_law() -> Law:
-    """I dQ/dt = P_in - P_out - R Q - C_R Q|Q|; |Q| is rounded as in `spool_valve.turbulent_drop`."""
-    z, transition = ca.SX.sym("z", 4), ca.SX.sym("transition")
-    u = {name: ca.SX.sym(name) for name in ("I", "C_R", "R", "s")}
-    flow = z[2] + u["s"] * (z[3] - z[2])
-    friction = flow * (u["R"] + u["C_R"] * ca.sqrt(flow**2 + transition**2))
-    return law(z, u, transition, z[0] - z[1] - friction, u["I"] * flow)
-
-
-@lru_cache(maxsize=1)
-def capacitance_law() -> Law:
-    """C dP/dt = Q_in - Q_out."""
-    z, transition = ca.SX.sym("z", 4), ca.SX.sym("transition")
-    u = {name: ca.SX.sym(name) for name in ("C", "s")}
-    return law(z, u, transition, z[2] - z[3], u["C"] * (z[1] + u["s"] * (z[0] - z[1])))
-
-
-def prepared(recording: Recording, model: Law, half_width: float, transition_flow: float) -> Samples:
-    """The four signals of a recording over windows of good samples; `half_width` in s."""
+def prepared(recording: Recording, equation: Equation) -> Samples:
+    """The four signals of a recording over windows of good samples."""
     rate = uniform_rate(recording)
-    half = max(round(half_width * rate), 3)
+    half = max(round(equation.half_width * rate), 3)
     bump, slope = modulating_function(half)
     raw = np.array([recording.interpolated(n) for n in SIGNALS])
     return Samples(
-        law=model,
-        names=model.unknowns,
+        law=equation.law,
+        names=equation.law.unknowns,
         sensors=tuple(SIGNALS),
         raw=raw,
         sd=noise_of(raw, np.array([noise_sd(recording, n) for n in SIGNALS])),
         channels=[(k, np.ones(1)) for k in range(4)],
-        known=np.array([transition_flow]),
+        known=np.array([equation.transition_flow]),
         bump=bump / rate,
         slope=slope,
         starts=window_starts(good_all(recording, SIGNALS), half),
     )
+
+
+def solved(equation: Equation, groups: Sequence[Recording]) -> Solution:
+    """Fit of one equation to some recordings."""
+    return solve(
+        [prepared(group, equation) for group in groups],
+        equation.start,
+        f"hose_dynamics, {equation.name}",
+        zero_limits(groups, SIGNALS),
+        priors={"s": POSITION},
+    )
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Recordings without the delay of a logger, if there is one.
+
+    groups      the recordings; samples that are not good are gaps if a delay is taken out
+    solutions   fit of each equation to all of them
+    later       the recordings with a delay that is one standard deviation larger; empty if none is taken out
+    finding     of the delay
+    """
+
+    groups: Sequence[Recording]
+    solutions: Sequence[Solution]
+    later: Sequence[Recording]
+    finding: Finding
+
+
+def align(both: Sequence[Equation], tests: Sequence[Recording]) -> Aligned:
+    """The recordings without the delay of a logger, if noise does not explain it.
+
+    A delay is searched for only if an equation does not fit.
+    """
+    steps = [1 / uniform_rate(test) for test in tests]
+    plain = fitted = _attempt(both, tests)
+    late, delayed = LOGGERS[0], 0.0
+    if plain is None or any(solution.fit.misfit for solution in plain):
+        late, delayed = _search(both, tests)
+        fitted = _attempt(both, [_without(test, late, delayed) for test in tests])
+    changes = [delay(solution, late, steps) for solution in fitted or ()]
+    change, sd = min(changes, key=lambda found: found[1], default=(0.0, math.inf))
+    delayed += change
+    p = min(1.0, len(LOGGERS) * probability(delayed, sd, SHIFT * max(steps)))
+    milliseconds = f"{1e3 * delayed:.3g} +- {1e3 * sd:.2g} ms"
+    sentence = f"hose_dynamics: {', '.join(late)} would have to be {milliseconds} late"
+    if p > UNLIKELY:
+        solutions = plain or [solved(equation, tests) for equation in both]
+        return Aligned(tests, solutions, (), Finding("time shift", p, sentence))
+    groups, later = ([_without(test, late, x) for test in tests] for x in (delayed, delayed + sd))
+    finding = Finding("time shift", p, f"{sentence}; the estimates are without this delay")
+    return Aligned(groups, [solved(equation, groups) for equation in both], later, finding)
+
+
+def _attempt(both: Sequence[Equation], groups: Sequence[Recording]) -> list[Solution] | None:
+    """Fit of each equation; None if one does not converge."""
+    try:
+        return [solved(equation, groups) for equation in both]
+    except Problem:
+        return None
+
+
+def _without(recording: Recording, late: Sequence[str], delayed: float) -> Recording:
+    """The good samples of a recording in which some signals are late by a time [s], without this delay."""
+    samples, signals = delayed * uniform_rate(recording), dict(recording.signals)
+    for name in SIGNALS:
+        usable, values = good(recording, name), interpolated(recording[name])
+        if name in late:
+            values = shift(values, -samples, mode="nearest")
+            usable = shift(usable.astype(float), -samples, order=1) > 1 - 1e-9
+        signals[name] = np.where(usable, values, np.nan)
+    return replace(recording, signals=signals)
+
+
+def _search(both: Sequence[Equation], tests: Sequence[Recording]) -> tuple[Sequence[str], float]:
+    """Sensors with one logger, and their delay [s] against the others with which both equations fit best."""
+    every = [(equation, [_inner(prepared(test, equation)) for test in tests]) for equation in both]
+    if any(s.starts.size < MIN_WINDOWS for _, samples in every for s in samples):
+        return LOGGERS[0], 0.0
+    rates = [uniform_rate(test) for test in tests]
+    longest = HOP * both[0].half_width
+    grid = np.linspace(-longest, longest, DELAYS)
+
+    def misfit(delayed: float, late: Sequence[str]) -> float:
+        return sum(_misfit(equation, samples, rates, late, delayed) for equation, samples in every)
+
+    nearest, late = min(((x, late) for late in LOGGERS for x in grid), key=lambda tried: misfit(*tried))
+    around = nearest + (grid[1] - grid[0]) * np.array([-1, 1])
+    found = optimize.minimize_scalar(
+        misfit, bounds=around, args=(late,), options={"xatol": 1e-2 / max(rates)}
+    )
+    return late, float(found.x)
+
+
+def _inner(s: Samples) -> Samples:
+    """The windows whose neighbours are without a bad sample, too."""
+    hop = max(round(HOP * (s.bump.size + 1) / 2), 1)
+    return replace(s, starts=s.starts[np.isin(s.starts - hop, s.starts) & np.isin(s.starts + hop, s.starts)])
+
+
+def _misfit(
+    equation: Equation,
+    samples: Sequence[Samples],
+    rates: Sequence[float],
+    late: Sequence[str],
+    delayed: float,
+) -> float:
+    """Logarithm of the squares that plain least squares leave of an equation, linear about its start."""
+    columns, theta = [], np.array([*equation.start.values()])
+    for s, rate in zip(samples, rates, strict=True):
+        rows = [k for k, name in enumerate(s.sensors) if name in late]
+        raw = s.raw.copy()
+        raw[rows] = shift(raw[rows], (0, -delayed * rate), mode="nearest")
+        both, _, by_theta = (x.full() for x in s.law.terms(raw, theta, s.known))
+        force, momentum = np.concatenate([both[None], by_theta.reshape(theta.size, 2, -1)]).swapaxes(0, 1)
+        ones = np.full((1, s.starts.size), s.weight)
+        columns.append(np.concatenate([s.integral(force, momentum), ones]))
+    e, *x = np.concatenate(columns, axis=1)
+    matrix = np.array(x).T / np.maximum(np.linalg.norm(x, axis=1), 1e-300)
+    left = e - matrix @ np.linalg.lstsq(matrix, e)[0]
+    return math.log(max(float(left @ left), 1e-300))
 
 
 @dataclass(frozen=True)
@@ -224,7 +382,6 @@ class GroupFits:
     solution: Solution
     pooled: Regression
     homogeneity: float
-    recordings: tuple[Recording, ...]
 
     @property
     def determined(self) -> bool:
@@ -232,56 +389,42 @@ class GroupFits:
         return self.pooled.determined(self.name)
 
 
-def fits(
-    name: str,
-    model: Law,
-    groups: Sequence[Recording],
-    start: Mapping[str, float],
-    half_width: float,
-    transition_flow: float,
-) -> GroupFits:
+def fits(equation: Equation, solution: Solution, aligned: Aligned) -> GroupFits:
     """Fits of all groups and of each."""
-    samples = [prepared(group, model, half_width, transition_flow) for group in groups]
-    for group, own in zip(groups, samples, strict=True):
-        if own.starts.size < MIN_WINDOWS:
-            raise Problem(
-                f"{group.source}: {own.starts.size} windows without a bad sample (gap, clipped, dead zone), "
-                f"expected at least {MIN_WINDOWS}"
-            )
-    limits = zero_limits(groups, SIGNALS)
-
-    def fitted(some: Sequence[Samples]) -> Solution:
-        return solve(some, start, f"hose_dynamics, {name}", limits, priors={"s": POSITION})
-
-    solution = fitted(samples)
-    alone = tuple(fitted([own]).fit for own in samples) if len(samples) > 1 else (solution.fit,)
-    pooled, values = solution.fit, [group[name] for group in alone]
-    probability = homogeneity(values, [group.sd(name) for group in alone]) if len(alone) > 1 else 1.0
+    name, groups, pooled = equation.name, aligned.groups, solution.fit
+    alone = [solved(equation, [group]).fit for group in groups] if len(groups) > 1 else [pooled]
     if pooled[name] < -SIGNIFICANT * pooled.sd(name):
         files = ", ".join(str(group.source) for group in groups)
         raise Problem(
             f"{files}: {name}: expected positive, got {pooled[name]:.3g}: change the sign of the "
             "flows, or exchange the two pressures"
         )
-    if probability < UNLIKELY:
+    values, chance = [group[name] for group in alone], 1.0
+    if len(alone) > 1:
+        chance = homogeneity(values, [group.sd(name) for group in alone])
+    if chance < UNLIKELY:
         scatter = float(np.std(values, ddof=1)) / math.sqrt(len(values))
         widening = max(1.0, scatter / pooled.sd(name))
         pooled = replace(pooled, covariance=pooled.covariance * widening**2)
-    return GroupFits(name, alone, solution, pooled, probability, tuple(groups))
+    if aligned.later:
+        change = solved(equation, aligned.later).fit.values - pooled.values
+        pooled = replace(pooled, covariance=pooled.covariance + np.outer(change, change))
+    return GroupFits(name, tuple(alone), solution, pooled, chance)
 
 
-def _findings(inertances: GroupFits, capacitances: GroupFits) -> Iterator[Finding]:
-    """Tests of both residuals: zeros, a change in time, a delay of the pressures, the model."""
+def _findings(inertances: GroupFits, capacitances: GroupFits, aligned: Aligned) -> Iterator[Finding]:
+    """Tests of both residuals: zeros, the model, a delay, a change in time."""
     for fits, quantity in ((inertances, "inertance"), (capacitances, "capacitance")):
         label = f"hose_dynamics, {quantity}"
         yield from zero_findings(fits.solution, label)
         yield model_finding(fits.solution, label)
-    solution, step = inertances.solution, [1 / uniform_rate(group) for group in inertances.recordings]
-    yield shift_finding(solution, ("pressure_in", "pressure_out"), step[0], "hose_dynamics")
-    every = zip(inertances.recordings, solution.samples, step, strict=True)
-    courses = [course(group, np.array(s.centres * dt, float)) for group, s, dt in every]
+    yield aligned.finding
+    solution = inertances.solution
+    courses = [
+        course(group, s.centres / uniform_rate(group))
+        for group, s in zip(aligned.groups, solution.samples, strict=True)
+    ]
     yield drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")
-    yield from signal_findings(inertances.recordings, SIGNALS, "hose_dynamics")
 
 
 def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ lines).
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -64,7 +64,6 @@ GUESS = 1e-12  # m3/(s.Pa), start of the search for a conductance; the law is li
 LITRE = LITRES_PER_MINUTE[1]
 
 
-@lru_cache(maxsize=1)
 def leakage_law() -> Law:
     """Both equations; pressures above the tank pressure."""
     z = ca.SX.sym("z", 4)
@@ -92,11 +91,6 @@ class SteadyPoints:
     along: Array
     word: str
 
-    @property
-    def size(self) -> int:
-        """Number of points."""
-        return int(self.means.shape[1])
-
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Internal and external leakage resistance."""
@@ -113,7 +107,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
     _check_signs(fit, points)
     # a resistance 1/g is only determined if the conductance g is clearly positive
     positive = [name for name in EQUATIONS if fit[name] > SIGNIFICANT * fit.sd(name)]
-    line = f"line through {points.size} steady points"
+    line = f"line through {points.recording.size} steady points"
     return ProcedureResult(
         procedure="motor_leakage",
         title="Leakage of the swing motor: flow over pressure",
@@ -129,7 +123,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         ),
         panels=panels(points, fit["internal"], fit["external"], [r.title for r in tests]),
         remarks=(
-            f"{points.size} stretches with steady pressures in {len(tests)} recordings are used.",
+            f"{points.recording.size} stretches with steady pressures in {len(tests)} recordings are used.",
             *misfit_remark(fit, "The linear law"),
             *_remarks(solution, points, positive, parameter_value(parameters, "swing.line_resistance")),
         ),

@@ -123,16 +123,17 @@ def steady_hose(seed, drop, flows=FLOWS):
     return [recording("hose_resistance", HOSE, signals, seed)]
 
 
-def moving_hose(seed, share=0.0, groups=2, length=10.0):
+def moving_hose(seed, share=0.0, groups=2, length=10.0, late=(), delay=0.0):
     """A hose with a flow and a pressure that are sums of sines; the other signals follow by its equations.
 
     share   position s of the flow of the inertance towards the outlet, and of the pressure of the capacitance
             towards the inlet; 0 in the machine's model
+    late    signals that are late by `delay` [s]
     """
-    return [_group([seed, i], i, share, length) for i in range(groups)]
+    return [_group([seed, i], i, share, length, late, delay) for i in range(groups)]
 
 
-def _group(seed, number, share, length):
+def _group(seed, number, share, length, late, delay):
     time = np.arange(round(length * RATE)) / RATE
     tones = np.array([0.7, 1.9, 3.1, 4.3]) * (1 + 0.1 * number)  # Hz
     phase = np.arange(4) * (1 + number)
@@ -155,6 +156,7 @@ def _group(seed, number, share, length):
         "flow_in": q + share * stored,
         "flow_out": q - (1 - share) * stored,
     }
+    signals |= {n: np.interp(time - delay, time, signals[n]) for n in late}
     return recording("hose_dynamics", HOSE, signals, seed)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from identification.procedures import bench
 
+from fmus.identification import finding
 from fmus.identification.balance import linearised, solve
 from fmus.identification.procedures import hose_dynamics
 from orchestrator.base.errors import Problem
@@ -41,23 +42,19 @@ def test_intervals_have_their_coverage(results, name, truth):
     bench.assert_coverage(truth, [bench.named(result)[name] for result in results])
 
 
-def alone(group, name, start, half_width=0.08, **fixed):
+INERTANCE, CAPACITANCE = hose_dynamics.equations(bench.KNOWN, bench.LENGTH, bench.BORE)
+
+
+def alone(group, equation, **fixed):
     """Samples of one group, and its fit; `fixed` unknowns keep their value."""
-    model = getattr(hose_dynamics, f"{name}_law")()
-    samples = hose_dynamics.prepared(group, model, half_width, bench.TRANSITION)
-    return samples, solve([samples], start | fixed, name, tested=fixed)
+    samples = hose_dynamics.prepared(group, equation)
+    return samples, solve([samples], {**equation.start, **fixed}, equation.name, tested=fixed)
 
 
-START = {
-    "inertance": {"I": bench.INERTANCE, "C_R": bench.RESISTANCE, "R": 0.0, "s": 0.0},
-    "capacitance": {"C": bench.CAPACITANCE, "s": 0.0},
-}
-
-
-@pytest.mark.parametrize("name", ["inertance", "capacitance"])
-def test_whitened_residuals_are_white(name):
+@pytest.mark.parametrize("equation", [INERTANCE, CAPACITANCE])
+def test_whitened_residuals_are_white(equation):
     """Close to the true parameters the whitened residuals have variance 1 and neighbours no correlation."""
-    solutions = [alone(group, name, START[name])[1] for group in bench.moving_hose(0, groups=6)]
+    solutions = [alone(group, equation)[1] for group in bench.moving_hose(0, groups=6)]
     white = np.concatenate([solution.residual for solution in solutions])
     # 4 standard deviations of n normal numbers' mean square and lag products; the fits take 4 of 240
     assert np.mean(white**2) == pytest.approx(1, abs=4 * np.sqrt(2 / white.size))
@@ -71,8 +68,8 @@ def test_noisy_regressors_do_not_bias_it_towards_zero():
     errors, plain = [], []
     for seed in range(12):
         group = noisier(bench.moving_hose(seed, groups=1)[0], wild, seed)
-        samples, solution = alone(group, "inertance", START["inertance"], 0.03, s=0.0)
-        at = linearised(samples, samples.raw, np.array(list(START["inertance"].values())))
+        samples, solution = alone(group, dataclasses.replace(INERTANCE, half_width=0.03), s=0.0)
+        at = linearised(samples, samples.raw, np.array(list(INERTANCE.start.values())))
         matrix = at.by_theta[:3, 0].T
         size = np.linalg.norm(matrix, axis=0)
         plain.append(bench.INERTANCE - (np.linalg.lstsq(matrix / size, at.e[0])[0] / size)[0])
@@ -117,10 +114,22 @@ def test_samples_in_the_dead_zone_are_in_no_window():
     group = bench.moving_hose(0, groups=1)[0]
     flow = group["flow_out"].copy()
     flow[500:900] = 0.0
-    samples = alone(bench.changed(group, {"flow_out": flow}), "capacitance", START["capacitance"])[0]
+    samples = alone(bench.changed(group, {"flow_out": flow}), CAPACITANCE)[0]
     size = samples.bump.size
     assert samples.starts.size > 100
     assert not np.any((samples.starts + size > 500) & (samples.starts < 900))
     still = bench.changed(group, {"flow_out": 0 * flow})
     with pytest.raises(Problem, match=r"^hose_dynamics.csv: 0 windows[^\n]*$"):
         hose_dynamics.identify([still], bench.KNOWN)
+
+
+@pytest.mark.parametrize("late", [("pressure_out", "flow_out"), ("flow_in", "flow_out"), ("flow_out",)])
+def test_the_delay_of_a_logger_is_named_and_taken_out(late):
+    """Signals that are 12 ms (2.4 samples) late: only this is named, and both intervals hold the truth."""
+    result = hose_dynamics.identify(bench.moving_hose(1, late=late, delay=0.012), bench.KNOWN)
+    (fault,) = finding.named(result.findings)
+    assert fault.fault == "time shift"
+    found = bench.named(result)
+    for name, truth in (("I", bench.INERTANCE), ("C", bench.CAPACITANCE)):
+        assert abs(found[name].value - truth) < 4 * found[name].sd
+        assert found[name].sd < 0.05 * truth
