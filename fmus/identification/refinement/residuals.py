@@ -10,8 +10,8 @@ from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
+from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator
 from fmus.identification.refinement.measured_runs import MeasuredRun
-from fmus.identification.refinement.simulation import SimulationFailed, Simulator
 from orchestrator.data.table import Array
 
 LAGS = 40  # samples

@@ -8,15 +8,16 @@ follow this error, and the residuals do not show it. Its effect is therefore com
 noise is added to the inputs, and the change of the estimates follows from the linearisation at the optimum.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fmus.identification.refinement.compiled_model import SimulationFailed
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
 from fmus.identification.refinement.measured_runs import MeasuredRun, local_parabolas
 from fmus.identification.refinement.problem import FreeParameter
-from fmus.identification.refinement.shooting import Priors, Shooting
-from fmus.identification.refinement.simulation import SimulationFailed
+from fmus.identification.refinement.shooting import CondensedRun, Shooting
 from orchestrator.data.table import Array
 
 VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular
@@ -61,25 +62,28 @@ class Statistics:
         return np.asarray(self.covariance / np.outer(sd, sd))
 
 
-def statistics(solution: Solution, priors: Priors, input_covariance: Array) -> Statistics:
-    """Statistics at the end of a search; `input_covariance` is the contribution of the noise of inputs."""
-    parameters = len(priors.z)
-    segments = [s for run in solution.evaluation.runs for s in run]
-    weighted = np.concatenate([s.residual * s.factor for s in segments])
-    samples = sum(float(np.sum(1 / solution.scales.correlation_time[s.column])) for s in segments)
+def statistics(solution: Solution, prior_sd: Array, by_inputs: Array) -> Statistics:
+    """Statistics at the end of a search.
+
+    prior_sd    prior standard deviations of z
+    by_inputs   covariance that the noise of the inputs causes
+    """
+    parameters, segments, scales = len(prior_sd), solution.evaluation.segments, solution.scales
+    weighted = np.concatenate([s.residual / scales.sd[s.column] for s in segments])
+    samples = sum(float(np.sum(1 / scales.correlation_time[s.column])) for s in segments)
     initial_states = sum(len(run.top) for run in solution.linear.runs)
     degrees_of_freedom = max(1, round(samples) - parameters - initial_states)
     variance = float(weighted @ weighted) / degrees_of_freedom
     jacobian = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
-    prior = np.diag(1 / priors.z_sd**2 + 1 / VAGUE**2)
+    prior = np.diag(1 / prior_sd**2 + 1 / VAGUE**2)
     information = jacobian.T @ jacobian
     lengths = np.linalg.norm(jacobian, axis=0)
     singular = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
     smallest = float(singular[-1]) if len(jacobian) >= parameters else 0.0
     return Statistics(
-        covariance=_inverse(information / variance + prior) + input_covariance,
-        robust_covariance=_jackknife(solution, prior, _inverse(information + prior)) + input_covariance,
-        data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + input_covariance,
+        covariance=_inverse(information / variance + prior) + by_inputs,
+        robust_covariance=_jackknife(solution.linear.runs, prior, _inverse(information + prior)) + by_inputs,
+        data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + by_inputs,
         degrees_of_freedom=degrees_of_freedom,
         segments=len(segments),
         condition=float(singular[0]) / smallest if smallest > 0 else float("inf"),
@@ -98,21 +102,19 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray((vectors / np.maximum(eigenvalues, floor)) @ vectors.T * np.outer(scale, scale))
 
 
-def _jackknife(solution: Solution, prior: Array, inverse: Array) -> Array:
+def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Array:
     """Jackknife covariance over segments [CR3: Bell and McCaffrey 2002]; priors add their known variance.
 
     Each segment is left out in turn; the change of z is computed to first order.
     """
     changes: list[Array] = []
-    bottoms = [run.bottom[:, :-1].T @ run.bottom[:, :-1] for run in solution.linear.runs]
-    for run, segments in zip(solution.linear.runs, solution.evaluation.runs, strict=True):
+    bottoms = [run.bottom[:, :-1].T @ run.bottom[:, :-1] for run in runs]
+    for run in runs:
         nx = len(run.top)
         information = np.zeros((nx + len(prior), nx + len(prior)))
         information[nx:, nx:] = sum(bottoms, prior)
         information += run.top[:, :-1].T @ run.top[:, :-1]
-        for segment, recursion in zip(segments, run.recursion, strict=True):
-            assert segment.linear is not None
-            rows = segment.linear.condensed(recursion, segment.projected(segment))
+        for rows in run.blocks:
             contribution, gradient = rows[:, :-1].T @ rows[:, :-1], rows[:, :-1].T @ rows[:, -1]
             changes.append((_inverse(information - contribution) @ gradient)[nx:])
     count, all_changes = len(changes), np.array(changes)
@@ -121,15 +123,14 @@ def _jackknife(solution: Solution, prior: Array, inverse: Array) -> Array:
     return np.asarray((count - 1) / count * all_changes.T @ all_changes + inverse @ prior @ inverse)
 
 
-def input_covariance(shooting: Shooting, solution: Solution, priors: Priors) -> Array:
+def input_covariance(shooting: Shooting, solution: Solution) -> Array:
     """Covariance of z that the noise of the inputs causes, shape (np, np)."""
-    parameters = len(priors.z)
+    parameters = len(solution.z)
     if not any(run.input_noise for run in shooting.problem.training):
         return np.zeros((parameters, parameters))
     rng = np.random.default_rng(0)
     optimum, unbounded = solution.evaluation, (np.full(parameters, -np.inf), np.full(parameters, np.inf))
-    z = optimum.iterate.z
-    reference = solution.linear.step(z, unbounded, LARGEST_RADIUS)
+    reference = solution.linear.step(solution.z, unbounded, LARGEST_RADIUS)
     changes = []
     for _ in range(DRAWS):
         inputs = tuple(
@@ -137,11 +138,11 @@ def input_covariance(shooting: Shooting, solution: Solution, priors: Priors) -> 
             for run, u in zip(shooting.problem.training, shooting.inputs, strict=True)
         )
         try:
-            new = replace(shooting, inputs=inputs).evaluate(optimum.iterate, solution.scales, False)
+            new = replace(shooting, inputs=inputs).evaluate(optimum.z, optimum.starts, False)
         except SimulationFailed:
             continue
-        step = linearise(optimum, new, priors, shooting.detached).step(z, unbounded, LARGEST_RADIUS)
-        changes.append(step - reference)
+        changed = linearise(shooting, optimum, new, solution.scales)
+        changes.append(changed.step(solution.z, unbounded, LARGEST_RADIUS) - reference)
     draws = np.array(changes).reshape(-1, parameters)
     return np.asarray(draws.T @ draws / max(1, len(draws)))
 
