@@ -267,9 +267,9 @@ def _interface(model: ReducedModel) -> Interface:
     """The model in the form of an FMU interface, without start values: one library serves all values."""
 
     def variables(kind: Kind, names: Sequence[str], prefix: str = "") -> list[Variable]:
-        declared = [model.quantities[name] for name in names]
-        bare = [Quantity(q.unit, q.text, q.nominal) for q in declared]
-        return [Variable(prefix + name, kind, q, None) for name, q in zip(names, bare, strict=True)]
+        declared = {name: model.quantities[name] for name in names}
+        bare = {prefix + name: Quantity(q.unit, q.text, q.nominal) for name, q in declared.items()}
+        return [Variable(name, kind, q, None) for name, q in bare.items()]
 
     groups = [
         variables("FIXED", model.parameters),

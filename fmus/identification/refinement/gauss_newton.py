@@ -141,12 +141,7 @@ def minimise(
     Raises Problem if the start cannot be simulated.
     """
     outputs, bounds = len(shooting.problem.outputs), shooting.problem.bounds()
-    z = previous.z if previous else z
-    try:
-        current = shooting.evaluate(z, shooting.measured_starts(z))
-    except SimulationFailed as failed:
-        start = "cannot be simulated with the initial parameter values"
-        raise Problem(f"{shooting.problem.sub.name}: {start}: {failed}") from None
+    current = _evaluated(shooting, previous.z if previous else z)
     scales = current.scales(outputs, correlated=False)
     linear = linearise(shooting, current, current, scales)
     history, reason = list(previous.history) if previous else [], f"{iterations} iterations"
@@ -177,6 +172,15 @@ def minimise(
     except KeyboardInterrupt:
         reason = INTERRUPTED
     return Solution(current, linear, scales, tuple(history), reason)
+
+
+def _evaluated(shooting: Shooting, z: Array) -> Evaluation:
+    """The start of a search, from measured initial states."""
+    try:
+        return shooting.evaluate(z, shooting.measured_starts(z))
+    except SimulationFailed as failed:
+        start = "cannot be simulated with the initial parameter values"
+        raise Problem(f"{shooting.problem.sub.name}: {start}: {failed}") from None
 
 
 def _iteration(shooting: Shooting, current: Evaluation, number: int, remaining: float) -> Iteration:

@@ -28,14 +28,17 @@ from fmus.identification.refinement.gauss_newton import (
 )
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.problem import EstimationProblem
-from fmus.identification.refinement.residuals import SimulatedRun, Whiteness, simulate, whiteness
 from fmus.identification.refinement.shooting import Shooting, cut, parallel
 from fmus.identification.refinement.statistics import (
     VAGUE,
+    SimulatedRun,
     Statistics,
+    Whiteness,
     input_covariance,
+    simulate,
     statistics,
     unidentified,
+    whiteness,
 )
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
@@ -90,17 +93,14 @@ class RefinementResult:
         """Are the residuals correlated or larger than the sensors explain?"""
         return not all(w.white for w in self.whiteness.values() if np.isfinite(w.rms))
 
-    def estimates(
-        self, robust: bool | None = None, names: Mapping[str, str] | None = None
-    ) -> tuple[Estimate, ...]:
-        """One estimate per parameter.
+    def estimates(self, names: Mapping[str, str] | None = None) -> tuple[Estimate, ...]:
+        """One estimate per parameter; its interval comes from the scatter between segments if `robust`.
 
-        robust   whether intervals come from the scatter between segments; by default if `self.robust`
-        names    free parameter -> name of its estimate
+        names   free parameter -> name of its estimate
 
         Intervals end at a bound if that is nearer, and are open if the data do not determine the parameter.
         """
-        robust = self.robust if robust is None else robust
+        robust = self.robust
         basis = "errors over segments" if robust else "errors of independent residuals"
         runs = len(self.problem.training)
         note = f"joint refinement of {len(self.z)} parameters on {runs} recording{'s' * (runs > 1)}, {basis}"

@@ -8,13 +8,20 @@ from identification.refinement.oscillator import NOISE, TRUTH, problem, recordin
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from fmus.identification.estimate import coverage_factor
 from fmus.identification.refinement.measured_runs import smoothed
 from fmus.identification.refinement.multistart import EVERY, multistart, subsampled
 from fmus.identification.refinement.problem import FreeParameter
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
-from fmus.identification.refinement.residuals import SimulatedRun, excess, simulate, whiteness
 from fmus.identification.refinement.shooting import CondensedRun, correlation_time
-from fmus.identification.refinement.statistics import _jackknife, unidentified
+from fmus.identification.refinement.statistics import (
+    SimulatedRun,
+    _jackknife,
+    excess,
+    simulate,
+    unidentified,
+    whiteness,
+)
 
 
 @pytest.fixture(scope="module")
@@ -26,13 +33,13 @@ def refined() -> RefinementResult:
 def test_intervals_cover_the_truth() -> None:
     """Over 40 seeds of the noise, 95 % intervals cover the truth in 95 % of cases, by both covariances."""
     task = problem(run(recording()))
-    model, names = compiled(task), task.names
+    model, truth = compiled(task), np.log([TRUTH[name] for name in task.names])
     inside = {False: 0, True: 0}
     for seed in range(40):
         found = refine(problem(run(recording(seed))), model)
         for robust in inside:
-            estimates = found.estimates(robust)
-            inside[robust] += sum(e.low <= TRUTH[n] <= e.high for e, n in zip(estimates, names, strict=True))
+            half = coverage_factor(found.statistics.degrees(robust)) * found.statistics.sd(robust)
+            inside[robust] += int(np.sum(np.abs(found.z - truth) <= half))
     # 120 intervals, some of them correlated: 108 and less has a chance below 1 % at 95 %; a jackknife over
     # six segments errs to the safe side
     assert 109 <= inside[False] <= 119
@@ -79,7 +86,8 @@ def test_unidentifiable_pair_is_named(refined: RefinementResult) -> None:
 def test_prior_decides_where_the_data_are_silent() -> None:
     """With a prior on one of the pair both are estimated, that one with the prior's standard deviation."""
     found = refine(problem(run(recording()), free=PAIR, priors={"loss": (1.0, 0.1)}))
-    loss = found.estimates(False)[3]
+    assert not found.robust
+    loss = found.estimates()[3]
     # the data add nothing: prior to rounding of the information
     assert (loss.value, loss.sd) == (pytest.approx(1.0, abs=1e-3), pytest.approx(0.1, rel=1e-2))
     assert found.unidentified  # the sentences are about the data alone

@@ -12,8 +12,7 @@ from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.multistart import MultistartResult, RandomStart
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter
 from fmus.identification.refinement.refine import RefinementResult
-from fmus.identification.refinement.residuals import SimulatedRun, Whiteness
-from fmus.identification.refinement.statistics import Statistics
+from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
 from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.identification.report.recording_comparison import compare
 from fmus.identification.report.report_texts import CHECK, warnings
