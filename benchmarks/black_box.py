@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fmus.identification.refinement.simulation import SegmentSolution, Simulator
+from fmus.identification.refinement.compiled_model import SegmentSolution, Simulator
 from orchestrator.data.table import Array
 
 STEP = 1e-5  # relative step of the difference quotients; suits a simulation with about ten digits

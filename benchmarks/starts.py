@@ -30,7 +30,7 @@ from benchmarks.black_box import BlackBox
 from benchmarks.played import Fmu
 from fmus.identification.machine import FREE, nominal, problem
 from fmus.identification.recordings.reading import read, window
-from fmus.identification.refinement.gauss_newton import Options
+from fmus.identification.refinement.compiled_model import SimulationFailed
 from fmus.identification.refinement.multistart import (
     EVERY,
     ITERATIONS,
@@ -41,7 +41,6 @@ from fmus.identification.refinement.multistart import (
 )
 from fmus.identification.refinement.problem import EstimationProblem
 from fmus.identification.refinement.refine import RefinementResult, compiled, refine
-from fmus.identification.refinement.simulation import SimulationFailed
 from fmus.rig.experiments import experiment
 from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem
@@ -118,12 +117,11 @@ def compare(given: EstimationProblem, count: int) -> None:
     """Print time and results of random starts, by whole refinements and by `multistart`."""
     refined = refine(given)
     coarse = subsampled(given, EVERY)
-    options = Options(iterations=ITERATIONS, model_error=any(refined.model_error.values()))
     random, simulator = np.random.default_rng(0), compiled(coarse)
     begun = time.process_time(), time.perf_counter()
-    reference = refine(coarse, simulator, options=options, start=refined.z)
+    reference = refine(coarse, simulator, iterations=ITERATIONS, start=refined.z)
     whole = [
-        refine(coarse, simulator, options=options, start=random_start(coarse, random, SPREAD))
+        refine(coarse, simulator, iterations=ITERATIONS, start=random_start(coarse, random, SPREAD))
         for _ in range(count)
     ]
     between = time.process_time(), time.perf_counter()

@@ -10,7 +10,7 @@ from axis import AXIS
 from numpy.typing import NDArray
 
 from fmus.identification.recordings.reading import add
-from fmus.identification.refinement.gauss_newton import Iteration, Options
+from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import EstimationProblem, free_parameters
 from fmus.identification.refinement.refine import RefinementResult, refine
@@ -126,9 +126,7 @@ def identify(
     recordings: Sequence[Recording], found: Scatter, progress: Callable[[Iteration], None] | None = None
 ) -> RefinementResult:
     """One set of parameters from all runs."""
-    return refine(
-        problem(recordings, found), horizon=1.0, options=Options(iterations=ITERATIONS), progress=progress
-    )
+    return refine(problem(recordings, found), horizon=1.0, iterations=ITERATIONS, progress=progress)
 
 
 def draws(result: RefinementResult, found: Scatter, count: int, seed: int = 0) -> list[dict[str, float]]:

@@ -15,6 +15,7 @@ from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.recording_names import MACHINE
+from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import (
     EstimationProblem,
@@ -22,7 +23,6 @@ from fmus.identification.refinement.problem import (
     declared_errors,
     free_parameters,
     free_zeros,
-    parameter,
 )
 from fmus.identification.refinement.refine import RefinementResult
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
@@ -161,7 +161,6 @@ def problem(
         smooth=SMOOTHING,
         rest=[n for n in quantities(HARVESTER.states) if n.endswith(zero_at_rest)],
         values=fixed,
-        zeros={n: parameter(n) for n in errors},
     )
     runs = {use: [mapping.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
     return EstimationProblem(
@@ -221,13 +220,13 @@ def assumptions(recordings: Sequence[Recording]) -> list[str]:
 
 def estimates(refined: RefinementResult) -> tuple[Estimate, ...]:
     """The estimated parameters of the machine, as parameters.toml calls them; see `zeros` for the others."""
-    zeros_ = {parameter(output) for output in refined.problem.outputs}
+    zeros_ = {zero_of(output) for output in refined.problem.outputs}
     return tuple(e for e in refined.estimates(names=parameter_names()) if e.name not in zeros_)
 
 
 def zeros(refined: RefinementResult) -> dict[str, Estimate]:
     """Signal -> estimated zero of its sensor."""
-    names = {parameter(output): signal_names()[output] for output in refined.problem.outputs}
+    names = {zero_of(output): signal_names()[output] for output in refined.problem.outputs}
     return {names[e.name]: e for e in refined.estimates() if e.name in names}
 
 

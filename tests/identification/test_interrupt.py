@@ -83,7 +83,7 @@ def test_interrupted_starts_keep_the_result(quick):
     """The result of the refinement is kept."""
     refined = SimpleNamespace(reason="converged", problem=WITHOUT_ZEROS, estimates=lambda *_, **__: (AREA,))
     quick.setattr(pipeline, "refine_together", lambda *_: refined)
-    quick.setattr(pipeline, "multistart", lambda *_, **__: MultistartResult((), 0.0, interrupted=True))
+    quick.setattr(pipeline, "multistart", lambda *_, **__: MultistartResult((), interrupted=True))
     found = identify([VALVE, MACHINE], starts=4)
     assert found.interrupted
     assert found.refined is refined

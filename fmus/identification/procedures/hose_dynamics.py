@@ -312,7 +312,7 @@ def _without(recording: Recording, late: Sequence[str], delayed: float) -> Recor
     """The good samples of a recording in which some signals are late by a time [s], without this delay."""
     samples, signals = delayed * uniform_rate(recording), dict(recording.signals)
     for name in SIGNALS:
-        usable, values = good(recording, name), interpolated(recording[name])
+        usable, values = good(recording, name), recording.interpolated(name)
         if name in late:
             values = shift(values, -samples, mode="nearest")
             usable = shift(usable.astype(float), -samples, order=1) > 1 - 1e-9

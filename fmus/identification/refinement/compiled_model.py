@@ -1,13 +1,17 @@
-"""A subsystem compiled to C for output-error identification: its FMU's model and forward sensitivities."""
+"""The interface of a simulator for output-error identification, and a subsystem compiled to C that has it.
+
+The compiled model is that of the FMU, with exact forward sensitivities of the solver's steps.
+"""
 
 import ctypes
 import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -17,7 +21,6 @@ from fmus.export.c_code import generated, generator_sources, native_sources
 from fmus.export.c_functions import c_function
 from fmus.export.interface import Interface, Kind, Variable, make_interface
 from fmus.identification.refinement.sensitivity_equations import ReducedModel, reduce_model, sensitivity_code
-from fmus.identification.refinement.simulation import SegmentSolution, SimulationFailed
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.compiler import SUFFIX, kept, shared_library
@@ -76,10 +79,68 @@ _MESSAGES = (  # by the status of native/solver.h and native/sensitivities.c
 )
 
 
+class SimulationFailed(Exception):
+    """A simulation that ended early: the reason, and the time [s] that it reached."""
+
+    def __init__(self, reason: str, time: float) -> None:
+        super().__init__(f"{reason} at t = {time:.9g} s")
+        self.time = time
+
+
+@dataclass(frozen=True)
+class SegmentSolution:
+    """A segment of n samples; the sensitivities are empty arrays if none were requested.
+
+    y          outputs at the samples, shape (n, ny)
+    x          states at the last sample, shape (nx,)
+    y_x, y_p   sensitivities of y to the initial states and to the parameters, (n, ny, nx), (n, ny, np)
+    x_x, x_p   sensitivities of x to the same, (nx, nx), (nx, np)
+    steps      number of solver steps, 0 if unknown
+    """
+
+    y: Array
+    x: Array
+    y_x: Array
+    y_p: Array
+    x_x: Array
+    x_p: Array
+    steps: int = 0
+
+
+class Simulator(Protocol):
+    """The interface of a model to the refinement.
+
+    states, inputs, outputs, free   names; `free` are the parameters to be estimated
+    nominal                         nominal values of the states, shape (nx,)
+    p0                              initial values of the free parameters, shape (np,)
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    free: tuple[str, ...]
+    nominal: Array
+    p0: Array
+
+    def start(self, p: Array, u0: Array, /) -> tuple[Array, Array]:
+        """Initial states at inputs `u0`, shape (nx,), and their derivatives by p, shape (nx, np)."""
+
+    def segment(
+        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True, /
+    ) -> SegmentSolution:
+        """Simulate from the states `x` over `time` (n,) with `inputs` (n, nu), linear between the samples."""
+
+
+def zero_of(output: str) -> str:
+    """Name of the free parameter that is the zero of an output's sensor."""
+    return "zero_of_" + output
+
+
 class CompiledModel:
-    """A simulator (`simulation.Simulator`) in C with exact sensitivities of the solver's steps.
+    """A `Simulator` in C with exact sensitivities of the solver's steps.
 
     states, inputs   names of those that the outputs depend on: the others are left out
+    free             parameters of the subsystem, then zeros of sensors: a reading is an output plus its zero
     """
 
     def __init__(
@@ -91,18 +152,21 @@ class CompiledModel:
         tolerance: float = 1e-6,
     ) -> None:
         values = values or default_values(sub)
-        model = reduce_model(sub, outputs, free)
+        zeros = [name for name in outputs if zero_of(name) in free]
+        model = reduce_model(sub, outputs, free[: len(free) - len(zeros)])
         self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
-        self.free = model.estimated
+        self.free = (*model.estimated, *map(zero_of, zeros))
         self.nominal = np.array([model.quantities[name].nominal for name in model.states])
+        self._zeros = [self.outputs.index(name) for name in zeros]
         self._p = np.array([values.p[name] for name in model.parameters])
-        self._indices = np.array([model.parameters.index(name) for name in free], dtype=np.intp)
-        self.p0 = self._p[self._indices]
+        self._indices = np.array([model.parameters.index(n) for n in model.estimated], dtype=np.intp)
+        self.p0 = np.append(self._p[self._indices], np.zeros(len(zeros)))
         self._dynamic = np.array(model.dynamic, dtype=np.intp)
         self._statements = model.equations.statements
         self._tolerance = tolerance
         self._all_x = np.array(list(values.x.values()))
-        eqs, start_p = model.equations, ca.densify(ca.jacobian(model.start, model.q))
+        eqs, by_zeros = model.equations, ca.SX(len(self.states), len(zeros))
+        start_p = ca.densify(ca.horzcat(ca.jacobian(model.start, model.q), by_zeros))
         self._start = ca.Function("start", [model.all_x, eqs.u, eqs.p], [model.start, start_p])
         self._simulate = library(kept_sources(model)).simulate
         self._simulate.restype = ctypes.c_int
@@ -136,7 +200,11 @@ class CompiledModel:
         if status:
             names = self._statements if status == _REQUIREMENT else self.states
             raise SimulationFailed(_MESSAGES[status].format(names[int(report[2])]), report[0])
-        return SegmentSolution(y, x, *self._split(dy), *self._split(dx), int(report[1]))
+        y_x, y_p = self._split(dy)
+        y[:, self._zeros] += p[self._indices.size :]
+        if sensitivities:
+            y_p[:, self._zeros, range(self._indices.size, len(p))] = 1.0
+        return SegmentSolution(y, x, y_x, y_p, *self._split(dx), int(report[1]))
 
     def _check(self, x: Array, p: Array, time: Array, inputs: Array) -> None:
         """Check the shapes, beyond which C would read."""
@@ -152,9 +220,9 @@ class CompiledModel:
             raise Problem("times of the samples: expected one or more, each later than the one before")
 
     def _all_parameters(self, p: Array) -> Array:
-        """Values of all parameters, in the order of their declaration."""
+        """Values of all parameters of the subsystem, in the order of their declaration."""
         values = self._p.copy()
-        values[self._indices] = p
+        values[self._indices] = p[: self._indices.size]
         return values
 
     def _split(self, columns: Array) -> tuple[Array, Array]:
@@ -162,12 +230,9 @@ class CompiledModel:
         dynamic, nx = self._dynamic.size, len(self.states)
         if columns.shape[-1] == 0:
             return columns, columns
-        by_states, by_dynamic = columns[..., dynamic : dynamic + nx], columns[..., :dynamic]
-        if dynamic == len(self.free):
-            return by_states, by_dynamic
         by_p = np.zeros((*columns.shape[:-1], len(self.free)))
-        by_p[..., self._dynamic] = by_dynamic
-        return by_states, by_p
+        by_p[..., self._dynamic] = columns[..., :dynamic]
+        return columns[..., dynamic : dynamic + nx], by_p
 
 
 def kept_sources(model: ReducedModel) -> dict[str, str]:
@@ -202,9 +267,9 @@ def _interface(model: ReducedModel) -> Interface:
     """The model in the form of an FMU interface, without start values: one library serves all values."""
 
     def variables(kind: Kind, names: Sequence[str], prefix: str = "") -> list[Variable]:
-        declared = [model.quantities[name] for name in names]
-        bare = [Quantity(q.unit, q.text, q.nominal) for q in declared]
-        return [Variable(prefix + name, kind, q, None) for name, q in zip(names, bare, strict=True)]
+        declared = {name: model.quantities[name] for name in names}
+        bare = {prefix + name: Quantity(q.unit, q.text, q.nominal) for name, q in declared.items()}
+        return [Variable(name, kind, q, None) for name, q in bare.items()]
 
     groups = [
         variables("FIXED", model.parameters),

@@ -19,7 +19,7 @@ from scipy.signal import savgol_filter
 from fmus.contract import Subsystem, quantities, symbolic
 from fmus.identification.recordings.clock import period
 from fmus.identification.recordings.masks import good
-from fmus.identification.refinement.simulation import SimulationFailed, Simulator
+from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator, zero_of
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
@@ -43,12 +43,10 @@ class MeasuredRun:
     inputs            input -> shape (n,), linear between the samples
     measured          outputs, shape (n, ny); NaN allowed where the weight is zero
     weight            shape (n, ny): 1 / standard deviation of a sample, 0 for a sample that is not used
-    compared          shape (n, ny): true for samples that count in the reported fit
     scale             range of each output over the whole run, the denominator of the NRMSE
     measured_states   state -> its trajectory (n,), NaN where it is not measured; initial states come from it
     at_rest           states whose initial value is known to be zero, because the run begins at rest
     input_noise       measured input -> standard deviation of a sample, smoothing window [samples]
-    zeros             measured state -> free parameter that is the zero of its sensor
     """
 
     name: str
@@ -56,12 +54,15 @@ class MeasuredRun:
     inputs: Mapping[str, Array]
     measured: Array
     weight: Array
-    compared: NDArray[np.bool_]
     scale: Array
     measured_states: Mapping[str, Array] = field(default_factory=dict)
     at_rest: tuple[str, ...] = ()
     input_noise: Mapping[str, tuple[float, int]] = field(default_factory=dict)
-    zeros: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def compared(self) -> NDArray[np.bool_]:
+        """Samples that are used, shape (n, ny)."""
+        return np.asarray(self.weight > 0)
 
     def input_matrix(self, names: Sequence[str]) -> Array:
         """Inputs in the order of `names`, shape (n, nu)."""
@@ -89,8 +90,8 @@ class MeasuredRun:
                 first = self.measured_states[name][:count]
                 if np.isfinite(first).any():
                     state[j], by_p[j] = np.nanmean(first), 0.0
-            if corrected and name in self.zeros and name not in self.at_rest:
-                zero = simulator.free.index(self.zeros[name])
+            if corrected and zero_of(name) in simulator.free and name not in self.at_rest:
+                zero = simulator.free.index(zero_of(name))
                 state[j] -= p[zero]
                 by_p[j, zero] -= 1.0
         return state, by_p
@@ -179,7 +180,6 @@ class RecordingMap:
     rest       states that are zero at the start of a recording whose outputs do not move there
     sd         output -> standard deviation that replaces that of the sensor
     values     values of inputs that are not measured, by default those of the subsystem's file
-    zeros      output -> free parameter that is the zero of its sensor
     """
 
     sub: Subsystem
@@ -189,7 +189,6 @@ class RecordingMap:
     rest: Sequence[str] = ()
     sd: Mapping[str, float] = field(default_factory=dict)
     values: Values | None = None
-    zeros: Mapping[str, str] = field(default_factory=dict)
 
     def run(self, recording: Recording) -> MeasuredRun:
         """The measured run of one recording."""
@@ -214,11 +213,9 @@ class RecordingMap:
             inputs={name: u for name, (u, _) in inputs.items()},
             measured=np.where(usable, measured, 0.0),
             weight=weight,
-            compared=usable,
             scale=scale,
             measured_states=self._measured_states(recording),
             at_rest=() if any(moves_at_start(recording, s) for s in signals) else tuple(self.rest),
-            zeros={n: zero for n, zero in self.zeros.items() if n in quantities(self.sub.states)},
             input_noise={
                 name: (recording.sensor(self._signal(name)).sd, window)
                 for name, (_, window) in inputs.items()

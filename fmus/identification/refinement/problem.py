@@ -9,20 +9,19 @@ the declared error, so it cannot take the place of a force that the model lacks.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from fmus.contract import Subsystem, quantities
+from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.measured_runs import MeasuredRun
-from fmus.identification.refinement.simulation import SegmentSolution, Simulator
 from fmus.parameters import Values
 from fmus.parameters import values as default_values
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
 
-PREFIX = "zero_of_"
 PRIOR_SHARE = 0.5  # of the largest error: one in twenty sensors of a data sheet is that far off
 
 
@@ -61,11 +60,6 @@ class FreeParameter:
         """d value / dz."""
         return math.exp(z) if self.log else self.scale
 
-    @property
-    def z_sd(self) -> float:
-        """Prior standard deviation of z, infinite without a prior."""
-        return math.inf if self.sd is None else self.sd / self.derivative(self.z_of(self.value))
-
 
 @dataclass(frozen=True)
 class EstimationProblem:
@@ -90,12 +84,20 @@ class EstimationProblem:
         """z of the initial values, shape (np,)."""
         return np.array([f.z_of(f.value) for f in self.free])
 
+    def prior_sd(self) -> Array:
+        """Prior standard deviations of z, shape (np,), infinite without a prior."""
+        sd = np.array([math.inf if f.sd is None else f.sd for f in self.free])
+        return np.asarray(sd / self.derivatives(self.initial()))
+
+    def prior_rows(self, z: Array) -> Array:
+        """Rows [parameters | residual] of the parameters with a prior."""
+        sd = self.prior_sd()
+        rows = np.column_stack([np.eye(len(z)), z - self.initial()]) / sd[:, None]
+        return np.asarray(rows[np.isfinite(sd)])
+
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of z, each of shape (np,)."""
-        return (
-            np.array([f.z_of(f.low) if math.isfinite(f.low) else -math.inf for f in self.free]),
-            np.array([f.z_of(f.high) if math.isfinite(f.high) else math.inf for f in self.free]),
-        )
+        return np.array([f.z_of(f.low) for f in self.free]), np.array([f.z_of(f.high) for f in self.free])
 
     def values_of(self, z: Array) -> Array:
         """Parameter values of z, shape (np,)."""
@@ -138,11 +140,6 @@ def free_parameters(
     return tuple(free)
 
 
-def parameter(output: str) -> str:
-    """Name of the parameter that is the zero of an output's sensor."""
-    return PREFIX + output
-
-
 def declared_errors(recordings: Sequence[Recording], signals: Mapping[str, str]) -> dict[str, float]:
     """Output -> largest error of its sensor's zero in SI units, of the outputs whose sensors declare one.
 
@@ -158,38 +155,5 @@ def declared_errors(recordings: Sequence[Recording], signals: Mapping[str, str])
 def free_zeros(errors: Mapping[str, float], units: Mapping[str, str]) -> tuple[FreeParameter, ...]:
     """The zeros as free parameters, the last ones of a problem; output -> largest error, unit."""
     return tuple(
-        FreeParameter(parameter(n), 0.0, units[n], PRIOR_SHARE * e, -e, e, scale=e) for n, e in errors.items()
+        FreeParameter(zero_of(n), 0.0, units[n], PRIOR_SHARE * e, -e, e, scale=e) for n, e in errors.items()
     )
-
-
-class WithZeros:
-    """A simulator of readings: the outputs of a model, some of them with the zero of their sensor."""
-
-    def __init__(self, model: Simulator, outputs: Sequence[str]) -> None:
-        self.model, self._columns = model, [model.outputs.index(name) for name in outputs]
-        self.states, self.inputs, self.outputs = model.states, model.inputs, model.outputs
-        self.free = (*model.free, *map(parameter, outputs))
-        self.nominal, self.p0 = model.nominal, np.append(model.p0, np.zeros(len(outputs)))
-
-    def start(self, p: Array, u0: Array) -> tuple[Array, Array]:
-        """Initial states, which do not depend on the zeros."""
-        x, x_p = self.model.start(p[: len(self.model.free)], u0)
-        return x, self._padded(x_p)
-
-    def segment(
-        self, x: Array, p: Array, time: Array, inputs: Array, sensitivities: bool = True
-    ) -> SegmentSolution:
-        """A segment of the model; the derivative of a reading by the zero of its sensor is one."""
-        count = len(self.model.free)
-        found = self.model.segment(x, p[:count], time, inputs, sensitivities)
-        y = found.y.copy()
-        y[:, self._columns] += p[count:]
-        if not sensitivities:
-            return replace(found, y=y)
-        y_p = self._padded(found.y_p)
-        y_p[:, self._columns, range(count, len(p))] = 1.0
-        return replace(found, y=y, y_p=y_p, x_p=self._padded(found.x_p))
-
-    def _padded(self, by_p: Array) -> Array:
-        """Derivatives with columns of zeros for the zeros of sensors."""
-        return np.concatenate([by_p, np.zeros((*by_p.shape[:-1], len(self._columns)))], axis=-1)

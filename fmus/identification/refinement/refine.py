@@ -9,33 +9,36 @@ the data correct it at the start of each segment.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fmus.identification.estimate import Estimate, confidence_interval, coverage_factor
-from fmus.identification.refinement.compiled_model import CompiledModel
+from fmus.identification.refinement.compiled_model import CompiledModel, Simulator
 from fmus.identification.refinement.gauss_newton import (
+    CONVERGED,
     INTERRUPTED,
+    ITERATIONS,
     STUCK,
+    TOLERANCE,
     Iteration,
-    Options,
     Solution,
     minimise,
 )
 from fmus.identification.refinement.measured_runs import MeasuredRun
-from fmus.identification.refinement.problem import EstimationProblem, WithZeros, parameter
-from fmus.identification.refinement.residuals import SimulatedRun, Whiteness, simulate, whiteness
-from fmus.identification.refinement.shooting import Shooting, cut, parallel, priors
-from fmus.identification.refinement.simulation import SimulationFailed, Simulator
+from fmus.identification.refinement.problem import EstimationProblem
+from fmus.identification.refinement.shooting import Shooting, cut, parallel
 from fmus.identification.refinement.statistics import (
     VAGUE,
+    SimulatedRun,
     Statistics,
+    Whiteness,
     input_covariance,
+    simulate,
     statistics,
     unidentified,
+    whiteness,
 )
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
@@ -52,20 +55,18 @@ class RefinementResult:
     """Estimated parameters with their uncertainty, and how well they explain the recordings.
 
     z                    search variables of the parameters at the optimum
-    converged, reason    whether the search converged, and why it ended
+    reason               why the search ended
     history              one entry per iteration
     unidentified         sentences about parameters that the data do not determine
     at_bound             parameters at one of their bounds
     whiteness            tests of the residuals per output
     training, held_out   simulations of the runs from their initial states
     model_error          per output: estimated error of the model, in standard deviations of the sensor
-    starts               per run: initial state by name
     simulator            with which the parameters were estimated
     """
 
     problem: EstimationProblem
     z: Array
-    converged: bool
     reason: str
     history: tuple[Iteration, ...]
     statistics: Statistics
@@ -75,8 +76,12 @@ class RefinementResult:
     training: tuple[SimulatedRun, ...]
     held_out: tuple[SimulatedRun, ...]
     model_error: Mapping[str, float]
-    starts: tuple[Mapping[str, float], ...]
-    simulator: Simulator | None = None
+    simulator: Simulator
+
+    @property
+    def converged(self) -> bool:
+        """Has the search converged?"""
+        return self.reason == CONVERGED
 
     @property
     def values(self) -> dict[str, float]:
@@ -88,17 +93,14 @@ class RefinementResult:
         """Are the residuals correlated or larger than the sensors explain?"""
         return not all(w.white for w in self.whiteness.values() if np.isfinite(w.rms))
 
-    def estimates(
-        self, robust: bool | None = None, names: Mapping[str, str] | None = None
-    ) -> tuple[Estimate, ...]:
-        """One estimate per parameter.
+    def estimates(self, names: Mapping[str, str] | None = None) -> tuple[Estimate, ...]:
+        """One estimate per parameter; its interval comes from the scatter between segments if `robust`.
 
-        robust   whether intervals come from the scatter between segments; by default if `self.robust`
-        names    free parameter -> name of its estimate
+        names   free parameter -> name of its estimate
 
         Intervals end at a bound if that is nearer, and are open if the data do not determine the parameter.
         """
-        robust = self.robust if robust is None else robust
+        robust = self.robust
         basis = "errors over segments" if robust else "errors of independent residuals"
         runs = len(self.problem.training)
         note = f"joint refinement of {len(self.z)} parameters on {runs} recording{'s' * (runs > 1)}, {basis}"
@@ -130,12 +132,8 @@ class RefinementResult:
         The second is the standard deviation of measured minus predicted outputs. It contains the covariance
         of the parameters, the errors of a measured initial state, noise of sensors, and error of the model.
         """
-        assert self.simulator is not None
-        p, inputs, outputs = (
-            self.problem.values_of(self.z),
-            run.input_matrix(self.simulator.inputs),
-            self.problem.outputs,
-        )
+        p, outputs = self.problem.values_of(self.z), self.problem.outputs
+        inputs = run.input_matrix(self.simulator.inputs)
         state, state_p = run.initial_state(self.simulator, p, inputs)
         solution = self.simulator.segment(state, p, run.time, inputs)
         by_z: Array = (solution.y_p + solution.y_x @ state_p) * self.problem.derivatives(self.z)
@@ -159,124 +157,91 @@ def refine(
     segment: float = SEGMENT,
     horizon: float = HORIZON,
     threads: int = 2,
-    options: Options | None = None,
+    iterations: int = ITERATIONS,
+    tolerance: float = TOLERANCE,
     start: Array | None = None,
     progress: Callable[[Iteration], None] | None = None,
 ) -> RefinementResult:
     """Estimate the free parameters of a problem.
 
-    simulator   by default the compiled model with exact sensitivities; others are in `simulation`
+    simulator   by default the compiled model with exact sensitivities
     segment     length of a segment [s], infinite for single shooting
     horizon     a first search fits predictions over so many seconds [s] from measured states; it is left out
                 if the horizon is not shorter than a segment
+    tolerance   the search has converged if the best step changes all residuals together by less, in
+                standard deviations; no parameter then moves by more than this fraction of its own
     start       initial z, by default that of the problem
     """
-    search = Search(
-        problem, simulator or compiled(problem), start, segment, horizon, threads, options, progress
+    z = problem.initial() if start is None else start
+    shooting = cut_into_segments(problem, simulator or compiled(problem), z, segment, threads)
+    first = fit_predictions(shooting, z, horizon, progress) if horizon < segment else None
+    return result(shooting, minimise(shooting, z, iterations, tolerance, progress, first))
+
+
+def cut_into_segments(
+    problem: EstimationProblem, simulator: Simulator, z: Array, segment: float = SEGMENT, threads: int = 2
+) -> Shooting:
+    """The recordings of a problem in segments; priors of the initial states are those at z."""
+    _check(problem, simulator)
+    inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
+    seconds = segment if simulator.states else math.inf  # initial states of segments cannot be set
+    edges = tuple(cut(run.time, seconds) for run in problem.training)
+    p = problem.values_of(z)
+    states = [
+        run.initial_state(simulator, p, u, corrected=False)[0] / simulator.nominal
+        for run, u in zip(problem.training, inputs, strict=True)
+    ]
+    return Shooting(problem, simulator, inputs, tuple(states), edges, threads)
+
+
+def fit_predictions(
+    shooting: Shooting,
+    z: Array,
+    horizon: float = HORIZON,
+    progress: Callable[[Iteration], None] | None = None,
+) -> Solution | None:
+    """The first search: predictions over the horizon [s] from measured states; None if they cannot be set."""
+    if not shooting.simulator.states:
+        return None
+    edges = tuple(cut(run.time, horizon) for run in shooting.problem.training)
+    return minimise(replace(shooting, edges=edges, detached=True), z, progress=progress)
+
+
+def result(shooting: Shooting, solution: Solution) -> RefinementResult:
+    """Statistics, and simulations with the estimated parameters."""
+    problem, simulator = shooting.problem, shooting.simulator
+    z, p = solution.z, problem.values_of(solution.z)
+    initial_states = [starts[0] * simulator.nominal for starts in solution.evaluation.starts]
+    training = parallel(
+        lambda k: simulate(problem.training[k], simulator, p, initial_states[k], shooting.inputs[k]),
+        range(len(initial_states)),
+        shooting.threads,
     )
-    return search.result(search.fit_recordings(search.fit_predictions()))
-
-
-class Search:
-    """The search of `refine`, in two parts: first it fits predictions, then whole recordings.
-
-    shooting   whole recordings in segments
-    horizon    of the predictions [s]; None: no predictions are fitted
-    """
-
-    def __init__(
-        self,
-        problem: EstimationProblem,
-        simulator: Simulator,
-        start: Array | None = None,
-        segment: float = SEGMENT,
-        horizon: float = HORIZON,
-        threads: int = 2,
-        options: Options | None = None,
-        progress: Callable[[Iteration], None] | None = None,
-    ) -> None:
-        _check(problem, simulator)
-        self._z, self._progress = problem.initial() if start is None else start, progress
-        self._options = options or Options()
-        inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
-        if not simulator.states:  # initial states of segments cannot be set
-            segment = horizon = np.inf
-        edges = tuple(cut(run.time, segment) for run in problem.training)
-        self.shooting = Shooting(problem, simulator, inputs, edges, threads)
-        self.horizon = horizon if horizon < segment else None
-        with _simulated(problem):
-            states = [states[0] for states in self.shooting.measured_iterate(self._z).starts]
-            self._prior = priors(problem, simulator, states)
-
-    def fit_predictions(self) -> Solution | None:
-        """Fit predictions over the horizon from measured states."""
-        if self.horizon is None:
-            return None
-        problem = self.shooting.problem
-        edges = tuple(cut(run.time, self.horizon) for run in problem.training)
-        detached = replace(self.shooting, edges=edges, detached=True)
-        with _simulated(problem):
-            start = detached.measured_iterate(self._z)
-            return minimise(detached, start, self._prior, Options(), self._progress)
-
-    def fit_recordings(self, predictions: Solution | None) -> Solution:
-        """Fit whole recordings, from the end of the fit of predictions."""
-        z = predictions.evaluation.iterate.z if predictions else self._z
-        with _simulated(self.shooting.problem):
-            start = self.shooting.measured_iterate(z)
-            return minimise(self.shooting, start, self._prior, self._options, self._progress, predictions)
-
-    def result(self, solution: Solution) -> RefinementResult:
-        """Statistics, and simulations with the estimated parameters."""
-        shooting, last = self.shooting, solution.evaluation.iterate
-        problem, simulator = shooting.problem, shooting.simulator
-        z, p = last.z, problem.values_of(last.z)
-        initial_states = [starts[0] * simulator.nominal for starts in last.starts]
-        training = parallel(
-            lambda k: simulate(problem.training[k], simulator, p, initial_states[k], shooting.inputs[k]),
-            range(len(initial_states)),
-            shooting.threads,
-        )
-        by_inputs = np.zeros((len(z), len(z)))
-        if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
-            by_inputs = input_covariance(shooting, solution, self._prior)
-        result = statistics(solution, self._prior, by_inputs)
-        low, high = problem.bounds()
-        at_bound = np.minimum(z - low, high - z) < _AT_BOUND
-        return RefinementResult(
-            problem=problem,
-            z=z,
-            converged=solution.converged,
-            reason=solution.reason,
-            history=solution.history,
-            statistics=result,
-            unidentified=unidentified(problem.free, result.data_covariance),
-            at_bound=tuple(n for n, bound in zip(problem.names, at_bound, strict=True) if bound),
-            whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.outputs)},
-            training=tuple(training),
-            held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
-            model_error=dict(zip(problem.outputs, solution.scales.model_error.tolist(), strict=True)),
-            starts=tuple(dict(zip(simulator.states, x.tolist(), strict=True)) for x in initial_states),
-            simulator=simulator,
-        )
-
-
-@contextmanager
-def _simulated(problem: EstimationProblem) -> Iterator[None]:
-    """Raise Problem if a simulation of the start fails."""
-    try:
-        yield
-    except SimulationFailed as failed:
-        name = problem.sub.name
-        raise Problem(f"{name}: cannot be simulated with the initial parameter values: {failed}") from None
+    by_inputs = np.zeros((len(z), len(z)))
+    if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
+        by_inputs = input_covariance(shooting, solution)
+    found = statistics(solution, problem.prior_sd(), by_inputs)
+    low, high = problem.bounds()
+    at_bound = np.minimum(z - low, high - z) < _AT_BOUND
+    return RefinementResult(
+        problem=problem,
+        z=z,
+        reason=solution.reason,
+        history=solution.history,
+        statistics=found,
+        unidentified=unidentified(problem.free, found.data_covariance),
+        at_bound=tuple(n for n, bound in zip(problem.names, at_bound, strict=True) if bound),
+        whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.outputs)},
+        training=tuple(training),
+        held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
+        model_error=dict(zip(problem.outputs, solution.scales.model_error.tolist(), strict=True)),
+        simulator=simulator,
+    )
 
 
 def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> Simulator:
     """The problem's subsystem with exact sensitivities; the compiled library is cached."""
-    zeros = [name for name in problem.outputs if parameter(name) in problem.names]
-    free = problem.names[: len(problem.names) - len(zeros)]
-    model = CompiledModel(problem.sub, problem.outputs, free, problem.fixed, tolerance)
-    return WithZeros(model, zeros) if zeros else model
+    return CompiledModel(problem.sub, problem.outputs, problem.names, problem.fixed, tolerance)
 
 
 def _check(problem: EstimationProblem, simulator: Simulator) -> None:

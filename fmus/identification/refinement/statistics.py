@@ -1,4 +1,7 @@
-"""Uncertainty of the estimates: covariances, noise of the inputs, parameters that the data do not determine.
+"""Uncertainty of the estimates, and tests of the residuals.
+
+Covariances, noise of the inputs, and parameters that the data do not determine; simulation error (NRMSE),
+whiteness of the residuals, and their cross-correlation with the inputs.
 
 All covariances are those of the search variable z, in relative changes for most parameters. They include the
 uncertainty of the initial states of the runs, which are unknowns too.
@@ -8,21 +11,30 @@ follow this error, and the residuals do not show it. Its effect is therefore com
 noise is added to the inputs, and the change of the estimates follows from the linearisation at the optimum.
 """
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import correlate
+from scipy.stats import norm
+from statsmodels.tsa.stattools import acf
 
+from fmus.identification.recordings.masks import autocorrelation_time, noise
+from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
 from fmus.identification.refinement.measured_runs import MeasuredRun, local_parabolas
 from fmus.identification.refinement.problem import FreeParameter
-from fmus.identification.refinement.shooting import Priors, Shooting
-from fmus.identification.refinement.simulation import SimulationFailed
+from fmus.identification.refinement.shooting import CondensedRun, Shooting
 from orchestrator.data.table import Array
 
 VAGUE = 100.0  # standard deviation of z in a weak prior on every parameter, which keeps all matrices regular
 DRAWS = 24  # of the input noise: relative error of a standard deviation 1 / sqrt(2 n), 15 %
 LIMIT = 0.5  # standard deviation of z; the data do not determine a combination with a larger one
 _TAKES_PART = 0.05  # smallest entry of the projector on such combinations that counts
+LAGS = 40  # samples
+NOISE_ERROR = 1.8  # relative standard deviation of `masks.noise` times root n, for white noise (computed)
+_BOUND = float(norm.ppf(0.995))  # 99 % bound of a correlation, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -61,25 +73,28 @@ class Statistics:
         return np.asarray(self.covariance / np.outer(sd, sd))
 
 
-def statistics(solution: Solution, priors: Priors, input_covariance: Array) -> Statistics:
-    """Statistics at the end of a search; `input_covariance` is the contribution of the noise of inputs."""
-    parameters = len(priors.z)
-    segments = [s for run in solution.evaluation.runs for s in run]
-    weighted = np.concatenate([s.residual * s.factor for s in segments])
-    samples = sum(float(np.sum(1 / solution.scales.correlation_time[s.column])) for s in segments)
+def statistics(solution: Solution, prior_sd: Array, by_inputs: Array) -> Statistics:
+    """Statistics at the end of a search.
+
+    prior_sd    prior standard deviations of z
+    by_inputs   covariance that the noise of the inputs causes
+    """
+    parameters, segments, scales = len(prior_sd), solution.evaluation.segments, solution.scales
+    weighted = np.concatenate([s.residual / scales.sd[s.column] for s in segments])
+    samples = sum(float(np.sum(1 / scales.correlation_time[s.column])) for s in segments)
     initial_states = sum(len(run.top) for run in solution.linear.runs)
     degrees_of_freedom = max(1, round(samples) - parameters - initial_states)
     variance = float(weighted @ weighted) / degrees_of_freedom
     jacobian = np.vstack([run.bottom[:, :-1] for run in solution.linear.runs])
-    prior = np.diag(1 / priors.z_sd**2 + 1 / VAGUE**2)
+    prior = np.diag(1 / prior_sd**2 + 1 / VAGUE**2)
     information = jacobian.T @ jacobian
     lengths = np.linalg.norm(jacobian, axis=0)
     singular = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
     smallest = float(singular[-1]) if len(jacobian) >= parameters else 0.0
     return Statistics(
-        covariance=_inverse(information / variance + prior) + input_covariance,
-        robust_covariance=_jackknife(solution, prior, _inverse(information + prior)) + input_covariance,
-        data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + input_covariance,
+        covariance=_inverse(information / variance + prior) + by_inputs,
+        robust_covariance=_jackknife(solution.linear.runs, prior, _inverse(information + prior)) + by_inputs,
+        data_covariance=_inverse(information / variance + np.eye(parameters) / VAGUE**2) + by_inputs,
         degrees_of_freedom=degrees_of_freedom,
         segments=len(segments),
         condition=float(singular[0]) / smallest if smallest > 0 else float("inf"),
@@ -98,21 +113,19 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray((vectors / np.maximum(eigenvalues, floor)) @ vectors.T * np.outer(scale, scale))
 
 
-def _jackknife(solution: Solution, prior: Array, inverse: Array) -> Array:
+def _jackknife(runs: Sequence[CondensedRun], prior: Array, inverse: Array) -> Array:
     """Jackknife covariance over segments [CR3: Bell and McCaffrey 2002]; priors add their known variance.
 
     Each segment is left out in turn; the change of z is computed to first order.
     """
     changes: list[Array] = []
-    bottoms = [run.bottom[:, :-1].T @ run.bottom[:, :-1] for run in solution.linear.runs]
-    for run, segments in zip(solution.linear.runs, solution.evaluation.runs, strict=True):
+    bottoms = [run.bottom[:, :-1].T @ run.bottom[:, :-1] for run in runs]
+    for run in runs:
         nx = len(run.top)
         information = np.zeros((nx + len(prior), nx + len(prior)))
         information[nx:, nx:] = sum(bottoms, prior)
         information += run.top[:, :-1].T @ run.top[:, :-1]
-        for segment, recursion in zip(segments, run.recursion, strict=True):
-            assert segment.linear is not None
-            rows = segment.linear.condensed(recursion, segment.projected(segment))
+        for rows in run.blocks:
             contribution, gradient = rows[:, :-1].T @ rows[:, :-1], rows[:, :-1].T @ rows[:, -1]
             changes.append((_inverse(information - contribution) @ gradient)[nx:])
     count, all_changes = len(changes), np.array(changes)
@@ -121,15 +134,14 @@ def _jackknife(solution: Solution, prior: Array, inverse: Array) -> Array:
     return np.asarray((count - 1) / count * all_changes.T @ all_changes + inverse @ prior @ inverse)
 
 
-def input_covariance(shooting: Shooting, solution: Solution, priors: Priors) -> Array:
+def input_covariance(shooting: Shooting, solution: Solution) -> Array:
     """Covariance of z that the noise of the inputs causes, shape (np, np)."""
-    parameters = len(priors.z)
+    parameters = len(solution.z)
     if not any(run.input_noise for run in shooting.problem.training):
         return np.zeros((parameters, parameters))
     rng = np.random.default_rng(0)
     optimum, unbounded = solution.evaluation, (np.full(parameters, -np.inf), np.full(parameters, np.inf))
-    z = optimum.iterate.z
-    reference = solution.linear.step(z, unbounded, LARGEST_RADIUS)
+    reference = solution.linear.step(solution.z, unbounded, LARGEST_RADIUS)
     changes = []
     for _ in range(DRAWS):
         inputs = tuple(
@@ -137,23 +149,23 @@ def input_covariance(shooting: Shooting, solution: Solution, priors: Priors) -> 
             for run, u in zip(shooting.problem.training, shooting.inputs, strict=True)
         )
         try:
-            new = replace(shooting, inputs=inputs).evaluate(optimum.iterate, solution.scales, False)
+            new = replace(shooting, inputs=inputs).evaluate(optimum.z, optimum.starts, False)
         except SimulationFailed:
             continue
-        step = linearise(optimum, new, priors, shooting.detached).step(z, unbounded, LARGEST_RADIUS)
-        changes.append(step - reference)
+        changed = linearise(shooting, optimum, new, solution.scales)
+        changes.append(changed.step(solution.z, unbounded, LARGEST_RADIUS) - reference)
     draws = np.array(changes).reshape(-1, parameters)
     return np.asarray(draws.T @ draws / max(1, len(draws)))
 
 
 def _smoothed_noise(run: MeasuredRun, names: tuple[str, ...], rng: np.random.Generator) -> Array:
     """A draw of the noise that smoothing leaves in a run's inputs, shape (n, nu)."""
-    noise = np.zeros((len(run.time), len(names)))
+    drawn = np.zeros((len(run.time), len(names)))
     for j, name in enumerate(names):
         if name in run.input_noise:
             sd, window = run.input_noise[name]
-            noise[:, j] = local_parabolas(sd * rng.standard_normal(len(run.time)), window)
-    return noise
+            drawn[:, j] = local_parabolas(sd * rng.standard_normal(len(run.time)), window)
+    return drawn
 
 
 def unidentified(free: tuple[FreeParameter, ...], data_covariance: Array) -> tuple[str, ...]:
@@ -197,3 +209,121 @@ def _sentence(group: list[FreeParameter], projector: Array, data_covariance: Arr
     power = "" if abs(abs(exponent) - 1) < 0.05 else f"^{abs(exponent):.2g}"
     combination = f"{names[0]} {'/' if exponent > 0 else '*'} {names[1]}{power}"
     return f"{listed}: the data determine only {combination}, not each parameter"
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A run simulated from its initial state without any correction: outputs, shape (n, ny)."""
+
+    run: MeasuredRun
+    y: Array
+
+    @property
+    def error(self) -> Array:
+        """Simulation minus measurement; NaN for samples that are not compared."""
+        return np.where(self.run.compared, self.y - self.run.measured, np.nan)
+
+    def nrmse(self) -> Array:
+        """Per output: root mean square error over the range of the measurement; NaN without a measurement."""
+        error = self.error
+        mean_square = np.full(error.shape[1], np.nan)
+        measured = self.run.compared.any(axis=0)
+        mean_square[measured] = np.nanmean(error[:, measured] ** 2, axis=0)
+        return np.asarray(np.sqrt(mean_square) / self.run.scale)
+
+
+def simulate(
+    run: MeasuredRun, simulator: Simulator, p: Array, start: Array | None = None, inputs: Array | None = None
+) -> SimulatedRun:
+    """Simulate a run; the initial state is by default that of the first samples. NaN if it fails."""
+    inputs = run.input_matrix(simulator.inputs) if inputs is None else inputs
+    state = run.initial_state(simulator, p, inputs)[0] if start is None else start
+    try:
+        return SimulatedRun(run, simulator.segment(state, p, run.time, inputs, False).y)
+    except SimulationFailed:
+        return SimulatedRun(run, np.full(run.measured.shape, np.nan))
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Tests of one output's residuals.
+
+    ljung_box   p-value of the Ljung-Box test over `LAGS` lags
+    outside     fraction of the lags of the autocorrelation outside its 99 % bounds, 0.01 if white
+    inputs      the same fraction for the cross-correlation with each input that is not constant
+    rms         root mean square of the residuals in standard deviations of the sensor
+    excess      p-value of this root mean square if the residuals are noise of the sensor, see `excess`
+    """
+
+    ljung_box: float
+    outside: float
+    inputs: Mapping[str, float]
+    rms: float
+    excess: float = 1.0
+
+    @property
+    def white(self) -> bool:
+        """Do the residuals look like sensor noise? A tenth of the lags outside is far beyond chance."""
+        return self.outside < 0.1 and self.rms < 1.5
+
+
+def whiteness(simulated: Sequence[SimulatedRun], inputs: Sequence[str], output: int) -> Whiteness:
+    """Tests over several runs; gaps between the runs keep lags from reaching from one into the next."""
+    gap = np.full(LAGS + 1, np.nan)
+    parts = []
+    for s in simulated:
+        weight = s.run.weight[:, output]
+        parts += [np.where(weight > 0, s.error[:, output] * weight, np.nan), gap]
+    residual = np.concatenate(parts)
+    count = int(np.isfinite(residual).sum())
+    if count < 4 * LAGS:
+        return Whiteness(np.nan, np.nan, {}, np.nan)
+    autocorrelation, _, p_values = acf(
+        residual, nlags=LAGS, qstat=True, fft=True, missing="conservative", result_object=False
+    )
+    signals = {n: np.concatenate([p for s in simulated for p in (s.run.inputs[n], gap)]) for n in inputs}
+    return Whiteness(
+        ljung_box=float(p_values[-1]),
+        outside=float(np.mean(np.abs(autocorrelation[1:]) > _BOUND / np.sqrt(count))),
+        inputs={n: _cross_outside(residual, u) for n, u in signals.items() if np.nanstd(u) > 0},
+        rms=float(np.sqrt(np.nanmean(residual**2))),
+        excess=excess(residual),
+    )
+
+
+def excess(residual: Array) -> float:
+    """P-value of the mean square of residuals over their noise, if they are noise alone.
+
+    residual   in standard deviations of the sensor, NaN in gaps
+
+    The noise is that of the sensor, or the white noise of the residuals if that is clearly larger: a noise
+    that is stated too small is no error of the model. Squares that are correlated, as those of an encoder
+    between two counts, are as few as their autocorrelation time tells.
+    """
+    squares = residual[np.isfinite(residual)] ** 2
+    white, relative_error = float(np.nan_to_num(noise(residual))), NOISE_ERROR / math.sqrt(len(squares))
+    if white < 1 + 3 * relative_error:
+        white, relative_error = 1.0, 0.0
+    above = float(squares.mean()) - white**2
+    deviations = squares - squares.mean()
+    if not above > 0 or not deviations.any():
+        return 1.0
+    variance = float(squares.var()) * max(1.0, autocorrelation_time(deviations)) / len(squares)
+    return float(norm.sf(above / math.hypot(math.sqrt(variance), 2 * white**2 * relative_error)))
+
+
+def _cross_outside(residual: Array, signal: Array) -> float:
+    """Fraction of the lags at which a residual is correlated with an earlier input beyond chance.
+
+    The variance of a cross-correlation of independent signals is sum_k r_e(k) r_u(k) / n [Bartlett 1955].
+    """
+    # normalised to mean 0 and standard deviation 1; gaps become 0
+    e, u = (np.nan_to_num((s - np.nanmean(s)) / (np.nanstd(s) or 1.0)) for s in (residual, signal))
+    count = np.count_nonzero(e)
+    cross = correlate(e, u, method="fft")[len(e) - 1 : len(e) + LAGS] / count
+    reach = min(int(count) // 4, 4000)
+    r_e, r_u = (
+        correlate(s, s, method="fft")[len(s) - 1 : len(s) + reach] / np.count_nonzero(s) for s in (e, u)
+    )
+    variance = float(r_e[0] * r_u[0] + 2 * r_e[1:] @ r_u[1:]) / count
+    return float(np.mean(np.abs(cross) > _BOUND * np.sqrt(max(variance, 1 / count))))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fmus.identification.refinement.shooting import LinearSegment, condense, tree_qr
+from fmus.identification.refinement.shooting import condense, triangular
 
 NX, FREE, SEGMENTS, ROWS = 3, 2, 4, 40
 
@@ -15,9 +15,8 @@ def test_the_step_is_that_of_the_whole_system() -> None:
     ends = rng.standard_normal((SEGMENTS, NX, NX + FREE))
     gaps = rng.standard_normal((SEGMENTS - 1, NX))
     prior = np.hstack([np.eye(NX), np.zeros((NX, FREE)), rng.standard_normal((NX, 1))])
-    locals_ = [LinearSegment(tree_qr(j), e[:, :NX], e[:, NX:]) for j, e in zip(jacobians, ends, strict=True)]
-    projected = [a.factors.project(r) for a, r in zip(locals_, residuals, strict=True)]
-    run = condense(locals_, list(gaps), projected, prior)
+    rows = [triangular(np.column_stack(both)) for both in zip(jacobians, residuals, strict=True)]
+    run = condense(rows, [np.column_stack(both) for both in zip(ends[:-1], gaps, strict=True)], prior)
     dz = np.linalg.lstsq(run.bottom[:, :-1], -run.bottom[:, -1], rcond=None)[0]
 
     size, states = SEGMENTS * NX + FREE, SEGMENTS * NX
@@ -34,4 +33,4 @@ def test_the_step_is_that_of_the_whole_system() -> None:
     step = np.linalg.solve(whole, -np.append(rows.T @ right, gaps.ravel()))[:size]
     # rounding, through normal equations of a condition below 1e4
     np.testing.assert_allclose(dz, step[states:], rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(np.concatenate(run.states(dz)), step[:states], rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(run.states(dz).ravel(), step[:states], rtol=1e-9, atol=1e-10)

@@ -8,8 +8,7 @@ import pytest
 from kit.mistakes import table
 from kit.toy import toy
 
-from fmus.identification.refinement.compiled_model import CompiledModel
-from fmus.identification.refinement.simulation import SimulationFailed
+from fmus.identification.refinement.compiled_model import CompiledModel, SimulationFailed
 from fmus.parameters import Values
 from orchestrator.base.errors import Problem
 

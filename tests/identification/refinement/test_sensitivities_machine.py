@@ -14,8 +14,7 @@ from kit import shards
 from kit.properties import examples
 
 from fmus.contract import quantities, symbolic
-from fmus.identification.refinement.compiled_model import CompiledModel
-from fmus.identification.refinement.simulation import SegmentSolution
+from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import COMMANDS, Move, sample
 from fmus.monolith import breakpoints

@@ -11,8 +11,9 @@ from kit import shards
 
 from fmus.identification import machine
 from fmus.identification.machine import nominal
+from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.measured_runs import RecordingMap
-from fmus.identification.refinement.problem import free_zeros, parameter
+from fmus.identification.refinement.problem import free_zeros
 from fmus.identification.refinement.refine import compiled, refine
 from orchestrator.data.recording import Sensor, read_recording
 
@@ -58,9 +59,7 @@ def test_a_boom_encoder_two_degrees_off_leaves_the_truths_in_their_intervals(nam
 def _with_zero(error: float, off: float):
     """The oscillator's problem with a position sensor that is `off`, and one more run held out."""
     base = oscillator_problem(run(recording()))
-    mapping = RecordingMap(
-        OSCILLATOR, base.outputs, values=NUMBERS, zeros={"position": parameter("position")}
-    )
+    mapping = RecordingMap(OSCILLATOR, base.outputs, values=NUMBERS)
 
     def shifted(seed: int):
         read = recording(seed)
@@ -77,7 +76,7 @@ def _with_zero(error: float, off: float):
 def test_a_zero_stays_within_what_its_sensor_declares() -> None:
     """A sensor ten times as far off as it declares: the zero stays within, the residual tells the rest."""
     found = refine(_with_zero(error=0.05, off=0.5))
-    zero = next(e for e in found.estimates() if e.name == parameter("position"))
+    zero = next(e for e in found.estimates() if e.name == zero_of("position"))
     assert -0.05 <= zero.low <= zero.high <= 0.05
     # 0.45 m of 0.5 are left, 20 times the noise; the spring takes a part
     assert found.whiteness["position"].rms > 5
@@ -87,7 +86,7 @@ def test_a_held_out_run_begins_at_the_corrected_position() -> None:
     """With the zero found, the free simulation of the held-out run leaves the noise of the sensor only."""
     task = _with_zero(error=0.2, off=0.1)
     found = refine(task)
-    zero = next(e for e in found.estimates() if e.name == parameter("position"))
+    zero = next(e for e in found.estimates() if e.name == zero_of("position"))
     assert zero.low <= 0.1 <= zero.high
     error = found.held_out[0].error[:, 0]
     # noise of the sensor, and that of the first sample, from which the run begins

@@ -7,13 +7,12 @@ import pytest
 from identification.report import samples
 from identification.report.samples import channel
 
-from fmus.identification.refinement.gauss_newton import Iteration, TrustRegion
+from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.measured_runs import MeasuredRun
 from fmus.identification.refinement.multistart import MultistartResult, RandomStart
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter
 from fmus.identification.refinement.refine import RefinementResult
-from fmus.identification.refinement.residuals import SimulatedRun, Whiteness
-from fmus.identification.refinement.statistics import Statistics
+from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
 from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.identification.report.prediction import compare
 from fmus.identification.report.report_texts import CHECK, warnings
@@ -28,7 +27,7 @@ def traces(name: str, error: float) -> SimulatedRun:
     """A run that is off by `error` of its range in the first output, and has no second one."""
     measured = np.column_stack([np.sin(np.pi * TIME), np.zeros_like(TIME)])
     compared = np.column_stack([np.ones_like(TIME), np.zeros_like(TIME)]).astype(bool)
-    run = MeasuredRun(name, TIME, {}, measured, compared.astype(float), compared, np.array([2.0, 1.0]))
+    run = MeasuredRun(name, TIME, {}, measured, compared.astype(float), np.array([2.0, 1.0]))
     return SimulatedRun(run, measured + 2 * error)
 
 
@@ -44,7 +43,6 @@ def refined(**more) -> RefinementResult:
     given = {
         "problem": problem,
         "z": np.log([2.0, 3.0]),
-        "converged": True,
         "reason": "converged",
         "history": (),
         "statistics": Statistics(covariance, covariance, covariance, 100, 10, 7.0),
@@ -54,7 +52,7 @@ def refined(**more) -> RefinementResult:
         "training": training,
         "held_out": (traces("c", 0.05),),
         "model_error": {},
-        "starts": (),
+        "simulator": None,
     }
     return RefinementResult(**{**given, **more})
 
@@ -73,7 +71,7 @@ def test_a_refinement_has_the_names_of_the_report():
     assert found["correlation"][0, 1] == pytest.approx(0.5)
     assert found["unidentified"] == [f"{PRELOAD} and valve_area: not each."]
     assert found["remarks"] == [f"{PRELOAD} ended at its bound."]
-    remark = refinement(refined(converged=False, reason="40 iterations"))["remarks"][0]
+    remark = refinement(refined(reason="40 iterations"))["remarks"][0]
     assert remark.startswith("The search did not converge: 40 iterations were not enough.")
     assert "--free" in remark  # what to do
 
@@ -81,9 +79,7 @@ def test_a_refinement_has_the_names_of_the_report():
 def test_random_starts_are_compared():
     """Distance of each start from the values before; whether the search led to the same result."""
     initial = {"valve_area": 2.0 * np.e, "boom_stick_initial_preload": 2.0 * np.e}
-    ran = MultistartResult(
-        (RandomStart(initial, {}, 0.2, 1.0, 9), RandomStart(initial, {}, np.inf, np.nan, 0)), 0.5
-    )
+    ran = MultistartResult((RandomStart(initial, 0.2, 1.0, 9), RandomStart(initial, np.inf, np.nan, 0)))
     one, other = refinement(refined(), ran)["starts"]
     # exact identity: both parameters are e times as large
     assert one["away"] == pytest.approx(1.0)
@@ -157,7 +153,7 @@ def test_the_lines_for_a_terminal():
 def test_residuals_far_above_the_noise_are_a_warning():
     """168 times: the number, and the worst signals as the report names them; a good fit has none."""
     assert warnings(refined(at_bound=())) == []
-    history = (Iteration(0, 168.0, 0.1, 0.0, TrustRegion(1.0), {}),)
+    history = (Iteration(0, 168.0, 0.1, {}),)
     tests = {"boom_angle": Whiteness(0.0, 1.0, {}, 505.0), "swing_flow_a": Whiteness(0.2, 0.01, {}, 1.1)}
     far = refined(history=history, whiteness=tests, at_bound=())
     told, check = warnings(far)
@@ -168,7 +164,7 @@ def test_residuals_far_above_the_noise_are_a_warning():
 
 def test_warnings_have_the_names_of_the_report():
     """Search, bound and poor signal, then the advice; of a failed simulation the signal without a value."""
-    poor = refined(converged=False, reason="40 iterations", training=(traces("a", 0.03), traces("b", 0.4)))
+    poor = refined(reason="40 iterations", training=(traces("a", 0.03), traces("b", 0.4)))
     search, bound, fit, check = warnings(poor)
     assert "did not converge: 40 iterations" in search
     assert PRELOAD in bound
