@@ -35,15 +35,20 @@ from scipy import linalg, optimize, stats
 from scipy.signal import savgol_filter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
+from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE
-from fmus.identification.procedures.regression import SINGULAR, Regression
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
 
 Indices: TypeAlias = NDArray[np.int64]
 
+UNLIKELY = 1e-3  # probability of chi-square below which a fit is a misfit
+SINGULAR = 1e8  # largest condition number of the scaled regressors; beyond, rounding errors decide
+SIGNIFICANT = 3.7  # standard deviations above which a term is significant: 1 in 5000 by chance
+DETERMINED = 0.25  # largest relative standard deviation of a parameter that the data determine
+NEGLIGIBLE = 0.1  # effects below this fraction of a standard deviation are not mentioned
 HOP = 0.5  # distance of neighbouring windows over their half width; they overlap
 ITERATIONS = 60  # at most
 CONVERGED = 1e-2  # standard deviations, of the last step
@@ -267,6 +272,82 @@ def _solved(factor: Array, rows: Array) -> Array:
     flat = np.swapaxes(rows, -1, -2).reshape(*rows.shape[:-2], -1)
     white: Array = linalg.solve_banded((factor.shape[0] - 1, 0), factor, flat.reshape(-1, flat.shape[-1]).T)
     return white.T.reshape(flat.shape)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Result of a fit.
+
+    names, values, covariance   parameters in one order; the covariance is widened if there is a misfit
+    residual                    residuals, each divided by its standard deviation
+    chi_square, freedom         sum of their squares, and its degrees of freedom
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    residual: Array
+    chi_square: float
+    freedom: int
+
+    @property
+    def misfit(self) -> bool:
+        """Whether chi-square is too large to be explained by measurement noise."""
+        return float(stats.chi2.sf(self.chi_square, self.freedom)) < UNLIKELY
+
+    @property
+    def times_noise(self) -> float:
+        """Root mean square of the residuals in standard deviations: 1 if noise explains them."""
+        return math.sqrt(self.chi_square / self.freedom) if self.freedom > 0 else 0.0
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion for residuals of known standard deviation; lower is better."""
+        return self.chi_square + 2 * len(self.names)
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.values[self.names.index(name)])
+
+    def as_dict(self) -> dict[str, float]:
+        """Values by name."""
+        return dict(zip(self.names, map(float, self.values), strict=True))
+
+    def significant(self, name: str) -> bool:
+        """Whether a parameter differs from zero by more than chance."""
+        return abs(self[name]) > SIGNIFICANT * self.sd(name)
+
+    def determined(self, name: str) -> bool:
+        """Whether the data determine a positive parameter: its relative standard deviation is small."""
+        return self.sd(name) <= DETERMINED * self[name]
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of one parameter."""
+        i = self.names.index(name)
+        return math.sqrt(self.covariance[i, i])
+
+    def estimate(self, name: str, unit: str, note: str, parameter: str = "", factor: float = 1.0) -> Estimate:
+        """The estimate `name`: the fitted parameter (by default of that name) times an exact factor."""
+        parameter = parameter or name
+        return Estimate.normal(name, factor * self[parameter], unit, abs(factor) * self.sd(parameter), note)
+
+    def derived(
+        self, name: str, unit: str, note: str, function: Callable[[Mapping[str, float]], float]
+    ) -> Estimate:
+        """A function of the parameters, with its standard deviation by linear error propagation.
+
+        The gradient is formed by central differences over the range of the noise. The interval of a positive
+        value is that of its logarithm, so that it stays positive.
+        """
+        values, steps = self.as_dict(), np.sqrt(np.diag(self.covariance)) / 10
+        differences = np.array(
+            [
+                function(values | {n: x + h}) - function(values | {n: x - h})
+                for (n, x), h in zip(values.items(), steps, strict=True)
+            ]
+        )
+        gradient = np.divide(differences, 2 * steps, out=np.zeros_like(differences), where=steps > 0)
+        sd = math.sqrt(float(gradient @ self.covariance @ gradient))
+        return Estimate.normal(name, function(values), unit, sd, note, log=True)
 
 
 @dataclass(frozen=True)
@@ -548,6 +629,16 @@ def probability(value: float, sd: float, tolerance: float = 0.0, *, sides: int =
         return 1.0
     size = abs(value) if sides == 2 else value
     return float(min(1.0, sides * stats.norm.sf((size - tolerance) / sd))) if size > tolerance else 1.0
+
+
+def misfit_remark(fit: Regression, equation: str) -> tuple[str, ...]:
+    """A sentence if the equation cannot explain the data, else nothing."""
+    if not fit.misfit:
+        return ()
+    return (
+        f"{equation} leaves residuals {fit.times_noise:.3g} times as large as the noise: the model is "
+        "incomplete. The intervals are widened by that factor.",
+    )
 
 
 def zero_findings(solution: Solution, label: str) -> Iterator[Finding]:

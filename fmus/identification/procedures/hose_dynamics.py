@@ -36,12 +36,16 @@ import numpy as np
 
 from fmus.components import hose
 from fmus.identification.balance import (
+    SIGNIFICANT,
+    UNLIKELY,
     Law,
+    Regression,
     Samples,
     Solution,
     drift_finding,
     homogeneity,
     law,
+    misfit_remark,
     model_finding,
     modulating_function,
     noise_of,
@@ -67,7 +71,6 @@ from fmus.identification.procedures.experiment_data import (
     zero_limits,
 )
 from fmus.identification.procedures.hose_resistance import scaled
-from fmus.identification.procedures.regression import SIGNIFICANT, UNLIKELY, Regression, misfit_remark
 from fmus.identification.recordings.clock import period, uniform_rate
 from fmus.identification.recordings.derivatives import filter_for
 from fmus.identification.recordings.masks import good_all

@@ -29,6 +29,7 @@ import scipy.linalg
 
 from fmus.contract import quantities, symbols
 from fmus.identification.balance import (
+    DETERMINED,
     Solution,
     model_finding,
     scores_covariance,
@@ -53,7 +54,6 @@ from fmus.identification.procedures.momentum_balance import (
     known_parameter_effects,
     parameter_vector,
 )
-from fmus.identification.procedures.regression import DETERMINED
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
