@@ -18,6 +18,7 @@ Validity: viscous friction, all other parameters known. B absorbs all other effe
 remarks quantify them, and whether dry friction is visible.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -332,7 +333,7 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
     yield _used(joint)
     for name in joint.at_rest:
         yield f"in {name} the joint is at rest, so this recording is left out."
-    times, noise = solution.fit.times_noise, float(solution.by_noise[0])
+    times, noise = solution.fit.times_noise, math.sqrt(solution.normal.inverse[0, 0])
     conclusion = (
         "The model is incomplete, and the interval covers the error."
         if solution.fit.misfit

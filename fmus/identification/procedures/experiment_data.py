@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import stats
 
+from fmus.identification.balance import SIGNIFICANT
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR
-from fmus.identification.procedures.regression import SIGNIFICANT
 from fmus.identification.recording_names import TEMPERATURE
 from fmus.identification.recordings.clock import filter_for, resample_uniformly
 from fmus.identification.recordings.masks import (

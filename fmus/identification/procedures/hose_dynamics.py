@@ -43,13 +43,17 @@ from fmus.components import hose
 from fmus.identification.balance import (
     HOP,
     SHIFT,
+    SIGNIFICANT,
+    UNLIKELY,
     Law,
+    Regression,
     Samples,
     Solution,
     delay,
     drift_finding,
     homogeneity,
     law,
+    misfit_remark,
     model_finding,
     modulating_function,
     noise_of,
@@ -74,7 +78,6 @@ from fmus.identification.procedures.experiment_data import (
     zero_limits,
 )
 from fmus.identification.procedures.hose_resistance import scaled
-from fmus.identification.procedures.regression import SIGNIFICANT, UNLIKELY, Regression, misfit_remark
 from fmus.identification.recordings.clock import filter_for, period, uniform_rate
 from fmus.identification.recordings.masks import good, good_all
 from fmus.parameters import Number

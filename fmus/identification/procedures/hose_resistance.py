@@ -28,6 +28,7 @@ from fmus.identification.balance import (
     Solution,
     drift_finding,
     law,
+    misfit_remark,
     model_finding,
     probability,
     solve,
@@ -56,7 +57,6 @@ from fmus.identification.procedures.experiment_data import (
     training_recordings,
     zero_limits,
 )
-from fmus.identification.procedures.regression import misfit_remark
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

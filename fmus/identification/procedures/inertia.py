@@ -29,9 +29,11 @@ import scipy.linalg
 
 from fmus.contract import quantities, symbols
 from fmus.identification.balance import (
+    DETERMINED,
+    Normal,
     Solution,
+    flat,
     model_finding,
-    scores_covariance,
     shift_finding,
     solve,
     zero_findings,
@@ -53,7 +55,6 @@ from fmus.identification.procedures.momentum_balance import (
     known_parameter_effects,
     parameter_vector,
 )
-from fmus.identification.procedures.regression import DETERMINED
 from fmus.identification.recordings.clock import uniform_rate
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
@@ -242,20 +243,14 @@ def base_estimates(records: Sequence[JointRecording], solution: Solution, p: Arr
             np.moveaxis(x.full().reshape(3, r.z.shape[1], len(STANDARD)), 2, 0)[list(group.kept)]
             for x in regressor()(r.z[:3], r.z[3:6], np.zeros_like(r.z[:3]), estimated)[:2]
         )
-        parts.append(part.whiten(r.samples.integral(by_force, by_momentum)))
-    others = np.delete(solution.columns, own, axis=0)
-    columns = np.concatenate([np.concatenate(parts, axis=1), others])
-    prior = np.concatenate([np.zeros(len(group.kept)), np.delete(solution.prior, own)])
-    scale = np.sqrt(np.sum(columns**2, axis=1) + prior)
-    inverse = np.linalg.inv((columns @ columns.T + np.diag(prior)) / np.outer(scale, scale))
-    inverse /= np.outer(scale, scale)
-    step = -inverse @ (columns @ solution.residual)
-    covariance = inverse
+        parts.append(part.whiten(flat(r.samples.integral(by_force, by_momentum))))
+    normal = Normal(
+        np.concatenate([np.concatenate(parts, axis=1), np.delete(solution.normal.columns, own, axis=0)]),
+        np.concatenate([np.zeros(len(group.kept)), np.delete(solution.normal.prior, own)]),
+    )
+    step, covariance = normal.step(solution.residual), normal.inverse
     if fit.misfit:
-        ends = np.cumsum([part.e.size for part in solution.parts])[:-1]
-        pieces = zip(np.split(columns, ends, axis=1), solution.parts, solution.samples, strict=True)
-        meat = sum(scores_covariance(c, part.e, s) for c, part, s in pieces) + np.diag(prior)
-        covariance = inverse @ meat @ inverse
+        covariance = normal.covariance(solution.residual, solution.samples, fit.times_noise**2)
     values = group.values(standard(estimated)) + step[: len(group.kept)]
     sds, units = np.sqrt(np.diag(covariance)), [UNITS[k] for k in group.kept]
     note = "base parameter: combination that any motion can determine"

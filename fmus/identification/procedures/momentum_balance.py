@@ -24,6 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from fmus.boom_stick import BOOM_STICK
 from fmus.contract import Subsystem, quantities, symbolic, symbols
 from fmus.identification.balance import (
+    NEGLIGIBLE,
     Law,
     Samples,
     Solution,
@@ -38,7 +39,6 @@ from fmus.identification.procedures.experiment_data import (
     parameter_value,
     tank_pressure,
 )
-from fmus.identification.procedures.regression import NEGLIGIBLE
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.manipulator import MANIPULATOR, arm

@@ -19,10 +19,14 @@ import casadi as ca
 import numpy as np
 
 from fmus.identification.balance import (
+    NEGLIGIBLE,
+    SIGNIFICANT,
     Law,
+    Regression,
     Solution,
     drift_finding,
     law,
+    misfit_remark,
     model_finding,
     probability,
     solve,
@@ -43,7 +47,6 @@ from fmus.identification.procedures.experiment_data import (
     training_recordings,
     zero_limits,
 )
-from fmus.identification.procedures.regression import NEGLIGIBLE, SIGNIFICANT, Regression, misfit_remark
 from fmus.identification.recordings.masks import averages
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem

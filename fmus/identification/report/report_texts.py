@@ -8,13 +8,13 @@ import numpy as np
 from fmus.identification.estimate import Estimate
 from fmus.identification.machine import parameter_names, signal_names
 from fmus.identification.procedure_result import ProcedureResult
-from fmus.identification.procedures.regression import FAR
 from fmus.identification.refinement.refine import RefinementResult
 from fmus.identification.report.prediction import WINDOW
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset
 from orchestrator.data.recording import Recording
 
+FAR = 3.0  # residuals over noise from which on eight ninths of chi-square are errors of the model
 WIDE = 0.5  # half interval over value above which the interval is shown as a factor
 FACTOR = "\N{MULTIPLICATION SIGN}÷"
 
