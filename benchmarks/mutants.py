@@ -111,7 +111,6 @@ _NAMED = (
     ("orchestrator/engine/accuracy.py", "INSIDE = 0.5", "INSIDE = 1.0"),
     ("orchestrator/engine/accuracy.py", "FMU_TOLERANCE = 3e-2", "FMU_TOLERANCE = 9e-2"),
     ("fmus/identification/procedures/weighing.py", "-= 1.0 / len(self.tares)", "-= 1.0"),
-    ("fmus/identification/procedures/weighing.py", ".zero / 2", ".zero"),
     ("orchestrator/ssp/parameter_sets.py", "first.then(linear)", "linear.then(first)"),
 )
 
