@@ -337,6 +337,17 @@ def _effects(nodes: Nodes, known: Priors) -> Repeated | None:
     return min(fits, key=lambda fit: fit.chi_square, default=None)
 
 
+def without_drift(steps: ValveSteps, drifting: Mapping[str, Repeated]) -> ValveSteps:
+    """The steps with the flows that they would have in the middle of their experiment."""
+    flow = steps.flow.copy()
+    for edge, found in drifting.items():
+        own = steps.edge == edge
+        cause = steps.temperature if found.warm else steps.time
+        away = np.nan_to_num(cause[own] - cause[own & steps.good].mean()) / found.span
+        flow[own] *= 1 - found.effects["drift"][0] * away
+    return replace(steps, flow=flow)
+
+
 def zero_by_pressures(each: Collection[Repeated], known: Priors) -> tuple[float, float]:
     """Zero [Pa] of the pressure drop by steps with one command at several drops, and its standard deviation.
 
@@ -799,15 +810,14 @@ class Openings:
 def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Openings:
     """Straight line or curves of all edges: a line if it suffices for each, one opening if they are equal."""
     edges = steps.edges
-    measured = {e: Nodes.of(steps.of(e), c) for e in edges}
     found_again = {e: r for e in edges if (r := repeated(steps.of(e), c, known))}
-    drifts = [
-        abs(r.effects["drift"][0])
-        for r in found_again.values()
-        if "drift" in r.effects and r.probability("drift") < UNLIKELY
-    ]
-    known = replace(known, drift=max(drifts, default=0.0))
+    drifting = {
+        e: r for e, r in found_again.items() if "drift" in r.effects and r.probability("drift") < UNLIKELY
+    }
+    largest = max((abs(r.effects["drift"][0]) for r in drifting.values()), default=0.0)
+    steps, known = without_drift(steps, drifting), replace(known, drift=largest)
     zero, zero_sd = zero_by_pressures(found_again.values(), known)
+    measured = {e: Nodes.of(steps.of(e), c) for e in edges}
     corrected = replace(steps, drop=steps.drop - zero)
     nodes = {e: Nodes.of(corrected.of(e), c) for e in edges}
     scatter = max(n.scatter for n in nodes.values())
