@@ -54,10 +54,15 @@ BOTH_WAYS = 0.2  # smallest share of the way up, and of the way down, in all of 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Recordings of the boom and the fit of their masses and friction; `head` is the known mass [kg]."""
+    """Recordings of the boom and the fit of their masses and friction; `head` is the known mass [kg].
+
+    If the model does not fit, zeros of the sensors would explain what it lacks: masses then are those of
+    `plain`, the fit without zeros, and the zeros that the data sheets allow are in their intervals.
+    """
 
     records: tuple[JointRecording, ...]
     solution: Solution
+    plain: Solution
     head: float
 
     def stated(self, k: int) -> float | None:
@@ -72,13 +77,19 @@ class Weighed:
 
     def payload(self, k: int) -> tuple[float, float]:
         """Payload [kg] of a recording and its standard deviation."""
-        fit = self.solution.fit
+        fit = self.plain.fit if self.solution.fit.misfit else self.solution.fit
         contrast = np.zeros(len(fit.names))
         contrast[k] = 1.0
         for tare in self.tares:
             contrast[tare] -= 1.0 / len(self.tares)
         value = float(contrast @ fit.values) - (0.0 if self.tares else self.head)
-        return value, math.sqrt(contrast @ fit.covariance @ contrast)
+        variance = float(contrast @ fit.covariance @ contrast)
+        if self.solution.fit.misfit:
+            by_residual = contrast @ self.plain.normal.inverse @ self.plain.normal.columns
+            columns = self.solution.normal.columns[len(fit.names) :]
+            limits = np.array(list(self.solution.limits.values()))
+            variance += float(np.sum((limits / 2 * (columns @ by_residual)) ** 2))
+        return value, math.sqrt(variance)
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
@@ -127,14 +138,14 @@ def weigh(recordings: Sequence[Recording], p: Array) -> Weighed:
         _check_motion(record)
     names = [f"payload[{r.source.stem}]" for r in recordings]
     head = float(p[PARAMETERS.index(HEAD)])
-    solution = solve(
-        [replace(r.samples, names=(n, *r.samples.names[1:])) for r, n in zip(records, names, strict=True)],
-        dict.fromkeys(names, head) | {DAMPING: 0.0, DRY: 0.0, OFFSET: 0.0},
-        "weighing",
-        {n: max(zero_limit(r, n) for r in recordings) for n in PRESSURES[JOINT]},
-        tested=(OFFSET,),
-    )
-    return Weighed(tuple(records), solution, head)
+    samples = [
+        replace(r.samples, names=(n, *r.samples.names[1:])) for r, n in zip(records, names, strict=True)
+    ]
+    start = dict.fromkeys(names, head) | {DAMPING: 0.0, DRY: 0.0, OFFSET: 0.0}
+    limits = {n: max(zero_limit(r, n) for r in recordings) for n in PRESSURES[JOINT]}
+    solution = solve(samples, start, "weighing", limits, tested=(OFFSET,))
+    plain = solve(samples, start, "weighing", tested=(OFFSET,)) if solution.fit.misfit else solution
+    return Weighed(tuple(records), solution, plain, head)
 
 
 def _check_motion(record: JointRecording) -> None:
