@@ -73,7 +73,7 @@ def run(
         _print_prediction(comparison)
     if contents["explanation"]:
         print(contents["explanation"].verdict)
-    contradicted = [f"{f['procedure']}: {f['sentence']}" for f in contents["findings"] if f["named"]]
+    contradicted = [f"{f['fault']}: {f['sentence']}" for f in contents["findings"] if f["named"]]
     outside = map(extrapolation_text, extrapolated(identified))
     for line in _warnings([*outside, *contents["warnings"], *contradicted]):
         print(line)

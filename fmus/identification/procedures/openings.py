@@ -222,7 +222,7 @@ class Nodes:
             noise=np.asarray(error),
             levels=area,
             slope=np.asarray(slope),
-            by_pressure=by_zero,
+            by_pressure=by_zero * means[index] / area,  # of the drops, not of the scatter of the areas
             deviation=np.asarray(deviation),
             chi_square=chi_square,
             freedom=freedom,
@@ -629,11 +629,18 @@ def curve(
     below, above = grid < v[0] - 1e-6, grid > v[-1] + 1e-6
     if not fitted or "rounding" not in fitted.names:
         bounds = shut.idle_area(c)
-        foot = _Foot(v[0], values[:, 0], np.maximum(slope, 1e-3 * values[:, 0] / v[0]), exponents, bounds)
+        area = np.maximum(values[:, 0], 1e-6 * nodes.area.max())  # noise may leave none
+        foot = _Foot(v[0], area, np.maximum(slope, 1e-3 * area / v[0]), exponents, bounds)
         draws[:, below], starts = foot.draws(grid[below], random)
         if not fitted:
             start = float(np.median(starts))
-            one = _Foot(v[0], middle[between][:1], np.atleast_1d(np.median(foot.slope)), exponents, bounds)
+            one = _Foot(
+                v[0],
+                np.maximum(middle[between][:1], 1e-6 * nodes.area.max()),
+                np.atleast_1d(np.median(foot.slope)),
+                exponents,
+                bounds,
+            )
             middle[below] = one.at(grid[below], np.array([start]))[0]
     last = np.diff(values[:, -2:], axis=1) / (v[-1] - v[-2])
     way = grid[above] - v[-1]

@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
+from fmus.identification.balance import probability
 from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, ProcedureResult
@@ -277,8 +278,7 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
 def _outside(edge: str, free: Line, limit: float) -> tuple[float, str]:
     """Score test of a zero beyond its limit, by the straight line with any zero."""
     zero, bar = free["zero"], BAR[1]
-    p = 2 * float(stats.norm.sf((abs(zero) - limit) / free.sd("zero"))) if abs(zero) > limit else 1.0
-    return p, (
+    return probability(zero, free.sd("zero"), limit), (
         f"valve, edge {edge}: the opening is straight if the zeros of the two pressures differ by "
         f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
     )
@@ -289,12 +289,11 @@ def _flow_zero(recordings: Sequence[Recording], found: Openings) -> Iterator[tup
     if found.flow_zero:
         (zero, sd), unit = found.flow_zero, LITRES_PER_MINUTE[1]
         limit = max(r.sensor("flow").zero_error or 0.0 for r in recordings)
-        p = 2 * float(stats.norm.sf((abs(zero) - limit) / sd)) if abs(zero) > limit else 1.0
         sentence = (
             f"valve: the flow meter reads {zero / unit:.2g} L/min at closed edges, and {limit / unit:.2g} "
             "L/min is declared; the reading is subtracted."
         )
-        yield p, sentence
+        yield probability(zero, sd, limit), sentence
 
 
 def _start(edge: str, found: Openings) -> tuple[float, str]:
@@ -378,12 +377,11 @@ def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, t
         yield "oil temperature", (found.probability("drift"), f"valve {edge}: {drift}")
     if "zero" in effects:
         (zero, sd), bar = found.effects["zero"], BAR[1]
-        p = 2 * float(stats.norm.sf((abs(zero) - limit) / sd)) if abs(zero) > limit else 1.0
         sentence = (
             f"valve {edge}: the area does not depend on the pressures if their zeros differ by "
             f"{zero / bar:.3g} bar, which is more than the declared {limit / bar:.3g} bar."
         )
-        yield "zero of a pressure sensor", (p, sentence)
+        yield "zero of a pressure sensor", (probability(zero, sd, limit), sentence)
     times = (found.chi_square / found.freedom) ** 0.5
     uneven = f"valve {edge}: steps with one command scatter {times:.2g} times as much as their noise."
     yield "model", (float(stats.chi2.sf(found.chi_square / UNEVEN**2, found.freedom)), uneven)

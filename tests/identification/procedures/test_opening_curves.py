@@ -123,6 +123,14 @@ def test_noise_of_the_command_is_no_hysteresis(share):
     assert faults(valve.identify([shaken(share, 1.0)], bench.KNOWN)) == []
 
 
+@pytest.mark.parametrize("exponent", [1.02, 1.1])
+def test_hysteresis_is_no_zero_of_the_pressures(exponent):
+    """With one supply a smaller flow on the way down is none of the pressures, nor is a line with 70 bar."""
+    result = valve.identify([shaken(bench.power(exponent), 0.9, noise=0.0)], bench.KNOWN)
+    assert "hysteresis" in faults(result)
+    assert "zero of a pressure sensor" not in faults(result)
+
+
 def test_oil_that_warms_is_named():
     """An area that grows by 1 % over the experiment is one of the oil, and no hysteresis."""
     recording = bench.edge("P-A", bench.power(1.3), np.zeros(2), [5])
