@@ -73,7 +73,7 @@ def run(
         _print_prediction(comparison)
     if contents["explanation"]:
         print(contents["explanation"].verdict)
-    contradicted = [f"{f['fault']}: {f['sentence']}" for f in contents["findings"] if f["named"]]
+    contradicted = [_placed(f["procedure"], f["sentence"]) for f in contents["findings"] if f["named"]]
     outside = map(extrapolation_text, extrapolated(identified))
     for line in _warnings([*outside, *contents["warnings"], *contradicted]):
         print(line)
@@ -83,6 +83,11 @@ def run(
         html, data = write_page(page, contents)
     print(f"report: {html}\nnumbers: {data}\n{perf_counter() - start_time:.0f} s")
     return status
+
+
+def _placed(procedure: str, sentence: str) -> str:
+    """A sentence that begins with the name of its procedure."""
+    return sentence if sentence.startswith(procedure) else f"{procedure}: {sentence}"
 
 
 def _warnings(sentences: Sequence[str]) -> list[str]:
