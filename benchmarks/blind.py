@@ -553,7 +553,7 @@ def percent(hits: Sequence[bool]) -> str:
 
 
 def why(seed: int) -> None:
-    """Print what the command answers to each line under "Why" of issue 38 that is about benches."""
+    """Print what the command answers to valve benches that earlier versions answered wrongly, without a word."""
     print("| case | status | area [mm2], interval; truth | dead band [V] | curve points held | named |")
     print("|---|---|---|---|---|---|")
     straight = {"area": 27e-6, "start": 0.6, "groups": [(0.0, 1e-6, 1.0)], "edges": ["P-A", "A-T"]}
@@ -578,7 +578,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", default="", choices=["clean", *FAULTS], metavar="FAULT", help="or clean")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for recordings and results")
-    parser.add_argument("--why", action="store_true", help='the lines under "Why" of issue 38')
+    parser.add_argument("--why", action="store_true", help="faults that earlier versions did not name")
     chosen = parser.parse_args()
     if chosen.why:
         why(chosen.seed)
