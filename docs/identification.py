@@ -26,9 +26,9 @@ from fmus.identification.report.attribution import Explanation
 from fmus.identification.report.procedure_figures import draw_procedure
 from fmus.identification.report.recording_comparison import WINDOW, RecordingComparison, captioned_figure
 from fmus.rig import write_all
-from orchestrator.base import plotting
-from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable, typeset
+from orchestrator.pages import plotting
+from orchestrator.pages.plotting import png
 
 HERE = Path(__file__).parent
 PAGE, FIGURES = HERE / "identification.md", HERE / "figures"

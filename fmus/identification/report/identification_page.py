@@ -21,10 +21,10 @@ from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation, rms
 from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure
 from fmus.identification.report.recording_comparison import CaptionedFigure
-from orchestrator.base import html_page
-from orchestrator.base.figures import plot
-from orchestrator.base.plotting import embed
 from orchestrator.data.recording import Recording
+from orchestrator.pages import html_page
+from orchestrator.pages.figures import plot
+from orchestrator.pages.plotting import embed
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html.j2"
 NAME = "identification"

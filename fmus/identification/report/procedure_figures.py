@@ -23,11 +23,11 @@ from matplotlib.ticker import MaxNLocator
 
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.report_texts import footer
-from orchestrator.base.figures import DASHES, DOTS, PALETTE, decimate
-from orchestrator.base.plotting import WIDTH, heading, legend, new_figure, power_ticks, style_axes
 from orchestrator.base.text import MINUS, name_with_unit, typeset
 from orchestrator.base.units import pretty
 from orchestrator.data.table import Array
+from orchestrator.pages.figures import DASHES, DOTS, PALETTE, decimate
+from orchestrator.pages.plotting import WIDTH, heading, legend, new_figure, power_ticks, style_axes
 
 COLUMNS = 2
 MAX_COLUMN = 3  # panels over one quantity, from this number on, are split into two columns

@@ -24,10 +24,10 @@ from fmus.identification.report.attribution import (
 )
 from fmus.identification.report.prediction import Signals, excitation, predict
 from fmus.identification.report.report_texts import counterpart, footer, origin
-from orchestrator.base.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
 from orchestrator.base.text import display_unit, percentage, sentences
 from orchestrator.data.recording import Recording
 from orchestrator.data.table import Array
+from orchestrator.pages.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
 
 WINDOW = 0.1  # s, filter that differentiates angles, wide enough for the encoder's steps
 CONSTANT = 1e-9  # range over largest value below which a signal is constant

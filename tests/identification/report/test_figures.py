@@ -16,11 +16,11 @@ from fmus.identification.procedure_result import Curve, Panel
 from fmus.identification.report import report_texts
 from fmus.identification.report.procedure_figures import draw_correlation, draw_procedure
 from fmus.identification.report.recording_comparison import SIGNALS, RecordingComparison, figure, nrmse
-from orchestrator.base import plotting
-from orchestrator.base.figures import plot
 from orchestrator.base.text import typeset
 from orchestrator.base.units import pretty
 from orchestrator.data.recording import Recording
+from orchestrator.pages import plotting
+from orchestrator.pages.figures import plot
 
 TIME = np.arange(0.0, 5.0, 0.005)
 

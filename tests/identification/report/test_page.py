@@ -14,7 +14,7 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import render, write_page
 from fmus.identification.report.recording_comparison import CaptionedFigure
-from orchestrator.base.figures import VENDOR
+from orchestrator.pages.figures import VENDOR
 
 
 @pytest.fixture(scope="module")
