@@ -27,9 +27,8 @@ from typing import TYPE_CHECKING, Any
 from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_file
 
 if TYPE_CHECKING:
-    from orchestrator.data.trace_writer import Array, RowLayout, TraceSink
+    from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
     from orchestrator.engine.job import Job, RunEnd
-    from orchestrator.engine.recorder import Points
     from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel
@@ -85,9 +84,8 @@ def start_process() -> None:
 
 def _contents() -> Mapping[str, Any]:
     """What the child may send."""
-    from orchestrator.data.trace_writer import Array, RowLayout
+    from orchestrator.data.trace_writer import Array, Points, RowLayout
     from orchestrator.engine.job import RunEnd
-    from orchestrator.engine.recorder import Points
     from orchestrator.fmi.messages import LogMessage
 
     errors = tuple[tuple[str, ...], Array, Array]
@@ -308,7 +306,7 @@ def main(channel: Channel) -> None:
     import traceback
 
     from orchestrator.base.errors import Problem
-    from orchestrator.engine import job as _job  # noqa: F401  imported while the parent reads the system
+    from orchestrator.engine import open_job  # noqa: F401  imported while the parent reads the system
     from orchestrator.engine.c_library import library
     from orchestrator.worker.main import left_behind
 
@@ -336,6 +334,7 @@ def main(channel: Channel) -> None:
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
     from orchestrator.engine.job import open_slave
+    from orchestrator.engine.open_job import run_job
     from orchestrator.fmi.calls import Slave
     from orchestrator.ssp.system import Component
 
@@ -386,4 +385,4 @@ def _run(channel: Channel, task: RunTask) -> None:
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
     job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
-    job.run(task.times, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)
+    run_job(job, task.times, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)

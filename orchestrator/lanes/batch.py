@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.interrupts import in_threads
-from orchestrator.base.options import BatchArguments, chosen, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
+from orchestrator.engine.arguments import BatchArguments
 from orchestrator.engine.job import Execution, Job
 from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare

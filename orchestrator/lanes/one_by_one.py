@@ -16,6 +16,7 @@ from orchestrator.base.interrupts import in_threads
 from orchestrator.data.trace_writer import TraceInMemory
 from orchestrator.engine import simulation_loop
 from orchestrator.engine.job import ENDS_EARLY, Execution, Job, Record
+from orchestrator.engine.open_job import run_job
 from orchestrator.engine.run import finished
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.group import EARLY, FAILED, Ended
@@ -155,8 +156,8 @@ def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[list[Array], End
     sink.rows = 0  # until the run begins
     try:
         job = replace(task.job, system=_with_values(task.job.system, values))
-        outcome = job.run(task.times, sink)
-        result = finished(job, task.times, outcome, sink, sink.trace)
+        outcome = run_job(job, task.times, sink)
+        result = finished(job, task.times, outcome, sink)
         if early := [note for note in result.card.notes if note.startswith(ENDS_EARLY)]:
             end = Ended(EARLY, " ".join(early[0].removeprefix(ENDS_EARLY).split()), outcome.t)
     except Problem as problem:

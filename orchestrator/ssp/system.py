@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
-from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.text import brief, first_names
@@ -22,6 +21,7 @@ from orchestrator.base.units import (
 )
 from orchestrator.base.xml import integer, real
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.ssp.coupling import Coupling, Suggestion
 
 MAX_NAMES = 4  # in a message
 ROUNDING = 1e-12  # relative difference of equal values after a conversion of units; messages show 13 digits
@@ -271,6 +271,11 @@ class System:
     def ports(self, causality: str) -> list[Port]:
         """All variables of one causality."""
         return [Port(c.name, v.name) for c in self.components.values() for v in c.interface.of(causality)]
+
+    @property
+    def nominals(self) -> Mapping[str, float | None]:
+        """The nominal value of each output, by its name."""
+        return {str(port): self.variable(port).nominal for port in self.ports("output")}
 
     @property
     def open(self) -> Mapping[str, Inlet]:

@@ -11,7 +11,6 @@ from itertools import product
 from math import isfinite
 from typing import Any
 
-from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import find
 from orchestrator.base.toml import quote_key
@@ -24,6 +23,7 @@ from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
+from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts
 from orchestrator.ssp.swap import with_swaps

@@ -10,10 +10,10 @@ import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
-from orchestrator.base.html_page import write_json
-from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable
 from orchestrator.fmi.description import Value
+from orchestrator.pages.html_page import write_json
+from orchestrator.pages.plotting import png
 from orchestrator.ssp.load import load
 from orchestrator.ssp.plausible import doubtful_starts
 from orchestrator.ssp.swap import with_swaps

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
 from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
 from orchestrator.results.metrics import AT_REST, constant
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import System
 
 Array = NDArray[np.float64]
