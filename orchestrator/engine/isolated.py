@@ -63,6 +63,7 @@ class RunTask:
     directory      the working directory
     path           where modules are found
     keeps_errors   send estimated errors to the parent
+    cores          threads of the run, at most
     """
 
     job: Job
@@ -71,6 +72,7 @@ class RunTask:
     directory: str
     path: list[str]
     keeps_errors: bool
+    cores: int
 
 
 # ---- the parent
@@ -93,8 +95,19 @@ def _contents() -> Mapping[str, Any]:
     return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed", "defect"), str)
 
 
-def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]) -> RunEnd:
-    """Run a job in a child process; `between` is called with the simulated time [s] now and then.
+def run_isolated(
+    job: Job,
+    times: Grid,
+    sink: TraceSink,
+    between: Callable[[float], None] = lambda _: None,
+    check: Callable[[], None] = lambda: None,
+    cores: int | None = None,
+) -> RunEnd:
+    """Run a job in a child process.
+
+    between   called with the simulated time [s] now and then
+    check     called all the time; a KeyboardInterrupt ends the run, as that of the user does
+    cores     threads of the run, at most; default: one per core
 
     Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
     """
@@ -103,8 +116,8 @@ def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[floa
     outcome: RunEnd | None = None
     try:
         with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
-            supervision = _Supervision(worker, job, times, sink, between)
-            outcome = supervision.outcome(interrupts.check)
+            supervision = _Supervision(worker, job, times, sink, between, cores or os.cpu_count() or 1)
+            outcome = supervision.outcome((interrupts.check, check))
     except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
         if outcome is None:
             raise
@@ -138,7 +151,13 @@ class _Supervision:
     """One run in a child process, seen from the parent."""
 
     def __init__(
-        self, worker: Worker, job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]
+        self,
+        worker: Worker,
+        job: Job,
+        times: Grid,
+        sink: TraceSink,
+        between: Callable[[float], None],
+        cores: int,
     ) -> None:
         execution = job.execution
         self._worker, self._times, self._sink, self._between = worker, times, sink, between
@@ -149,11 +168,12 @@ class _Supervision:
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
-        worker.put(RunTask(job, times, self._number, os.getcwd(), [*sys.path], sink.keeps_errors))
+        task = RunTask(job, times, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, cores)
+        worker.put(task)
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
-    def outcome(self, check: Callable[[], None]) -> RunEnd:
-        """Wait for the end of the run; `check` raises KeyboardInterrupt if the user interrupts it."""
+    def outcome(self, checks: Sequence[Callable[[], None]]) -> RunEnd:
+        """Wait for the end of the run; `checks` raise KeyboardInterrupt to interrupt it."""
         while True:
             try:
                 name, content = self._worker.get(POLL)
@@ -167,7 +187,8 @@ class _Supervision:
             if name:
                 self._receive(name, content)
             try:
-                check()
+                for check in checks:
+                    check()
                 if not self._killed_because:
                     self._worker.check_limits(self._limits, self._command_began)
             except KeyboardInterrupt:
@@ -333,6 +354,7 @@ def main(channel: Channel) -> None:
 
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
+    from orchestrator.engine import simulation_loop
     from orchestrator.engine.job import open_slave
     from orchestrator.engine.open_job import run_job
     from orchestrator.fmi.calls import Slave
@@ -340,7 +362,7 @@ def _run(channel: Channel, task: RunTask) -> None:
 
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    reported = 0.0
+    simulation_loop.CORES, reported = task.cores, 0.0
 
     class Sender:
         """Sends points to the parent."""

@@ -229,6 +229,15 @@ class System:
         numbers = [p for p in ports if _is_number_to_set(self.variable(p), dimension)]
         return [p for p in numbers if self.components[p.component].has_start(name)]
 
+    def check_sets_all(self, name: str, where: str) -> None:
+        """Refuse a name that sets one of several variables that are the same physical quantity."""
+        ports = {port for port, _ in self.targets(name)}
+        for common in self.shared:
+            shared = {*self.sharing(common)}
+            if ports & shared and not ports >= shared:
+                parts = " and ".join(port.component for port in self.sharing(common))
+                raise Problem(f"{where}: expected {common}, one value for {parts}, got {name}")
+
     def check_sharing(self) -> None:
         """Raise Problem if a component lacks a parameter that it shares."""
         for name, components in self.shared.items():
