@@ -38,7 +38,7 @@ from scipy.interpolate import CubicSpline
 
 from fmus.machine.parts import FAMILIES
 from orchestrator import Coupling, Problem, Trace, load, reference, run
-from orchestrator.engine import job
+from orchestrator.engine import open_job
 from orchestrator.engine import run as engine_run
 from orchestrator.engine.job import RunEnd
 from orchestrator.ssp.swap import with_swaps
@@ -154,7 +154,7 @@ class Measured:
         self._simulate = engine_run.simulate
         engine_run.simulate = self._noted
         clocks = {**vars(time), "perf_counter": time.thread_time}
-        job.time = SimpleNamespace(**clocks)  # type: ignore[assignment]
+        open_job.time = SimpleNamespace(**clocks)  # type: ignore[assignment]
 
     def _noted(self, *arguments: Any) -> RunEnd:
         self.ends.append(self._simulate(*arguments))

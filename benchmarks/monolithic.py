@@ -33,8 +33,8 @@ import numpy as np
 from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS, parts, wiring
 from fmus.monolith import join, merge_times, simulate
 from orchestrator import Result, Trace, reference, run
-from orchestrator.engine.result import SignalError, compare
-from orchestrator.monolithic.tight import changes, estimated_error, master
+from orchestrator.engine.result import SignalError, changes, compare
+from orchestrator.monolithic.tight import estimated_error, master
 from orchestrator.ssp.load import load
 
 EQUAL = 1e-8  # of the range of each signal

@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from orchestrator.base.plotting import png
+from orchestrator.pages.plotting import png
 from orchestrator.studies.convergence.convergence_study import convergence
 from orchestrator.studies.convergence.figures import draw_error
 from orchestrator.studies.convergence.runs import ConvergenceStudy

@@ -17,7 +17,7 @@ from convergence import fill
 from matplotlib.figure import Figure
 
 from orchestrator import Trace, run
-from orchestrator.base.plotting import png
+from orchestrator.pages.plotting import png
 
 SWAP = {"boom_stick": "compensated", "swing": "compensated", "supply": "load_sensing"}
 CASES = tuple((s, p) for s in ("load_sensing", "ideal") for p in ("folded", "raised", "reach"))

@@ -52,7 +52,7 @@ from fmus.export.build import build
 from fmus.machine.build import build_machine
 from fmus.machine.parts import FAMILIES, OTHER_CIRCUITS
 from orchestrator import load
-from orchestrator.base.plotting import png
+from orchestrator.pages.plotting import png
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import draw
 from orchestrator.studies.variants import combinations

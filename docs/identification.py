@@ -25,9 +25,9 @@ from fmus.identification.report.attribution import Explanation, attribute
 from fmus.identification.report.figures import draw_procedure, joint_figure
 from fmus.identification.report.prediction import WINDOW, RecordingComparison, default_values, prediction
 from fmus.rig import write_all
-from orchestrator.base import plotting
-from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable, typeset
+from orchestrator.pages import plotting
+from orchestrator.pages.plotting import png
 
 HERE = Path(__file__).parent
 PAGE, FIGURES = HERE / "identification.md", HERE / "figures"

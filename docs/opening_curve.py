@@ -16,8 +16,8 @@ from fmus.components import spool_valve
 from fmus.components.opening_curve import CURVE, POINTS, OpeningTable, pieces
 from fmus.parameters import values
 from fmus.swing import SWING
-from orchestrator.base.figures import PALETTE
-from orchestrator.base.plotting import heading, legend, new_figure, png, style_axes
+from orchestrator.pages.figures import PALETTE
+from orchestrator.pages.plotting import heading, legend, new_figure, png, style_axes
 
 IMAGE = Path(__file__).parent / "images" / "opening-curve.png"
 P = values(SWING).p

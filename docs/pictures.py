@@ -7,8 +7,8 @@ from pathlib import Path
 
 from fmus.machine.build import build_machine, data
 from orchestrator import load, run
-from orchestrator.base.plotting import png
 from orchestrator.data.recording import read_recording
+from orchestrator.pages.plotting import png
 from orchestrator.results.layout import read_layout
 from orchestrator.results.motion import strobe
 from orchestrator.results.validation import validate

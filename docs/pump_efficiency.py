@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from fmus.components import engine_and_pump, oil
 from fmus.machine.parts import FAMILIES
 from fmus.parameters import values
-from orchestrator.base.figures import PALETTE
-from orchestrator.base.plotting import heading, new_figure, png, style_axes
+from orchestrator.pages.figures import PALETTE
+from orchestrator.pages.plotting import heading, new_figure, png, style_axes
 
 IMAGE = Path(__file__).parent / "images" / "pump-efficiency.png"
 SUPPLY = FAMILIES["supply"]["engine_pump"]

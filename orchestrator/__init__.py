@@ -23,7 +23,6 @@ from orchestrator.base import SHIPPED
 from orchestrator.base.errors import suggest
 
 if TYPE_CHECKING:
-    from orchestrator.base.coupling import Coupling
     from orchestrator.base.errors import Problem
     from orchestrator.data.recording import Recording, read_recording
     from orchestrator.data.trace import Trace, read_trace
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from orchestrator.results.comparison import compare
     from orchestrator.results.validation import Validation, validate
     from orchestrator.ssp.assembly import assemble
+    from orchestrator.ssp.coupling import Coupling
     from orchestrator.ssp.load import load
     from orchestrator.ssp.swap import with_swaps
     from orchestrator.ssp.system import System
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     __version__: str
 
 _MODULES = {
-    "base.coupling": "Coupling",
     "base.errors": "Problem",
     "data.recording": "Recording read_recording",
     "data.trace": "Trace read_trace",
@@ -62,6 +61,7 @@ _MODULES = {
     "results.comparison": "compare",
     "results.validation": "Validation validate",
     "ssp.assembly": "assemble",
+    "ssp.coupling": "Coupling",
     "ssp.load": "load",
     "ssp.swap": "with_swaps",
     "ssp.system": "System",

@@ -13,7 +13,7 @@ from typing import Any, NoReturn, TextIO
 from orchestrator.base.errors import Problem, Stopped, one_line
 from orchestrator.base.extras import extra_of, install
 from orchestrator.base.interrupts import signals_interrupt
-from orchestrator.cli import app
+from orchestrator.cli import application
 
 INTERRUPTED = 130  # exit status, as of a shell
 
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # a console that lacks the sign of a unit shows another one
     try:
         with signals_interrupt(), redirect_stdout(PrintableStream(sys.stdout)):
-            status: Any = app(args=arguments, prog_name="harvester", standalone_mode=False)
+            status = _with_notes(arguments)
     except KeyboardInterrupt as interrupt:
         return _stopped(str(interrupt))
     except Stopped as end:
@@ -59,6 +59,17 @@ def main(arguments: list[str] | None = None) -> int:
     if status == INTERRUPTED:  # some versions of the command-line library swallow the interrupt itself
         return _stopped()
     return status if isinstance(status, int) else 0
+
+
+def _with_notes(arguments: list[str] | None) -> Any:
+    """Run a command; the notes of an error, such as the card of a run that ended early, are printed."""
+    try:
+        app = application(*(sys.argv[1:] if arguments is None else arguments)[:1])
+        return app(args=arguments, prog_name="harvester", standalone_mode=False)
+    except Exception as error:
+        for note in getattr(error, "__notes__", ()):
+            print(note)
+        raise
 
 
 def _stopped(what: str = "") -> int:

@@ -15,8 +15,8 @@ from rich.console import Console
 from run import M1, REFERENCE
 
 from orchestrator import load, read_trace, run
-from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.convergence_study import report, with_progress
 from orchestrator.studies.convergence.reference_solution import ReferenceSolution, from_run
 from orchestrator.studies.convergence.runs import ConvergenceStudy, run_settings

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
-POLL_INTERVAL = 0.05  # [s] between two checks for an interrupt
+POLL_INTERVAL = 0.01  # [s] between two checks for an interrupt
 _ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -82,8 +82,15 @@ class DeferredInterrupts:
         self._pending = self._pending or (number, frame)
 
 
-def in_threads(tasks: Sequence[Callable[[], None]], stop: Callable[[], Any]) -> None:
-    """Call functions in threads; an exception of one of them, or an interrupt, is raised after `stop`."""
+def in_threads(
+    tasks: Sequence[Callable[[], None]],
+    stop: Callable[[], Any],
+    meanwhile: Callable[[], None] = lambda: None,
+) -> None:
+    """Call functions in threads; an exception of one of them, or an interrupt, is raised after `stop`.
+
+    meanwhile   called all the time, in this thread
+    """
     with DeferredInterrupts() as interrupts, ThreadPoolExecutor(len(tasks)) as threads:
         waiting: set[Future[None]] = {threads.submit(task) for task in tasks}
         try:
@@ -91,6 +98,7 @@ def in_threads(tasks: Sequence[Callable[[], None]], stop: Callable[[], Any]) -> 
                 done, waiting = wait(waiting, POLL_INTERVAL, FIRST_COMPLETED)
                 for future in done:
                     future.result()
+                meanwhile()
                 interrupts.check()
         except BaseException:
             stop()

@@ -32,6 +32,7 @@ from orchestrator.check.read_ls_ref import (
 from orchestrator.check.rule import CheckRule
 from orchestrator.check.subject import Subject
 from orchestrator.check.tasks.trial_run import experiment, flat, inner_step, usual_step
+from orchestrator.data.deviation import rms, span
 from orchestrator.fmi.raw_description import DeclaredVariable, ModelDescription, parse_numbers
 
 SETTABLE = ("parameter", "structuralParameter", "input")
@@ -182,7 +183,7 @@ def _errors(
     results = [np.array(run[key]) for key in ("before", "after") if run[key]]
     for i, v in enumerate(flat(variables)):
         scale = _scale(expected[:, i], v)
-        values = [float(np.sqrt(np.mean((rows[:, i] - expected[:, i]) ** 2))) / scale for rows in results]
+        values = [rms(rows[:, i] - expected[:, i]) / scale for rows in results]
         smallest = min((x for x in values if not math.isnan(x)), default=math.inf)
         errors[v.name] = max(smallest, errors.get(v.name, 0.0))
     return errors
@@ -190,8 +191,7 @@ def _errors(
 
 def _scale(column: NDArray[np.float64], v: DeclaredVariable) -> float:
     """The range of a signal; for a constant signal its magnitude."""
-    magnitude, range_ = float(np.max(np.abs(column))), float(np.ptp(column))
-    return range_ if range_ > 1e-9 * magnitude else max(magnitude, v.nominal)
+    return span(column) or max(float(np.max(np.abs(column))), v.nominal)
 
 
 ERROR_LEVEL, WARNING_LEVEL = 1e-2, 1e-3  # NRMSE above which a finding is an error, a warning

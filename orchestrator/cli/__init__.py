@@ -1,13 +1,31 @@
-"""The command line `harvester`: one file per command, in the order of the help.
+"""The command line `harvester`.
 
-A command reads its options, calls one function and prints. Its imports are inside the function,
-so that --help stays fast.
+A command reads its options, calls one function and prints. Its imports are inside the function, and only the
+file of the command that is called is imported, so that it starts fast.
 """
 
-# isort: off
-from orchestrator.cli import build, modelica, lists, check  # noqa: F401
-from orchestrator.cli import run, validate, compare, plot, reference, convergence  # noqa: F401
-from orchestrator.cli import rig, identify, track, linearize, sweep, view, page  # noqa: F401
-from orchestrator.cli.options import app
+from importlib import import_module
+from typing import Any
 
-__all__ = ["app"]
+COMMANDS = (  # in the order of the help
+    *("build", "modelica", "variants", "parameters", "signals", "check", "run", "validate", "compare"),
+    *("plot", "reference", "convergence", "rig", "identify", "track", "linearize", "sweep", "view", "page"),
+)
+# commands in files of another name
+FILES = {**dict.fromkeys(("variants", "parameters", "signals"), "lists"), "reference": "run"}
+FILES |= {"plot": "compare", "rig": "identify"}
+
+
+def application(command: str = "") -> Any:
+    """The application with the commands of one file, or with all of them if there is no such command."""
+    for name in [command] if command in COMMANDS else COMMANDS:
+        import_module(f"orchestrator.cli.{FILES.get(name, name)}")
+    app = import_module("orchestrator.cli.options").app
+    app.registered_commands.sort(key=lambda made: COMMANDS.index(made.callback.__name__))
+    return app
+
+
+def __getattr__(name: str) -> Any:
+    if name == "app":
+        return application()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

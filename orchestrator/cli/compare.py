@@ -1,12 +1,15 @@
-"""`harvester compare`: compare the results of several runs."""
+"""`harvester compare` and `plot`: the results of runs."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
+from orchestrator.base.errors import Problem
 from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Time, command
+
+FORMATS = (".png", ".svg")
 
 
 @command
@@ -38,3 +41,56 @@ def compare(
     make_folder(out)
     page, picture, numbers = write(comparison, out)
     print(f"{text(comparison)}\n\npage: {page}\npicture: {picture}\nnumbers: {numbers}")
+
+
+@command
+def plot(
+    files: Annotated[list[Path] | None, Kind("FILE...", positional=True)] = None,
+    signals: Patterns = None,
+    start: Time = None,
+    stop: Time = None,
+    out: File | None = None,
+) -> None:
+    """Draw signals of a run over time, one panel per unit.
+
+    With several files their runs are drawn over each other, with different line styles.
+
+    files     Traces (.csv, .parquet, .mat) of one or several runs, or measurements with a .toml; default: the
+              newest trace in build.
+    signals   Signals to draw, such as '*_pressure' or boom_angle; default: up to six signals of each of four
+              quantities.
+    start     Start of the time window [s]; default: all.
+    stop      End of the time window [s]; default: all.
+    out       File of the picture (.png, .svg); default: a window, or build/plot.png without a display.
+    """
+    from orchestrator.base.files import make_folder
+    from orchestrator.engine.result import newest_trace
+    from orchestrator.pages.plotting import png, show, svg
+    from orchestrator.results.comparison import read_runs
+
+    if out is not None and out.suffix.lower() not in FORMATS:
+        raise Problem(f"--out {out}: expected a file name ending in {' or '.join(FORMATS)}")
+    newest = None if files else newest_trace(BUILD)
+    if not (chosen := files or ([newest] if newest else [])):
+        raise Problem(f"{BUILD}: expected the trace of a run, got none; make one with: harvester run")
+    first, *others = read_runs(chosen)
+    title = ", ".join(run.label for run in (first, *others))
+    names = first.trace.window(start, stop).chosen(signals or ())
+    figure = first.trace.plot(
+        *(signals or ()),
+        title=title,
+        start=start,
+        stop=stop,
+        others={run.label: run.trace for run in others},
+        label=first.label,
+    )
+    more = "" if signals else "; choose others with --signals PATTERN"
+    print(f"{len(names)} of {len(first.trace.signals)} signals of {', '.join(map(str, chosen))}{more}")
+    if out is None and show(figure, title):
+        return
+    picture = out or BUILD / "plot.png"
+    make_folder(picture.parent)
+    picture.write_bytes(
+        svg(figure, transparent=False).encode() if picture.suffix.lower() == ".svg" else png(figure)
+    )
+    print(f"{'' if out else 'no display for a window; '}picture: {picture}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Unpack
 
-from orchestrator.base.options import CaseArguments, Kind, Patterns
+from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import (
     BUILD,
     File,
@@ -15,6 +15,7 @@ from orchestrator.cli.options import (
     system_file,
     tell_built,
 )
+from orchestrator.engine.arguments import CaseArguments
 
 
 @command

@@ -1,4 +1,4 @@
-"""`harvester identify`: estimate parameters from recordings."""
+"""`harvester rig` and `identify`: make recordings, and estimate parameters from them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,24 @@ from typing import Annotated
 
 from orchestrator.base.extras import require
 from orchestrator.base.options import Kind
-from orchestrator.cli.options import BUILD, File, Folder, command
+from orchestrator.cli.options import BUILD, File, Folder, Text, command
+
+
+@command
+def rig(out: Folder, machine: Text = "detailed", seed: Annotated[int, Kind("N")] = 0) -> None:
+    """Record the paper's experiments on a virtual test rig.
+
+    Writes CSV files like those of a real test rig, from simulations.
+
+    out       Folder for the recordings; it may contain earlier recordings, but no other files.
+    machine   Variants of the simulated machine: lumped (as in the paper) or detailed.
+    seed      Seed of the noise, 0 or more; equal seeds give equal files.
+    """
+    import os
+
+    from fmus.rig import write_all
+
+    write_all(out, machine, seed, processes=os.cpu_count() or 1)
 
 
 @command

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Unpack
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import LinearArguments
 from orchestrator.cli.options import BUILD, File, System, command, system_file
+from orchestrator.engine.arguments import LinearArguments
 
 
 @command

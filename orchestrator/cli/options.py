@@ -12,16 +12,8 @@ from typing import Annotated, Any, TypeAlias, get_args, get_type_hints
 import typer
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import (
-    CaseArguments,
-    Declared,
-    F,
-    Kind,
-    declarations,
-    declared,
-    option_texts,
-    text_and_rows,
-)
+from orchestrator.base.options import Declared, F, Kind, declarations, declared, option_texts, text_and_rows
+from orchestrator.engine.arguments import CaseArguments
 
 BUILD = Path("build")
 SYSTEM = BUILD / "harvester.ssp"

@@ -52,9 +52,11 @@ def track(
     out       Folder of tracking.png and tracking.json.
     """
     from fmus.controller.paths import route_start_angles, start_angles, write_route
-    from orchestrator.studies.path_following import first_point
+    from fmus.package_files import PACKAGE
+    from orchestrator.studies.path_following import first_point, read_machine
     from orchestrator.studies.path_study import track as run_study
 
+    names = read_machine(PACKAGE / "controller/tracking.toml")
     if path and through:
         raise Problem("--path and --through: expected one of them")
     if through:
@@ -64,14 +66,14 @@ def track(
             print(f"note: --speed {speed:g}: the path is too short for more than {highest:.2g} m/s")
     else:
         files = [_file(p) for p in path or PATHS]
-        paths = [(file, partial(start_angles, str(file), first_point(file))) for file in files]
+        paths = [(file, partial(start_angles, str(file), first_point(file, names.path))) for file in files]
     swapped = {component: str(file) for component, file in (swap or {}).items()}
     machines = {", ".join(map("=".join, swapped.items())): swapped} if swapped else MACHINES
     modes = (True, False) if compare else (True,)
     machine = system_file(system, "harvester_control.ssp")
     tell_built(machine, {})
     allowed = None if limit is None else limit / 1e3
-    return run_study(machine, paths, machines, out, modes, allowed, set=set_ or {})
+    return run_study(machine, names, paths, machines, out, modes, allowed, set_ or {})
 
 
 def _file(name: str) -> Path:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Unpack
 
-from orchestrator.base.options import CoupledArguments, Kind, Patterns
+from orchestrator.base.options import Kind, Patterns
 from orchestrator.cli.options import BUILD, File, Folder, Scenario, System, command, system_file
+from orchestrator.engine.arguments import CoupledArguments
 
 
 @command

@@ -86,7 +86,7 @@ class Trace(Mapping[str, Array]):
         return f"{len(self)} signals at {len(self.time)} times{times}\nsignals: {names or 'none'}"
 
     def _repr_html_(self) -> str:
-        from orchestrator.base.plotting import small_figure
+        from orchestrator.pages.plotting import small_figure
 
         return f"<pre>{escape(repr(self))}</pre>{small_figure(self.time, self.signals, self.units)}"
 
@@ -131,7 +131,7 @@ class Trace(Mapping[str, Array]):
         others        label -> further traces or results, with other line styles; `label`: that of this one
         band          half width of a band around signals of this trace, in their units
         """
-        from orchestrator.base.plotting import draw, signal_figure
+        from orchestrator.pages.plotting import draw, signal_figure
 
         flat = [name for p in patterns for name in ([p] if isinstance(p, str) else p)]
         runs = {label or "1": self} | {n: getattr(t, "trace", t) for n, t in (others or {}).items()}
@@ -152,7 +152,7 @@ class Trace(Mapping[str, Array]):
 
         Raises Problem if a pattern names none.
         """
-        from orchestrator.base.plotting import default_signals
+        from orchestrator.pages.plotting import default_signals
 
         if not patterns:
             return default_signals(self.signals, self.units)

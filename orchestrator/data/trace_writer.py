@@ -36,6 +36,7 @@ from orchestrator.data.table import read_columns
 from orchestrator.data.trace import METADATA_SUFFIX, TIME, Trace, check_suffix, read_trace
 
 Array = NDArray[np.float64]
+Points = tuple[Array, Array, NDArray[np.int32]]  # times, Real and Integer values
 ORIGIN = "harvester"  # key of the JSON text about the run in the metadata of a Parquet file
 CHUNK = 8192  # rows of a trace written at a time
 PART_ROWS = 32768  # rows of one Parquet file of a partial trace, and of a row group: 29 MB of 110 signals
@@ -140,6 +141,14 @@ class TraceSink:
         """The estimated errors of the recorded signals; None if there are none or they were not kept."""
         return None
 
+    @property
+    def trace(self) -> Trace:
+        """All rows until now."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """There are no further rows."""
+
     def append(self, times: Array, values: Array) -> None:
         """Receive rows: times [s], shape (n,), and values, shape (n, signals)."""
         del values
@@ -225,12 +234,12 @@ class TraceInMemory(TraceSink):
 class TraceOnDisk(Trace):
     """A trace in a file, which is read at the first use of its samples."""
 
-    def __init__(self, path: Path, units: Mapping[str, str]) -> None:
-        self.__dict__.update(units=units, path=path)
+    def __init__(self, read: Callable[[], Trace], units: Mapping[str, str]) -> None:
+        self.__dict__.update(units=units, read=read)
 
     @cached_property
     def _samples(self) -> Trace:
-        return read_trace(self.__dict__["path"])
+        return self.__dict__["read"]()  # type: ignore[no-any-return]
 
     @property
     def time(self) -> Array:
@@ -303,9 +312,16 @@ class TraceFile(TraceSink):
     def _peak(self, signal: int) -> tuple[float, float]:
         return float(self._peaks[signal]), float(self._peak_times[signal])
 
-    def trace(self, path: Path) -> Trace:
+    @property
+    def trace(self) -> Trace:
         """All rows: those in memory, or, if they are too many, those in the file when they are needed."""
-        return self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(path, self.layout.units)
+        return (
+            self._kept.trace if self._kept.rows == self.rows else TraceOnDisk(self._read, self.layout.units)
+        )
+
+    def _read(self) -> Trace:
+        self.close()
+        return read_trace(self.path if self._format is None else self.partial)
 
     def finish(self, check: Callable[[], None] = lambda: None) -> tuple[Path, str]:
         """Write what is left, and close; returns the file, still under another name, and its SHA-256.

@@ -18,13 +18,13 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
 from orchestrator.engine.job import Execution
 from orchestrator.engine.result import Result, RunFailed, SignalError, compare
 from orchestrator.engine.time_grid import step_length
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.dependencies import influential_inputs
 from orchestrator.ssp.power_bonds import ANGULAR_VELOCITY, VELOCITY, find_bonds
 from orchestrator.ssp.system import Port, System
@@ -178,8 +178,9 @@ class AccuracySearch:
             if jumping := [name for name in self._causes if _jumps(result.trace, name)]:
                 reached = f"not known, because {first_names(jumping)} jumps; without jumps: {reached}"
             tolerance = f"tolerance of the FMUs {self.settings.tolerance:g}"
-            note = f"accuracy {self.accuracy:g} of {_named(self.decisive)}: {reached}, {tolerance}"
-            return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
+            return result.noted(
+                f"accuracy {self.accuracy:g} of {_named(self.decisive)}: {reached}, {tolerance}"
+            )
         self._continue(error if known else math.inf, result)
         return None
 
@@ -201,8 +202,7 @@ class AccuracySearch:
         """
         if result.card.errors_of_inputs or self._previous is None:
             return result
-        errors = compare(result.trace, self._previous.trace)
-        return replace(result, card=replace(result.card, errors=errors))
+        return result.noted(errors=compare(result.trace, self._previous.trace))
 
     def _continue(self, error: float, result: Result) -> None:
         """Choose stricter settings, or raise RunFailed with the last result if that is in vain."""

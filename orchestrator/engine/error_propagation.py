@@ -6,7 +6,6 @@ native/error_propagation.c has the equations and solves them at every step.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,20 +16,13 @@ from orchestrator.engine.c_library import Binding
 from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.linear_prediction import LinearInput, LinearSystem
 from orchestrator.engine.network import Network
+from orchestrator.engine.result import EstimatedError
 from orchestrator.ssp.system import Connection, Port
 
 LONGEST_LAG = 20  # number of steps between two linearisations, at most
 LONGEST_SECTION = 16  # number of steps over which errors are advanced at once, at most
 STAGES = 8  # vectors of the states that C uses as working memory
 BLOCK = 256  # evaluations of the outputs between two calls of `collect`, at most
-
-
-@dataclass(frozen=True)
-class EstimatedError:
-    """The estimated error of one output over a run, in its unit: root mean square, and largest magnitude."""
-
-    rms: float
-    largest: float
 
 
 class ErrorPropagation:

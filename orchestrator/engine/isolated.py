@@ -27,9 +27,8 @@ from typing import TYPE_CHECKING, Any
 from orchestrator.worker.process import GARBLED, LimitExceeded, Worker, read_file
 
 if TYPE_CHECKING:
-    from orchestrator.data.trace_writer import Array, RowLayout, TraceSink
+    from orchestrator.data.trace_writer import Array, Points, RowLayout, TraceSink
     from orchestrator.engine.job import Job, RunEnd
-    from orchestrator.engine.recorder import Points
     from orchestrator.engine.time_grid import Grid
     from orchestrator.fmi.messages import LogMessage
     from orchestrator.worker.main import Channel
@@ -64,6 +63,7 @@ class RunTask:
     directory      the working directory
     path           where modules are found
     keeps_errors   send estimated errors to the parent
+    cores          threads of the run, at most
     """
 
     job: Job
@@ -72,6 +72,7 @@ class RunTask:
     directory: str
     path: list[str]
     keeps_errors: bool
+    cores: int
 
 
 # ---- the parent
@@ -85,9 +86,8 @@ def start_process() -> None:
 
 def _contents() -> Mapping[str, Any]:
     """What the child may send."""
-    from orchestrator.data.trace_writer import Array, RowLayout
+    from orchestrator.data.trace_writer import Array, Points, RowLayout
     from orchestrator.engine.job import RunEnd
-    from orchestrator.engine.recorder import Points
     from orchestrator.fmi.messages import LogMessage
 
     errors = tuple[tuple[str, ...], Array, Array]
@@ -95,8 +95,19 @@ def _contents() -> Mapping[str, Any]:
     return types | {"time": float, "closed": bool} | dict.fromkeys(("problem", "failed", "defect"), str)
 
 
-def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]) -> RunEnd:
-    """Run a job in a child process; `between` is called with the simulated time [s] now and then.
+def run_isolated(
+    job: Job,
+    times: Grid,
+    sink: TraceSink,
+    between: Callable[[float], None] = lambda _: None,
+    check: Callable[[], None] = lambda: None,
+    cores: int | None = None,
+) -> RunEnd:
+    """Run a job in a child process.
+
+    between   called with the simulated time [s] now and then
+    check     called all the time; a KeyboardInterrupt ends the run, as that of the user does
+    cores     threads of the run, at most; default: one per core
 
     Raises Problem if the run does not begin, KeyboardInterrupt if the user ends it before.
     """
@@ -105,8 +116,8 @@ def run_isolated(job: Job, times: Grid, sink: TraceSink, between: Callable[[floa
     outcome: RunEnd | None = None
     try:
         with DeferredInterrupts(second_at_once=False) as interrupts, _process() as worker:
-            supervision = _Supervision(worker, job, times, sink, between)
-            outcome = supervision.outcome(interrupts.check)
+            supervision = _Supervision(worker, job, times, sink, between, cores or os.cpu_count() or 1)
+            outcome = supervision.outcome((interrupts.check, check))
     except KeyboardInterrupt:  # one that came when the run had ended, or before it has begun
         if outcome is None:
             raise
@@ -140,7 +151,13 @@ class _Supervision:
     """One run in a child process, seen from the parent."""
 
     def __init__(
-        self, worker: Worker, job: Job, times: Grid, sink: TraceSink, between: Callable[[float], None]
+        self,
+        worker: Worker,
+        job: Job,
+        times: Grid,
+        sink: TraceSink,
+        between: Callable[[float], None],
+        cores: int,
     ) -> None:
         execution = job.execution
         self._worker, self._times, self._sink, self._between = worker, times, sink, between
@@ -151,11 +168,12 @@ class _Supervision:
         self._outcome: RunEnd | None = None
         self._messages: deque[LogMessage] = deque(maxlen=MAX_MESSAGES)
         self._number = next(_numbers)
-        worker.put(RunTask(job, times, self._number, os.getcwd(), [*sys.path], sink.keeps_errors))
+        task = RunTask(job, times, self._number, os.getcwd(), [*sys.path], sink.keeps_errors, cores)
+        worker.put(task)
         self._kill_at, self._killed_because, self._began = float("inf"), "", time.perf_counter()
 
-    def outcome(self, check: Callable[[], None]) -> RunEnd:
-        """Wait for the end of the run; `check` raises KeyboardInterrupt if the user interrupts it."""
+    def outcome(self, checks: Sequence[Callable[[], None]]) -> RunEnd:
+        """Wait for the end of the run; `checks` raise KeyboardInterrupt to interrupt it."""
         while True:
             try:
                 name, content = self._worker.get(POLL)
@@ -169,7 +187,8 @@ class _Supervision:
             if name:
                 self._receive(name, content)
             try:
-                check()
+                for check in checks:
+                    check()
                 if not self._killed_because:
                     self._worker.check_limits(self._limits, self._command_began)
             except KeyboardInterrupt:
@@ -308,7 +327,7 @@ def main(channel: Channel) -> None:
     import traceback
 
     from orchestrator.base.errors import Problem
-    from orchestrator.engine import job as _job  # noqa: F401  imported while the parent reads the system
+    from orchestrator.engine import open_job  # noqa: F401  imported while the parent reads the system
     from orchestrator.engine.c_library import library
     from orchestrator.worker.main import left_behind
 
@@ -335,13 +354,15 @@ def main(channel: Channel) -> None:
 
 def _run(channel: Channel, task: RunTask) -> None:
     from orchestrator.base.errors import Problem
+    from orchestrator.engine import simulation_loop
     from orchestrator.engine.job import open_slave
+    from orchestrator.engine.open_job import run_job
     from orchestrator.fmi.calls import Slave
     from orchestrator.ssp.system import Component
 
     os.chdir(task.directory)
     sys.path += [folder for folder in task.path if folder not in sys.path]  # an FMU may be made of Python
-    reported = 0.0
+    simulation_loop.CORES, reported = task.cores, 0.0
 
     class Sender:
         """Sends points to the parent."""
@@ -386,4 +407,4 @@ def _run(channel: Channel, task: RunTask) -> None:
             raise Problem(f"{channel.folder}: a temporary file cannot be written: {reason}") from None
 
     job = replace(task.job, execution=replace(task.job.execution, open=open_fmu))
-    job.run(task.times, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)
+    run_job(job, task.times, Sender(), between, lambda outcome: channel.put("outcome", outcome), allocate)

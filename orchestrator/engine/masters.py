@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from orchestrator.base.coupling import Coupling
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.dependencies import influential_inputs
 from orchestrator.ssp.system import Connection, Port, System
 

@@ -15,7 +15,6 @@ the step.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
@@ -23,17 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.data.trace_writer import PointSink, RowLayout
+from orchestrator.data.trace_writer import Points, PointSink, RowLayout
 from orchestrator.engine.c_library import Binding
 from orchestrator.engine.component import calls_by_type
 from orchestrator.engine.network import Network
+from orchestrator.engine.result import BondEnergy
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.calls import Call
 from orchestrator.fmi.description import Value
 from orchestrator.ssp.power_bonds import Bond
 from orchestrator.ssp.system import Port
 
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
 BLOCK = 256  # points between two calls of `collect`, at most
 Array = NDArray[np.float64]
 
@@ -191,26 +190,6 @@ def _ordered(network: Network, ports: list[Port]) -> list[Port]:
         for j, v in enumerate(component.interface.variables.values()):
             position[Port(component.name, v.name)] = (i, v.causality == "input", j)
     return sorted(ports, key=position.__getitem__)
-
-
-@dataclass(frozen=True)
-class BondEnergy:
-    """Energies of one bond over a run [J].
-
-    residual    energy error of the coupling; errors of opposite sign cancel
-    turnover    sum of the magnitudes of the energy errors of all steps
-    exchanged   integral of the magnitude of the power
-    """
-
-    name: str
-    residual: float
-    turnover: float
-    exchanged: float
-
-    @property
-    def relative(self) -> float:
-        """Residual over exchanged energy; 0 if none is exchanged."""
-        return self.residual / self.exchanged if self.exchanged > 0 else 0.0
 
 
 class EnergyMonitor:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -17,16 +17,14 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.base.options import Seconds
 from orchestrator.base.text import TextTable
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import METADATA_SUFFIX, Trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, read_origin, write_trace
-from orchestrator.engine.error_propagation import EstimatedError
-from orchestrator.engine.recorder import BondEnergy
 from orchestrator.fmi.messages import LogMessage
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.provenance import Provenance
 from orchestrator.ssp.system import System
 
@@ -66,6 +64,11 @@ class Result(Mapping[str, NDArray[np.float64]]):
         file = write_trace(self.trace, path, metadata_text(self, ""))
         write_metadata(self, file)
         return file
+
+    def noted(self, *notes: str, errors: tuple[SignalError, ...] | None = None) -> Result:
+        """This result with further notes, and with other estimates of errors, on its card."""
+        card = replace(self.card, notes=(*self.card.notes, *notes))
+        return replace(self, card=card if errors is None else replace(card, errors=errors))
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -184,6 +187,34 @@ NO_EXCHANGE_ENERGY = 1e-12  # or [J]
 SMALL_EXCHANGE = 1e-2  # of the largest exchange of a bond: below it a relative residual has no meaning
 UNRELIABLE = 0.05  # relative residual above which a result is not reliable
 CAUSE = 0.1  # relative residual above which the coupling is the likely cause of a failure
+
+
+@dataclass(frozen=True)
+class BondEnergy:
+    """Energies of one bond over a run [J].
+
+    residual    energy error of the coupling; errors of opposite sign cancel
+    turnover    sum of the magnitudes of the energy errors of all steps
+    exchanged   integral of the magnitude of the power
+    """
+
+    name: str
+    residual: float
+    turnover: float
+    exchanged: float
+
+    @property
+    def relative(self) -> float:
+        """Residual over exchanged energy; 0 if none is exchanged."""
+        return self.residual / self.exchanged if self.exchanged > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class EstimatedError:
+    """The estimated error of one output over a run, in its unit: root mean square, and largest magnitude."""
+
+    rms: float
+    largest: float
 
 
 @dataclass(frozen=True)
@@ -362,6 +393,13 @@ def compare(
         order = float(np.log2(larger / rms)) if rms >= 1e-11 * span and larger > 0 else None
         errors.append(SignalError(name, largest / span, rms / span, order, fine.units.get(name, ""), largest))
     return tuple(errors)
+
+
+def changes(coarse: Result | None, run: Result, fine: Result) -> tuple[SignalError, ...]:
+    """Changes of the outputs from a run to one at half the step; orders, if there is one at twice."""
+    nominals = run.system.nominals
+    outputs = run.trace.select(name for name in nominals if name in run.trace.signals)
+    return compare(fine.trace, outputs, None if coarse is None else coarse.trace, nominals)
 
 
 def relative_errors(

@@ -9,30 +9,22 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields, replace
-from functools import partial
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeAlias, Unpack
+from typing import Any, TypeAlias, TypeVar, Unpack
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, Stopped
 from orchestrator.base.files import Location, find, make_folder, require_system, tell_once
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import (
-    FIELDS,
-    CouplingArguments,
-    RunArguments,
-    chosen,
-    declarations,
-    documented,
-)
+from orchestrator.base.options import chosen, declarations, documented
 from orchestrator.base.processes import size_text
 from orchestrator.base.progress import Doing, overwrites
 from orchestrator.data.table import SUFFIXES
 from orchestrator.data.trace import Data, Trace, as_trace, read_trace
 from orchestrator.data.trace_writer import RowLayout, TraceFile, TraceInMemory, TraceSink
 from orchestrator.engine.accuracy import AccuracySearch, estimates_errors
+from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.isolated import run_isolated, start_process
 from orchestrator.engine.job import Execution, Job, Record, RunEnd, guarded, open_slave
 from orchestrator.engine.result import (
@@ -40,7 +32,7 @@ from orchestrator.engine.result import (
     Interrupted,
     Result,
     RunFailed,
-    compare,
+    changes,
     metadata_file,
     metadata_text,
     relative_errors,
@@ -56,6 +48,7 @@ from orchestrator.engine.time_grid import (
     with_events,
 )
 from orchestrator.fmi.description import Value
+from orchestrator.ssp.coupling import FIELDS, Coupling, CouplingArguments
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import SUFFIX as SSV
 from orchestrator.ssp.parameter_sets import with_sets
@@ -67,6 +60,7 @@ from orchestrator.ssp.system import System
 MANY_STEPS = 10**7  # 20 s of the harvester's FMUs: from here on a run says in advance what it will take
 
 ScenarioSource: TypeAlias = "Data | str | Path | Location | None"
+Accept: TypeAlias = Callable[[System, Grid, RowLayout], None]
 
 __all__ = [
     "Execution", "Interrupted", "Record", "Result", "RunFailed", "open_slave", "run",
@@ -98,24 +92,147 @@ def run(
 
     Raises Problem for a mistake, RunFailed or Interrupted when a started run ends early.
     """
+    request = requested(system, scenario, record, execution, options)
+    return co_simulate(request, lambda *_: TraceInMemory())[0]
+
+
+@dataclass(frozen=True)
+class Request:
+    """A system with the connections and FMUs that a user chose, and all other choices for its run.
+
+    coupling   settings by the names of the fields of `Coupling`, which change those of the system
+    """
+
+    system: System
+    scenario: ScenarioSource
+    record: Record
+    execution: Execution
+    coupling: Mapping[str, Any]
+    step: float | None = None
+    start: float | None = None
+    stop: float | None = None
+    parameters: Sequence[str | Path] = ()
+    set: Mapping[str, Value | str] = field(default_factory=dict)
+
+    def search(self) -> AccuracySearch | None:
+        """The search for the accuracy that is asked for; None without one.
+
+        Raises Problem if it is asked for together with a choice that it makes.
+        """
+        accuracy = self.execution.accuracy
+        if accuracy is None:
+            return None
+        for name, value in {"step": self.step, **self.coupling}.items():
+            if value is not None:
+                asked = f"accuracy {accuracy:g}"
+                raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")
+        return AccuracySearch(self.system, self.execution, accuracy)
+
+    def next_of(self, search: AccuracySearch) -> Request:
+        """This request with the settings of the next run of a search."""
+        settings, record = search.settings, self.record
+        if record.signals is not None:
+            record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
+        execution = replace(self.execution, tolerance=settings.tolerance, error_estimate=True)
+        system = self.system.coupled(settings.coupling)
+        return replace(self, system=system, record=record, execution=execution, step=settings.step)
+
+    @property
+    def coupled(self) -> System:
+        """The system with the coupling that is asked for."""
+        return self.system.coupled(self.coupling) if self.coupling else self.system
+
+    def job(self) -> tuple[Job, Grid]:
+        """The job of a run, and its communication points."""
+        self.execution.check()
+        if self.execution.isolated:
+            start_process()
+        system, scenario, record = self.coupled, self.scenario, self.record
+        system = replace(system, notes=system.notes + system.suggestion.notes(self.step is not None))
+        system = with_sets(system, self.parameters).with_start(self.set)
+        system = replace(system, notes=system.notes + built_notes(system))
+        if isinstance(scenario, str | Path):
+            scenario = find(scenario, SUFFIXES)
+        trace, driving = _scenario(system, scenario)
+        if driving:
+            system = driving.released(system)
+            system = replace(system, notes=system.notes + driving.overruled(system, self.set))
+        system = with_doubts(system, doubtful_starts(system))
+        if driving and trace is not None:
+            label = "scenario" if isinstance(scenario, Trace | Mapping) else str(scenario)
+            if self.execution.progress and (doubt := doubtful_end(system, trace, label)):
+                tell_once(f"warning: {doubt}")  # before a long run, not only on its card
+            system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
+        coupling = system.coupling or Coupling()
+        coupling.check(system.components)
+        span, corners = (self.step, self.start, self.stop), driving.table.corners() if driving else ()
+        if coupling.adaptive is None:
+            times = grid(system, trace, *span, record.step, self.execution.accuracy is not None)
+            if driving and guarded(system, coupling):
+                times = with_events(times, corners)
+        else:
+            times = free_grid(system, trace, *span, record.step, corners)
+        ssv = [s for s in self.parameters if str(s).endswith(SSV)]
+        files = [*ssv, *([scenario] if isinstance(scenario, str | Path | Location) else [])]
+        return Job(system, driving, coupling, record, self.execution, provenance(system, files)), times
+
+
+def requested(
+    system: System | str | Path,
+    scenario: ScenarioSource,
+    record: Record | str | Sequence[str] | None,
+    execution: Execution | None,
+    options: Mapping[str, Any],
+) -> Request:
+    """What is asked for by the arguments of `run`."""
     given = chosen(RunArguments, options, "run")
-    record, execution = _take_execution(given, record, execution)
-    coupling, system = take_coupling(given), opened(system, given)
-    search = accuracy_search(system, execution, {"step": given.get("step"), **coupling})
-    system = system.coupled(coupling) if coupling else system
+    if not isinstance(record, Record):
+        record = Record((record,) if isinstance(record, str) else record and tuple(record))
+    of_record = {"record_step": "step", "bonds": "bonds"}
+    record = replace(record, **{of_record[name]: given.pop(name) for name in of_record.keys() & given.keys()})
+    names = {f.name for f in fields(Execution)} & given.keys()
+    execution = replace(execution or Execution(), **{name: given.pop(name) for name in names})
+    coupling, opened_system = take_coupling(given), opened(system, given)
+    return Request(opened_system, scenario, record, execution.begun(), coupling, **given)
+
+
+Sink = TypeVar("Sink", bound=TraceSink)
+
+
+def co_simulate(
+    request: Request,
+    new_sink: Callable[[Job, Grid], Sink],
+    keep: Callable[[Result, Sink, Callable[[], None]], None] = lambda *_: None,
+) -> tuple[Result, Sink]:
+    """The result of the run that is asked for, or of the last of those of a search, and its sink.
+
+    new_sink   makes the sink of a run
+    keep       called with the result, its sink, and a function that raises KeyboardInterrupt if the user has
+               interrupted meanwhile
+    """
+    search = request.search()
     while True:
-        job, times = _trial(search, system, scenario, record, execution, given)
-        sink = TraceInMemory()
+        job, times = (request.next_of(search) if search else request).job()
+        if search and search.runs and request.execution.progress:
+            tell_once(f"note: {search.cost(times.stop - times.start)}")
+        sink = new_sink(job, times)
         try:
-            result = finished(job, times, simulate(job, times, sink), sink, sink.trace)
+            end = simulate(job, times, sink)
+            with DeferredInterrupts(second_at_once=False) as interrupts:
+                result: Result | None = finished(job, times, end, sink)
+                if search and result:
+                    result = search.judge(result)
+                if result:
+                    keep(result, sink, interrupts.check)
         except RunFailed as failed:
-            if search and not failed.final and search.goes_on():
-                continue
-            raise
-        if search is None:
-            return with_error_estimate(job, times, result) if execution.error_estimate else result
-        if accurate := search.judge(result):
-            return accurate
+            if not (search and not failed.final and not failed.result.complete and search.goes_on()):
+                raise
+            result = None
+        finally:
+            sink.close()
+        if result:
+            estimate = request.execution.error_estimate and not search
+            return with_error_estimate(job, times, result) if estimate else result, sink
 
 
 def take_coupling(given: dict[str, Any]) -> dict[str, Any]:
@@ -132,59 +249,6 @@ def opened(system: System | str | Path, given: dict[str, Any], exchange: bool = 
     return with_swaps(system.without(*given.pop("cut", ())), given.pop("swap", {}), exchange)
 
 
-def _take_execution(
-    given: dict[str, Any], record: Record | str | Sequence[str] | None, execution: Execution | None
-) -> tuple[Record, Execution]:
-    """The record and the execution, with single options, which are taken out of those of a run."""
-    if not isinstance(record, Record):
-        record = Record((record,) if isinstance(record, str) else record and tuple(record))
-    of_record = {"record_step": "step", "bonds": "bonds"}
-    record = replace(record, **{of_record[name]: given.pop(name) for name in of_record.keys() & given.keys()})
-    names = {f.name for f in fields(Execution)} & given.keys()
-    execution = replace(execution or Execution(), **{name: given.pop(name) for name in names})
-    return record, execution.begun()
-
-
-def accuracy_search(
-    system: System, execution: Execution, choices: Mapping[str, Any]
-) -> AccuracySearch | None:
-    """The search for the accuracy that is asked for; None without one.
-
-    choices   of coupling and step, by name; None: no choice
-
-    Raises Problem if it is asked for together with a choice that it makes.
-    """
-    if execution.accuracy is None:
-        return None
-    for name, value in choices.items():
-        if value is not None:
-            asked = f"accuracy {execution.accuracy:g}"
-            raise Problem(f"{asked}: expected no {name}, which follows from it, got {value}")
-    return AccuracySearch(system, execution, execution.accuracy)
-
-
-def _trial(
-    search: AccuracySearch | None,
-    system: System,
-    scenario: ScenarioSource,
-    record: Record,
-    execution: Execution,
-    given: Mapping[str, Any],
-) -> tuple[Job, Grid]:
-    """The job of the next run of a search, or of the only run without one, and its communication points."""
-    if search is None:
-        return _job(system, scenario, record, execution, **given)
-    settings, again = search.settings, search.runs > 0
-    if record.signals is not None:
-        record = replace(record, signals=tuple(dict.fromkeys((*record.signals, *search.signals))))
-    execution = replace(execution, tolerance=settings.tolerance, error_estimate=True)
-    system = system.coupled(settings.coupling)
-    job, times = _job(system, scenario, record, execution, **{**given, "step": settings.step})
-    if again and execution.progress:
-        tell_once(f"note: {search.cost(times.stop - times.start)}")
-    return job, times
-
-
 def prepare(
     system: System | str | Path,
     scenario: ScenarioSource = None,
@@ -193,70 +257,31 @@ def prepare(
     **options: Unpack[RunArguments],
 ) -> tuple[Job, Grid]:
     """The job of a run and its communication points; arguments of `run`."""
-    given = chosen(RunArguments, options, "run")
-    record, execution = _take_execution(given, record, execution)
-    coupling, system = take_coupling(given), opened(system, given)
-    return _job(system.coupled(coupling) if coupling else system, scenario, record, execution, **given)
-
-
-def _job(
-    system: System,
-    scenario: ScenarioSource,
-    record: Record,
-    execution: Execution,
-    step: float | None = None,
-    start: float | None = None,
-    stop: float | None = None,
-    parameters: Sequence[str | Path] = (),
-    set: Mapping[str, Value | str] | None = None,
-) -> tuple[Job, Grid]:
-    """The job of a run of a system with its connections and coupling."""
-    execution.check()
-    if execution.isolated:
-        start_process()
-    system = replace(system, notes=system.notes + system.suggestion.notes(step is not None))
-    system = with_sets(system, parameters).with_start(set or {})
-    system = replace(system, notes=system.notes + built_notes(system))
-    if isinstance(scenario, str | Path):
-        scenario = find(scenario, SUFFIXES)
-    trace, driving = _scenario(system, scenario)
-    if driving:
-        system = driving.released(system)
-        system = replace(system, notes=system.notes + driving.overruled(system, set or {}))
-    system = with_doubts(system, doubtful_starts(system))
-    if driving and trace is not None:
-        label = "scenario" if isinstance(scenario, Trace | Mapping) else str(scenario)
-        if execution.progress and (doubt := doubtful_end(system, trace, label)):
-            tell_once(f"warning: {doubt}")  # before a long run, not only on its card
-        system = with_doubts(system, doubtful_columns(system, trace, driving.columns, label))
-    coupling = system.coupling or Coupling()
-    coupling.check(system.components)
-    if coupling.adaptive is None:
-        times = grid(system, trace, step, start, stop, record.step, execution.accuracy is not None)
-        if driving and guarded(system, coupling):
-            times = with_events(times, driving.table.corners())
-    else:
-        corners = driving.table.corners() if driving else ()
-        times = free_grid(system, trace, step, start, stop, record.step, corners)
-    ssv = [s for s in parameters if str(s).endswith(SSV)]
-    files = [*ssv, *([scenario] if isinstance(scenario, str | Path | Location) else [])]
-    return Job(system, driving, coupling, record, execution, provenance(system, files)), times
+    return requested(system, scenario, record, execution, options).job()
 
 
 def simulate(job: Job, times: Grid, sink: TraceSink) -> RunEnd:
     """Run a job, in a process of its own or in this one; the rows go to `sink`."""
     with ProgressBar(times.stop - times.start, job.execution.progress) as bar:
-        run_job = run_isolated if job.execution.isolated else Job.run
-        return run_job(job, times, sink, lambda t: bar.update(t - times.start))
+
+        def between(t: float) -> None:
+            bar.update(t - times.start)
+
+        if job.execution.isolated:
+            return run_isolated(job, times, sink, between)
+        from orchestrator.engine.open_job import run_job  # a process that only supervises does not need it
+
+        return run_job(job, times, sink, between)
 
 
-def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink, trace: Trace) -> Result:
+def finished(job: Job, times: Grid, outcome: RunEnd, sink: TraceSink) -> Result:
     """The result of a complete run; raises RunFailed or Interrupted with the result of another one."""
+    trace = sink.trace
     messages = sorted((m for log in outcome.logs for m in log.messages), key=lambda m: m.time)
     card = job.card(times, outcome, sink)
     if outcome.errors:
-        nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
-        card = replace(card, errors=relative_errors(outcome.errors, trace, nominals), errors_of_inputs=True)
+        errors = relative_errors(outcome.errors, trace, job.system.nominals)
+        card = replace(card, errors=errors, errors_of_inputs=True)
     result = Result(
         job.system,
         trace,
@@ -294,18 +319,13 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
     if result.card.errors_of_inputs:
         return result
 
-    def repeated(job: Job, times: Grid) -> Trace:
+    def repeated(job: Job, times: Grid) -> Result:
         sink = TraceInMemory()
-        return finished(job, times, simulate(job, times, sink), sink, sink.trace).trace
-
-    def with_note(text: str) -> Result:
-        return replace(result, card=replace(result.card, notes=(*result.card.notes, text)))
+        return finished(job, times, simulate(job, times, sink), sink)
 
     if times.free:
-        return with_note(
-            "no error estimate: two adaptive runs have common times only with a record step; "
-            "set --record-step"
-        )
+        reason = "two adaptive runs have common times only with a record step; set --record-step"
+        return result.noted(f"no error estimate: {reason}")
     adaptive = job.coupling.adaptive is not None
     try:
         fine_job, fine_times = (job.stricter(), times) if adaptive else (job, times.finer())
@@ -315,15 +335,12 @@ def with_error_estimate(job: Job, times: Grid, result: Result) -> Result:
                 coarse = repeated(job, times.coarser())
     except Problem as failed:
         setting = "a tenth of the tolerance" if adaptive else "half the step"
-        return with_note(f"no error estimate, the run at {setting} failed: {failed}")
+        return result.noted(f"no error estimate, the run at {setting} failed: {failed}")
     except Interrupted as interrupted:
         raise Interrupted(result, str(interrupted)) from None
-    nominals = {str(p): job.system.variable(p).nominal for p in job.system.ports("output")}
-    outputs = result.trace.select(name for name in nominals if name in result.trace.signals)
-    errors = compare(fine, outputs, coarse, nominals)
+    errors = changes(coarse, result, fine)
     notes = () if errors else ("no error estimate: no output changes",)
-    card = replace(result.card, errors=errors, notes=(*result.card.notes, *notes))
-    return replace(result, card=card)
+    return result.noted(*notes, errors=errors)
 
 
 class ProgressBar:
@@ -371,7 +388,7 @@ def run_to_file(
     out: Path,
     every_point: bool = True,
     default_accuracy: float | None = None,
-    accept: Callable[[System, Grid, RowLayout], None] | None = None,
+    accept: Accept = lambda *_: None,
     **options: Unpack[RunArguments],
 ) -> tuple[Result, str]:
     """Co-simulate with a progress bar, and write the rows to the file `out` while they are made.
@@ -388,48 +405,78 @@ def run_to_file(
     """
     start_process()
     given = chosen(RunArguments, options, "run")
-    noted = {**given, "scenario": None if isinstance(scenario, Trace) else scenario}
-    record, execution = _take_execution(given, None, Execution(progress=True))
-    coupling, loaded, step = take_coupling(given), opened(require_system(system), given), given.get("step")
-    if execution.accuracy is None and default_accuracy and chooses_freely(loaded, step, coupling):
-        execution = replace(execution, accuracy=default_accuracy)
-    search = accuracy_search(loaded, execution, {"step": step, **coupling})
-    loaded = loaded.coupled(coupling) if coupling else loaded
-    if record.step is None and (search or (loaded.coupling and loaded.coupling.adaptive is not None)):
+    request = requested(require_system(system), scenario, None, Execution(progress=True), given)
+    execution, record = request.execution, request.record
+    free = execution.accuracy is None and chooses_freely(request.system, request.step, request.coupling)
+    if free and default_accuracy:
+        request = replace(request, execution=replace(execution, accuracy=default_accuracy))
+    coupling = request.coupled.coupling
+    if record.step is None and (request.execution.accuracy or (coupling and coupling.adaptive is not None)):
         record = replace(record, step=None if every_point else RECORD_STEP)
     elif record.step is None:
-        record = replace(record, step=record_interval(step_length(loaded, step)))
+        record = replace(record, step=record_interval(step_length(request.coupled, request.step)))
     make_folder(out.parent)
-    while True:
-        file = TraceFile(out)
-        job, times = _trial(search, loaded, scenario, record, execution, given)
-        file.accept = partial(_begins, times, partial(accept, job.system, times) if accept else None)
-        result, summary = None, ""
-        try:
-            outcome = simulate(job, times, file)
-            with DeferredInterrupts(second_at_once=False) as interrupts:
-                result, summary = _published(job, times, outcome, file, noted, interrupts.check, search)
-            if result is None:
-                continue
-            estimate = execution.error_estimate and not search
-            return with_error_estimate(job, times, result) if estimate else result, summary
-        except KeyboardInterrupt as interrupt:  # the library of the command line would drop its message
-            file.close()
-            if result:  # the file is complete
-                print(result.card.text())
-            raise Stopped(str(interrupt) or summary) from None
-        except BaseException:
-            file.close()
-            raise
+    output = _Output(out, {**given, "scenario": None if isinstance(scenario, Trace) else scenario}, accept)
+    try:
+        return co_simulate(replace(request, record=record), output.begun, output.keep)[0], output.line
+    except RunFailed as failed:
+        output.explain(failed, failed.result)
+        raise
+    except KeyboardInterrupt as interrupt:  # the library of the command line would drop its message
+        stopped = Stopped(str(interrupt) or output.line)
+        output.explain(stopped, getattr(interrupt, "result", None))
+        raise stopped from None
 
 
-def _begins(times: Grid, accept: Callable[[RowLayout], None] | None, layout: RowLayout) -> None:
-    """Say what a long run will take, before its first step."""
-    if times.steps >= MANY_STEPS:
-        rows = size_text(times.rows, len(layout.names))
-        tell_once(f"note: {times.steps:.3g} steps of {times.step:g} s up to {times.stop:g} s, {rows}")
-    if accept is not None:
-        accept(layout)
+class _Output:
+    """A file with the rows of a run, and its metadata; line: about the complete file."""
+
+    def __init__(self, path: Path, given: Mapping[str, Any], accept: Accept) -> None:
+        self._path, self._given, self._accept = path, given, accept
+        self._file = TraceFile(path)  # raises Problem for a wrong name
+        self._complete: Result | None = None
+        self.line = ""
+
+    def begun(self, job: Job, times: Grid) -> TraceFile:
+        """The file of a run, which says before the first step what a long run will take."""
+
+        def accept(layout: RowLayout) -> None:
+            if times.steps >= MANY_STEPS:
+                rows = size_text(times.rows, len(layout.names))
+                tell_once(f"note: {times.steps:.3g} steps of {times.step:g} s up to {times.stop:g} s, {rows}")
+            self._accept(job.system, times, layout)
+
+        self._file = TraceFile(self._path)
+        self._file.accept = accept
+        return self._file
+
+    def keep(self, result: Result, file: TraceFile, check: Callable[[], None]) -> None:
+        """Give the file of a complete run its name."""
+        file.origin = metadata_text(result, "", self._given, file.layout)
+        complete, digest = file.finish(check)
+        metadata = metadata_text(result, digest, self._given, file.layout)
+        file.publish(complete, {metadata_file(file.path): metadata})
+        self._complete, self.line = result, self._summary(result.card, file.path)
+
+    def explain(self, error: Exception, result: Result | None) -> None:
+        """Add to an error what is kept of a run with this result; a part of a run gets its metadata."""
+        if self._complete:
+            error.add_note(self._complete.card.text())
+        elif result and not result.complete:
+            file = self._file
+            if file.partial.is_file():  # CSV; Parquet contains the units
+                with suppress(OSError):  # the disk may be full
+                    text = metadata_text(result, file.sha256, self._given, file.layout)
+                    metadata_file(file.partial).write_text(text, encoding="utf-8", newline="\n")
+            end = f" up to t = {file.last:.6g} s" if file.rows else ""
+            summary = self._summary(result.card, file.partial)
+            error.add_note(f"{result.card.text()}\n\nthe run ended early; the trace{end} is in {summary}")
+
+    def _summary(self, card: Card, name: Path) -> str:
+        """A file with its number of signals and rows, and the record step."""
+        has_interval = card.record_step > card.step or (card.adaptive is not None and card.record_step > 0)
+        interval = f", every {card.record_step:g} s" if has_interval else ""
+        return f"{name}: {len(self._file.layout.names)} signals, {self._file.rows} rows{interval}"
 
 
 def chooses_freely(system: System, step: float | None, coupling: Mapping[str, Any] | None) -> bool:
@@ -437,50 +484,3 @@ def chooses_freely(system: System, step: float | None, coupling: Mapping[str, An
     suggestion = system.suggestion
     chosen = step is not None or coupling or suggestion.step or suggestion.coupling or suggestion.refusal
     return not chosen and estimates_errors(system)
-
-
-def _published(
-    job: Job,
-    times: Grid,
-    outcome: RunEnd,
-    file: TraceFile,
-    given: Mapping[str, Any],
-    check: Callable[[], None],
-    search: AccuracySearch | None,
-) -> tuple[Result | None, str]:
-    """Give the file of a complete run its name; raises RunFailed or Interrupted for another one.
-
-    The result is None if the search needs another run.
-    """
-    try:
-        result = finished(
-            job, times, outcome, file, file.trace(file.path if outcome.complete else file.partial)
-        )
-    except (RunFailed, Interrupted) as ended:
-        file.close()
-        if search and isinstance(ended, RunFailed) and not ended.final and search.goes_on():
-            return None, ""
-        if file.partial.is_file():  # CSV; Parquet contains the units
-            with suppress(OSError):  # the disk may be full
-                text = metadata_text(ended.result, file.sha256, given, file.layout)
-                metadata_file(file.partial).write_text(text, encoding="utf-8", newline="\n")
-        end = f" up to t = {file.last:.6g} s" if file.rows else ""
-        summary = _summary(ended.result.card, file, file.partial)
-        print(f"{ended.result.card.text()}\n\nthe run ended early; the trace{end} is in {summary}")
-        raise
-    accurate = search.judge(result) if search else result
-    if accurate is None:
-        file.close()
-        return None, ""
-    result = accurate
-    file.origin = metadata_text(result, "", given, file.layout)
-    complete, digest = file.finish(check)
-    file.publish(complete, {metadata_file(file.path): metadata_text(result, digest, given, file.layout)})
-    return result, _summary(result.card, file, file.path)
-
-
-def _summary(card: Card, file: TraceFile, name: Path) -> str:
-    """A file with its number of signals and rows, and the record step."""
-    has_interval = card.record_step > card.step or (card.adaptive is not None and card.record_step > 0)
-    interval = f", every {card.record_step:g} s" if has_interval else ""
-    return f"{name}: {len(file.layout.names)} signals, {file.rows} rows{interval}"

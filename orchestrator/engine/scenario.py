@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +12,12 @@ from numpy.typing import NDArray
 from orchestrator.base.errors import Problem, Unsupported, suggest
 from orchestrator.base.units import LinearTransformation
 from orchestrator.data.trace import Trace
-from orchestrator.engine.c_library import Binding
-from orchestrator.fmi.calls import Call
 from orchestrator.fmi.description import FmuVariable, Value
 from orchestrator.ssp.system import Port, System
+
+if TYPE_CHECKING:
+    from orchestrator.engine.c_library import Binding
+    from orchestrator.fmi.calls import Call
 
 MAX_INTEGER = 2**31 - 1
 # Change of slope at a sample, times the shorter interval next to it, over the range of the column:

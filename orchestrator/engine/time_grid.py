@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil, isfinite, ulp
 
-from orchestrator.base.coupling import OVERRIDE_HINT
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
+from orchestrator.ssp.coupling import OVERRIDE_HINT
 from orchestrator.ssp.system import System
 
 DEFAULT_STEP = 1e-3  # [s], without any suggestion
@@ -80,12 +80,7 @@ def grid(
             whole = record_step or end - begin
             step = whole / ceil(whole / step * (1.0 - 1e-9))
         points = _whole_steps(begin, end, step)
-    points = replace(points, every=_steps_per_record(record_step, step))
-    return (
-        points
-        if scenario is None
-        else replace(points, notes=points.notes + _scenario_notes(points, scenario))
-    )
+    return _noted(replace(points, every=_steps_per_record(record_step, step)), scenario)
 
 
 def free_grid(
@@ -99,21 +94,13 @@ def free_grid(
 ) -> Grid:
     """The points that an adaptive run has to hit; `first` [s]: the step to try first."""
     begin, end = _span(system, scenario, start, stop)
-    if record_step is None:
-        points = _whole_steps(begin, end, end - begin)
-    else:
-        points = _whole_steps(begin, end, record_step, "record step")
-    points = with_events(points, events)
+    distance, name = (end - begin, "step") if record_step is None else (record_step, "record step")
+    points = with_events(_whole_steps(begin, end, distance, name), events)
     first = step_length(system, first)
     _positive("step", first)
     if system.coupling is not None:
         _check_steps("largest step", begin, end, system.coupling.step_limits[1])
-    points = replace(points, first=first, free=record_step is None)
-    return (
-        points
-        if scenario is None
-        else replace(points, notes=points.notes + _scenario_notes(points, scenario))
-    )
+    return _noted(replace(points, first=first, free=record_step is None), scenario)
 
 
 def with_events(points: Grid, events: Iterable[float]) -> Grid:
@@ -203,15 +190,17 @@ def _steps_per_record(record_step: float | None, step: float) -> int:
     return every
 
 
-def _scenario_notes(points: Grid, scenario: Trace) -> tuple[str, ...]:
-    """Notes on a run that is longer than its scenario."""
+def _noted(points: Grid, scenario: Trace | None) -> Grid:
+    """The grid with notes on a run that is longer than its scenario."""
+    if scenario is None:
+        return points
     first, last = float(scenario.time[0]), float(scenario.time[-1])
-    notes = []
+    notes = [*points.notes]
     if points.start < first - points.step:
         notes.append(f"the scenario begins at {first:g} s; before that time its first values are held")
     if points.stop > last + points.step:
         notes.append(f"the scenario ends at {last:g} s; after that time its last values are held")
-    return tuple(notes)
+    return replace(points, notes=tuple(notes))
 
 
 def _positive(name: str, step: float) -> None:

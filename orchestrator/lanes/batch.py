@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem, UnknownSignal
 from orchestrator.base.interrupts import in_threads
-from orchestrator.base.options import BatchArguments, chosen, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import available_cores, machine_memory
 from orchestrator.base.text import first_names
 from orchestrator.data.trace import Trace
+from orchestrator.engine.arguments import BatchArguments
 from orchestrator.engine.job import Execution, Job
 from orchestrator.engine.result import Interrupted
 from orchestrator.engine.run import ScenarioSource, prepare
@@ -164,7 +165,8 @@ def _simulate(
             if lanes:
                 raise
             notes = (f"the machines ran one by one: {reason}",)
-    return run_one_by_one(job, times, values, count, signals, rows, workers), notes
+    points = recorded_times(times)
+    return run_one_by_one(job, times, values, count, signals, rows, points, workers), notes
 
 
 # ---- what differs and what is recorded
@@ -202,7 +204,7 @@ def machine_values(
             names[port], values[port] = name, linear.factor * array + linear.offset
             for value in (values[port].min(), values[port].max()):
                 check_bounds(f"values: {name}", job.system.variable(port), float(value))
-        _check_shared(job.system, name)
+        job.system.check_sets_all(name, "values")
     return values, count or 0
 
 
@@ -217,16 +219,6 @@ def _numbers(name: str, given: ArrayLike) -> Array:
         i = int(np.argmin(np.isfinite(array)))
         raise Problem(f"values: {name}: expected finite numbers, got {array[i]} for machine {i}")
     return array
-
-
-def _check_shared(system: System, name: str) -> None:
-    """Refuse a name that sets one of several variables that are the same physical quantity."""
-    ports = {port for port, _ in system.targets(name)}
-    for common in system.shared:
-        shared = system.sharing(common)
-        if ports & {*shared} and not ports >= {*shared}:
-            parts = " and ".join(port.component for port in shared)
-            raise Problem(f"values: expected {common}, one value for {parts}, got {name}")
 
 
 def recorded(system: System, record: Sequence[str] | None) -> dict[str, Port]:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.extras import require
-from orchestrator.base.options import MachinesArguments, chosen
+from orchestrator.base.options import chosen
+from orchestrator.engine.arguments import MachinesArguments
 from orchestrator.lanes.machines import Machines
 from orchestrator.ssp.system import System
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import MachinesArguments, chosen
+from orchestrator.base.options import chosen
 from orchestrator.base.processes import available_cores
+from orchestrator.engine.arguments import MachinesArguments
 from orchestrator.engine.job import Execution
 from orchestrator.engine.run import prepare
 from orchestrator.lanes.batch import machine_values

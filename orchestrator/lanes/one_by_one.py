@@ -1,10 +1,8 @@
-"""Machines one by one, in processes of the engine, for any FMUs. A crash of an FMU ends only one machine."""
+"""Machines one by one, each run in a process, for any FMUs. A crash of an FMU ends only one machine."""
 
-import pickle
 import threading
-from collections.abc import Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,27 +12,17 @@ from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location, temporary_folder
 from orchestrator.base.interrupts import in_threads
 from orchestrator.data.trace_writer import TraceInMemory
-from orchestrator.engine import simulation_loop
-from orchestrator.engine.job import ENDS_EARLY, Execution, Job, Record
+from orchestrator.engine.c_library import library
+from orchestrator.engine.isolated import run_isolated
+from orchestrator.engine.job import ENDS_EARLY, Job, Record
 from orchestrator.engine.run import finished
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.group import EARLY, FAILED, Ended
 from orchestrator.ssp.system import Port, System
-from orchestrator.worker.main import Channel, left_behind
-from orchestrator.worker.process import LimitExceeded, Worker
+
+SAME_TIME = 1e-6  # relative to the step: a point of a run is one of the result
 
 Array = NDArray[np.float64]
-CONTENTS = {"signal": Array, "end": tuple[Ended | None, bool]}  # what a process may send
-THREADS = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}  # a process is on each core
-
-
-@dataclass(frozen=True)
-class Task:
-    """What a process gets first: the run of a machine, with FMUs in folders."""
-
-    job: Job
-    times: Grid
-    signals: tuple[str, ...]
 
 
 def run_one_by_one(
@@ -44,90 +32,92 @@ def run_one_by_one(
     count: int,
     signals: Sequence[Port],
     rows: Sequence[Array],
+    points: Array,
     workers: int,
 ) -> dict[int, Ended]:
     """Simulate n machines in processes; returns those that ended early.
 
     values   of all machines, shape (n,), in the unit of the FMU
     rows     one array for each signal of all machines, shape (n, points), which is filled
+    points   times of the rows [s], shape (points,)
     """
+    library()  # raises the Problem of all machines if there is no engine
     ended: dict[int, Ended] = {}
-    machines, stop = iter(range(count)), threading.Event()
+    machines, stopped = iter(range(count)), threading.Event()
+
+    def check() -> None:
+        if stopped.is_set():
+            raise KeyboardInterrupt
+
     with temporary_folder("batch-", "the FMUs") as folder:
-        system, originals = _unpacked(job.system, folder)
-        names = tuple(map(str, signals))
-        task = Task(replace(job, system=system, record=Record(names, job.record.step, ())), times, names)
-        data = pickle.dumps(task, pickle.HIGHEST_PROTOCOL)
+        (system,), originals = unpacked([job.system], folder)
+        record = Record([*map(str, signals)], job.record.step, ())
 
         def work() -> None:
-            with closing(MachineProcess(data, job.execution, job.system.fmus, stop)) as process:
-                for machine in machines:
-                    if stop.is_set():
-                        return
-                    if job.execution.late:
-                        late = f"not begun within {job.execution.time_limit:g} s"
-                        ended[machine] = Ended(FAILED, late, float("nan"))
-                        continue
-                    own = {port: float(array[machine]) for port, array in values.items()}
-                    found, end = process.outcome(own)
-                    for row, signal in zip(rows, found, strict=False):  # nothing is found after a crash
-                        row[machine, : len(signal)] = signal
-                    if end is not None:
-                        ended[machine] = replace(end, reason=with_originals(end.reason, originals))
+            for machine in machines:
+                if stopped.is_set():
+                    return
+                if job.execution.late:
+                    late = f"not begun within {job.execution.time_limit:g} s"
+                    ended[machine] = Ended(FAILED, late, times.start)
+                    continue
+                own = _with_values(system, {port: float(array[machine]) for port, array in values.items()})
+                own_job, own_rows = replace(job, system=own, record=record), [row[machine] for row in rows]
+                if end := _simulate(own_job, times, own_rows, points, check):
+                    ended[machine] = replace(end, reason=with_originals(end.reason, originals))
 
-        in_threads([work] * max(1, min(workers, count)), stop.set)
+        in_threads([work] * max(1, min(workers, count)), stopped.set)
     return ended
 
 
-class MachineProcess:
-    """A process that runs machines, replaced by another one if it crashes."""
-
-    def __init__(self, data: bytes, execution: Execution, fmus: str, stop: threading.Event) -> None:
-        """data: pickled Task; execution: has the limits; fmus: their names; stop: set to end a run."""
-        self._data, self._execution, self._fmus, self._stop = data, execution, fmus, stop
-        self._worker: Worker | None = None
-
-    def outcome(self, values: Mapping[Port, float]) -> tuple[Sequence[Array], Ended | None]:
-        """Signals of a machine up to its end, and why it ended early."""
-        if self._worker is None:
-            target = "orchestrator.lanes.one_by_one:main"
-            self._worker = Worker(target, lambda: CONTENTS, "batch", environment=THREADS)
-            self._worker.fmus = self._fmus
-            self._worker.put(self._data)
-        worker = self._worker
-        worker.put(dict(values))
-        found, reason = list[Array](), ""
-        try:
-            limits = self._execution.worker_limits
-            for name, content in worker.messages(limits, self._stop, self._execution.began):
-                if name == "end":
-                    end, reusable = content
-                    if not reusable:
-                        self.close()
-                    return found, end
-                found.append(content)
-        except LimitExceeded as limit:
-            reason = str(limit)
-        self.close()
-        return (), Ended(FAILED, reason or worker.report, float("nan"))
-
-    def close(self) -> None:
-        """End the process."""
-        if self._worker is not None:
-            self._worker.close()
-        self._worker = None
+def _simulate(
+    job: Job, times: Grid, rows: Sequence[Array], points: Array, check: Callable[[], None]
+) -> Ended | None:
+    """Run a machine, and fill its rows, shape (points,), up to its end; returns why it ended early."""
+    sink = TraceInMemory()
+    sink.rows = 0  # until the run begins
+    try:
+        outcome = run_isolated(job, times, sink, check=check, cores=1)
+        result = finished(job, times, outcome, sink)
+    except Problem as problem:
+        return Ended(FAILED, " ".join(str(problem).split()), sink.last if sink.rows else times.start)
+    finally:
+        if sink.rows:
+            trace, count = sink.trace, min(sink.rows, len(points))
+            recorded = np.abs(trace.time[:count] - points[:count]) < SAME_TIME * times.step
+            for row, name in zip(rows, job.record.signals or (), strict=True):
+                row[:count][recorded] = trace[name][:count][recorded]
+    reason = early_end(result.card.notes)
+    return Ended(EARLY, reason, outcome.t) if reason else None
 
 
-def _unpacked(system: System, folder: Path) -> tuple[System, dict[str, str]]:
-    """The system with FMUs in folders, each component with its own copy; folder -> original FMU."""
-    components, originals = dict(system.components), dict[str, str]()
-    for number, (name, component) in enumerate(components.items()):
-        if component.source is not None:
-            place = folder / str(number)
-            component.source.extract(place)
-            components[name] = replace(component, source=Location(place))
-            originals[str(place)] = str(component.source)
-    return replace(system, components=components), originals
+def early_end(notes: Sequence[str]) -> str:
+    """Why an FMU asked for the end of a run, in one line, from the notes of its card; empty if none did."""
+    early = [note.removeprefix(ENDS_EARLY) for note in notes if note.startswith(ENDS_EARLY)]
+    return " ".join(early[0].split()) if early else ""
+
+
+def unpacked(
+    systems: Sequence[System], folder: Path, extract: Callable[[Location, Path], None] = Location.extract
+) -> tuple[list[System], dict[str, str]]:
+    """The systems with FMUs in folders, and folder -> original FMU; extract: unpacks an FMU into a folder.
+
+    Each component gets its own copy of its FMU: two instances in one library may share variables.
+    """
+    copies: dict[tuple[str, Location], Path] = {}
+    found = []
+    for system in systems:
+        components = dict(system.components)
+        for name, component in components.items():
+            if component.source is None:
+                continue
+            key = name, component.source
+            if key not in copies:
+                copies[key] = folder / f"{len(copies):06}"
+                extract(component.source, copies[key])
+            components[name] = replace(component, source=Location(copies[key]))
+        found.append(replace(system, components=components))
+    return found, {str(place): str(source) for (_, source), place in copies.items()}
 
 
 def with_originals(reason: str, originals: Mapping[str, str]) -> str:
@@ -135,34 +125,6 @@ def with_originals(reason: str, originals: Mapping[str, str]) -> str:
     for place, original in originals.items():
         reason = reason.replace(place, original)
     return reason
-
-
-def main(channel: Channel) -> None:
-    """A process: read the task, then the values of one machine after the other, and send its signals."""
-    simulation_loop.CORES = 1
-    task: Task = channel.get()
-    while True:
-        values, before = channel.get(), left_behind(threads=False)
-        signals, end = _outcome(task, values)
-        for signal in signals:
-            channel.put("signal", signal)
-        channel.put("end", (end, left_behind(threads=False) == before))
-
-
-def _outcome(task: Task, values: Mapping[Port, float]) -> tuple[list[Array], Ended | None]:
-    """Signals of a machine up to its end, and why it ended early."""
-    sink, end = TraceInMemory(), None
-    sink.rows = 0  # until the run begins
-    try:
-        job = replace(task.job, system=_with_values(task.job.system, values))
-        outcome = job.run(task.times, sink)
-        result = finished(job, task.times, outcome, sink, sink.trace)
-        if early := [note for note in result.card.notes if note.startswith(ENDS_EARLY)]:
-            end = Ended(EARLY, " ".join(early[0].removeprefix(ENDS_EARLY).split()), outcome.t)
-    except Problem as problem:
-        time = sink.last if sink.rows else task.times.start
-        end = Ended(FAILED, " ".join(str(problem).split()), time)
-    return [sink.trace[name] for name in task.signals] if sink.rows else [], end
 
 
 def _with_values(system: System, values: Mapping[Port, float]) -> System:

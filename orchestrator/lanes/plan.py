@@ -18,6 +18,7 @@ from orchestrator.engine.coupling_inputs import CouplingInputs
 from orchestrator.engine.job import Job
 from orchestrator.engine.masters import MASTERS, Plan
 from orchestrator.engine.network import Network
+from orchestrator.engine.open_job import step_control
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.compiled import NotInLanes, compiled_model, header, lane_count
 from orchestrator.ssp.system import Connection, Port, System
@@ -51,7 +52,7 @@ class Lanes:
             self._network = Network(self.system, slaves, job.scenario, signals)
             self._plan = MASTERS[job.coupling.master](self.system, job.coupling)
             self._inputs = CouplingInputs(self._network, self._plan)
-            self._control = job.control(self._inputs, times)
+            self._control = step_control(job, self._inputs, times)
             self.plan = self._filled()
 
     def reference(self, port: Port) -> int:

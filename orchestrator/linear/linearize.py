@@ -8,7 +8,8 @@ from typing import Unpack
 import numpy as np
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.options import LinearArguments, chosen, documented
+from orchestrator.base.options import chosen, documented
+from orchestrator.engine.arguments import LinearArguments
 from orchestrator.engine.run import ScenarioSource, opened, run
 from orchestrator.linear.cut_system import CutPlant, cut_at_inputs, matching_outputs
 from orchestrator.linear.model import LinearModel

@@ -26,13 +26,13 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import NotExchangeable, Problem
 from orchestrator.base.extras import require
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.base.options import ReferenceArguments, chosen, documented
+from orchestrator.base.options import chosen, documented
 from orchestrator.base.processes import check_room
 from orchestrator.data.trace import Trace
+from orchestrator.engine.arguments import ReferenceArguments
 from orchestrator.engine.result import Card, Result
 from orchestrator.engine.run import ProgressBar, ScenarioSource, opened, prepare, run
 from orchestrator.engine.scenario import Scenario
@@ -40,6 +40,7 @@ from orchestrator.engine.time_grid import RECORD_STEP, Grid, step_length
 from orchestrator.fmi.messages import LogMessage
 from orchestrator.monolithic.plant import Plant
 from orchestrator.monolithic.tight import FMU_TOLERANCE, first_step, tightened
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import Inlet, System
 
 Array = NDArray[np.float64]

@@ -8,11 +8,10 @@ which an input jumps are divided by a guard.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from math import ceil, inf
 
-from orchestrator.base.coupling import Coupling
-from orchestrator.engine.result import Result, RunFailed, SignalError, compare
+from orchestrator.engine.result import Result, RunFailed, SignalError, changes
+from orchestrator.ssp.coupling import Coupling
 
 GUARD = 1e-6  # estimated relative error of an input above which the first run divides a step
 PASS_TOLERANCE = 1e-9  # relative mismatch of an input at which the passes over a step end
@@ -55,7 +54,7 @@ def tightened(run: CoSimulate, first: float, bound: float, reason: str) -> Resul
         errors = changes(coarse, last, finer)
         largest = max(map(estimated_error, errors), default=0.0)
         if largest < error or error == inf:
-            best = replace(last, card=replace(last.card, errors=errors))
+            best = last.noted(errors=errors)
         if largest <= max(bound, BOUND) or largest > STAGNATION * error:
             break
         coarse, last, error = last, finer, largest
@@ -82,14 +81,6 @@ def _runs(run: CoSimulate, first: float) -> Iterator[Result]:
         raise failure
 
 
-def changes(coarse: Result | None, run: Result, fine: Result) -> tuple[SignalError, ...]:
-    """Changes of the outputs from a run to one at half the step; orders, if there is one at twice."""
-    system = run.system
-    nominals = {str(p): system.variable(p).nominal for p in system.ports("output")}
-    outputs = run.trace.select(name for name in nominals if name in run.trace.signals)
-    return compare(fine.trace, outputs, None if coarse is None else coarse.trace, nominals)
-
-
 def estimated_error(change: SignalError) -> float:
     """RMS error, over range, of a run that changes by this much when its step is halved; NaN is infinite."""
     order = min(max(change.order or 1.0, 1.0), MASTER_ORDER)
@@ -103,5 +94,5 @@ def _with_note(result: Result, reason: str) -> Result:
     estimate = "no estimate of its error, because no output changes or there is no run at half the step"
     if worst:
         estimate = f"estimated RMS error at most {estimated_error(worst):.1e} of range, in {worst.name}"
-    note = f"no monolithic solution, but a co-simulation with a small step: {estimate}; reason: {reason}"
-    return replace(result, card=replace(result.card, notes=(*result.card.notes, note)))
+    what = "no monolithic solution, but a co-simulation with a small step"
+    return result.noted(f"{what}: {estimate}; reason: {reason}")

@@ -335,9 +335,6 @@ class RealTimeMachine:
         process.shared.write_command(Command(self._playing, self._speed, self._serial, self._commanded))
 
 
-Station = RealTimeMachine  # its name in 0.1
-
-
 def _plain(setup: Setup) -> Setup:
     """The setup with plain types, so that it can be pickled."""
     return replace(

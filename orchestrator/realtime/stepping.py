@@ -19,17 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
 from orchestrator.engine.job import Execution, Job, Opener, Record, open_slave
+from orchestrator.engine.open_job import opened
 from orchestrator.engine.scenario import Scenario, ScenarioTable, drive
 from orchestrator.engine.time_grid import Grid, step_length
 from orchestrator.realtime import shared_memory as memory
 from orchestrator.realtime.deadlines import DeadlineClock, latency_bin, raise_priority
 from orchestrator.realtime.setup import Array, Axis, Setup, Task
 from orchestrator.realtime.shared_memory import Command, attach
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.load import load
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful_starts, with_doubts
@@ -243,11 +244,11 @@ class FrameStepper:
         job = Job(system, driven, coupling, Record(setup.signals, bonds=()), Execution(open=open))
         latest = LatestValues()
         with ExitStack() as stack:
-            opened = stack.enter_context(job.opened(times, latest))
-            self._loop = opened.loop
+            running = stack.enter_context(opened(job, times, latest))
+            self._loop = running.loop
             self._loop.begin()
             suggested = system.suggestion.notes(setup.step is not None)
-            self.notes = (*system.notes, *system.warnings, *suggested, *opened.network.notes)
+            self.notes = (*system.notes, *system.warnings, *suggested, *running.network.notes)
             self._exit = stack.pop_all()
         self.values = latest.values[: len(setup.signals)]
 

@@ -13,12 +13,13 @@ from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.text import brief, first_names, percentage
 from orchestrator.base.units import factor_and_offset, quantity
+from orchestrator.data.deviation import span
 from orchestrator.data.recording import Criterion, Recording, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.engine.result import FLOOR, Result, RunMetadata, metadata, read_run
 from orchestrator.fmi.description import Value
-from orchestrator.results.metrics import AT_REST, HARDLY_MOVES, constant
+from orchestrator.results.metrics import AT_REST, HARDLY_MOVES
 from orchestrator.results.validation import ValidatedSignal, Validation, validate
 
 Source = str | Path | Trace | Result
@@ -142,7 +143,7 @@ class Comparison:
         If the reference is at rest, NRMSE is over the range of the other run, and CONSTANT is a note.
         """
         rows = [row for row in self.against[label].rows if row.group == quantity]
-        ranges = [_range(values) for row in rows for values in (row.reference, row.simulation)]
+        ranges = [span(values) for row in rows for values in (row.reference, row.simulation)]
         least = max(AT_REST * max(ranges, default=0.0), FLOOR)
         moving = [moved for row in rows if (moved := _moving(row, least))]
         return max(moving, key=lambda r: r.metrics.nrmse or 0.0, default=None)
@@ -264,18 +265,14 @@ def different_fmus(runs: Sequence[Run]) -> list[str]:
     return [n for n in names if len({fmus[n]["sha256"] for fmus in known if n in fmus}) > 1]
 
 
-def _range(values: Array) -> float:
-    return 0.0 if constant(values) else float(np.ptp(values))
-
-
 def _moving(row: ValidatedSignal, least: float) -> ValidatedSignal | None:
     """The row with NRMSE over the range of a run in which it moves; None if it is at rest in both."""
     if any(note.startswith(HARDLY_MOVES) for note in row.metrics.notes):
         least = max(least, row.metrics.normalised_by)
-    if _range(row.reference) > least:
+    if span(row.reference) > least:
         return row
-    span = _range(row.simulation)
-    metrics = replace(row.metrics, nrmse=row.metrics.rmse / span) if span > least else None
+    moved = span(row.simulation)
+    metrics = replace(row.metrics, nrmse=row.metrics.rmse / moved) if moved > least else None
     return replace(row, metrics=metrics, notes=(*row.notes, CONSTANT)) if metrics else None
 
 

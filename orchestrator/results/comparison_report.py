@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orchestrator.base import html_page
-from orchestrator.base.figures import LINE_STYLES, PALETTE, TraceFigure, TraceLine, TracePanel, plot
 from orchestrator.base.text import (
     NO_VALUE,
     TextTable,
@@ -27,6 +25,8 @@ from orchestrator.base.text import (
 )
 from orchestrator.base.units import convert, factor_and_offset, pretty, reader_unit
 from orchestrator.engine.result import RunMetadata
+from orchestrator.pages import html_page
+from orchestrator.pages.figures import LINE_STYLES, PALETTE, TraceFigure, TraceLine, TracePanel, plot
 from orchestrator.results.comparison import (
     CONSTANT,
     DEFAULT_QUANTITIES,
@@ -86,7 +86,7 @@ def _same_curve(row: ValidatedSignal, other: ValidatedSignal) -> bool:
 
 def draw(comparison: Comparison, signals: Sequence[str] | None = None) -> Figure:
     """The figure, drawn by matplotlib; default signals: those with the largest differences."""
-    from orchestrator.base import plotting
+    from orchestrator.pages import plotting
 
     return plotting.draw(traces(comparison, signals))
 
@@ -310,7 +310,7 @@ def _cells(row: ValidatedSignal) -> tuple[str, str]:
 
 def write(comparison: Comparison, folder: str | Path) -> tuple[Path, Path, Path]:
     """Write comparison.html, comparison.png and comparison.json to a folder; returns the three."""
-    from orchestrator.base.plotting import png
+    from orchestrator.pages.plotting import png
 
     page = html_page.write_text(Path(folder) / "comparison.html", render(comparison))
     numbers = html_page.write_json(page.with_suffix(".json"), as_dict(comparison))

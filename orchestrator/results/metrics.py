@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.base.errors import Problem
+from orchestrator.data.deviation import TINY, moves, rms
 from orchestrator.data.table import Array
 from orchestrator.results import iso18571
 
@@ -31,9 +32,7 @@ ISO_SAMPLES = 1000
 ISO_MINIMUM = 30
 # Range over nominal value of a signal at rest, whose errors would otherwise be divided by noise.
 AT_REST, HARDLY_MOVES = 1e-3, "the reference hardly moves"
-CONSTANT = 1e-9  # range over magnitude of a constant signal: rounding of the digits in a CSV file
-# Magnitudes whose squares leave the range of a float: smaller ones count as zero, larger ones are refused.
-TINY, HUGE = 1e-150, 1e150
+HUGE = 1e150  # magnitudes whose squares leave the range of a float are refused
 
 
 @dataclass(frozen=True)
@@ -101,12 +100,12 @@ def measure(
     _check(time, simulation, reference, where)
     error = simulation - reference
     largest = int(np.argmax(np.abs(error)))
-    rmse = float(np.sqrt(np.mean(error**2)))
+    rmse = rms(error)
     recording = reference if recording is None else recording
     denominator, notes = _denominator(recording, span, floor)
     norm = float(np.linalg.norm(reference - reference.mean()))
-    is_constant = constant(reference, recording)
-    if is_constant and not constant(recording):
+    is_constant = not moves(reference, recording)
+    if is_constant and moves(recording):
         notes = (*notes, "the reference is constant in this window: no fit, VAF or ISO rating")
     iso = Rating(reason="not requested")
     if rate:
@@ -129,15 +128,9 @@ def measure(
     )
 
 
-def constant(signal: Array, recording: Array | None = None) -> bool:
-    """Whether a signal, possibly a part of a recording, is constant within the rounding of a text file."""
-    magnitude = float(np.max(np.abs(signal if recording is None else recording)))
-    return bool(np.ptp(signal) <= max(TINY, CONSTANT * magnitude))
-
-
 def iso_rating(time: Array, simulation: Array, reference: Array) -> Rating:
     """ISO/TS 18571 rating of a simulation against its reference, shape (n,) each, or why there is none."""
-    if constant(reference):
+    if not moves(reference):
         return Rating(reason="the reference is constant")
     if len(time) < ISO_MINIMUM:
         return Rating(reason=f"{len(time)} samples are fewer than {ISO_MINIMUM}")
@@ -172,11 +165,9 @@ def _denominator(reference: Array, span: float | None, floor: float = 0.0) -> tu
     """Denominator of NRMSE, and a note if it is not the range of the reference."""
     if span is not None:
         return span, (f"NRMSE over the given range of {span:g}",)
-    if floor and (
-        floor >= np.max(np.abs(reference)) or (floor > np.ptp(reference) and not constant(reference))
-    ):
+    if floor and (floor >= np.max(np.abs(reference)) or (floor > np.ptp(reference) and moves(reference))):
         return floor, (f"{HARDLY_MOVES}: NRMSE over {floor:.3g}, {100 * AT_REST:g} % of the nominal value",)
-    if not constant(reference):
+    if moves(reference):
         return float(np.ptp(reference)), ()
     magnitude = float(np.max(np.abs(reference)))
     if magnitude > TINY:

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.base.options import SystemArguments, declarations
+from orchestrator.base.options import declarations
 from orchestrator.base.progress import doing
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
+from orchestrator.engine.arguments import SystemArguments
 from orchestrator.engine.result import Result, compare
 from orchestrator.monolithic.reference import SOLVER, reference
 from orchestrator.results.validation import by_variable

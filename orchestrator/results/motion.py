@@ -11,7 +11,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.figures import PALETTE
+from orchestrator.pages.figures import PALETTE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -120,7 +120,7 @@ def strobe(motion: MachineMotion, poses: int = 9, title: str = "") -> Figure:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    from orchestrator.base.plotting import WIDTH, heading, new_figure
+    from orchestrator.pages.plotting import WIDTH, heading, new_figure
 
     figure = new_figure(WIDTH, 4.6)
     still = motion.at(_instants(motion, poses))
@@ -172,7 +172,7 @@ def still(motion: MachineMotion, poses: int = 7) -> Markup:
 
 def _draw_view(axes: Axes, motion: MachineMotion, view: str) -> None:
     """Draw the path of the tip, ground or axis of rotation, and labels; both axes have the same scale."""
-    from orchestrator.base.plotting import style_axes
+    from orchestrator.pages.plotting import style_axes
 
     if view == "side":
         style_axes(axes, "along the arm [m]" if motion.turning else "x [m]", "height [m]", size=10)

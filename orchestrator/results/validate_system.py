@@ -19,13 +19,13 @@ from rich.console import Console
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import DEFAULT_SYSTEM, require_system
-from orchestrator.base.options import RunArguments
 from orchestrator.base.progress import doing
 from orchestrator.base.units import convert
 from orchestrator.data.recording import Recording, fill_gaps, read_recording
 from orchestrator.data.table import Array
 from orchestrator.data.trace import Trace
 from orchestrator.data.trace_writer import RowLayout
+from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.result import Card, Result
 from orchestrator.engine.run import run_to_file
 from orchestrator.engine.time_grid import Grid

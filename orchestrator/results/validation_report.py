@@ -15,9 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from orchestrator.base import html_page
 from orchestrator.base.errors import Problem
-from orchestrator.base.figures import (
+from orchestrator.base.text import NO_VALUE, display_unit, error_display_unit, number, percentage, typeset
+from orchestrator.base.units import convert, reader_unit
+from orchestrator.data.trace import Trace
+from orchestrator.pages import html_page
+from orchestrator.pages.figures import (
     PALETTE,
     REFERENCE,
     SIMULATION,
@@ -27,9 +30,6 @@ from orchestrator.base.figures import (
     plot,
     script_data,
 )
-from orchestrator.base.text import NO_VALUE, display_unit, error_display_unit, number, percentage, typeset
-from orchestrator.base.units import convert, reader_unit
-from orchestrator.data.trace import Trace
 from orchestrator.results import summary
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.motion import MachineMotion, frames, still
@@ -203,7 +203,7 @@ def _value(value: Any) -> str:
 
 def draw(spec: FigureSpec, validation: Validation, trace: Trace | None = None) -> Figure:
     """The figure of a validation with its title, drawn by matplotlib."""
-    from orchestrator.base import plotting
+    from orchestrator.pages import plotting
 
     return plotting.draw(replace(traces(spec, validation, trace), title=spec.title))
 

@@ -27,12 +27,12 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from orchestrator.base import html_page
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import FMI3, Location
 from orchestrator.base.units import parse_unit
 from orchestrator.data.trace import Trace
 from orchestrator.fmi.description import FmuInterface
+from orchestrator.pages import html_page
 from orchestrator.scene import drawing
 from orchestrator.scene.geometry import GROUND, geometry, pose_names, start
 from orchestrator.scene.view_description import (

@@ -43,11 +43,11 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
 
-from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
-from orchestrator.base.options import FIELDS, CouplingArguments, declarations
+from orchestrator.base.options import declarations
 from orchestrator.base.xml import Element, XmlElement, boolean, finite, integer, local_name
 from orchestrator.ssp.common_elements import add
+from orchestrator.ssp.coupling import FIELDS, Coupling, CouplingArguments, Suggestion
 
 OWN, COUPLING, SHARED = "harvester-cosim", "Coupling", "SharedParameter"
 PATHS = ("DefaultExperiment",), ("System",), ()  # elements with annotations, as paths from the root

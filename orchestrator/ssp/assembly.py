@@ -4,12 +4,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import Location
 from orchestrator.base.options import Seconds, seconds
 from orchestrator.base.units import LinearTransformation, conversion
 from orchestrator.fmi.description import FmuVariable, Value, read_interface
+from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.system import Component, Connection, Inlet, Port, System
 
 SOURCES = ("output", "calculatedParameter")

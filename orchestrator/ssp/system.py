@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
-from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem, suggest
 from orchestrator.base.files import Location
 from orchestrator.base.text import brief, first_names
@@ -22,6 +21,7 @@ from orchestrator.base.units import (
 )
 from orchestrator.base.xml import integer, real
 from orchestrator.fmi.description import FmuInterface, FmuVariable, Value
+from orchestrator.ssp.coupling import Coupling, Suggestion
 
 MAX_NAMES = 4  # in a message
 ROUNDING = 1e-12  # relative difference of equal values after a conversion of units; messages show 13 digits
@@ -229,6 +229,15 @@ class System:
         numbers = [p for p in ports if _is_number_to_set(self.variable(p), dimension)]
         return [p for p in numbers if self.components[p.component].has_start(name)]
 
+    def check_sets_all(self, name: str, where: str) -> None:
+        """Refuse a name that sets one of several variables that are the same physical quantity."""
+        ports = {port for port, _ in self.targets(name)}
+        for common in self.shared:
+            shared = {*self.sharing(common)}
+            if ports & shared and not ports >= shared:
+                parts = " and ".join(port.component for port in self.sharing(common))
+                raise Problem(f"{where}: expected {common}, one value for {parts}, got {name}")
+
     def check_sharing(self) -> None:
         """Raise Problem if a component lacks a parameter that it shares."""
         for name, components in self.shared.items():
@@ -271,6 +280,11 @@ class System:
     def ports(self, causality: str) -> list[Port]:
         """All variables of one causality."""
         return [Port(c.name, v.name) for c in self.components.values() for v in c.interface.of(causality)]
+
+    @property
+    def nominals(self) -> Mapping[str, float | None]:
+        """The nominal value of each output, by its name."""
+        return {str(port): self.variable(port).nominal for port in self.ports("output")}
 
     @property
     def open(self) -> Mapping[str, Inlet]:

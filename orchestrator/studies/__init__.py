@@ -2,7 +2,7 @@
 
     study, cases, design     a parameter study as data, resolved against its systems, and its samples
     single_run, processes    one run, and the child processes that load the FMUs
-    pool, store              tasks of Dask, and the folder with the results
+    cluster, store           the same on a cluster of Dask, and the folder with the results
     parameter_study          `harvester sweep`
     analysis, report         statistics and sensitivities of its results, and their page
     convergence              `harvester convergence`: error of each master over the communication step

@@ -11,7 +11,6 @@ from itertools import product
 from math import isfinite
 from typing import Any
 
-from orchestrator.base.coupling import Coupling, Suggestion
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import find
 from orchestrator.base.toml import quote_key
@@ -24,6 +23,7 @@ from orchestrator.engine.run import opened as open_system
 from orchestrator.engine.scenario import drive
 from orchestrator.engine.time_grid import Grid, free_grid, grid
 from orchestrator.fmi.description import Value
+from orchestrator.ssp.coupling import Coupling, Suggestion
 from orchestrator.ssp.parameter_sets import with_sets
 from orchestrator.ssp.plausible import doubtful, doubtful_columns, doubtful_starts
 from orchestrator.ssp.swap import with_swaps
@@ -80,7 +80,9 @@ def resolve(study: Study) -> tuple[Study, dict[Options, StudyCase]]:
         for options, case in cases.items():
             _check_not_driven(study, options, case)
             _check_set_once(study, case)
-            _check_shared(study, case.system)
+            for factor in study.factors:
+                if case.system.has(factor.name):
+                    case.system.check_sets_all(factor.name, factor.key)
             for name, value in study.fixed.items():
                 if case.system.has(name):
                     _check_inside(case.system, name, f"fixed: {name}", value)
@@ -265,17 +267,6 @@ def _check_set_once(study: Study, case: StudyCase) -> None:
             if port in absolute:
                 same = "" if seen[port] == name else f", which sets {port} as factors.{seen[port]} does"
                 raise Problem(f"fixed: {name}: expected another variable than the factors{same}")
-
-
-def _check_shared(study: Study, system: System) -> None:
-    """Refuse a factor that sets one of several variables that are the same physical quantity."""
-    for factor in (f for f in study.factors if system.has(f.name)):
-        ports = {port for port, _ in system.targets(factor.name)}
-        for name in system.shared:
-            shared = system.sharing(name)
-            if ports & set(shared) and not ports >= set(shared):
-                parts = " and ".join(port.component for port in shared)
-                raise Problem(f"{factor.key}: expected {name}, one value for {parts}, got {factor.name}")
 
 
 def _check_limits(study: Study, system: System) -> None:

@@ -13,27 +13,30 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import pandas as pd
 import pyarrow as pa
-from distributed import Client
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Stopped
-from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.processes import available_cores
 from orchestrator.base.text import TextTable, display_unit
 from orchestrator.lanes.compiled import lane_count
-from orchestrator.studies import design, pool, store
+from orchestrator.lanes.group import EARLY, FAILED, OK
+from orchestrator.studies import design, processes, store
 from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.cases import Options, Sample, Unit, doubts, resolve
-from orchestrator.studies.payload import Payload, payload
-from orchestrator.studies.single_run import EARLY, FAILED, OK, RunOutcome, group_size
+from orchestrator.studies.processes import Payload, payload
+from orchestrator.studies.single_run import RunOutcome, group_size
 from orchestrator.studies.study import Study, read
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 FOLDER = Path("build/sweeps")
 PROGRESS_LINES = 10  # printed if the output is not a terminal
@@ -96,8 +99,10 @@ def sweep(
     prepared = prepare(study)
     with ExitStack() as stack:
         if scheduler and not client and (fresh or not store.finished(folder)):
+            from orchestrator.studies import cluster
+
             # connect first: if no scheduler answers, nothing is written or deleted
-            client = stack.enter_context(pool.client(workers, scheduler))
+            client = stack.enter_context(cluster.client(scheduler))
         stack.enter_context(store.locked(folder))
         if fresh:
             store.clear(folder)
@@ -109,38 +114,37 @@ def sweep(
         )
         results.forget_stopped()
         if not store.finished(folder):
-            connection = nullcontext(client) if client else pool.client(workers)
-            _run_missing(prepared, results, connection, watch or (lambda *_: None), lanes=client is None)
+            _run_missing(prepared, results, client, workers or available_cores(), watch or (lambda *_: None))
             results.finish(*prepared.inputs())
         return store.read(folder)
 
 
 def _run_missing(
-    prepared: PreparedStudy,
-    results: store.Store,
-    connection: AbstractContextManager[Client],
-    watch: Watch,
-    lanes: bool,
+    prepared: PreparedStudy, results: store.Store, client: Client | None, workers: int, watch: Watch
 ) -> None:
-    """Run the samples without stored results; lanes: the processes are on this computer."""
+    """Run the samples without stored results, on this computer if there is no client."""
     done, total = results.done(), len(prepared.samples)
     count = len(done)
     watch(total, count, ())
     if count == total:
         return
-    units = units_of(prepared, lanes)
+
+    def keep(outcomes: Sequence[RunOutcome]) -> None:
+        nonlocal count
+        batch = [outcome for outcome in outcomes if outcome.run not in done]
+        results.add(batch)
+        count += len(batch)
+        watch(total, count, batch)
+
+    units = units_of(prepared, lanes=client is None)
     missing = [unit for unit in units if any(sample.run not in done for sample in unit)]
     try:
-        with (
-            connection as client,
-            DeferredInterrupts() as interrupts,  # Dask's callbacks would swallow a KeyboardInterrupt
-            closing(pool.outcomes(client, prepared.payload, missing, interrupts.check)) as batches,
-        ):
-            for outcomes in batches:
-                batch = [outcome for outcome in outcomes if outcome.run not in done]
-                results.add(batch)
-                count += len(batch)
-                watch(total, count, batch)
+        if client is None:
+            processes.run_units(prepared.payload, missing, workers, keep)
+        else:
+            from orchestrator.studies import cluster
+
+            cluster.run_units(client, prepared.payload, missing, keep)
     except KeyboardInterrupt:
         stored = f"{len(results.done())} of {total} runs are stored in {results.folder}"
         raise Stopped(f"{stored}; the same command continues the study") from None

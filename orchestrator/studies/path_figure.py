@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from orchestrator.base.figures import PALETTE
-from orchestrator.base.plotting import legend, legend_entry, new_figure, style_axes
+from orchestrator.pages.figures import PALETTE
+from orchestrator.pages.plotting import legend, legend_entry, new_figure, style_axes
 from orchestrator.studies.path_following import Array, PathRun
 
 WITH, WITHOUT = "-", (0, (3, 1.5))

@@ -2,8 +2,8 @@
 
     e(t) = |tip(t) - path(t)|        both in space, at the same instant
 
-A scenario contains the path. The tip is the end of the stick. Its position is computed from outputs of the
-manipulator (radius, height, swing angle), not from what the controller reports.
+A scenario contains the path. The position of the tip is computed from outputs of the machine (radius, height,
+angle), not from what the controller reports. A file of the machine has the names (`TrackedMachine`).
 """
 
 from __future__ import annotations
@@ -12,35 +12,66 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.base import toml
 from orchestrator.base.errors import Problem
+from orchestrator.data.deviation import rms
 from orchestrator.data.trace import Trace, read_trace
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
+from orchestrator.fmi.description import Value
 from orchestrator.ssp.system import System
 
 Array = NDArray[np.float64]
 
-PATH = ("path_radius", "path_height", "path_angle")
-VELOCITY = ("radial_velocity", "vertical_velocity", "swing_velocity")
-MANIPULATOR, CONTROLLER = "manipulator", "controller"  # components
-TIP = tuple(f"{MANIPULATOR}.{name}" for name in ("tip_radius", "tip_height", "swing_angle"))
-FEEDBACK = f"{CONTROLLER}.feedback"  # 1: the controller uses measurements, 0: it does not
-# Use of each limit of the controller; above its threshold the limit acts.
-PRESSURE, STROKE, SPEED, WAIT = (f"{CONTROLLER}.{n}_use" for n in ("pressure", "stroke", "speed", "wait"))
-THRESHOLDS = {STROKE: 1.0, SPEED: 1.0, WAIT: 0.5}
-CAUSES = {
-    PRESSURE: "the supply pressure does not carry the load",
-    STROKE: "the path leads beyond the end of a stroke",
-    SPEED: "the path requires more speed than an actuator has",
-    WAIT: "the machine does not follow",
-}
 RECORD_STEP = 5e-3  # [s], sampling interval of the paths
-PUMP_TIME = 1.0  # [s]; a load-sensing pump raises its pressure within a few tenths after a valve has opened
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A limit of the controller: above its threshold it acts, if its use lasts so long [s]."""
+
+    cause: str
+    threshold: float
+    lasting: float = 0.0
+    decisive: bool = False
+
+
+@dataclass(frozen=True)
+class TrackedMachine:
+    """Names of a machine that follows paths, in a TOML file of the machine, such as tracking.toml.
+
+    example      file of such a machine
+    follower     component whose parameters determine the start of a path
+    controller   component that may assume other parameters than the machine has
+    alone        a variant, as COMPONENT=VARIANT, for a message
+    path, tip    radius [m], height [m] and angle [rad]: columns of a scenario, and signals of the machine
+    velocity     columns that a scenario may lack: the derivatives of the path
+    engaged      columns that a scenario may lack: 1
+    feedback     input: 1 if the controller uses measurements, else 0
+    copied       end of the names of parameters of the components that the controller gets
+    limits       signal with the use of a limit -> limit
+    """
+
+    example: str
+    follower: str
+    controller: str
+    alone: str
+    path: tuple[str, ...]
+    velocity: tuple[str, ...]
+    engaged: tuple[str, ...]
+    tip: tuple[str, ...]
+    feedback: str
+    copied: str
+    limits: Mapping[str, Limit]
+
+
+def read_machine(file: Path) -> TrackedMachine:
+    """Read the names of a machine."""
+    return toml.read_dataclass(TrackedMachine, toml.read(file, file.read_bytes()))
 
 
 @dataclass(frozen=True)
@@ -53,6 +84,7 @@ class PathRun:
     tip        points of the tip, likewise
     failure    why the run ended early; empty if it did not
     uses       use of each limit of the controller {name: shape (n,)}
+    limits     these limits
     """
 
     path: str
@@ -63,6 +95,7 @@ class PathRun:
     tip: Array
     failure: str = ""
     uses: Mapping[str, Array] = field(default_factory=dict)
+    limits: Mapping[str, Limit] = field(default_factory=dict)
 
     @cached_property
     def error(self) -> Array:
@@ -90,7 +123,7 @@ class PathRun:
     @property
     def rms(self) -> float:
         """Root mean square of the error over the equally spaced samples [m]."""
-        return float(np.sqrt(np.mean(self.error**2)))
+        return rms(self.error)
 
     @property
     def last(self) -> float:
@@ -108,52 +141,58 @@ class PathRun:
         """The limit that is exceeded most, and since when, as text; empty if the controller reports none."""
         if not self.uses:
             return ""
-        relative = {name: use / THRESHOLDS.get(name, 1.0) for name, use in self.uses.items()}
-        worst = max(relative, key=lambda name: float(relative[name].max()))
-        if PRESSURE in relative and relative[PRESSURE].max() > 1:
-            worst = PRESSURE  # then the machine waits, and the path demands more speed
-        if not relative[worst].max() > 1:
+        relative = {name: use / self.limits[name].threshold for name, use in self.uses.items()}
+        largest = {name: float(use.max()) for name, use in relative.items()}
+        decisive = [name for name in largest if self.limits[name].decisive and largest[name] > 1]
+        worst = decisive[0] if decisive else max(largest, key=largest.__getitem__)
+        if not largest[worst] > 1:
             return ": no limit of the controller acts"
-        since = float(self.time[int((relative[worst] > 1).argmax())])
-        return f": {CAUSES[worst]}, from {since:.1f} s on ({worst} is up to {self.uses[worst].max():.3g})"
+        since, most = float(self.time[int((relative[worst] > 1).argmax())]), self.uses[worst].max()
+        return f": {self.limits[worst].cause}, from {since:.1f} s on ({worst} is up to {most:.3g})"
 
 
-def follow(system: System, path: Path, machine: str, feedback: bool, **options: Any) -> PathRun:
-    """Run a system along the path of a scenario; `options` go to `run`, a Problem names machine and path."""
+def follow(
+    system: System,
+    names: TrackedMachine,
+    path: Path,
+    machine: str,
+    feedback: bool,
+    start: Mapping[str, Value | str],
+) -> PathRun:
+    """Run a system along the path of a scenario; a Problem names machine and path."""
     scenario = read_trace(path)
-    points(scenario, PATH, str(path))  # a file without a path is reported before anything runs
-    options["set"] = {**options.get("set", {}), FEEDBACK: float(feedback)}
-    failure, limits = "", [name for name in CAUSES if system.has(name)]
+    points(scenario, names.path, str(path))  # a file without a path is reported before anything runs
+    driven, values = completed(scenario, names), {**start, names.feedback: float(feedback)}
+    failure, limits = "", {name: limit for name, limit in names.limits.items() if system.has(name)}
     try:
-        trace = run(
-            system, completed(scenario), record=[*TIP, *limits], record_step=RECORD_STEP, **options
-        ).trace
+        trace = run(system, driven, record=[*names.tip, *limits], record_step=RECORD_STEP, set=values).trace
     except RunFailed as failed:
         trace, failure = failed.result.trace, str(failed)
     except Problem as problem:
         raise Problem(f"machine {machine}, path {path.stem}: {problem}") from None
-    commanded, tip = points(scenario.at(trace.time), PATH, str(path)), points(trace, TIP, MANIPULATOR)
-    uses = {name: trace[name] for name in limits}
-    if PRESSURE in uses:
-        uses[PRESSURE] = _lasting(uses[PRESSURE], round(PUMP_TIME / RECORD_STEP))
-    return PathRun(path.stem, machine, feedback, trace.time, commanded, tip, failure, uses)
+    commanded = points(scenario.at(trace.time), names.path, str(path))
+    tip = points(trace, names.tip, names.follower)
+    uses = {name: _lasting(trace[name], round(limit.lasting / RECORD_STEP)) for name, limit in limits.items()}
+    return PathRun(path.stem, machine, feedback, trace.time, commanded, tip, failure, uses, limits)
 
 
 def _lasting(use: Array, count: int) -> Array:
     """The least of the last `count` samples at each instant; 0 before there are so many."""
+    if count < 2:
+        return use
     least = np.zeros_like(use)
     if use.size >= count:
         least[count - 1 :] = np.lib.stride_tricks.sliding_window_view(use, count).min(axis=1)
     return least
 
 
-def completed(scenario: Trace) -> Trace:
+def completed(scenario: Trace, names: TrackedMachine) -> Trace:
     """The scenario with the inputs that a plain table of points lacks.
 
     The controller is engaged and follows; velocities are the derivatives of the points.
     """
-    added = {"engaged": np.ones_like(scenario.time), "follow": np.ones_like(scenario.time)}
-    for position, velocity in zip(PATH, VELOCITY, strict=True):
+    added = {name: np.ones_like(scenario.time) for name in names.engaged}
+    for position, velocity in zip(names.path, names.velocity, strict=True):
         added[velocity] = np.gradient(scenario[position], scenario.time)
     return replace(scenario, signals=added | dict(scenario.signals))
 
@@ -166,9 +205,9 @@ def points(trace: Trace, names: Sequence[str], where: str) -> Array:
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
 
 
-def first_point(path: Path) -> tuple[float, float, float]:
+def first_point(path: Path, columns: Sequence[str]) -> tuple[float, float, float]:
     """Radius [m], height [m] and angle [rad] of the first point of the path of a scenario."""
     scenario = read_trace(path)
-    points(scenario, PATH, str(path))
-    radius, height, angle = (float(scenario[name][0]) for name in PATH)
+    points(scenario, columns, str(path))
+    radius, height, angle = (float(scenario[name][0]) for name in columns)
     return radius, height, angle

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
-from orchestrator.base.html_page import write_json
-from orchestrator.base.plotting import png
 from orchestrator.base.text import TextTable
 from orchestrator.fmi.description import Value
+from orchestrator.pages.html_page import write_json
+from orchestrator.pages.plotting import png
 from orchestrator.ssp.load import load
 from orchestrator.ssp.plausible import doubtful_starts
 from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 from orchestrator.studies.path_figure import draw
-from orchestrator.studies.path_following import CONTROLLER, FEEDBACK, MANIPULATOR, PathRun, follow
+from orchestrator.studies.path_following import PathRun, TrackedMachine, follow
 
 SAME_VALUE = 1e-9  # relative difference up to which two parameter values are equal
-SECTION_FLOW = "_section_flow"  # parameter of a pressure-compensated section, and of the controller
 FAR = 0.1  # [m]: a larger error is reported with its cause; usual errors are ten times smaller
 MM = 1e3
 HEAD = ("path", "machine", "feedback", "largest [mm]", "at [s]", "RMS [mm]", "last [mm]", "times as large")
@@ -32,44 +32,42 @@ Start = Callable[[Mapping[str, float]], Mapping[str, float]]
 
 def track(
     system: Path,
+    names: TrackedMachine,
     paths: Sequence[tuple[Path, Start]],
     machines: Mapping[str, Mapping[str, str]],
     out: Path,
     feedback: Sequence[bool] = (True, False),
     limit: float | None = None,
-    **options: Any,
+    given: Mapping[str, Value | str] = MappingProxyType({}),
 ) -> bool:
     """Run every machine along every path; print a table, write tracking.png and tracking.json.
 
-    paths     scenarios, each with a function from parameter values of the manipulator to start values for the
+    paths     scenarios, each with a function from parameter values of its follower to start values for the
               first point of the path; the function raises a Problem if that point is out of reach
     machines  name -> variants {component: variant}
     limit     largest allowed error with feedback [m]
-    options   of `run`
+    given     start values of all runs
 
     Returns True if all runs came to the end, within the limit.
     """
     loaded = load(system)
-    if not loaded.has(FEEDBACK):
-        example = "a machine with the controller, such as build/harvester_control.ssp"
-        raise Problem(f"{system}: expected {example}, got no variable {FEEDBACK}")
+    if not loaded.has(names.feedback):
+        example = f"a machine with the controller, such as {names.example}"
+        raise Problem(f"{system}: expected {example}, got no variable {names.feedback}")
     make_folder(out)
-    given = options.pop("set", {})
-    systems = swapped_systems(loaded, machines, given)
+    systems = swapped_systems(loaded, names, machines, given)
     # All start values are computed first: a point out of reach is reported before anything runs.
     tasks = [
-        (path, name, {**start(machine.components[MANIPULATOR].real_parameters()), **given})
+        (path, name, {**start(machine.components[names.follower].real_parameters()), **given})
         for path, start in paths
         for name, machine in systems.items()
     ]
-    for note in dict.fromkeys(n for machine in systems.values() for n in differences(machine)):
+    for note in dict.fromkeys(n for machine in systems.values() for n in differences(machine, names)):
         print(f"note: {note}")
     for doubts in dict.fromkeys(filter(None, (d for m in systems.values() for d in doubtful_starts(m)))):
         print(f"warning: {doubts}")
     runs = [
-        follow(systems[name], path, name, on, set=start, **options)
-        for path, name, start in tasks
-        for on in feedback
+        follow(systems[name], names, path, name, on, start) for path, name, start in tasks for on in feedback
     ]
     figure, json = out / "tracking.png", out / "tracking.json"
     print(text(runs))
@@ -85,7 +83,10 @@ def track(
 
 
 def swapped_systems(
-    system: System, machines: Mapping[str, Mapping[str, str]], start: Mapping[str, Value | str]
+    system: System,
+    names: TrackedMachine,
+    machines: Mapping[str, Mapping[str, str]],
+    start: Mapping[str, Value | str],
 ) -> dict[str, System]:
     """Every machine {name: variants} with these start values; all machines must have these variables."""
     systems = {name: with_swaps(system, variants) for name, variants in machines.items()}
@@ -98,47 +99,49 @@ def swapped_systems(
             raise Problem(
                 f"--set {variable}: the {' and '.join(lacking)} machine has no such variable, only the"
                 f" {' and '.join(having)} one; to run one machine alone:"
-                f" {[*swaps, '--swap swing=lumped'][0]}, for example"
+                f" {[*swaps, f'--swap {names.alone}'][0]}, for example"
             )
     return {
-        name: machine.with_start({**section_flows(machine), **start}) for name, machine in systems.items()
+        name: machine.with_start({**copied_parameters(machine, names), **start})
+        for name, machine in systems.items()
     }
 
 
-def section_flows(system: System) -> dict[str, float]:
-    """Parameters of the controller for the compensated sections of this machine: their flows."""
+def copied_parameters(system: System, names: TrackedMachine) -> dict[str, float]:
+    """Parameters of the controller that it gets from this machine."""
     return {
-        f"{CONTROLLER}.{name}": value
+        f"{names.controller}.{name}": value
         for part, component in system.components.items()
-        for name, value in ({} if part == CONTROLLER else component.real_parameters()).items()
-        if name.endswith(SECTION_FLOW) and system.has(f"{CONTROLLER}.{name}")
+        for name, value in ({} if part == names.controller else component.real_parameters()).items()
+        if name.endswith(names.copied) and system.has(f"{names.controller}.{name}")
     }
 
 
-def differences(system: System) -> list[str]:
+def differences(system: System, names: TrackedMachine) -> list[str]:
     """One note for each parameter that controller and machine have in the same unit, with different values.
 
     A parameter of the machine has the same name in the controller, or `component_name` if several components
     have a parameter of that name. If one value is 0, the note contains the description of the parameter,
     since 0 can mean that the FMU derives the value from other parameters.
     """
-    if CONTROLLER not in system.components:
+    if names.controller not in system.components:
         return []
-    controller, notes = system.components[CONTROLLER], []
+    controller, notes = system.components[names.controller], []
     assumed = controller.real_parameters()
     for part, component in system.components.items():
-        for name, value in {} if part == CONTROLLER else component.real_parameters().items():
+        for name, value in {} if part == names.controller else component.real_parameters().items():
             assumed_name = f"{part}_{name}" if f"{part}_{name}" in assumed else name
             if assumed_name not in assumed or _equal(assumed[assumed_name], value):
                 continue
             variable = component.interface.variables[name]
             unit = variable.unit
+            a, b = f"{names.controller}.{assumed_name}", f"{part}.{name}"
             if controller.interface.variables[assumed_name].unit == unit:
                 suffix = f" {unit.name}" if unit and unit.name != "1" else ""
                 meaning = f" ({variable.description})" if 0 in (value, assumed[assumed_name]) else ""
                 notes.append(
-                    f"{CONTROLLER}.{assumed_name} is {assumed[assumed_name]:.6g}{suffix}, {part}.{name} is"
-                    f" {value:.6g}{suffix}{meaning}: the controller assumes another machine"
+                    f"{a} is {assumed[assumed_name]:.6g}{suffix}, {b} is {value:.6g}{suffix}{meaning}:"
+                    " the controller assumes another machine"
                 )
     return notes
 

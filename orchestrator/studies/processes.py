@@ -1,112 +1,112 @@
 """Child processes that run the samples of a study, so that a crash of an FMU ends only its own run.
 
-Each Dask worker keeps as many processes as it has threads.
+A process gets the study and its systems, whose FMUs have been unpacked for all processes of a computer, and
+runs one sample after the other. It starts fast, because it imports neither pandas nor SciPy nor Dask.
 """
 
 from __future__ import annotations
 
+import io
 import pickle
-import queue
 import re
+import shutil
+import tempfile
 import threading
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
+import time
+import zipfile
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from math import inf
+from pathlib import Path
 from typing import Any
 
-from distributed import WorkerPlugin, get_worker
-
 from orchestrator.base.errors import Problem
+from orchestrator.base.files import Location
+from orchestrator.base.interrupts import in_threads
 from orchestrator.base.processes import machine_memory
 from orchestrator.base.text import first_names
-from orchestrator.lanes.one_by_one import with_originals
-from orchestrator.studies.cases import Unit
-from orchestrator.studies.single_run import RunOutcome, failed
+from orchestrator.engine import simulation_loop
+from orchestrator.engine.c_library import library
+from orchestrator.lanes.one_by_one import unpacked, with_originals
+from orchestrator.studies.cases import Options, StudyCase, Unit
+from orchestrator.studies.single_run import RunOutcome, failed, outcomes
 from orchestrator.studies.study import Study
+from orchestrator.worker.main import Channel, left_behind
 from orchestrator.worker.process import LimitExceeded, Worker, WorkerLimits
 
 # Each process uses one thread, because there is a process on every core.
-THREADS = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
-CONTENTS = {"originals": dict[str, str], "outcomes": tuple[list[RunOutcome], bool]}  # what a process may send
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")}
+CONTENTS = {"ready": str, "outcomes": tuple[list[RunOutcome], bool]}  # what a process may send
 STOPPED = re.compile(r"(time_limit|memory_limit) = ([\d.e+-]+): ")  # begins the reason of a stopped run
 WRITTEN = 1e-8  # relative rounding of a limit in a reason, of 9 digits
 MEMORY_SHARE = 0.25  # of the machine's memory, for one run without a limit of its own
+STORE_TIME = 1.5  # [s] between two times at which outcomes are stored: short to lose by a kill
 
 
-class ProcessPool(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
-    """Plugin of a Dask worker with its child processes, one for each thread, started on demand."""
+# ---- what the processes get
 
-    def __init__(self, name: str, data: bytes) -> None:
-        """name: name of the plugin in this cluster; data: pickled payload."""
-        self.name, self._data = name, data
-        self._idle: queue.SimpleQueue[Worker]
-        self._processes: dict[Worker, Mapping[str, str]]  # unpacked FMU -> original FMU
 
-    def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
-        """Read the study; called on the Dask worker."""
-        self._study = pickle.loads(self._data).study
-        self._limits = run_limits(self._study)
-        self._idle, self._processes, self._stop = queue.SimpleQueue(), {}, threading.Event()
+def digest(data: bytes) -> str:
+    """SHA-256 digest."""
+    return sha256(data).hexdigest()
 
-    def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
-        """End all processes, including those that run a sample."""
-        self._stop.set()
-        for process in tuple(self._processes):
-            self._close(process)
 
-    def run(self, batch: Sequence[Unit]) -> list[RunOutcome]:
-        """Run samples; if a sample ends its process, the next one runs in another process."""
-        return [outcome for unit in batch for outcome in self._run(unit)]
+@dataclass(frozen=True)
+class Payload:
+    """A study, its systems, and their FMUs, so that no file has to exist on the computer of a process.
 
-    def _run(self, unit: Unit) -> list[RunOutcome]:
-        """Run samples together; if they end their process or exceed a limit, each one by itself."""
-        process = self._process()
-        process.forget_printed()  # by the run before
-        process.put(unit)
-        originals = self._processes[process]
+    sources   location of an FMU in the systems -> digest of its archive
+    archives  digest of an archive -> its bytes
+    """
+
+    study: Study
+    cases: Mapping[Options, StudyCase]
+    sources: Mapping[Location, str]
+    archives: Mapping[str, bytes]
+
+    def unpacked(self, folder: Path) -> tuple[dict[Options, StudyCase], dict[str, str]]:
+        """The cases with FMUs that are unpacked in a folder, and unpacked FMU -> original FMU."""
+        systems, originals = unpacked([case.system for case in self.cases.values()], folder, self._unpack)
+        pairs = zip(self.cases.items(), systems, strict=True)
+        return {options: replace(case, system=system) for (options, case), system in pairs}, originals
+
+    def _unpack(self, source: Location, folder: Path) -> None:
+        archive = folder.with_suffix(".fmu")
+        archive.write_bytes(self.archives[self.sources[source]])
         try:
-            outcomes, process.reusable = self._answer(process, self._limits)
-            self._idle.put(process) if process.reusable else self._close(process)
-        except ProcessEnded as ended:
-            self._close(process)
-            if len(unit) > 1:
-                return [outcome for sample in unit for outcome in self._run((sample,))]
-            outcomes = [failed(self._study, unit[0].run, str(ended))]
-        return [replace(o, reason=with_originals(o.reason, originals)) for o in outcomes]
+            Location(archive).extract(folder)
+        except Problem as problem:  # with the name of the source instead of that of the copy
+            raise Problem(str(problem).replace(str(archive), str(source))) from None
+        archive.unlink()
 
-    def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
-        """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
-        try:
-            for _, answer in process.messages(limits, self._stop):
-                return answer
-        except LimitExceeded as limit:
-            name = "time_limit" if limit.timed_out else "memory_limit"
-            raise ProcessEnded(f"{name} = {_by_key(limits)[name]:.9g}: {limit}") from None
-        raise ProcessEnded(process.report)
 
-    def _process(self) -> Worker:
-        """An idle process, else a new one that has read the payload."""
-        with suppress(queue.Empty):
-            return self._idle.get_nowait()
-        if self._stop.is_set():
-            raise Problem("the study is stopped")
-        single_thread = {f"{name}_NUM_THREADS": "1" for name in THREADS}
-        process = Worker(
-            "orchestrator.studies.payload:main", lambda: CONTENTS, "sweep", environment=single_thread
-        )
-        self._processes[process] = {}
-        process.put(self._data)
-        try:
-            self._processes[process] = self._answer(process, WorkerLimits())
-            process.fmus = first_names(self._processes[process].values())
-        except ProcessEnded as ended:
-            self._close(process)
-            raise Problem(f"a process for runs could not be started: {ended}") from None
-        return process
+def payload(study: Study, cases: Mapping[Options, StudyCase]) -> Payload:
+    """The payload of a study."""
+    sources, archives = dict[Location, str](), dict[str, bytes]()
+    for case in cases.values():
+        for component in case.system.components.values():
+            if component.source is not None and component.source not in sources:
+                data = _archive(component.source)
+                sources[component.source] = digest(data)
+                archives[digest(data)] = data
+    return Payload(study, cases, sources, archives)
 
-    def _close(self, process: Worker) -> None:
-        process.close()
-        self._processes.pop(process, None)
+
+def _archive(source: Location) -> bytes:
+    """The bytes of an FMU; an unpacked FMU is packed, with bytes that do not depend on the time."""
+    if not source.is_folder:
+        return source.read()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in source.names():
+            archive.writestr(zipfile.ZipInfo(name), source.member(name).read())
+    return buffer.getvalue()
+
+
+# ---- limits of a run
 
 
 def run_limits(study: Study) -> WorkerLimits:
@@ -126,13 +126,125 @@ def limit_is_raised(reason: str, limits: WorkerLimits) -> bool:
     return stopped is not None and _by_key(limits)[stopped[1]] > float(stopped[2]) * (1 + WRITTEN)
 
 
+# ---- the processes
+
+
 class ProcessEnded(Exception):
     """A process ended, or was stopped because it exceeded a limit."""
 
 
-def run_batch(name: str, batch: Sequence[Unit]) -> list[RunOutcome]:
-    """The Dask task: run samples in the processes of this Dask worker."""
-    pool = get_worker().plugins.get(name)
-    if not isinstance(pool, ProcessPool):
-        raise Problem(f"worker {get_worker().address}: expected the plugin {name}, got none")
-    return pool.run(batch)
+class RunProcesses:
+    """The processes of a study on this computer, started on demand, as many as threads call `run`."""
+
+    def __init__(self, payload: Payload) -> None:
+        """Unpack the FMUs."""
+        self._study, self._limits, self._stop = payload.study, run_limits(payload.study), threading.Event()
+        self._folder = Path(tempfile.mkdtemp(prefix="sweep-"))
+        try:
+            cases, self._originals = payload.unpacked(self._folder)
+        except BaseException:
+            self.close()
+            raise
+        self._data = pickle.dumps((payload.study, cases), pickle.HIGHEST_PROTOCOL)
+        self._fmus = first_names(self._originals.values())
+        self._idle: deque[Worker] = deque()
+
+    def stop(self) -> None:
+        """End all runs as soon as possible."""
+        self._stop.set()
+
+    def close(self) -> None:
+        """End all processes, and remove the FMUs; no thread calls `run` any more."""
+        while self._idle:
+            self._idle.pop().close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def run(self, unit: Unit) -> list[RunOutcome]:
+        """Run samples together; if they end their process or exceed a limit, each one by itself."""
+        process = self._process()
+        process.forget_printed()  # by the run before
+        process.put(unit)
+        try:
+            found, reusable = self._answer(process, self._limits)
+        except ProcessEnded as ended:
+            process.close()
+            if len(unit) > 1:
+                return [outcome for sample in unit for outcome in self.run((sample,))]
+            found, reusable = [failed(self._study, unit[0].run, str(ended))], False
+        if reusable:
+            self._idle.append(process)
+        else:
+            process.close()
+        return [replace(o, reason=with_originals(o.reason, self._originals)) for o in found]
+
+    def _answer(self, process: Worker, limits: WorkerLimits) -> Any:
+        """The answer of a process to the last message; raises ProcessEnded if it ends or is stopped."""
+        try:
+            for _, answer in process.messages(limits, self._stop):
+                return answer
+        except LimitExceeded as limit:
+            name = "time_limit" if limit.timed_out else "memory_limit"
+            raise ProcessEnded(f"{name} = {_by_key(limits)[name]:.9g}: {limit}") from None
+        raise ProcessEnded(process.report)
+
+    def _process(self) -> Worker:
+        """An idle process, else a new one that has read the study."""
+        if self._stop.is_set():
+            raise Problem("the study is stopped")
+        with suppress(IndexError):
+            return self._idle.pop()
+        process = Worker(
+            "orchestrator.studies.processes:main", lambda: CONTENTS, "sweep", environment=ONE_THREAD
+        )
+        process.fmus = self._fmus
+        process.put(self._data)
+        try:
+            problem = self._answer(process, WorkerLimits())
+        except ProcessEnded as ended:
+            problem = f"a process for runs could not be started: {ended}"
+        if problem:
+            process.close()
+            raise Problem(problem)
+        return process
+
+
+def run_units(
+    payload: Payload, units: Sequence[Unit], workers: int, store: Callable[[list[RunOutcome]], None]
+) -> None:
+    """Run samples on this computer, those of a unit together; `store` gets their outcomes now and then."""
+    waiting, done, stored = iter(units), deque[RunOutcome](), -inf
+    with closing(RunProcesses(payload)) as processes:
+
+        def work() -> None:
+            for unit in waiting:
+                done.extend(processes.run(unit))
+
+        def keep() -> None:
+            nonlocal stored
+            if done and time.monotonic() - stored > STORE_TIME:
+                store([done.popleft() for _ in range(len(done))])
+                stored = time.monotonic()
+
+        in_threads([work] * min(workers, len(units)), processes.stop, keep)
+        if done:
+            store([*done])
+
+
+def main(channel: Channel) -> None:
+    """Child process: read the study, then samples that are run together, and send their outcomes."""
+    simulation_loop.CORES = 1  # there is a process on every core
+    study, cases = channel.get()
+    missing = ""
+    try:
+        library()
+    except Problem as problem:
+        missing = str(problem)
+    channel.put("ready", missing)
+    while True:
+        unit: Unit = channel.get()
+        began = time.perf_counter()
+        before = left_behind(threads=False)
+        found = outcomes(study, cases[unit[0].options], unit)
+        wall = (time.perf_counter() - began) / len(unit)
+        found = [replace(outcome, wall=wall) for outcome in found]
+        channel.put("outcomes", (found, left_behind(threads=False) == before))

@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
-from orchestrator.engine.job import ENDS_EARLY
 from orchestrator.engine.run import prepare, run
 from orchestrator.engine.time_grid import Grid
 from orchestrator.lanes.batch import machine_values, recorded_times
 from orchestrator.lanes.compiled import lane_count
-from orchestrator.lanes.group import Group
+from orchestrator.lanes.group import EARLY, FAILED, OK, Group
+from orchestrator.lanes.one_by_one import early_end
 from orchestrator.lanes.plan import Lanes
 from orchestrator.studies.cases import Sample, StudyCase, Unit, signal
 from orchestrator.studies.study import Output, Study
 
-OK, EARLY, FAILED = "ok", "early", "failed"
 NAN = float("nan")
 
 Array = NDArray[np.float64]
@@ -116,11 +115,9 @@ def outcome(study: Study, case: StudyCase, sample: Sample) -> RunOutcome:
     """Run a sample; an error becomes its outcome."""
     try:
         result = run(case.system, case.scenario, set=sample.factors, **_options(study, case))
-        early = [note for note in result.card.notes if note.startswith(ENDS_EARLY)]
         found = _outcome(study, case, sample.run, result.trace.time, result.trace.signals)
-        if not early:
-            return found
-        return replace(found, status=EARLY, reason=" ".join(early[0].removeprefix(ENDS_EARLY).split()))
+        reason = early_end(result.card.notes)
+        return replace(found, status=EARLY, reason=reason) if reason else found
     except Problem as problem:
         return failed(study, sample.run, str(problem))
     except Exception as defect:  # a defect ends this run only

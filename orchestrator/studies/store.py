@@ -37,8 +37,7 @@ import pyarrow.parquet as pq
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
 from orchestrator.base.toml import quote_key
-from orchestrator.studies.payload import Payload, digest
-from orchestrator.studies.processes import STOPPED, limit_is_raised, run_limits
+from orchestrator.studies.processes import STOPPED, Payload, digest, limit_is_raised, run_limits
 from orchestrator.studies.single_run import RunOutcome, band_times
 from orchestrator.studies.study import Choice, Factor, Output, Study
 

@@ -21,20 +21,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
 from orchestrator.base import toml
-from orchestrator.base.coupling import Master
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import SYSTEMS, find, require
-from orchestrator.base.options import (
-    CoupledArguments,
-    CouplingArguments,
-    RunArguments,
-    chosen,
-    declarations,
-    seconds,
-)
+from orchestrator.base.options import chosen, declarations, seconds
 from orchestrator.base.text import brief
 from orchestrator.base.toml import Table, is_number, quote_key
 from orchestrator.base.units import number_and_unit
+from orchestrator.engine.arguments import CoupledArguments, RunArguments
+from orchestrator.ssp.coupling import CouplingArguments, Master
 
 Method = Literal["latin", "sobol", "grid", "saltelli", "morris"]
 Measure = Literal["maximum", "minimum", "mean", "rms", "range", "final", "integral", "time_of_maximum"]

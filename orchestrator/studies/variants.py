@@ -10,18 +10,20 @@ Every combination of variants is run once. Its row contains the time reached, co
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder
+from orchestrator.data.deviation import rms, span
 from orchestrator.data.trace import Trace
+from orchestrator.engine.arguments import RunArguments
 from orchestrator.engine.result import RunFailed
 from orchestrator.engine.run import run
 from orchestrator.ssp.load import load
@@ -29,7 +31,9 @@ from orchestrator.ssp.swap import with_swaps
 from orchestrator.ssp.system import System
 
 
-def inside(systems: Sequence[System], repeats: int = 3, **options: Any) -> list[dict[str, float]]:
+def inside(
+    systems: Sequence[System], repeats: int = 3, **options: Unpack[RunArguments]
+) -> list[dict[str, float]]:
     """For each system: component -> mean time per step inside its FMU [us]; `options` go to `run`.
 
     The systems take turns, so that a temporary disturbance of the computer affects all of them.
@@ -67,7 +71,10 @@ class Combination:
 
 
 def combinations(
-    system: System, variants: Mapping[str, Sequence[str]], watch: Sequence[str], **options: Any
+    system: System,
+    variants: Mapping[str, Sequence[str]],
+    watch: Sequence[str],
+    **options: Unpack[RunArguments],
 ) -> Iterator[Combination]:
     """Run each combination of `variants` {component: names}; `options` go to `run`."""
     first = None
@@ -100,50 +107,31 @@ def _change(trace: Trace, first: Trace, watch: Sequence[str]) -> float:
     changes = [0.0]
     for name in watch if count else ():
         reference = first[name][:count]
-        if span := float(np.ptp(reference)):
-            changes.append(float(np.sqrt(np.mean((trace[name][:count] - reference) ** 2))) / span)
+        if size := span(reference):
+            changes.append(rms(trace[name][:count] - reference) / size)
     return max(changes)
 
 
-HEAD = ("reached s", "us per ms", "x real time", "residual", "change", "warnings")
+# Attribute of a combination, headings on the terminal and in the CSV file, and how its value is printed
 COLUMNS = (
-    "reached [s]",
-    "inside all FMUs [us per ms]",
-    "times real time",
-    "residual [1]",
-    "change [1]",
-    "warnings",
+    ("reached", "reached s", "reached [s]", "{:.6g}", 1),
+    ("inside", "us per ms", "inside all FMUs [us per ms]", "{:.2f}", 1),
+    ("factor", "x real time", "times real time", "{:.1f}", 1),
+    ("residual", "residual", "residual [1]", "{:.2g} %", 100),
+    ("change", "change", "change [1]", "{:.2f} %", 100),
+    ("warnings", "warnings", "warnings", "{}", 1),
 )
-
-
-def csv_cells(row: Combination) -> tuple[str, ...]:
-    """The values of a row of the CSV file; empty if undefined."""
-    numbers = (row.reached, row.inside, row.factor, row.residual, row.change, row.warnings)
-    return tuple("" if np.isnan(number) else f"{number:.6g}" for number in numbers)
-
-
-def cells(row: Combination) -> tuple[str, ...]:
-    """The values of a row of the printed table."""
-    return (
-        f"{row.reached:.6g}",
-        f"{row.inside:.2f}",
-        f"{row.factor:.1f}",
-        f"{100 * row.residual:.2g} %",
-        f"{100 * row.change:.2f} %",
-        str(row.warnings),
-    )
-
-
 STEP = 1e-3  # communication step [s]
 LENGTH, REPEATS = 4.0, 2  # duration [s] and number of the runs that measure the cost of a variant
-RUN = {"step": STEP, "record_step": 0.02}  # options of all runs [s]
+RUN: RunArguments = {"step": STEP, "record_step": 0.02}  # options of all runs [s]
 
 
 def costs(system: Path, variants: Sequence[tuple[str, str]]) -> dict[tuple[str, str], float]:
     """(component, variant) -> time [us] per step inside its FMU, with the default variants of the others."""
     default = load(system)
     machines = [with_swaps(default, {part: variant}) for part, variant in variants]
-    spent = inside(machines, REPEATS, stop=LENGTH, **RUN)
+    options: RunArguments = {**RUN, "stop": LENGTH}
+    spent = inside(machines, REPEATS, **options)
     return {(part, variant): times[part] for (part, variant), times in zip(variants, spent, strict=True)}
 
 
@@ -158,18 +146,22 @@ def table(system: Path, variants: Mapping[str, Sequence[str]], watch: Sequence[s
     widths = [max(map(len, (part, *names))) for part, names in variants.items()]
     total, done, complete = prod(map(len, variants.values())), 0, True
     count = len(f"{total}/{total}")
-    head = "  ".join(n.ljust(w) for n, w in zip(variants, widths, strict=True))
-    print(" " * count, head, *(f"{h:>12}" for h in HEAD))
+
+    def show(index: str, names: Iterable[str], cells: Iterable[str], failure: str) -> None:
+        padded = "  ".join(n.ljust(w) for n, w in zip(names, widths, strict=True))
+        print(index.rjust(count), padded, *(f"{cell:>12}" for cell in cells), failure, flush=True)
+
+    show("", variants, (head for _, head, *_ in COLUMNS), "")
     with out.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*variants, *COLUMNS, "failure"])
+        writer.writerow([*variants, *(head for _, _, head, *_ in COLUMNS), "failure"])
         try:
             for done, row in enumerate(combinations(load(system), variants, watch, **RUN), 1):
-                chosen = list(row.variants.values())
-                padded = "  ".join(n.ljust(w) for n, w in zip(chosen, widths, strict=True))
-                index = f"{done}/{total}".rjust(count)
-                print(index, padded, *(f"{cell:>12}" for cell in cells(row)), row.failure, flush=True)
-                writer.writerow([*chosen, *csv_cells(row), row.failure])
+                chosen, values = list(row.variants.values()), [getattr(row, name) for name, *_ in COLUMNS]
+                printed = (f.format(k * v) for v, (*_, f, k) in zip(values, COLUMNS, strict=True))
+                show(f"{done}/{total}", chosen, printed, row.failure)
+                cells = ("" if np.isnan(value) else f"{value:.6g}" for value in values)
+                writer.writerow([*chosen, *cells, row.failure])
                 file.flush()
                 complete = complete and not row.failure
         except KeyboardInterrupt:

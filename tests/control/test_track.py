@@ -11,15 +11,17 @@ from kit.mistakes import table
 
 from fmus.controller.paths import start_angles
 from fmus.manipulator import MANIPULATOR
+from fmus.package_files import PACKAGE
 from orchestrator import Trace, load
 from orchestrator.__main__ import main
 from orchestrator.studies.path_figure import draw, side_view, top_view
-from orchestrator.studies.path_following import PathRun, points
+from orchestrator.studies.path_following import PathRun, points, read_machine
 from orchestrator.studies.path_study import differences, rows, text
 
 VARIANTS = ("swing=detailed", "boom_stick=detailed", "manipulator=pendulum_friction", "supply=engine_pump")
 DETAILED = [f"--swap={variant}" for variant in VARIANTS]
 ALONE = ["--no-compare", "--swap=swing=lumped"]
+NAMES = read_machine(PACKAGE / "controller/tracking.toml")
 TIME = np.linspace(0, 4, 5)
 TIP = ("tip_radius", "tip_height", "swing_angle")
 
@@ -29,7 +31,9 @@ def made(offset: float, feedback: bool = True, shape=(0, 0, 1, 1, 0.5), **uses: 
     commanded = np.column_stack([np.full(5, 3.0), 0.5 * TIME, np.ones(5)])
     away = np.array(shape)[:, None] * np.array([0.6, 0.0, 0.8]) * offset
     limits = {f"controller.{name}_use": np.array([0, 0, 1, 1, 0.5]) * most for name, most in uses.items()}
-    return PathRun("made", "thing", feedback, TIME, commanded, commanded + away, uses=limits)
+    return PathRun(
+        "made", "thing", feedback, TIME, commanded, commanded + away, uses=limits, limits=NAMES.limits
+    )
 
 
 def through(*given: str) -> list[str]:
@@ -218,9 +222,9 @@ def test_a_tip_near_its_path_needs_no_cause():
 def test_a_machine_that_differs_from_the_controllers_is_noted(fmu_dir):
     """As built nothing differs; each other value has a note, a value of 0 with its meaning."""
     system = load(fmu_dir / "harvester_control.ssp")
-    assert differences(system) == []
+    assert differences(system, NAMES) == []
     longer = system.with_start({"manipulator.stick_length": 3.2, "swing.valve_area": 3e-5})
-    assert differences(longer) == [
+    assert differences(longer, NAMES) == [
         f"{other}: the controller assumes another machine"
         for other in (
             "controller.stick_length is 2.9 m, manipulator.stick_length is 3.2 m",
@@ -228,10 +232,10 @@ def test_a_machine_that_differs_from_the_controllers_is_noted(fmu_dir):
         )
     ]
     line = system.with_start({"controller.line_capacitance": 1e-12, "swing.line_capacitance": 0.0})
-    (note,) = differences(line)
+    (note,) = differences(line, NAMES)
     assert "swing.line_capacitance is 0 m3/Pa (Capacitance C" in note
     both = longer.with_start({"controller.stick_length": 3.2, "controller.swing_valve_area": 3e-5})
-    assert differences(both) == []
+    assert differences(both, NAMES) == []
 
 
 def test_numbers_in_other_units_are_not_compared(fmu_dir):
@@ -241,7 +245,7 @@ def test_numbers_in_other_units_are_not_compared(fmu_dir):
     bare = {**part.interface.variables}
     bare["stick_length"] = replace(bare["stick_length"], unit=None)
     other = replace(part, interface=replace(part.interface, variables=bare))
-    assert differences(replace(system, components={**system.components, "manipulator": other})) == []
+    assert differences(replace(system, components={**system.components, "manipulator": other}), NAMES) == []
 
 
 # ---- the figure

@@ -17,11 +17,11 @@ from sweep.synthetic import ISHIGAMI, ishigami, results
 from view.standin import LONG, URL, started
 
 from fmus.identification.report.identification_page import render as identification
-from orchestrator.base import figures
-from orchestrator.base.figures import TraceFigure, TraceLine, TracePanel, pack, plot, still
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
 from orchestrator.data.trace import Trace
+from orchestrator.pages import figures
+from orchestrator.pages.figures import TraceFigure, TraceLine, TracePanel, pack, plot, still
 from orchestrator.results.comparison import compare
 from orchestrator.results.comparison_report import render as comparison
 from orchestrator.results.layout import FigureSpec, PanelSpec

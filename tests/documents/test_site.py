@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(
     p.relative_to(ROOT).as_posix()
     for p in ROOT.rglob("*.md")
-    if not re.match(r"(\.|build/|docs/reference/|orchestrator/base/vendor/)", p.relative_to(ROOT).as_posix())
+    if not re.match(r"(\.|build/|docs/reference/|orchestrator/pages/vendor/)", p.relative_to(ROOT).as_posix())
 )
 FETCHING = "//script/@src | //img/@src | //iframe/@src | //source/@src | //link[@rel != 'canonical']/@href"
 

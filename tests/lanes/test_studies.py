@@ -7,7 +7,7 @@ import pytest
 from kit import shards
 from kit.mistakes import problem
 
-from orchestrator.studies import Choice, Factor, Output, Study, pool, store, sweep
+from orchestrator.studies import Choice, Factor, Output, Study, store, sweep
 from orchestrator.studies.cases import resolve
 from orchestrator.studies.parameter_study import prepare, units_of
 from orchestrator.studies.single_run import outcome, outcomes
@@ -80,11 +80,6 @@ def test_a_run_that_fails_in_lanes_has_the_reason_of_a_single_run(study, tmp_pat
 def test_a_cluster_runs_one_sample_at_a_time(study):
     """Its computers may have no compiler, and other processors."""
     assert {len(unit) for unit in units_of(prepare(study), lanes=False)} == {1}
-    with pool.client(1) as client:
-        prepared = prepare(study)
-        units = units_of(prepared, lanes=False)[:2]
-        found = [r.run for batch in pool.outcomes(client, prepared.payload, units) for r in batch]
-    assert sorted(found) == [0, 1]
 
 
 @shards.machine

@@ -8,11 +8,11 @@ from kit import shards
 from kit.mistakes import problem, table
 
 from orchestrator import Coupling, Problem, Result, RunFailed, Trace, assemble, reference, run
-from orchestrator.base.coupling import Suggestion
 from orchestrator.engine import accuracy as accuracy_search
 from orchestrator.engine.job import Execution
 from orchestrator.engine.result import Card, SignalError
 from orchestrator.engine.run import run_to_file
+from orchestrator.ssp.coupling import Suggestion
 
 SPEEDS = "manipulator.*_speed"
 
@@ -209,6 +209,7 @@ def test_failed_runs_leave_no_file(open_oscillator, tmp_path, monkeypatch):
         return judge(self, result)
 
     monkeypatch.setattr(accuracy_search.AccuracySearch, "judge", fail_once)
+    monkeypatch.setattr("orchestrator.data.trace_writer.MAX_KEPT", 0)  # the rows are only in the file
     monkeypatch.setattr("orchestrator.engine.run.load", lambda *_: open_oscillator)
     out = tmp_path / "trace.csv"
     result, summary = run_to_file(tmp_path, None, out, stop=1.0, accuracy=1e-2, isolate=False)

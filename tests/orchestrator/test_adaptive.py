@@ -11,8 +11,8 @@ from kit import shards
 from kit.shards import few
 
 from orchestrator import Problem, Trace, assemble, run
-from orchestrator.base.coupling import Coupling
 from orchestrator.engine.c_library import engine_h, library
+from orchestrator.ssp.coupling import Coupling
 
 
 def adaptive(system, master, tolerance, stop=10.0, record_step=0.1, **more):

@@ -12,7 +12,7 @@ from kit.mistakes import problem
 from kit.shards import thinned
 
 from orchestrator import assemble, run
-from orchestrator.base.coupling import Coupling
+from orchestrator.ssp.coupling import Coupling
 
 STUCK = "hermite makes one pass per step, because q cannot restore a saved state"
 DIFFERENCES = "input derivatives from differences of values, because the FMUs provide no output derivatives: "

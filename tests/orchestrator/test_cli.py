@@ -18,11 +18,11 @@ from fmus.parameters import SOURCES
 from fmus.rig.recordings import MACHINES
 from orchestrator import Trace, read_trace, write_ssp, write_trace
 from orchestrator.__main__ import main
-from orchestrator.base.coupling import CONTROLS, MASTERS
 from orchestrator.check.report import TOOLS
 from orchestrator.cli import app
+from orchestrator.cli.lists import KINDS
 from orchestrator.results import validate_system
-from orchestrator.ssp.listing import KINDS
+from orchestrator.ssp.coupling import CONTROLS, MASTERS
 
 SSD = Path(__file__).with_suffix(".ssd").read_text(encoding="utf-8")
 

@@ -11,9 +11,9 @@ from kit.mistakes import refused, table
 
 from orchestrator import Trace, assemble, run, write_trace
 from orchestrator.__main__ import main
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import read_recording
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.reference_solution import finest_run, from_recording, from_run
 from orchestrator.studies.convergence.runs import ConvergenceStudy, run_settings
 from orchestrator.studies.convergence.settings import SETTINGS, Setting, choose, rate_inputs

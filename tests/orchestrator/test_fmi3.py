@@ -12,10 +12,10 @@ from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, load, run
 from orchestrator.base.files import Location
+from orchestrator.cli.lists import lines
 from orchestrator.fmi import library
 from orchestrator.fmi.description import read_interface
 from orchestrator.fmi.messages import with_variable_names
-from orchestrator.ssp.listing import lines
 
 ARRAY = """<Float64 name="table" valueReference="400" causality="parameter" variability="fixed" start="1 2 3">
 <Dimension start="3"/></Float64>

@@ -8,7 +8,7 @@ from kit.any_fmu.models import LATE, RAMP, oscillator_of
 from kit.any_fmu.outcome import in_python
 
 from orchestrator import assemble, run
-from orchestrator.base.coupling import Coupling
+from orchestrator.ssp.coupling import Coupling
 
 TWO = Coupling("hermite", guard=0, passes=2, tolerance=1e-14)
 ONE = Coupling("hermite", guard=0, passes=1)

@@ -11,6 +11,7 @@ from orchestrator.engine.c_library import engine_h
 from orchestrator.engine.job import Job
 from orchestrator.engine.linear_prediction import Linearisation
 from orchestrator.engine.masters import interface_jacobian_plan
+from orchestrator.engine.open_job import opened as opened_job
 from orchestrator.engine.time_grid import Grid
 from orchestrator.fmi.description import read_interface
 
@@ -80,7 +81,7 @@ def test_a_repeated_step_is_predicted_anew(open_oscillator, lag):
         coupling = Coupling("interface-jacobian", adaptive=1e-3, lag=lag)
         job = Job(open_oscillator, None, coupling)
         sink = TraceInMemory()
-        with job.opened(Grid(0.0, 0.5, 1, first=1e-2, free=True), sink) as opened:
+        with opened_job(job, Grid(0.0, 0.5, 1, first=1e-2, free=True), sink) as opened:
             state, tries = opened.loop.state, 0
             size = engine_h().StepSize.from_address(state.step_size)
             state.patience = 0.0  # one step at a time

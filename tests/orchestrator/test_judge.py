@@ -11,8 +11,7 @@ from kit.mistakes import problem
 from orchestrator import Result, System, Trace, assemble, load, run
 from orchestrator.data.description import Tolerance
 from orchestrator.data.recording import Criterion, Recording
-from orchestrator.engine.recorder import BondEnergy
-from orchestrator.engine.result import Card
+from orchestrator.engine.result import BondEnergy, Card
 from orchestrator.results.layout import FigureSpec, Layout, MovingPoint, PanelSpec
 from orchestrator.results.validate_system import card, describe, judge, parameters
 

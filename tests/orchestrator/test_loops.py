@@ -13,11 +13,11 @@ from kit.any_fmu.outcome import in_python
 from kit.mistakes import problem, table
 
 from orchestrator import Problem, assemble, run
-from orchestrator.base.coupling import Coupling
 from orchestrator.engine.c_library import library
 from orchestrator.engine.network import initialise
 from orchestrator.engine.run import open_slave
 from orchestrator.fmi.calls import address
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.dependencies import output_order
 
 # Solutions are as good as the residual, 1e-10 of the magnitude, times what the loop makes of it, at most 5.

@@ -10,14 +10,16 @@ from kit.mistakes import problem
 
 from orchestrator import Coupling, batch, linearize, reference, run
 from orchestrator.__main__ import main
-from orchestrator.base import options
+from orchestrator.base.options import option_texts
 from orchestrator.cli import app
+from orchestrator.engine import arguments
+from orchestrator.ssp.coupling import FIELDS, CouplingArguments
 
 GROUPS = {
-    run: options.RunArguments,
-    batch: options.BatchArguments,
-    reference: options.ReferenceArguments,
-    linearize: options.LinearArguments,
+    run: arguments.RunArguments,
+    batch: arguments.BatchArguments,
+    reference: arguments.ReferenceArguments,
+    linearize: arguments.LinearArguments,
 }
 COMMANDS = typer.main.get_command(app).commands
 
@@ -31,7 +33,7 @@ def test_every_option_of_a_command_has_a_text(name):
 @pytest.mark.parametrize("function", GROUPS, ids=lambda function: function.__name__)
 def test_the_docstring_of_a_function_has_its_options(function):
     """Each with the text that is the help of the command line."""
-    for name, text in options.option_texts(GROUPS[function]).items():
+    for name, text in option_texts(GROUPS[function]).items():
         assert text
         assert f"    {name} " in function.__doc__
         assert text in " ".join(function.__doc__.split())
@@ -39,7 +41,7 @@ def test_the_docstring_of_a_function_has_its_options(function):
 
 def test_the_options_of_a_coupling_are_its_fields():
     """In the same order, by the same names but one."""
-    assert [options.FIELDS.get(name, name) for name in options.CouplingArguments.__annotations__] == [
+    assert [FIELDS.get(name, name) for name in CouplingArguments.__annotations__] == [
         field.name for field in fields(Coupling)
     ]
 

@@ -11,8 +11,8 @@ from kit.shards import thinned
 from scipy.linalg import expm
 
 from orchestrator import assemble, reference, run
-from orchestrator.base.coupling import Coupling
 from orchestrator.monolithic.tight import BOUND, estimated_error
+from orchestrator.ssp.coupling import Coupling
 
 FINE, MIDDLE, COARSE = 2e-3, 4e-3, 1.6e-2  # [s]; 0.066 to 0.5 rad of the fast oscillation; then half of it
 CONVERGED = Coupling("hermite", guard=0, passes=40, tolerance=1e-12)  # nothing changes any more

@@ -61,7 +61,7 @@ def test_rows_that_arrive_in_blocks_are_the_trace_written_at_once(tmp_path, suff
         first += count
     file.publish(file.finish()[0])
     again, whole = read_trace(file.path), read_trace(write_trace(memory.trace, tmp_path / f"whole{suffix}"))
-    for trace in (again, whole, file.trace(file.path)):
+    for trace in (again, whole, file.trace):
         np.testing.assert_array_equal(trace.time, np.arange(first))
         np.testing.assert_array_equal(trace["a"], np.arange(first) / 3)
     assert again.units == whole.units == ({"a": "m"} if suffix == ".parquet" else {})
@@ -93,7 +93,7 @@ def test_a_long_trace_is_read_from_its_file(tmp_path, monkeypatch):
         file.append(*rows(10 * n, 10 * n + 10))
     file.publish(file.finish()[0])
     assert file._kept.rows == 0
-    trace = file.trace(file.path)
+    trace = file.trace
     np.testing.assert_array_equal(trace["b"], -np.arange(200) / 3)
     assert (len(trace.time), trace.units, file.largest("b")) == (200, {"a": "m"}, (-199 / 3, 199.0))
 

@@ -13,8 +13,8 @@ from kit.mistakes import problem, table
 
 from orchestrator import Problem, Trace, assemble, read_trace, run, validate, write_trace
 from orchestrator.__main__ import main
-from orchestrator.base import plotting
 from orchestrator.engine.result import newest_trace
+from orchestrator.pages import plotting
 
 TIME = np.linspace(0.0, 1.0, 101)
 

@@ -5,10 +5,10 @@ import pytest
 from kit.mistakes import problem, table
 
 from orchestrator import Coupling, run
-from orchestrator.base.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
 from orchestrator.data.trace_writer import write_trace
 from orchestrator.engine.masters import MASTERS as MADE
 from orchestrator.engine.result import read_metadata, write_metadata
+from orchestrator.ssp.coupling import DEFAULT_ORDERS, MASTERS, merge_choices
 
 
 def test_every_master_has_a_name_and_an_order():

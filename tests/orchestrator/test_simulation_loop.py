@@ -17,8 +17,8 @@ from kit.shards import few, thinned
 
 from orchestrator import Problem, Trace, assemble, run
 from orchestrator.base import compiler
-from orchestrator.base.coupling import Coupling
 from orchestrator.engine import c_library, simulation_loop
+from orchestrator.ssp.coupling import Coupling
 
 STEPS = {"step": 1e-3, "stop": 1.0}  # a thousand
 
@@ -236,7 +236,7 @@ START = """
 import sys, threading, signal
 from kit.any_fmu.outcome import OPENERS
 from orchestrator import Interrupted, assemble, run
-from orchestrator.base.coupling import Coupling
+from orchestrator.ssp.coupling import Coupling
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have switched it off
 system = assemble({"a": sys.argv[1], "b": sys.argv[2]}, ["a.force -> b.force", "b.x -> a.x2"])
 """

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from kit.properties import examples
 
 from orchestrator import Coupling, System, assemble, load
-from orchestrator.base.coupling import Suggestion
 from orchestrator.base.files import Location
 from orchestrator.base.units import IDENTITY, LinearTransformation
+from orchestrator.ssp.coupling import Suggestion
 from orchestrator.ssp.system import Connection, Inlet, Outlet, Port
 from orchestrator.ssp.write import write_ssp
 

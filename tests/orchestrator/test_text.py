@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from markupsafe import Markup
 from rich.console import Console
 
-from orchestrator.base.html_page import json_values
 from orchestrator.base.text import (
     TextTable,
     error_display_unit,
@@ -18,6 +17,7 @@ from orchestrator.base.text import (
     sentences,
     typeset,
 )
+from orchestrator.pages.html_page import json_values
 
 TABLE = TextTable(["name", "value"], [["a", "1"], ["<b>", "unstable"]], title="Title", strong=["unstable"])
 

@@ -1,14 +1,10 @@
-"""Fixtures: small FMUs, the study of one of them, and a Dask cluster that all tests share."""
+"""Fixtures: small FMUs, and the study of one of them."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from distributed import Client
 from kit.any_fmu.models import Workshop
 from sweep.studies import GAIN, study
-
-from orchestrator.studies import pool
 
 
 @pytest.fixture(scope="session")
@@ -24,10 +20,9 @@ def fails(fmus: Workshop) -> Path:
 
 
 @pytest.fixture(scope="session")
-def one() -> Iterator[Client]:
+def one() -> int:
     """A worker."""
-    with pool.client(1) as client:
-        yield client
+    return 1
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from distributed import Client
 from kit.mistakes import problem
 
 from orchestrator.studies.cases import resolve
@@ -64,14 +63,14 @@ def refused(file: Path, text: str | None = None) -> str:
     return line.removeprefix(f"{file}: ")
 
 
-def run(file: Path, client: Client, folder: str = "out", fresh: bool = False) -> tuple[Results, list[int]]:
+def run(file: Path, workers: int, folder: str = "out", fresh: bool = False) -> tuple[Results, list[int]]:
     """The results of a study, and the runs that took place for them now."""
     runs: list[int] = []
 
     def note(_total: int, _done: int, batch: Sequence[RunOutcome]) -> None:
         runs.extend(outcome.run for outcome in batch)
 
-    results = sweep(file, file.parent / folder, client=client, fresh=fresh, watch=note)
+    results = sweep(file, file.parent / folder, workers=workers, fresh=fresh, watch=note)
     return results, sorted(runs)
 
 

@@ -22,7 +22,7 @@ from kit.wait import LONG, until
 from sweep.studies import GAIN, content, run, study
 
 from orchestrator import Problem
-from orchestrator.studies import pool
+from orchestrator.studies import cluster
 from orchestrator.studies.cases import Sample
 from orchestrator.studies.parameter_study import sweep
 from orchestrator.studies.single_run import RunOutcome
@@ -60,11 +60,11 @@ def listening() -> set[object]:
     return {c.laddr for c in psutil.Process().net_connections() if c.status == psutil.CONN_LISTEN}
 
 
-def test_no_port_is_opened_on_this_machine():
-    """The workers of a local cluster are threads that listen on no port."""
-    before = listening()
-    with pool.client(1):
-        assert listening() <= before
+def test_no_port_is_opened_on_this_machine(file, tmp_path):
+    """A study without a cluster listens on no port."""
+    before, during = listening(), set()
+    sweep(file, tmp_path / "out", watch=lambda *_: during.update(listening()))
+    assert during <= before
 
 
 def test_a_worker_that_dies_costs_no_run(gain, one, address, tmp_path):
@@ -79,8 +79,8 @@ def test_a_worker_that_dies_costs_no_run(gain, one, address, tmp_path):
 
 def test_nothing_is_left_on_the_workers(gain, address, tmp_path):
     """The processes of a study end with it."""
-    sweep(study(tmp_path, GAIN, gain), tmp_path / "out", scheduler=address)
     with Client(address) as client:
+        sweep(study(tmp_path, GAIN, gain), tmp_path / "out", client=client)
         children = client.run(lambda: [" ".join(p.cmdline()) for p in psutil.Process().children()])
     assert not [line for lines in children.values() for line in lines if "sweep.child" in line]
 
@@ -97,13 +97,13 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
         start(runner)
 
     monkeypatch.setattr(LoopRunner, "_start_unlocked", with_garbage)
-    monkeypatch.setattr(pool, "CONNECT_TIMEOUT", 0.02)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.02)
     threads = threading.active_count()
     gc.freeze()  # what is there already need not be looked at 200 times
     for n in range(200):
         url = ("nowhere", "foo://127.0.0.1:1", "tcp://127.0.0.1:1")[n % 3]
         expected = rf"^--scheduler {url}: expected a Dask scheduler, got [^\n]+$"
-        with pytest.raises(Problem, match=expected), pool.client(scheduler=url):
+        with pytest.raises(Problem, match=expected), cluster.client(url):
             pass
     gc.unfreeze()
     assert len(collected) == 200
@@ -113,7 +113,7 @@ def test_schedulers_that_are_not_there_leave_nothing_that_can_hang(monkeypatch):
 @pytest.mark.parametrize("kept", [False, True])
 def test_a_wrong_address_leaves_nothing_and_deletes_nothing(kept, gain, one, tmp_path, monkeypatch):
     """No folder where there was none, also none above it; with --fresh what is there stays, to be read."""
-    monkeypatch.setattr(pool, "CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.5)
     file, out, url = study(tmp_path, GAIN, gain), tmp_path / "deep" / "out", "tcp://127.0.0.1:1"
     before = content(out) if kept and run(file, one, "deep/out") else {}
     line = problem(lambda: sweep(file, out, scheduler=url, fresh=kept))
@@ -149,9 +149,9 @@ class Nothing(list):
 
 def test_a_cluster_that_is_lost_for_good_is_told(monkeypatch):
     """The command does not wait for ever, and says that it can go on."""
-    monkeypatch.setattr(pool, "as_completed", Nothing)
-    monkeypatch.setattr(pool, "WORKER_TIMEOUT", 0.0)
-    batches = pool.Batches(Deserted(), "study", None, [(Sample(0, (), {}),)], lambda: None)
+    monkeypatch.setattr(cluster, "as_completed", Nothing)
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT", 0.0)
+    batches = cluster.Batches(Deserted(), "study", None, [(Sample(0, (), {}),)], lambda: None)
     expected = r"^the Dask cluster has no workers left; finished runs are stored; the"
     with pytest.raises(Problem, match=expected):
         next(batches.outcomes())

@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from orchestrator import Problem
 from orchestrator.__main__ import main
 from orchestrator.studies import store
 from orchestrator.studies.parameter_study import prepare
-from orchestrator.studies.pool import outcomes
+from orchestrator.studies.processes import RunProcesses, run_units
 from orchestrator.studies.store import PARTIAL
 from orchestrator.studies.study import read
 
@@ -41,8 +42,9 @@ def done(finished, tmp_path):
 def rows(finished, one):
     """Run -> outcome, computed apart from any folder."""
     ready = prepare(read(finished / "study.toml"))
-    batches = outcomes(one, ready.payload, [(sample,) for sample in ready.samples])
-    return {row.run: row for batch in batches for row in batch}
+    found = []
+    run_units(ready.payload, [(sample,) for sample in ready.samples], one, found.extend)
+    return {row.run: row for row in found}
 
 
 @pytest.fixture
@@ -86,7 +88,11 @@ def test_an_interrupt_keeps_what_is_finished(file, finished, monkeypatch, capsys
 
     The signal comes in this process, when the first batch is kept: test_store_killed.py has real ones.
     """
-    add, kept = store.Store.add, []
+    add, run_unit, kept = store.Store.add, RunProcesses.run, []
+
+    def slow(self, unit):
+        time.sleep(0.05)
+        return run_unit(self, unit)
 
     def interrupted(self, batch):
         add(self, batch)
@@ -97,6 +103,7 @@ def test_an_interrupt_keeps_what_is_finished(file, finished, monkeypatch, capsys
     command = ["sweep", str(file), "--workers", "1", "--no-report", "--out", str(out)]
     with monkeypatch.context() as patch:
         patch.setattr(store.Store, "add", interrupted)
+        patch.setattr(RunProcesses, "run", slow)
         assert main(command) == 130
     told = capsys.readouterr()
     assert told.out == ""

@@ -15,8 +15,6 @@ from kit import shards
 from kit.wait import until
 from sweep.studies import GAIN, content, run, study
 
-from orchestrator.studies import pool
-
 pytestmark = shards.faults
 
 RUNS = 120
@@ -27,8 +25,7 @@ LONG = GAIN.replace("runs = 12", f"runs = {RUNS}").replace("stop = 0.2", "stop =
 def long(gain, tmp_path_factory):
     """The file of a study of some seconds, and its results without a kill, by two workers."""
     file = study(tmp_path_factory.mktemp("long"), LONG, gain)
-    with pool.client(2) as two:
-        _, runs = run(file, two, "undisturbed")
+    _, runs = run(file, 2, "undisturbed")
     assert runs == list(range(RUNS))
     return file, content(file.parent / "undisturbed")
 

@@ -170,7 +170,7 @@ def test_python_and_file_give_the_same_results(in_python, gain, one, tmp_path):
     """Byte by byte: units and names of outputs come from the FMU in both."""
     text = GAIN.replace('"gain.fmu"', f'"{gain.as_posix()}"')
     run(study(tmp_path, text, gain), one, "file")
-    results = sweep(in_python, tmp_path / "python", client=one)
+    results = sweep(in_python, tmp_path / "python", workers=one)
     assert content(tmp_path / "python") == content(tmp_path / "file")
     assert results.study == resolved(tmp_path / "study.toml")
     assert read_results(tmp_path / "python").table.equals(results.table)

@@ -10,9 +10,10 @@ from kit.mistakes import table
 from sweep.pages import with_reasons
 from sweep.synthetic import ISHIGAMI, ishigami, results
 
+from orchestrator.lanes.group import FAILED, OK
 from orchestrator.studies.analysis.results import without_numbers
 from orchestrator.studies.parameter_study import StudyProgress, summary
-from orchestrator.studies.single_run import FAILED, OK, RunOutcome
+from orchestrator.studies.single_run import RunOutcome
 from orchestrator.studies.store import Results
 
 RATE = r"[0-9.]+ runs/s, \d+ s left"

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from kit.mistakes import problem
 from matplotlib.figure import Figure
 
-from orchestrator.base import plotting
-from orchestrator.base.plotting import decimate, png, svg
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
+from orchestrator.pages import plotting
+from orchestrator.pages.plotting import decimate, png, svg
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.validation import Validation, validate
 from orchestrator.results.validation_report import draw

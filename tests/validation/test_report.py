@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from kit import shards
 
-from orchestrator.base.figures import VENDOR
 from orchestrator.data.recording import read_recording
 from orchestrator.data.trace import Trace
+from orchestrator.pages.figures import VENDOR
 from orchestrator.results.layout import FigureSpec, PanelSpec
 from orchestrator.results.motion import MachineMotion
 from orchestrator.results.validation import Validation, validate

@@ -11,9 +11,9 @@ from kit.mistakes import table
 from fmus.machine.build import data
 from fmus.machine.parts import COMMAND_WIRES, INPUTS, RATES, SUPPLY_WIRES
 from orchestrator import RunFailed, System, load, run
-from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
 from orchestrator.results.validation import Validation, validate
+from orchestrator.ssp.coupling import Coupling
 
 MASTERS = ("jacobi", "gauss-seidel")
 REFERENCE = read_recording(data("reference/work_cycle.csv"))

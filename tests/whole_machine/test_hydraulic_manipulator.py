@@ -26,8 +26,8 @@ from fmus.parameters import values
 from orchestrator import Trace, read_trace
 from orchestrator import reference as monolithic
 from orchestrator import run as orchestrate
-from orchestrator.base.coupling import Coupling
 from orchestrator.data.recording import read_recording
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.studies.convergence.settings import choose
 
 ROOT = Path(__file__).parents[2]

@@ -28,7 +28,10 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.prediction import RecordingComparison, nrmse
 from fmus.identification.report.report_texts import footer, percentage
-from orchestrator.base.figures import (
+from orchestrator.base.text import MINUS, display_unit, name_with_unit, typeset
+from orchestrator.base.units import pretty
+from orchestrator.data.table import Array
+from orchestrator.pages.figures import (
     DASHES,
     DOTS,
     PALETTE,
@@ -40,10 +43,7 @@ from orchestrator.base.figures import (
     TracePanel,
     decimate,
 )
-from orchestrator.base.plotting import WIDTH, heading, legend, new_figure, power_ticks, style_axes
-from orchestrator.base.text import MINUS, display_unit, name_with_unit, typeset
-from orchestrator.base.units import pretty
-from orchestrator.data.table import Array
+from orchestrator.pages.plotting import WIDTH, heading, legend, new_figure, power_ticks, style_axes
 
 # ---- procedures
 

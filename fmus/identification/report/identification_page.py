@@ -37,10 +37,10 @@ from fmus.identification.report.figures import (
 )
 from fmus.identification.report.prediction import RecordingComparison, default_values, rms
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
-from orchestrator.base import html_page
-from orchestrator.base.figures import plot
-from orchestrator.base.plotting import embed
 from orchestrator.data.recording import Recording
+from orchestrator.pages import html_page
+from orchestrator.pages.figures import plot
+from orchestrator.pages.plotting import embed
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html.j2"
 NAME = "identification"

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import mannwhitneyu
 
+from orchestrator.data.deviation import moves
+from orchestrator.lanes.group import OK
 from orchestrator.studies.analysis import morris_sobol, sensitivity
 from orchestrator.studies.analysis.results import (
     Analysis,
@@ -20,14 +22,12 @@ from orchestrator.studies.analysis.results import (
     samples,
     without_numbers,
 )
-from orchestrator.studies.single_run import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import START, Output, Study
 
 FEWEST_RUNS = 5  # fewest failed, and fewest completed, runs for a test of what makes runs fail
 EXAMPLES = 5  # run numbers shown for each reason
 SIGNIFICANCE = 0.01  # probability of a false alarm over all factors together (Bonferroni)
-CONSTANT = 1e-9  # largest range of a constant output over its magnitude; tolerances of solvers are larger
 NOTES = {
     "morris": "statistics are over the points of the Morris design: ends of ranges have more weight",
     "grid": "statistics are over the points of the grid, with equal weights",
@@ -123,8 +123,7 @@ def _analyse_output(results: Results, output: Output) -> OutputAnalysis:
     constant = False
     result: Sensitivity | str = "no run has a finite value of this output"
     if overall is not None:
-        magnitude = max(abs(overall.maximum), abs(overall.minimum))
-        constant = overall.maximum - overall.minimum <= CONSTANT * magnitude
+        constant = not moves(np.array([overall.minimum, overall.maximum]))
         if constant:
             result = "the output is the same in all runs"
         elif not study.factors and not study.compared:

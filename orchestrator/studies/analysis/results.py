@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import DisplayUnit, display_unit
-from orchestrator.studies.single_run import OK
+from orchestrator.lanes.group import OK
 from orchestrator.studies.store import Results
 from orchestrator.studies.study import Choice, Factor, Output
 

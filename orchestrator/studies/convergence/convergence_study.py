@@ -13,11 +13,12 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from orchestrator.base.errors import Problem
 from orchestrator.base.files import make_folder, require_system
-from orchestrator.base.html_page import json_values, write_json
-from orchestrator.base.options import CaseArguments, chosen, seconds
-from orchestrator.base.plotting import png
+from orchestrator.base.options import chosen, seconds
 from orchestrator.data.recording import read_recording
+from orchestrator.engine.arguments import CaseArguments
 from orchestrator.engine.run import opened
+from orchestrator.pages.html_page import json_values, write_json
+from orchestrator.pages.plotting import png
 from orchestrator.results.validate_system import another_model
 from orchestrator.studies.convergence.figures import draw_error, draw_work_precision
 from orchestrator.studies.convergence.reference_solution import default_signals, finest_run, from_recording

@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from orchestrator.base.figures import PALETTE
-from orchestrator.base.plotting import new_figure, style_axes
+from orchestrator.pages.figures import PALETTE
+from orchestrator.pages.plotting import new_figure, style_axes
 from orchestrator.studies.convergence.runs import ConvergenceStudy, SettingRun
 
 SIZE = (8.4, 5.2)  # [in]

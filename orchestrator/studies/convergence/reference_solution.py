@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.base.coupling import Coupling
 from orchestrator.base.errors import Problem, UnknownSignal, suggest
 from orchestrator.base.units import QUANTITIES, factor_and_offset, quantity
+from orchestrator.data.deviation import rms, span
 from orchestrator.data.recording import Recording
 from orchestrator.data.trace import Trace
 from orchestrator.engine.run import run
-from orchestrator.results.metrics import AT_REST, constant
+from orchestrator.results.metrics import AT_REST
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import System
 
 Array = NDArray[np.float64]
@@ -131,9 +132,9 @@ def _deviation(
     factor, offset = factor_and_offset(unit, signal.unit, signal.name) if unit != signal.unit else (1.0, 0.0)
     with np.errstate(over="ignore"):  # an unstable run may grow beyond all bounds
         error = factor * trace[signal.name][in_run] + offset - signal.values[in_reference]
-        rms = float(np.sqrt(np.mean(np.square(error))))
-    span = signal.span or 1.0
-    return SignalDeviation(signal.name, rms / span, float(np.abs(error).max()), span, signal.unit)
+        rmse = rms(error)
+    size = signal.span or 1.0
+    return SignalDeviation(signal.name, rmse / size, float(np.abs(error).max()), size, signal.unit)
 
 
 def from_recording(recording: Recording, patterns: Sequence[str] = ()) -> ReferenceSolution:
@@ -202,7 +203,7 @@ def _without_rest(
 ) -> ReferenceSolution:
     """The groups without signals at rest: they have no range, alone or next to others of their unit."""
     signals = [s for members in groups.values() for s in members]
-    ranges = {s.name: 0.0 if constant(s.values) else float(np.ptp(s.values)) for s in signals}
+    ranges = {s.name: span(s.values) for s in signals}
     widest = {s.unit: max(ranges[other.name] for other in signals if other.unit == s.unit) for s in signals}
     at_rest = [s.name for s in signals if ranges[s.name] <= AT_REST * widest[s.unit]]
     moving = {

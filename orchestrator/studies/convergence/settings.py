@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
-from orchestrator.base.coupling import MASTERS, Coupling
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.ssp.coupling import MASTERS, Coupling
 from orchestrator.ssp.swap import used_ports
 from orchestrator.ssp.system import System
 

@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from orchestrator.base.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
-from orchestrator.base.plotting import legend, legend_entry, limit_ticks, new_figure, style_axes
 from orchestrator.base.text import DisplayUnit, display_unit, name_with_unit
+from orchestrator.pages.figures import PALETTE, TraceArea, TraceFigure, TraceLine, TracePanel
+from orchestrator.pages.plotting import legend, legend_entry, limit_ticks, new_figure, style_axes
 from orchestrator.studies.analysis.results import (
     FIRST,
     MU_STAR,

@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from orchestrator.base import html_page
-from orchestrator.base.figures import plot
-from orchestrator.base.html_page import json_values
-from orchestrator.base.plotting import embed
 from orchestrator.base.text import MINUS, NO_VALUE, DisplayUnit, TextTable, display_unit
+from orchestrator.pages import html_page
+from orchestrator.pages.figures import plot
+from orchestrator.pages.html_page import json_values
+from orchestrator.pages.plotting import embed
 from orchestrator.studies.analysis.analyse import analyse
 from orchestrator.studies.analysis.analysis_text import MEASURES, output_description, sentences, size
 from orchestrator.studies.analysis.results import (

@@ -5,7 +5,7 @@ import numpy as np
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.attribution import EffectShare, Explanation
-from orchestrator.base.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
+from orchestrator.pages.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
 
 LITRES, BAR = ("L/min", 1e-3 / 60), ("bar", 1e5)
 AREA = Estimate("valve_area", 4.01e-5, "m2", 1e-7, 3.99e-5, 4.03e-5, "fit of 30 steps")

@@ -23,11 +23,11 @@ from fmus.identification.report.figures import (
     opening_panel,
 )
 from fmus.identification.report.prediction import RecordingComparison, nrmse
-from orchestrator.base import plotting
-from orchestrator.base.figures import plot
 from orchestrator.base.text import typeset
 from orchestrator.base.units import pretty
 from orchestrator.data.recording import Recording
+from orchestrator.pages import plotting
+from orchestrator.pages.figures import plot
 
 TIME = np.arange(0.0, 5.0, 0.005)
 

@@ -13,7 +13,7 @@ from lxml import html
 from fmus.identification.estimate import Estimate
 from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import render, write_page
-from orchestrator.base.figures import VENDOR
+from orchestrator.pages.figures import VENDOR
 
 
 @pytest.fixture(scope="module")

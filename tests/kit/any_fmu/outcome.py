@@ -7,10 +7,10 @@ import numpy as np
 
 from kit.any_fmu.models import Workshop
 from orchestrator import System, assemble, run
-from orchestrator.base.coupling import Coupling
 from orchestrator.engine.result import Result, RunFailed
 from orchestrator.engine.run import open_slave
 from orchestrator.fmi.calls import Slave
+from orchestrator.ssp.coupling import Coupling
 from orchestrator.ssp.system import Component
 
 NO_ROLLBACK = {"canGetAndSetFMUstate": "false", "canGetAndSetFMUState": "false"}

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from orchestrator.base.figures import plot_scripts
 from orchestrator.base.text import number, typeset
 from orchestrator.base.units import pretty
+from orchestrator.pages.figures import plot_scripts
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -23,7 +23,7 @@ def render(template: Path, *, title: str, plots: bool = False, **content: Any) -
     """Render a template that extends `page.html.j2`, with the CSS file of the same name if there is one.
 
     template   path of the template
-    plots      whether the page has figures of `orchestrator.base.figures.plot`
+    plots      whether the page has figures of `orchestrator.pages.figures.plot`
     content    variables of the template, besides `title` and `style`
 
     Templates can use the macros of `parts.html.j2`, and the filters number, typeset, pretty (units),

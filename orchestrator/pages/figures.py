@@ -2,7 +2,7 @@
 
 A page has each figure twice. An SVG, drawn here in milliseconds, is for print and for a browser without
 scripts. A plot that can be zoomed replaces it on the screen: uPlot draws it from the data in the page
-(`templates/plot.js`). `orchestrator.base.plotting` draws the same figures with matplotlib, for PNG files.
+(`templates/plot.js`). `orchestrator.pages.plotting` draws the same figures with matplotlib, for PNG files.
 """
 
 from __future__ import annotations

@@ -1,30 +1,26 @@
-"""Runs of a study as tasks of Dask, on the cores of this machine or on an existing cluster.
+"""Runs of a study as tasks of Dask, on an existing cluster.
 
-On this machine the workers of the cluster are threads of this process, and nothing listens on the network.
-`distributed.LocalCluster` would serve a page of the scheduler and of each worker, also without a dashboard.
+Each Dask worker keeps as many child processes as it has threads.
 """
 
 from __future__ import annotations
 
 import logging
 import pickle
-import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from typing import Any
 
-import dask
-from distributed import Client, Future, Scheduler, SpecCluster, Worker, as_completed
+from distributed import Client, Future, WorkerPlugin, as_completed, get_worker
 from distributed.client import ClosedClientError
 from distributed.scheduler import KilledWorker
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.processes import available_cores
+from orchestrator.base.interrupts import DeferredInterrupts
 from orchestrator.studies.cases import Unit
-from orchestrator.studies.payload import Payload, digest
-from orchestrator.studies.processes import ProcessPool, run_batch
+from orchestrator.studies.processes import Payload, RunProcesses, digest
 from orchestrator.studies.single_run import RunOutcome, failed
 from orchestrator.studies.study import Study
 
@@ -37,38 +33,6 @@ MOST_RUNS, FIRST_RUNS = 50, 2  # of a batch; of the first batches, before the du
 BATCHES_PER_CORE = 2  # one that runs, one that waits
 # Errors of futures, of calls to the scheduler, and of a client that has given up.
 CONNECTION_ERRORS = (CancelledError, OSError, ClosedClientError)
-NO_MEMORY_LIMITS = {
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-}
-
-
-class _WithoutPages:
-    """Mixin of a Dask server that serves no HTTP pages."""
-
-    def start_http_server(self, *_: Any, **__: Any) -> None:
-        """Open no port."""
-
-
-class _Scheduler(_WithoutPages, Scheduler):  # type: ignore[misc]  # Dask has no types
-    pass
-
-
-class _Worker(_WithoutPages, Worker):  # type: ignore[misc]  # Dask has no types
-    pass
-
-
-def local(workers: int) -> SpecCluster:
-    """A cluster with this number of workers in this process, with one thread each."""
-    options = {"host": None, "protocol": "inproc", "dashboard": False}
-    worker = {"cls": _Worker, "options": {**options, "nthreads": 1, "memory_limit": 0}}
-    return SpecCluster(
-        scheduler={"cls": _Scheduler, "options": {**options, "port": 0}},
-        workers=dict.fromkeys(range(workers), worker),
-        worker=worker,
-        silence_logs=False,
-    )
 
 
 class _Client(Client):  # type: ignore[misc]  # Dask has no types
@@ -88,22 +52,9 @@ class _Client(Client):  # type: ignore[misc]  # Dask has no types
 
 
 @contextmanager
-def client(workers: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
-    """A connection to a cluster.
-
-    workers     number of workers of a cluster in this process; default: one per core
-    scheduler   address of an existing cluster, such as tcp://host:8786
-    """
-    with dask.config.set(NO_MEMORY_LIMITS), _silence():
-        if scheduler is None:
-            with (
-                tempfile.TemporaryDirectory(prefix="sweep-") as folder,
-                dask.config.set({"temporary-directory": folder}),
-                local(workers or available_cores()) as cluster,
-                _Client(cluster) as connection,
-            ):
-                yield connection
-            return
+def client(scheduler: str) -> Iterator[Client]:
+    """A connection to the cluster of a scheduler, such as tcp://host:8786."""
+    with _silence():
         try:
             remote = _Client(scheduler, timeout=CONNECT_TIMEOUT)
         except (OSError, ValueError, TimeoutError) as error:
@@ -117,23 +68,51 @@ def client(workers: int | None = None, scheduler: str | None = None) -> Iterator
             yield remote
 
 
-def outcomes(
-    connection: Client, payload: Payload, units: Sequence[Unit], poll: Callable[[], None] = lambda: None
-) -> Generator[list[RunOutcome], None, None]:
-    """Run samples; yields the outcomes of each finished batch, in any order, each sample once.
+class RunPlugin(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
+    """Plugin of a Dask worker with its child processes."""
 
-    units   samples that are run together
+    def __init__(self, name: str, data: bytes) -> None:
+        """name: name of the plugin in this cluster; data: pickled payload."""
+        self.name, self._data = name, data
 
-    poll  called repeatedly while batches run; an exception that it raises ends the runs
-    """
+    def setup(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
+        """Read the study; called on the Dask worker."""
+        self._processes = RunProcesses(pickle.loads(self._data))
+
+    def teardown(self, worker: Any) -> None:  # noqa: ARG002  Dask passes it
+        """End all processes, including those that run a sample."""
+        self._processes.stop()
+        self._processes.close()
+
+    def run(self, batch: Sequence[Unit]) -> list[RunOutcome]:
+        """Run samples; if a sample ends its process, the next one runs in another process."""
+        return [outcome for unit in batch for outcome in self._processes.run(unit)]
+
+
+def run_batch(name: str, batch: Sequence[Unit]) -> list[RunOutcome]:
+    """The Dask task: run samples in the processes of this Dask worker."""
+    plugin = get_worker().plugins.get(name)
+    if not isinstance(plugin, RunPlugin):
+        raise Problem(f"worker {get_worker().address}: expected the plugin {name}, got none")
+    return plugin.run(batch)
+
+
+def run_units(
+    connection: Client, payload: Payload, units: Sequence[Unit], store: Callable[[list[RunOutcome]], None]
+) -> None:
+    """Run samples; `store` gets the outcomes of each finished batch, in any order, each sample once."""
     data = pickle.dumps(payload, protocol=pickle.HIGHEST_PROTOCOL)
-    pool = ProcessPool(f"sweep-{digest(data)[:16]}", data)
-    try:
-        connection.register_plugin(pool, name=pool.name)
-        yield from Batches(connection, pool.name, payload.study, units, poll).outcomes()
-    finally:
-        with suppress(Exception):  # the cluster may be gone
-            connection.unregister_worker_plugin(pool.name)
+    plugin = RunPlugin(f"sweep-{digest(data)[:16]}", data)
+    with DeferredInterrupts() as interrupts:  # Dask's callbacks would swallow a KeyboardInterrupt
+        try:
+            connection.register_plugin(plugin, name=plugin.name)
+            batches = Batches(connection, plugin.name, payload.study, units, interrupts.check)
+            with closing(batches.outcomes()) as outcomes:
+                for batch in outcomes:
+                    store(batch)
+        finally:
+            with suppress(Exception):  # the cluster may be gone
+                connection.unregister_worker_plugin(plugin.name)
 
 
 class Batches:
@@ -153,7 +132,7 @@ class Batches:
         self._running: dict[Future, list[Unit]] = {}
         self._size = FIRST_RUNS
 
-    def outcomes(self) -> Iterator[list[RunOutcome]]:
+    def outcomes(self) -> Generator[list[RunOutcome], None, None]:
         """The outcomes of each finished batch."""
         queue = as_completed()
         try:

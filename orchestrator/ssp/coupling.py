@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, TypedDict, get_args
 
 from orchestrator.base.errors import Problem, suggest
+from orchestrator.base.options import GROUPS, Kind, Number, Seconds, Substeps, Whole
 
 Master = Literal["jacobi", "gauss-seidel", "hermite", "interface-jacobian"]
 Control = Literal["error", "energy"]
@@ -181,6 +182,51 @@ class Coupling:
         smallest, largest = self.step_limits
         control = {"adaptive": self.adaptive, "control": self.control or CONTROLS[0]}
         return settings | control | {"smallest": smallest, "largest": largest}
+
+
+class CouplingArguments(TypedDict, total=False):
+    """How the components are coupled; relative errors are fractions of a signal's magnitude.
+
+    master               jacobi, gauss-seidel, hermite or interface-jacobian; default: the master in the
+                         system, else gauss-seidel.
+    order                Order of the extrapolation of outputs over a step: 0 (held), 1, 2 or 3; default: 0
+                         for jacobi and gauss-seidel, else 3.
+    passes               hermite: largest number of passes over a step, at least 1; default: 8.
+    coupling_tolerance   hermite: repeat a step while the end value of a signal, or its time derivative times
+                         the step, changes by more than TOL times its magnitude (the nominal value, or the
+                         largest value so far); default: 1e-5, with `adaptive` 0.3 of its TOL.
+    correct              Correct the inputs by the extrapolation error of the previous step.
+    lag                  interface-jacobian: linearise the components every N steps; default: 1.
+    factors              Number of internal steps of the component per communication step; default: 1.
+    adaptive             Adapt the step so that the estimated error of each signal stays below TOL times its
+                         magnitude (the nominal value, or the largest value so far), such as 1e-3; default:
+                         equal steps.
+    control              With `adaptive`: what TOL limits: error (of the signals) or energy (the power error
+                         of the power bonds); default: error.
+    guard                Without `adaptive`: divide a step if the estimated error of a signal exceeds TOL
+                         times its magnitude, or if the scenario has a corner inside the step; all components
+                         must be able to restore their states; 0: never; default: 0.01 for hermite and
+                         interface-jacobian, else 0.
+    smallest             With `adaptive`: shortest step [s], accepted with any error; default: 1e-7.
+    largest              With `adaptive`: longest step [s]; default: 0.1.
+    """
+
+    master: Annotated[Master | Coupling | None, Kind("NAME")]
+    order: Whole
+    passes: Whole
+    coupling_tolerance: Number
+    correct: bool | None
+    lag: Whole
+    factors: Substeps
+    adaptive: Number
+    control: Annotated[Control | None, Kind("WHAT")]
+    guard: Number
+    smallest: Seconds
+    largest: Seconds
+
+
+FIELDS = {"coupling_tolerance": "tolerance"}  # option -> field of `Coupling`, where they differ
+GROUPS.append(CouplingArguments)
 
 
 def merge_choices(choices: Mapping[str, Any], defaults: Coupling | None = None) -> Coupling:

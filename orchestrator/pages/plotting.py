@@ -1,7 +1,7 @@
 """Figures drawn by matplotlib: common style, panels of signals over time with their errors, PNG and SVG.
 
 Documents contain figures as PNG. HTML pages contain them as SVG, whose colours follow the theme of the page;
-signals over time are drawn there by `orchestrator.base.figures`.
+signals over time are drawn there by `orchestrator.pages.figures`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from orchestrator.base.figures import (
+from orchestrator.base.text import MINUS, typeset
+from orchestrator.base.units import convert, pretty, quantity, reader_unit, superscript
+from orchestrator.pages.figures import (
     LINE_STYLES,
     PALETTE,
     Style,
@@ -38,8 +40,6 @@ from orchestrator.base.figures import (
     decimate,
     still,
 )
-from orchestrator.base.text import MINUS, typeset
-from orchestrator.base.units import convert, pretty, quantity, reader_unit, superscript
 
 Array = NDArray[np.float64]
 

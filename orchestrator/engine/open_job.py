@@ -1,0 +1,251 @@
+"""One run of a system in this process, from opening to closing the FMUs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from copy import copy
+from dataclasses import dataclass
+from functools import partial
+
+from orchestrator.base.errors import Ended, Problem
+from orchestrator.base.interrupts import DeferredInterrupts
+from orchestrator.base.text import first_names
+from orchestrator.data.trace_writer import PointSink
+from orchestrator.engine.c_library import Allocate, Binding, bytearray_of, library
+from orchestrator.engine.coupling_inputs import CouplingInputs
+from orchestrator.engine.error_propagation import ErrorPropagation
+from orchestrator.engine.job import ENDS_EARLY, Job, RunEnd, guarded
+from orchestrator.engine.linear_prediction import LinearPrediction
+from orchestrator.engine.masters import MASTERS
+from orchestrator.engine.network import Network, initialise
+from orchestrator.engine.recorder import EnergyMonitor, Recorder
+from orchestrator.engine.simulation_loop import SimulationLoop, StepControl
+from orchestrator.engine.time_grid import Grid
+from orchestrator.fmi.calls import Slave
+from orchestrator.fmi.messages import WARNING
+from orchestrator.ssp.power_bonds import Bond, bond_of, find_bonds
+from orchestrator.ssp.system import System
+
+FIRST_FRACTION = 1e-3  # of the first adaptive step if it cannot be repeated, so that its error is small
+FEWEST_STEPS = 2  # between two evaluations of the estimated errors
+
+
+@dataclass
+class OpenJob:
+    """The objects of a run whose FMUs are initialised.
+
+    errors   the estimate of errors during the run; None if there is none
+    notes    remarks on its master
+    """
+
+    network: Network
+    recorder: Recorder
+    energy: EnergyMonitor
+    loop: SimulationLoop
+    times: Grid
+    errors: ErrorPropagation | None
+    notes: tuple[str, ...]
+
+
+def run_job(
+    job: Job,
+    times: Grid,
+    sink: PointSink,
+    between: Callable[[float], None] = lambda _: None,
+    at_end: Callable[[RunEnd], None] = lambda _: None,
+    allocate: Allocate = bytearray_of,
+) -> RunEnd:
+    """Open all FMUs, run in this process, and close them in any case.
+
+    sink       receives the recorded rows and the estimated errors
+    between    called with the time [s] between blocks of steps; a KeyboardInterrupt ends the run
+    at_end     called before the FMUs are closed
+    allocate   see `Binding`
+    """
+    with opened(job, times, sink, allocate) as running:
+        began = time.perf_counter()
+        problem, interrupted = None, False
+        try:
+            _step_to_end(running, sink, between)
+        except KeyboardInterrupt:
+            interrupted = True
+        except Ended as ended:
+            running.notes += (f"{ENDS_EARLY}{ended}",)
+            _record_end(job, running, ended.reached)
+        except Problem as raised:
+            problem = raised
+        running.recorder.finish()
+        if running.errors:
+            running.errors.collect(sink)
+        state, network = running.loop.state, running.network
+        end = RunEnd(
+            t=state.t,
+            steps=state.steps,
+            passes=state.all_passes,
+            repeated=state.repeated,
+            lengths=(state.shortest, state.longest),
+            wall=time.perf_counter() - began,
+            bonds=tuple(running.energy.energies()),
+            errors=running.errors.errors() if running.errors else {},
+            inside=running.loop.busy_seconds,
+            logs=tuple(copy(s.log) for s in network.slaves.values()),
+            notes=network.notes + times.notes + running.notes,
+            problem=problem,
+            interrupted=interrupted,
+        )
+        at_end(end)
+    return end
+
+
+def _step_to_end(opened: OpenJob, sink: PointSink, between: Callable[[float], None]) -> None:
+    """Step from the start to the stop time."""
+    loop = opened.loop
+    with DeferredInterrupts() as interrupts:
+        loop.begin()
+        while loop.state.done < opened.times.steps:
+            interrupts.check()
+            try:
+                loop.advance()
+            except Problem:
+                opened.recorder.collect()  # raises if a value is not finite: the cause of the failure
+                raise
+            if opened.errors:
+                opened.errors.collect(sink)
+            between(loop.state.t)
+
+
+def _record_end(job: Job, opened: OpenJob, t: float) -> None:
+    """Record the time [s] at which an FMU ended the run inside a step (FMI 2.0.5, 4.2.2: fmi2Terminated).
+
+    In a system of several FMUs the others are not there, so its last row is the last communication point.
+    """
+    state = opened.loop.state
+    if len(opened.network.slaves) == 1 and t > state.t:
+        opened.recorder.collect()
+        opened.recorder.end_at(t, job.scenario.initial(job.system, t) if job.scenario else {})
+        state.t = t
+
+
+@contextmanager
+def opened(job: Job, times: Grid, sink: PointSink, allocate: Allocate = bytearray_of) -> Iterator[OpenJob]:
+    """Open and initialise all FMUs, ready for the first step; they are closed at the end in any case."""
+    signals = job.record.signals
+    selected = None if signals is None else [job.system.port(name) for name in signals]
+    library()  # raises Problem if there is none, before any FMU is opened
+    _check_instances(job.system)
+    with ExitStack() as stack:
+        slaves: dict[str, Slave] = {}
+        binding = Binding(allocate)
+        binding.call("environment_begin")
+        stack.callback(binding.call, "environment_check")
+        for name, component in job.system.components.items():
+            slaves[name] = job.execution.open(component)
+            stack.callback(slaves[name].close)
+            _restore_environment(binding, slaves[name])
+        network = Network(job.system, slaves, job.scenario, selected, job.coupling.factors, binding)
+        plan = MASTERS[job.coupling.master](job.system, job.coupling)
+        if job.execution.error_estimate:
+            plan = plan.with_estimate(fast=job.execution.error_estimate == "fast")
+        inputs, prediction = CouplingInputs(network, plan), None
+        if plan.prediction:
+            prediction = LinearPrediction(network, inputs, plan.prediction, plan.order)
+        driven = job.scenario.initial(job.system, times.start) if job.scenario else {}
+        span, restore = (times.start, times.stop), partial(_restore_environment, binding)
+        tolerances = {n: job.execution.tolerance or s.interface.tolerance for n, s in slaves.items()}
+        initialise(job.system, slaves, driven, span, tolerances, restore)
+        binding.changed = partial(_warn_of_change, [*slaves.values()])
+        energy = EnergyMonitor(network, inputs.varying, _bonds(job, network))
+        recorder = Recorder(network, times, sink, selected)
+        control = step_control(job, inputs, times)
+        stack.callback(network.free_saved_states)
+        loop = SimulationLoop(network, plan, inputs, prediction, times, recorder, energy, control)
+        errors = _error_propagation(job, network, inputs, times)
+        stack.callback(loop.close)
+        notes = (
+            *plan.notes,
+            *_rollback_notes(job),
+            *inputs.notes,
+            *(prediction.notes if prediction else ()),
+        )
+        yield OpenJob(network, recorder, energy, loop, times, errors, notes)
+
+
+def _error_propagation(
+    job: Job, network: Network, inputs: CouplingInputs, times: Grid
+) -> ErrorPropagation | None:
+    """The estimate of errors during the run, filled; None if not wanted, or if an FMU prevents it."""
+    if not job.execution.error_estimate:
+        return None
+    errors = ErrorPropagation(network, inputs, max(times.every, FEWEST_STEPS))
+    if errors.missing:
+        return None
+    errors.fill(network.binding)
+    return errors
+
+
+def step_control(job: Job, inputs: CouplingInputs, times: Grid) -> StepControl | None:
+    """Parameters of adaptive steps, or of the divided steps of a guarded run; None: equal steps."""
+    c = job.coupling
+    if c.adaptive is None:
+        if not guarded(job.system, c):
+            return None
+        smallest = min(max(c.step_limits[0], times.shortest_step), times.step)
+        return StepControl(times.step, smallest, times.step, c.guard_tolerance)
+    if c.controls_energy and not inputs.bonds:
+        expected = "a power bond with inputs that may vary on both sides"
+        raise Problem(f"control of the energy: expected {expected}, got none")
+    interfaces = {name: component.interface for name, component in job.system.components.items()}
+    if fixed := [name for name, interface in interfaces.items() if not interface.variable_step]:
+        got = f"{', '.join(fixed)}: the FMU has a fixed step"
+        raise Problem(f"adaptive steps: expected FMUs with a variable step, got {got}")
+    repeats = all(interface.rollback for interface in interfaces.values())
+    first = times.first if repeats else FIRST_FRACTION * times.first
+    smallest, largest = c.step_limits
+    return StepControl(
+        first, max(smallest, times.shortest_step), largest, c.adaptive, c.controls_energy, repeats
+    )
+
+
+def _rollback_notes(job: Job) -> tuple[str, ...]:
+    """A note on components that prevent the repetition of adaptive steps."""
+    names = [name for name, c in job.system.components.items() if not c.interface.rollback]
+    if job.coupling.adaptive is None or not names:
+        return ()
+    cause = f"{first_names(names)} cannot restore a saved state"
+    return (f"adaptive steps with too large an error are not repeated: {cause}",)
+
+
+def _bonds(job: Job, network: Network) -> list[Bond]:
+    """The requested bonds; default: those from units whose two inputs influence their components."""
+    if job.record.bonds is None:
+        influences = network.is_influential
+        return [b for b in find_bonds(job.system) if influences(b.effort) and influences(b.flow)]
+    return [bond_of(job.system, *pair) for pair in job.record.bonds]
+
+
+def _restore_environment(binding: Binding, slave: Slave) -> None:
+    """Restore the floating-point environment after calls of one FMU."""
+    binding.changed = partial(_warn_of_change, [slave])
+    binding.call("environment_check")
+
+
+def _warn_of_change(slaves: Sequence[Slave], index: int) -> None:
+    """Give a warning to the FMU that changed the floating-point environment; index -1: one of all."""
+    first, *others = slaves if index < 0 else [slaves[index]]
+    who = " or ".join(["the FMU", *(slave.name for slave in others)])
+    text = f"{who} changed the floating-point environment (rounding, flushing to zero or traps), now restored"
+    if all(message.text != text for message in first.log.messages):
+        first.log.add(WARNING, text)
+
+
+def _check_instances(system: System) -> None:
+    """Refuse two instances of an FMU that can be instantiated only once per process."""
+    single: dict[tuple[str, str], str] = {}
+    for name, component in system.components.items():
+        interface = component.interface
+        if interface.one_per_process:
+            other = single.setdefault((interface.guid, interface.identifier), name)
+            if other != name:
+                raise Problem(f"{other} and {name}: expected one instance of their FMU at most, got two")

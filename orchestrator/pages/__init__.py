@@ -1,0 +1,1 @@
+"""What the user looks at: figures, and HTML pages with them."""
