@@ -71,14 +71,12 @@ class Law:
     unknowns   names of theta
     rows       number of equations
     terms      (z, theta, known) -> (f, h), their derivatives by z, and by theta, column by column
-    used       whether a row depends on each entry of z
     by_known   (z, theta, known) -> derivatives of (f, h) by `known`, column by column
     """
 
     unknowns: tuple[str, ...]
     rows: int
     terms: ca.Function
-    used: tuple[bool, ...]
     by_known: ca.Function
 
 
@@ -88,14 +86,12 @@ def law(
     """The balance of f = `force` and h = `momentum`, without `momentum` a steady one."""
     both = ca.vertcat(force, ca.SX.zeros(force.shape[0]) if momentum is None else momentum)
     theta = ca.vertcat(*unknowns.values())
-    columns = set(ca.jacobian(both, z).sparsity().get_col())
     derivatives = [ca.densify(ca.vec(ca.jacobian(both, x))) for x in (z, theta, known)]
     arguments = [z, theta, known]
     return Law(
         unknowns=tuple(unknowns),
         rows=force.shape[0],
         terms=ca.Function("terms", arguments, [ca.densify(both), *derivatives[:2]]),
-        used=tuple(k in columns for k in range(z.shape[0])),
         by_known=ca.Function("by_known", arguments, derivatives[2:]),
     )
 
@@ -234,8 +230,8 @@ def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
     both, by_z, by_theta = (x.full() for x in s.law.terms(z, theta, s.known))
     by_z, by_theta = (x.reshape(-1, 2 * r, z.shape[1]) for x in (by_z, by_theta))
     g = np.zeros((len(s.sensors), r, s.starts.size, size + s.taps - 1))
-    for (sensor, kernel), derivative, used in zip(s.channels, by_z, s.law.used, strict=True):
-        if used:
+    for (sensor, kernel), derivative in zip(s.channels, by_z, strict=True):
+        if derivative.any():
             by_force, by_momentum = sliding_window_view(derivative, size, axis=-1)[:, s.starts].reshape(
                 2, r, s.starts.size, size
             )
@@ -387,11 +383,6 @@ class Regression:
         """Root mean square of the residuals in standard deviations: 1 if noise explains them."""
         return math.sqrt(self.chi_square / self.freedom) if self.freedom > 0 else 0.0
 
-    @property
-    def aic(self) -> float:
-        """Akaike's information criterion for residuals of known standard deviation; lower is better."""
-        return self.chi_square + 2 * len(self.names)
-
     def __getitem__(self, name: str) -> float:
         return float(self.values[self.names.index(name)])
 
@@ -414,24 +405,15 @@ class Regression:
         return Estimate.normal(name, factor * self[parameter], unit, abs(factor) * self.sd(parameter), note)
 
     def derived(
-        self, name: str, unit: str, note: str, function: Callable[[Mapping[str, float]], float]
+        self, name: str, unit: str, note: str, parameter: str, function: Callable[[float], float]
     ) -> Estimate:
-        """A function of the parameters, with its standard deviation by linear error propagation.
+        """A function of one parameter, with its standard deviation by a difference over its noise.
 
-        The gradient is formed by central differences over the range of the noise. The interval of a positive
-        value is that of its logarithm, so that it stays positive.
+        The interval of a positive value is that of its logarithm, so that it stays positive.
         """
-        values = dict(zip(self.names, map(float, self.values), strict=True))
-        steps = np.sqrt(np.diag(self.covariance)) / 10
-        differences = np.array(
-            [
-                function(values | {n: x + h}) - function(values | {n: x - h})
-                for (n, x), h in zip(values.items(), steps, strict=True)
-            ]
-        )
-        gradient = np.divide(differences, 2 * steps, out=np.zeros_like(differences), where=steps > 0)
-        sd = math.sqrt(float(gradient @ self.covariance @ gradient))
-        return Estimate.normal(name, function(values), unit, sd, note, log=True)
+        value, step = self[parameter], self.sd(parameter) / 10
+        sd = 5 * abs(function(value + step) - function(value - step))
+        return Estimate.normal(name, function(value), unit, sd, note, log=True)
 
 
 @dataclass(frozen=True)

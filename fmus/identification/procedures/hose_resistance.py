@@ -17,6 +17,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
+from operator import mul
 
 import casadi as ca
 import numpy as np
@@ -192,9 +193,9 @@ def zero_of(fits: Fits) -> Estimate:
 
 
 def _aic(solution: Solution) -> float:
-    """Akaike's criterion, in which a zero counts with its prior."""
+    """Akaike's criterion for residuals of known standard deviation, in which a zero counts with its prior."""
     zeros = sum((2 * value / solution.limits[n]) ** 2 for n, (value, _) in solution.zeros.items())
-    return solution.fit.aic + zeros
+    return solution.fit.chi_square + 2 * len(solution.fit.names) + zeros
 
 
 def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterator[Finding]:
@@ -254,12 +255,13 @@ def _others(fits: Fits, zero: Estimate, reference_flow: str) -> Iterator[Estimat
     yield zero
     yield power.estimate("k", "Pa/(m3/s)^1.75", "eq. (10), the tested hose", "factor")
     for litres in FLOWS:
-        at_flow = partial(lambda flow, v: float(v["factor"] * flow**-0.25), litres * LITRES_PER_MINUTE[1])
-        yield power.derived(f"C_R({litres:g} L/min)", UNIT, "k Q^-0.25, eq. (10)", at_flow)
+        scale = (litres * LITRES_PER_MINUTE[1]) ** -0.25
+        note = "k Q^-0.25, eq. (10)"
+        yield power.derived(f"C_R({litres:g} L/min)", UNIT, note, "factor", partial(mul, scale))
     if "mixed" in fits:
         mixed, note = fits["mixed"].fit, "Q sqrt(R^2 + (C_R Q)^2)"
         yield mixed.estimate("C_R with laminar part", UNIT, note, "resistance")
-        yield mixed.derived("R, laminar part", "Pa.s/m3", note, lambda v: math.sqrt(v["laminar_square"]))
+        yield mixed.derived("R, laminar part", "Pa.s/m3", note, "laminar_square", math.sqrt)
 
 
 def _remarks(steps: StepMeans, fits: Fits, zero: Estimate, reference_flow: str) -> Iterator[str]:

@@ -13,7 +13,6 @@ lines).
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -97,7 +96,8 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
                 f"{name}_leakage_resistance",
                 "Pa.s/m3",
                 f"eq. {EQUATIONS[name]}, {line}",
-                partial(lambda name, conductance: 1 / conductance[name], name),
+                name,
+                lambda conductance: 1 / conductance,
             )
             for name in positive
         ),

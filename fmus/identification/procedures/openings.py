@@ -697,11 +697,9 @@ def simultaneous_band(draws: Array) -> tuple[Array, Array]:
     A curve is as extreme as its most extreme point; the band leaves out the most extreme 5 % of the curves.
     """
     count, ordered = draws.shape[0], np.sort(draws, axis=0)
-    rank = np.full(count, count)
-    for column, values in zip(draws.T, ordered.T, strict=True):
-        below = np.searchsorted(values, column, side="right")  # curves at or below this one, itself included
-        above = count - np.searchsorted(values, column, side="left")
-        rank = np.minimum(rank, np.minimum(below, above))
+    below = stats.rankdata(draws, "max", axis=0)  # curves at or below this one, itself included
+    above = count + 1 - stats.rankdata(draws, "min", axis=0)
+    rank = np.minimum(below, above).min(axis=1)
     k = max(int(np.quantile(rank, 1 - CONFIDENCE)), 1)
     return ordered[k - 1], ordered[count - k]
 
