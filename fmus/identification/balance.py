@@ -71,17 +71,13 @@ class Law:
     unknowns   names of theta
     rows       number of equations
     terms      (z, theta, known) -> (f, h), their derivatives by z, and by theta, column by column
-    used       whether a row depends on each entry of z
-    by_known   (z, theta, known) -> nonzero derivatives of (f, h) by `known`, and their places
-    places     row and column of each of these
+    by_known   (z, theta, known) -> derivatives of (f, h) by `known`, column by column
     """
 
     unknowns: tuple[str, ...]
     rows: int
     terms: ca.Function
-    used: tuple[bool, ...]
     by_known: ca.Function
-    places: tuple[tuple[int, int], ...]
 
 
 def law(
@@ -90,29 +86,25 @@ def law(
     """The balance of f = `force` and h = `momentum`, without `momentum` a steady one."""
     both = ca.vertcat(force, ca.SX.zeros(force.shape[0]) if momentum is None else momentum)
     theta = ca.vertcat(*unknowns.values())
-    by_z, by_known = ca.jacobian(both, z), ca.jacobian(both, known)
-    outputs = [both, ca.vec(by_z), ca.vec(ca.jacobian(both, theta))]
-    columns = set(by_z.sparsity().get_col())
+    derivatives = [ca.densify(ca.vec(ca.jacobian(both, x))) for x in (z, theta, known)]
     arguments = [z, theta, known]
     return Law(
         unknowns=tuple(unknowns),
         rows=force.shape[0],
-        terms=ca.Function("terms", arguments, [ca.densify(x) for x in outputs]),
-        used=tuple(k in columns for k in range(z.shape[0])),
-        by_known=ca.Function("by_known", arguments, [by_known.nz[:]]),
-        places=tuple(zip(by_known.sparsity().row(), by_known.sparsity().get_col(), strict=True)),
+        terms=ca.Function("terms", arguments, [ca.densify(both), *derivatives[:2]]),
+        by_known=ca.Function("by_known", arguments, derivatives[2:]),
     )
 
 
-def modulating_function(half: int) -> tuple[Array, Array]:
-    """phi and -d phi/d(sample) at the 2 half - 1 samples within a window of `half` samples to each side.
+def modulating_function(half: int, rate: float) -> tuple[Array, Array]:
+    """phi dt and -phi' dt at the 2 half - 1 samples within a window of `half` samples to each side.
 
-    The derivative is scaled so that its sum over a straight line is exact.
+    The integral of phi is 1, and the derivative is scaled so that its sum over a straight line is exact.
     """
     position = np.arange(1 - half, half)
     s = position / half
     bump, slope = (1 - s**2) ** 4, 8 * s * (1 - s**2) ** 3
-    return bump, slope * bump.sum() / (slope @ position)
+    return bump / bump.sum(), slope * rate / (slope @ position)
 
 
 @dataclass(frozen=True)
@@ -124,6 +116,7 @@ class Samples:
     raw, sd       samples without gaps, shape (k, n), and their noise, shape (k, n) or (k, 1)
     channels      sensor and filter of each entry of z; filters have one length, 1 without a filter
     known         constants of the law
+    rate          sampling rate [Hz]
     bump, slope   phi dt and -phi' dt, shape (L,)
     starts        first filtered sample of each window, shape (m,)
     """
@@ -135,6 +128,7 @@ class Samples:
     sd: Array
     channels: Sequence[tuple[int, Array]]
     known: Array
+    rate: float
     bump: Array
     slope: Array
     starts: Indices
@@ -150,9 +144,14 @@ class Samples:
         return self.starts + self.bump.size // 2
 
     @property
-    def weight(self) -> float:
-        """Integral of the bump [s]; e divided by it is a mean."""
-        return float(self.bump.sum())
+    def times(self) -> Array:
+        """Time of the centre of each window since the start [s], shape (m,)."""
+        return np.asarray((self.centres + self.taps // 2) / self.rate)
+
+    @property
+    def hop(self) -> int:
+        """Distance of neighbouring windows in samples."""
+        return _hop(self.bump.size)
 
     def filtered(self, raw: Array) -> Array:
         """z, shape (channels, n - taps + 1), of samples (k, n)."""
@@ -160,11 +159,9 @@ class Samples:
 
     def integral(self, force: Array, momentum: Array) -> Array:
         """sum phi f - sum (-phi') h over each window, for terms (..., n) the shape is (..., m)."""
-        f, h = (
-            sliding_window_view(x, self.bump.size, axis=-1)[..., self.starts, :] for x in (force, momentum)
-        )
-        result: Array = f @ self.bump - h @ self.slope
-        return result
+        size = self.bump.size
+        f, h = (sliding_window_view(x, size, axis=-1)[..., self.starts, :] for x in (force, momentum))
+        return np.asarray(f @ self.bump - h @ self.slope)
 
     def by_samples(self, g: Array) -> Any:
         """`Linear.g` as a sparse matrix (m rows, k n), its rows in the order of `flat`."""
@@ -176,13 +173,16 @@ class Samples:
         return sparse.csr_array((g.transpose(2, 1, 0, 3).ravel(), indices, ends), (m * r, self.raw.size))
 
 
-def window_starts(good: Mask, half: int) -> Indices:
-    """First sample of each window of 2 half - 1 good samples, on one grid for the recording."""
-    size, hop = 2 * half - 1, max(round(HOP * half), 1)
+def _hop(size: int) -> int:
+    return max(round(HOP * (size + 1) / 2), 1)
+
+
+def window_starts(good: Mask, size: int) -> Indices:
+    """First sample of each window of `size` good samples, on one grid for the recording."""
     if good.size < size:
         return np.zeros(0, dtype=int)
     whole: Mask = np.asarray(sliding_window_view(good, size).all(axis=1))
-    return np.flatnonzero(whole & (np.arange(whole.size) % hop == 0))
+    return np.flatnonzero(whole & (np.arange(whole.size) % _hop(size) == 0))
 
 
 def noise_of(raw: Array, sd: Array) -> Array:
@@ -203,6 +203,7 @@ def steady(
         sd=noise_of(means, errors),
         channels=[(k, np.ones(1)) for k in range(len(sensors))],
         known=np.array(known),
+        rate=1.0,
         bump=np.ones(1),
         slope=np.zeros(1),
         starts=np.arange(means.shape[1]),
@@ -229,8 +230,8 @@ def linearised(s: Samples, raw: Array, theta: Array) -> Linear:
     both, by_z, by_theta = (x.full() for x in s.law.terms(z, theta, s.known))
     by_z, by_theta = (x.reshape(-1, 2 * r, z.shape[1]) for x in (by_z, by_theta))
     g = np.zeros((len(s.sensors), r, s.starts.size, size + s.taps - 1))
-    for (sensor, kernel), derivative, used in zip(s.channels, by_z, s.law.used, strict=True):
-        if used:
+    for (sensor, kernel), derivative in zip(s.channels, by_z, strict=True):
+        if derivative.any():
             by_force, by_momentum = sliding_window_view(derivative, size, axis=-1)[:, s.starts].reshape(
                 2, r, s.starts.size, size
             )
@@ -354,8 +355,7 @@ def _ends(samples: Sequence[Samples]) -> Indices:
 def _scores_covariance(s: Samples, scores: Array) -> Array:
     """Covariance (c, c) of the sum of scores (c, N), which are correlated over some windows."""
     by_window = scores.reshape(len(scores), -1, s.law.rows).sum(axis=2).T
-    hop = max(round(HOP * (s.bump.size + 1) / 2), 1)
-    lags = round(CORRELATION * (s.bump.size + s.taps - 1) / hop) if s.bump.size > 1 else 2
+    lags = round(CORRELATION * (s.bump.size + s.taps - 1) / s.hop) if s.bump.size > 1 else 2
     return np.asarray(S_hac_simple(by_window, nlags=min(lags, len(by_window) // 4)))
 
 
@@ -383,11 +383,6 @@ class Regression:
         """Root mean square of the residuals in standard deviations: 1 if noise explains them."""
         return math.sqrt(self.chi_square / self.freedom) if self.freedom > 0 else 0.0
 
-    @property
-    def aic(self) -> float:
-        """Akaike's information criterion for residuals of known standard deviation; lower is better."""
-        return self.chi_square + 2 * len(self.names)
-
     def __getitem__(self, name: str) -> float:
         return float(self.values[self.names.index(name)])
 
@@ -410,24 +405,15 @@ class Regression:
         return Estimate.normal(name, factor * self[parameter], unit, abs(factor) * self.sd(parameter), note)
 
     def derived(
-        self, name: str, unit: str, note: str, function: Callable[[Mapping[str, float]], float]
+        self, name: str, unit: str, note: str, parameter: str, function: Callable[[float], float]
     ) -> Estimate:
-        """A function of the parameters, with its standard deviation by linear error propagation.
+        """A function of one parameter, with its standard deviation by a difference over its noise.
 
-        The gradient is formed by central differences over the range of the noise. The interval of a positive
-        value is that of its logarithm, so that it stays positive.
+        The interval of a positive value is that of its logarithm, so that it stays positive.
         """
-        values = dict(zip(self.names, map(float, self.values), strict=True))
-        steps = np.sqrt(np.diag(self.covariance)) / 10
-        differences = np.array(
-            [
-                function(values | {n: x + h}) - function(values | {n: x - h})
-                for (n, x), h in zip(values.items(), steps, strict=True)
-            ]
-        )
-        gradient = np.divide(differences, 2 * steps, out=np.zeros_like(differences), where=steps > 0)
-        sd = math.sqrt(float(gradient @ self.covariance @ gradient))
-        return Estimate.normal(name, function(values), unit, sd, note, log=True)
+        value, step = self[parameter], self.sd(parameter) / 10
+        sd = 5 * abs(function(value + step) - function(value - step))
+        return Estimate.normal(name, function(value), unit, sd, note, log=True)
 
 
 @dataclass(frozen=True)
@@ -454,11 +440,11 @@ class Solution:
     parts: tuple[Whitened, ...]
     residual: Array
 
-    def difference_of_zeros(self, first: str, second: str) -> tuple[float, float]:
-        """Zero of one sensor less that of another, and its standard deviation."""
-        i, j = (len(self.fit.names) + list(self.limits).index(sensor) for sensor in (first, second))
-        variance = self.covariance[i, i] - 2 * self.covariance[i, j] + self.covariance[j, j]
-        return self.zeros[first][0] - self.zeros[second][0], math.sqrt(max(variance, 0.0))
+    def sum_of_zeros(self, weights: Mapping[str, float]) -> tuple[float, float]:
+        """Weighted sum of the zeros of some sensors, and its standard deviation."""
+        n, weight = len(self.fit.names), np.array([weights.get(sensor, 0.0) for sensor in self.zeros])
+        value = float(weight @ [zero for zero, _ in self.zeros.values()])
+        return value, math.sqrt(max(float(weight @ self.covariance[n:, n:] @ weight), 0.0))
 
     def column(self, name: str) -> Array:
         """Whitened column of an unknown, fitted or tested."""
@@ -477,6 +463,11 @@ class Solution:
         scatter = float(rest @ rest) / max(rest.size - len(self.normal.prior), 1)
         return change, further.covariance(rest, self.samples, max(1.0, scatter))
 
+    def effect(self, column: Array, given: Sequence[Array] = ()) -> tuple[float, float]:
+        """The effect of one further unknown and its standard deviation; that of `given` columns is free."""
+        value, covariance = self.effects(np.array([column, *given]))
+        return float(value[0]), math.sqrt(covariance[0, 0])
+
     def by_known(self) -> Array:
         """d estimate / d known constant, shape (estimates, constants); all recordings have the same."""
         estimates, influence = len(self.fit.names), -self.normal.inverse @ self.normal.columns
@@ -485,11 +476,9 @@ class Solution:
         each = np.split(influence[:estimates], _ends(self.samples), axis=1)
         for s, part, own in zip(self.samples, self.parts, each, strict=True):
             at = np.array([theta.get(n, 0.0) for n in s.names])
-            entries = s.law.by_known(s.filtered(s.raw), at, s.known).full()
-            for (row, constant), entry in zip(s.law.places, entries, strict=True):
-                terms = np.zeros((2 * s.law.rows, entry.size))
-                terms[row] = entry
-                total[:, constant] += own @ part.whiten(flat(s.integral(*np.split(terms, 2))))
+            terms = s.law.by_known(s.filtered(s.raw), at, s.known).full()
+            terms = terms.reshape(s.known.size, 2, s.law.rows, -1)
+            total += own @ part.whiten(flat(s.integral(terms[:, 0], terms[:, 1]))).T
         return total
 
 
@@ -516,12 +505,13 @@ def solve(
     bound = np.array([limits.get(n, math.inf) for n in free])
     moved = np.zeros(len(free))  # since the start
     measured = true = [s.raw for s in samples]
+    failed = Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
     for iteration in range(ITERATIONS):
         parts = [whitened(s, t, y, x) for s, t, y in zip(samples, true, measured, strict=True)]
         normal = Normal(np.concatenate([p.columns[[n in free for n in x]] for p in parts], axis=1), prior)
         e = np.concatenate([p.e for p in parts])
         if not (np.isfinite(normal.columns).all() and np.isfinite(e).all()):
-            break
+            raise failed
         if np.linalg.cond(normal.scaled) > SINGULAR:
             unknown = ", ".join(fitted)
             raise Problem(f"{label}: the {e.size} points cannot distinguish between {unknown}")
@@ -532,12 +522,12 @@ def solve(
         k_square = max(1.0, float(e @ e) / max(e.size - len(fitted), 1))
         parts = [replace(p, e=own) for p, own in zip(parts, np.split(e, _ends(samples)), strict=True)]
         if iteration > 1 and np.all(np.abs(step) < CONVERGED * np.sqrt(k_square * np.diag(normal.inverse))):
-            return _solution(samples, parts, normal, x, fitted, limits)
+            return _solution(samples, parts, normal, x, free, limits)
         measured = [s.raw - np.array([[x[n] if n in limits else 0.0] for n in s.sensors]) for s in samples]
         every = zip(samples, parts, measured, true, strict=True)
         share = 0.5 if iteration > ALTERNATING else 1.0
         true = [t + share * (p.most_probable(y, s.sd**2 / k_square) - t) for s, p, y, t in every]
-    raise Problem(f"{label}: the fit of {', '.join(fitted)} did not converge")
+    raise failed
 
 
 def _solution(
@@ -545,18 +535,17 @@ def _solution(
     parts: Sequence[Whitened],
     normal: Normal,
     x: Mapping[str, float],
-    fitted: tuple[str, ...],
+    free: tuple[str, ...],
     limits: Mapping[str, float],
 ) -> Solution:
     """The result at the end of the search, whose covariance is widened if there is a misfit."""
-    e, n = np.concatenate([p.e for p in parts]), len(fitted)
-    values = np.array([x[name] for name in fitted])
-    fit = Regression(fitted, values, normal.inverse[:n, :n], float(e @ e), max(e.size - n, 0))
+    n, e = len(free) - len(limits), np.concatenate([p.e for p in parts])
+    values = np.array([x[name] for name in free])
+    fit = Regression(free[:n], values[:n], normal.inverse[:n, :n], float(e @ e), max(e.size - n, 0))
     covariance = normal.covariance(e, samples, max(1.0, fit.times_noise**2)) if fit.misfit else normal.inverse
-    sds = np.sqrt(np.diag(covariance))
     return Solution(
         fit=replace(fit, covariance=covariance[:n, :n]),
-        zeros={name: (x[name], float(sd)) for name, sd in zip(limits, sds[n:], strict=True)},
+        zeros=dict(zip(limits, zip(values[n:], np.sqrt(np.diag(covariance))[n:], strict=True), strict=True)),
         covariance=covariance,
         limits=limits,
         names=tuple(x),
@@ -565,13 +554,6 @@ def _solution(
         parts=tuple(parts),
         residual=e,
     )
-
-
-def homogeneity(values: Sequence[float], sds: Sequence[float]) -> float:
-    """Probability (chi-square) that independent estimates of one quantity scatter as much as these."""
-    v, w = np.array(values), 1 / np.array(sds) ** 2
-    mean = np.sum(w * v) / np.sum(w)
-    return float(stats.chi2.sf(np.sum(w * (v - mean) ** 2), len(v) - 1))
 
 
 def probability(value: float, sd: float, tolerance: float = 0.0, *, sides: int = 2) -> float:
@@ -652,32 +634,28 @@ def _correlation(solution: Solution) -> tuple[float, float]:
     return LAGS * least, max(abs(rho) for rho, _ in every)
 
 
-def delay(
-    solution: Solution, sensors: Collection[str], steps: Sequence[float], given: Sequence[str] = ()
-) -> tuple[float, float]:
+def delay(solution: Solution, sensors: Collection[str], given: Sequence[str] = ()) -> tuple[float, float]:
     """Time [s] by which some sensors are late against the others, to first order, and its standard deviation.
 
-    steps   sampling period of each recording [s]
     given   tested unknowns that are estimated together with the delay
     """
     rows = []
-    for s, part, step in zip(solution.samples, solution.parts, steps, strict=True):
+    for s, part in zip(solution.samples, solution.parts, strict=True):
         late = np.isin(s.sensors, list(sensors))[:, None]
-        rate = savgol_filter(s.raw, min(9, s.raw.shape[1] - 1 | 1), 3, deriv=1, delta=step, axis=1)
-        rows.append(part.whiten(part.g @ (late * rate).ravel()))
-    columns = np.array([np.concatenate(rows), *(solution.column(n) for n in given)])
-    value, covariance = solution.effects(columns)
-    return float(value[0]), math.sqrt(covariance[0, 0]) or math.inf
+        change = savgol_filter(s.raw, min(9, s.raw.shape[1] - 1 | 1), 3, deriv=1, delta=1 / s.rate, axis=1)
+        rows.append(part.whiten(part.g @ (late * change).ravel()))
+    value, sd = solution.effect(np.concatenate(rows), [solution.column(n) for n in given])
+    return value, sd or math.inf
 
 
 def shift_finding(
-    solution: Solution, sensors: Collection[str], step: float, label: str, given: Sequence[str] = ()
+    solution: Solution, sensors: Collection[str], label: str, given: Sequence[str] = ()
 ) -> Finding:
-    """Whether some sensors are late against the others, by more than `SHIFT` sample times `step` [s]."""
-    late_by, sd = delay(solution, sensors, [step] * len(solution.samples), given)
+    """Whether some sensors are late against the others, by more than `SHIFT` samples."""
+    late_by, sd = delay(solution, sensors, given)
     return Finding(
         "time shift",
-        probability(late_by, sd, SHIFT * step),
+        probability(late_by, sd, SHIFT / solution.samples[0].rate),
         f"{label}: {', '.join(sensors)} would have to be {1e3 * late_by:.3g} +- {1e3 * sd:.2g} ms late",
     )
 
@@ -687,21 +665,19 @@ def drift_finding(
     name: str,
     courses: Sequence[tuple[Array, str]],
     label: str,
-    given: Array | None = None,
+    given: Sequence[Array] = (),
 ) -> Finding:
     """Whether an unknown changes in time or with the temperature of the oil.
 
     A change of less than the standard deviation of the unknown is no contradiction.
 
     courses   time or temperature of each window of each recording, and the word for it
-    given     whitened columns that are estimated together, (c, N)
+    given     whitened columns that are estimated together, (N,) each
     """
     along, word = np.concatenate([values for values, _ in courses]), courses[0][1]
     span = float(np.ptp(along))
     along = np.repeat((along - along.mean()) / (span or 1.0), solution.samples[0].law.rows)
-    own = (solution.column(name) * along)[None]
-    value, covariance = solution.effects(own if given is None else np.concatenate([own, given]))
-    change, sd = float(value[0]), math.sqrt(covariance[0, 0])
+    change, sd = solution.effect(solution.column(name) * along, given)
     percent = 100 / abs(solution.fit[name])
     return Finding(
         "oil temperature",

@@ -72,7 +72,6 @@ class ProcedureResult:
     remarks     sentences on masked and corrected samples, misfit, and what the data leave open
     listed      points of the opening curves, which are written to parameters.toml as lists
     findings    of the tests of what the procedure assumes, whether the data contradict it or not
-    warnings    sentences on a result that should not be used unseen; they go to the terminal, too
     others      other estimates, such as C_R at each voltage, which are not written to parameters.toml
     """
 
@@ -83,7 +82,6 @@ class ProcedureResult:
     panels: tuple[Panel, ...]
     remarks: tuple[str, ...] = ()
     others: tuple[Estimate, ...] = ()
-    warnings: tuple[str, ...] = ()
     listed: tuple[Estimate, ...] = ()
     findings: tuple[Finding, ...] = ()
 

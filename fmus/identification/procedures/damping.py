@@ -24,27 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmus.identification.balance import (
-    Solution,
-    drift_finding,
-    model_finding,
-    probability,
-    shift_finding,
-    solve,
-    zero_findings,
-)
+from fmus.identification import balance
+from fmus.identification.balance import Solution
 from fmus.identification.estimate import Estimate, coverage_factor
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
+from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.experiment_data import (
-    condition,
-    declared_limits,
-    noise_sd,
-    signal_findings,
-    tank_pressure,
-    training_recordings,
-)
 from fmus.identification.procedures.momentum_balance import (
     ANGLES,
     DRY,
@@ -55,15 +41,9 @@ from fmus.identification.procedures.momentum_balance import (
     PRESSURES,
     JointRecording,
     KnownParameterEffect,
-    all_good,
-    equation_of_motion,
-    joint_recording,
-    known_parameter_effects,
     parameter_vector,
-    speed_ratio,
 )
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
-from fmus.identification.recordings.masks import good_all
 from fmus.identification.recordings.reading import require
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -111,20 +91,11 @@ CONTACTS = {
 
 
 @dataclass(frozen=True)
-class PrintedEstimate:
-    """B by (13) with a filter of `window` [s]: as printed, and corrected for the noise of the speed."""
-
-    window: float
-    value: float
-    corrected: float
-
-
-@dataclass(frozen=True)
 class JointDamping:
     """Damping of one joint, estimated from its recordings.
 
     speed, resistance   x' and a of (13), filtered, shape (n,)
-    printed             the paper's estimator with several filters
+    printed             the paper's estimator, `as_printed`
     known_effect        effect of errors of the known parameters
     dry, dry_sd         dry friction: tested, or estimated with B if it is clear
     at_rest             names of files in which the joint does not move, which are left out
@@ -135,7 +106,7 @@ class JointDamping:
     solution: Solution
     speed: Array
     resistance: Array
-    printed: tuple[PrintedEstimate, ...]
+    printed: Array
     known_effect: KnownParameterEffect
     dry: float
     dry_sd: float
@@ -155,8 +126,8 @@ class JointDamping:
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """B of each joint that has recordings."""
     by_joint: dict[str, list[Recording]] = {joint: [] for joint in CONTACTS}
-    for recording in training_recordings(recordings, "damping", dict.fromkeys(ANGLES, "rad")):
-        joint = condition(recording, "joint", CONTACTS)
+    for recording in data.training_recordings(recordings, "damping", dict.fromkeys(ANGLES, "rad")):
+        joint = data.condition(recording, "joint", CONTACTS)
         require(recording, dict.fromkeys(PRESSURES[joint], "Pa"))
         by_joint[joint].append(recording)
     joints = [joint_damping(CONTACTS[j], r, parameters) for j, r in by_joint.items() if r]
@@ -188,21 +159,29 @@ def joint_damping(
 ) -> JointDamping:
     """B of one contact."""
     joint, theta, p = contact.joint, contact.theta, parameter_vector(parameters)
-    smoothed = [joint_recording(r, (joint,), (theta,), p, rounding=SIGN_ROUNDING) for r in recordings]
+    smoothed = [
+        momentum_balance.joint_recording(r, (joint,), (theta,), p, rounding=SIGN_ROUNDING) for r in recordings
+    ]
     records = tuple(r for r in smoothed if _moves(r, JOINTS.index(joint)))
     if not records:
         files, angle = ", ".join(str(r.source) for r in recordings), ANGLES[JOINTS.index(joint)]
         raise Problem(f"{files}: {angle}: expected a joint in motion, got one at rest")
-    solution = _fit(contact, records, recordings, parameters, tested=(DRY, OFFSET))
-    (dry, _), covariance = solution.effects(np.array([solution.column(n) for n in (DRY, OFFSET)]))
-    dry_sd = float(np.sqrt(covariance[0, 0]))
+
+    def fitted(*tested: str) -> Solution:
+        start = {theta: parameters[theta].value, DRY: 0.0, OFFSET: 0.0}
+        limits = data.declared_limits(recordings, PRESSURES[joint])
+        samples = [r.samples for r in records]
+        return balance.solve(samples, start, f"damping of the {joint}", limits, tested)
+
+    solution = fitted(DRY, OFFSET)
+    dry, dry_sd = solution.effect(solution.column(DRY), [solution.column(OFFSET)])
     if dry > CLEAR * dry_sd:  # else it would raise B
-        solution = _fit(contact, records, recordings, parameters, tested=(OFFSET,))
+        solution = fitted(OFFSET)
         dry, dry_sd = solution.fit[DRY], solution.fit.sd(DRY)
     # the resistance is all friction plus the residual
     speed, resistance = [], []
     for r, part in zip(records, solution.parts, strict=True):
-        ratio = speed_ratio(joint, r.z[:3], p)[r.samples.centres]
+        ratio = momentum_balance.speed_ratio(joint, r.z[:3], p)[r.samples.centres]
         by_theta = part.linear.by_theta[: len(solution.fit.values), 0]
         speed.append(-by_theta[0] / ratio)
         resistance.append((part.linear.e[0] - solution.fit.values @ by_theta) / ratio)
@@ -212,88 +191,65 @@ def joint_damping(
         solution=solution,
         speed=np.concatenate(speed),
         resistance=np.concatenate(resistance),
-        printed=tuple(as_printed([r.source for r in records], joint, theta, p)),
-        known_effect=known_parameter_effects(solution, parameters)[theta],
-        dry=float(dry),
+        printed=as_printed([r.source for r in records], joint, theta, p),
+        known_effect=momentum_balance.known_parameter_effects(solution, parameters)[theta],
+        dry=dry,
         dry_sd=dry_sd,
-        at_rest=tuple(r.source.source.name for r in smoothed if not _moves(r, JOINTS.index(joint))),
-    )
-
-
-def _fit(
-    contact: FrictionContact,
-    records: Sequence[JointRecording],
-    recordings: Sequence[Recording],
-    parameters: Mapping[str, Number],
-    tested: tuple[str, ...],
-) -> Solution:
-    """B, and a dry friction unless it is only tested."""
-    return solve(
-        [r.samples for r in records],
-        {contact.theta: parameters[contact.theta].value, DRY: 0.0, OFFSET: 0.0},
-        f"damping of the {contact.joint}",
-        declared_limits(recordings, PRESSURES[contact.joint]),
-        tested=tested,
+        at_rest=tuple(r.source.source.name for r in smoothed if not any(r is own for own in records)),
     )
 
 
 def _moves(r: JointRecording, joint: int) -> bool:
     """Whether the speed of a joint is above its noise."""
-    noise = float(np.linalg.norm(r.samples.channels[3][1]) * noise_sd(r.source, ANGLES[joint]))
+    noise = float(np.linalg.norm(r.samples.channels[3][1]) * data.noise_sd(r.source, ANGLES[joint]))
     return bool(np.sqrt(np.mean(r.z[3 + joint] ** 2)) > max(MOVING * noise, SLOWEST))
 
 
 def _findings(joint: JointDamping) -> Iterator[Finding]:
     """Tests of the residual: dry friction, a change in time, delays between sensors, zeros, the model."""
-    label, solution = joint.contact.parameter, joint.solution
+    label, solution, pressures = joint.contact.parameter, joint.solution, PRESSURES[joint.contact.joint]
+    recordings = [r.source for r in joint.records]
     yield Finding(
         "dry friction",
-        probability(joint.dry, joint.dry_sd, sides=1),
+        balance.probability(joint.dry, joint.dry_sd, sides=1),
         f"{label}: the residual has the sign of the speed, a dry friction of {joint.dry:.3g} +- "
         f"{joint.dry_sd:.2g} {joint.contact.resistance_unit}",
     )
-    courses = [r.course for r in joint.records]
-    yield drift_finding(solution, joint.contact.theta, courses, label)
-    step = 1 / uniform_rate(joint.records[0].source)
-    yield shift_finding(solution, PRESSURES[joint.contact.joint], step, label, given=(DRY, OFFSET))
-    yield from zero_findings(solution, label)
-    recordings = [r.source for r in joint.records]
-    yield from signal_findings(recordings, (*ANGLES, *PRESSURES[joint.contact.joint]), label)
-    yield model_finding(solution, label)
+    yield balance.drift_finding(solution, joint.contact.theta, data.courses(recordings, solution), label)
+    yield balance.shift_finding(solution, pressures, label, given=(DRY, OFFSET))
+    yield from balance.zero_findings(solution, label)
+    yield from data.signal_findings(recordings, (*ANGLES, *pressures), label)
+    yield balance.model_finding(solution, label)
 
 
-def as_printed(recordings: Sequence[Recording], joint: str, theta: str, p: Array) -> list[PrintedEstimate]:
-    """(13) over all recordings for each of the filters; theta is the name of the damping."""
+def as_printed(recordings: Sequence[Recording], joint: str, theta: str, p: Array) -> Array:
+    """(13) over all recordings, theta is the name of the damping.
+
+    A row for each of the filters: its length [s], B as printed, and B corrected for the noise of the speed.
+    """
     undamped, step = p.copy(), 1 / uniform_rate(recordings[0])
     undamped[PARAMETERS.index(theta)] = 0.0
-    estimates = []
+    rows = []
     for length in FILTER_LENGTHS:
         sums = np.sum([_sums(r, joint, undamped, length) for r in recordings], axis=0)
-        product, square, product_noise, square_noise = map(float, sums)
-        corrected = (product - product_noise) / (square - square_noise)
-        estimates.append(PrintedEstimate(length * step, product / square, corrected))
-    return estimates
+        rows.append([length * step, sums[0, 0] / sums[1, 0], (sums[0] @ [1, -1]) / (sums[1] @ [1, -1])])
+    return np.array(rows)
 
 
 def _sums(recording: Recording, joint: str, p: Array, length: int) -> Array:
-    """Sums of x' a and x'^2, and the mean contribution of the noise to each."""
+    """Sums of x' a and of x'^2, and in the second column the mean contribution of the noise to each."""
     row, rate = JOINTS.index(joint), uniform_rate(recording)
-    savitzky_golay = SavitzkyGolay(rate, (length - 1) / rate, ORDER)
-    valid = all_good(good_all(recording, (*ANGLES, *PRESSURES[joint])), length)
-    kernels = savitzky_golay.weights
-    angles, pressures = (
-        momentum_balance.angles(recording),
-        momentum_balance.pressures(recording, PRESSURES[joint]),
+    kernel = SavitzkyGolay(rate, (length - 1) / rate, ORDER)
+    f = momentum_balance.filtered(recording, (joint,), kernel)
+    q, w, pressures = np.split(f.z[:, f.good], [3, 6])
+    equation, tank = momentum_balance.equation_of_motion()[1], data.tank_pressure(recording)
+    a, by_speed, ratio = (
+        x.full()[row] for x in equation(q, w, f.acceleration[:, f.good], pressures, tank, p)
     )
-    q, w, acceleration = (
-        np.array([np.correlate(x, kernel, "valid") for x in angles])[:, valid] for kernel in kernels
-    )
-    pressures = np.array([np.correlate(x, kernels[0], "valid") for x in pressures])[:, valid]
-    printed = equation_of_motion()[1](q, w, acceleration, pressures, tank_pressure(recording), p)
-    a, by_speed, ratio = (x.full()[row] for x in printed)
-    noise = savitzky_golay.gain(1) * noise_sd(recording, ANGLES[row])
-    product, square = w[row] @ a, np.sum((ratio * w[row]) ** 2)
-    return np.array([product, square, noise**2 * by_speed.sum(), noise**2 * np.sum(ratio**2)])
+    variance = (kernel.gain(1) * data.noise_sd(recording, ANGLES[row])) ** 2
+    products = (w[row] @ a, variance * by_speed.sum())
+    squares = (np.sum((ratio * w[row]) ** 2), variance * np.sum(ratio**2))
+    return np.array([products, squares])
 
 
 def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
@@ -308,8 +264,7 @@ def panels(joint: JointDamping) -> tuple[Panel, Panel, Panel]:
         x_unit=(contact.speed_unit, 1.0),
         y_unit=(contact.resistance_unit, 1.0),
     ).with_line(joint.value, "B x'")
-    windows = np.array([p.window for p in joint.printed])
-    printed, corrected = (np.array([getattr(p, n) for p in joint.printed]) for n in ("value", "corrected"))
+    windows, printed, corrected = joint.printed.T
     half = np.full(2, coverage_factor() * joint.sd)
     curves = (
         Curve("(13), a at every sample", windows, printed, "compared", line=True),
@@ -358,12 +313,11 @@ def _remarks(joint: JointDamping) -> Iterator[str]:
         f"the residuals are {times:.3g} times the noise of the sensors, which alone would give a standard "
         f"deviation of {noise:.3g} {unit}. {conclusion}"
     )
-    first = joint.printed[0]
-    percent = 100 * (first.value / first.corrected - 1)
+    window, printed, corrected = joint.printed[0]
     yield (
-        f"eq. (13) as printed, with a derivative over {first.window * 1e3:.3g} ms, gives "
-        f"{first.value:.4g} {unit}; {first.corrected:.4g} without the bias by the encoders' noise, "
-        f"{percent:+.2g} %."
+        f"eq. (13) as printed, with a derivative over {window * 1e3:.3g} ms, gives "
+        f"{printed:.4g} {unit}; {corrected:.4g} without the bias by the encoders' noise, "
+        f"{100 * (printed / corrected - 1):+.2g} %."
     )
     yield from joint.known_effect.remarks(joint.value, unit)
     if joint.dry < -CLEAR * joint.dry_sd:

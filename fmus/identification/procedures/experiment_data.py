@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import stats
 
-from fmus.identification.balance import SIGNIFICANT
+from fmus.identification.balance import SIGNIFICANT, Solution
+from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR
 from fmus.identification.recording_names import TEMPERATURE
@@ -85,6 +86,11 @@ def hose_size(recordings: Sequence[Recording]) -> tuple[float, float]:
     return first.numeric_condition("length"), first.numeric_condition("diameter")
 
 
+def stated(recording: Recording, name: str) -> float | None:
+    """An optional condition of the experiment that is a number [SI]."""
+    return recording.numeric_condition(name) if name in recording.conditions else None
+
+
 def density_ratio(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> float:
     """Density of the machine's oil over that of the tested oil; 1 if the latter is not recorded."""
     tested = tested_density(recordings)
@@ -113,14 +119,14 @@ def constants_remark(parameters: Mapping[str, Number], names: Iterable[str], tes
 
 def tested_density(recordings: Sequence[Recording]) -> float | None:
     """Density of the tested oil [kg/m3], None if the recordings do not state it."""
-    return recordings[0].numeric_condition("density") if "density" in recordings[0].conditions else None
+    return stated(recordings[0], "density")
 
 
 def tank_pressure(recording: Recording) -> float:
     """Gauge pressure of the return line [Pa]: mean of its signal, or the stated one, or 0."""
     if "swing.tank_pressure" in recording.signals:
         return float(np.nanmean(recording["swing.tank_pressure"]))
-    return recording.numeric_condition("tank_pressure") if "tank_pressure" in recording.conditions else 0.0
+    return stated(recording, "tank_pressure") or 0.0
 
 
 def noise_sd(recording: Recording, name: str) -> float:
@@ -232,6 +238,17 @@ def course(recording: Recording, time: Array) -> tuple[Array, str]:
     return np.interp(recording.time[0] + time, recording.time, values), "oil temperature"
 
 
+def course_of(recording: Recording, stretches: Sequence[slice]) -> tuple[Array, str]:
+    """The `course` at the middles of stretches."""
+    middles = [recording.time[stretch].mean() - recording.time[0] for stretch in stretches]
+    return course(recording, np.array(middles))
+
+
+def courses(recordings: Sequence[Recording], solution: Solution) -> list[tuple[Array, str]]:
+    """The `course` of each recording at the centres of the windows of a balance."""
+    return [course(r, s.times) for r, s in zip(recordings, solution.samples, strict=True)]
+
+
 def select(table: Table, mask: Mask) -> Table:
     """The rows of a dataclass of arrays for which a mask is true."""
     return type(table)(**{name: array[mask] for name, array in vars(table).items()})
@@ -283,6 +300,10 @@ class StepMeans:
         """The good steps."""
         return select(self, self.good)
 
+    def without_zero(self: Steps, zero: float) -> Steps:
+        """The steps with drops that are `zero` [Pa] less."""
+        return replace(self, drop=self.drop - zero)
+
     def omissions(self) -> str:
         """Numbers of steps that are not good, with the reasons; empty if all steps are good."""
         reasons = (
@@ -331,12 +352,11 @@ def step_means(recording: Recording, steps: Sequence[slice]) -> StepMeans:
     )
 
 
-def pressure_offset_remark(offset: float, sd: float) -> tuple[str, ...]:
-    """A sentence if the estimated difference [Pa] of the two pressures without flow is significant."""
-    if abs(offset) <= SIGNIFICANT * sd:
-        return ()
-    bar = BAR[1]
-    return (
-        f"Without flow the two pressures would differ by {offset / bar:.2g} +- {sd / bar:.1g} bar. "
-        "This offset of the transducers is subtracted.",
-    )
+def pressure_offset_remark(zero: Estimate) -> Iterator[str]:
+    """A sentence if the estimated difference of the two pressures without flow is significant."""
+    if abs(zero.value) > SIGNIFICANT * zero.sd:
+        offset = f"{zero.value / BAR[1]:.2g} +- {zero.sd / BAR[1]:.1g} bar"
+        yield (
+            f"Without flow the two pressures would differ by {offset}. "
+            "This offset of the transducers is subtracted."
+        )

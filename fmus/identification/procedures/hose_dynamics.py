@@ -36,47 +36,16 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from scipy import optimize
+from scipy import optimize, stats
 from scipy.ndimage import shift
 
 from fmus.components import hose
-from fmus.identification.balance import (
-    HOP,
-    SHIFT,
-    SIGNIFICANT,
-    UNLIKELY,
-    Law,
-    Regression,
-    Samples,
-    Solution,
-    delay,
-    drift_finding,
-    homogeneity,
-    law,
-    misfit_remark,
-    model_finding,
-    modulating_function,
-    noise_of,
-    probability,
-    solve,
-    window_starts,
-    zero_findings,
-)
+from fmus.identification import balance
+from fmus.identification.balance import Law, Regression, Samples, Solution, probability
 from fmus.identification.estimate import Estimate, coverage_factor
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
-from fmus.identification.procedures.experiment_data import (
-    constants_remark,
-    course,
-    density_ratio,
-    hose_size,
-    noise_sd,
-    parameter_value,
-    signal_findings,
-    tested_density,
-    training_recordings,
-    zero_limits,
-)
+from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.recordings.clock import filter_for, period, uniform_rate
 from fmus.identification.recordings.masks import good, good_all
@@ -94,17 +63,11 @@ SIGNALS: Mapping[str, str] = {
 PERIODS = 4.0  # half width of the windows, in periods of the frequency of eq. (3)
 SAMPLES_PER_PERIOD = 2.5  # minimum, above Nyquist's two
 UNITS = {"I": "kg/m4", "C": "m3/Pa"}
-# parameters of the machine and the lines that they belong to
+QUANTITIES = {"I": "inertance", "C": "capacitance"}
+# lines of the machine that have each quantity as a parameter
 LINES = {
-    "I": {
-        "boom_stick.stick_hose_inertance": "boom_stick.stick_hose",
-        "boom_stick.boom_hose_inertance": "boom_stick.boom_hose",
-        "swing.line_inertance": "swing.line",
-    },
-    "C": {
-        "boom_stick.stick_hose_capacitance": "boom_stick.stick_hose",
-        "boom_stick.boom_hose_capacitance": "boom_stick.boom_hose",
-    },
+    "I": ("boom_stick.stick_hose", "boom_stick.boom_hose", "swing.line"),
+    "C": ("boom_stick.stick_hose", "boom_stick.boom_hose"),
 }
 MIN_WINDOWS = 20  # per group: fewer do not determine five unknowns
 DEFINITION_WINDOW = 0.055  # s, filter for the definitions: a third of the shortest change
@@ -121,33 +84,37 @@ CLEAR = 0.3  # derivatives above this fraction of the recording's largest one ar
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Inertance and capacitance of the stick's, the boom's and the swing's lines from the tested hose."""
-    tests = training_recordings(recordings, "hose_dynamics", SIGNALS)
-    length, bore = hose_size(tests)
-    both = equations(parameters, length, bore)
+    tests = data.training_recordings(recordings, "hose_dynamics", SIGNALS)
+    length, bore = data.hose_size(tests)
+    equations_ = equations(parameters, length, bore)
     for test in tests:
-        _check(test, both[0])
-    aligned = align(both, tests)
-    inertances, capacitances = (fits(*own, aligned) for own in zip(both, aligned.solutions, strict=True))
-    defined = [by_definition(group, both[0].start["C_R"]) for group in aligned.groups]
+        _check(test, equations_[0])
+    aligned = align(equations_, tests)
+    both = [fitted(*own, aligned) for own in zip(equations_, aligned.solutions, strict=True)]
+    resistance = equations_[0].start["C_R"]
+    # for each quantity the samples of each group
+    defined = [*zip(*(by_definition(group, resistance) for group in aligned.groups), strict=True)]
+    sides = (
+        ("dQ/dt [m3/s2]", "drop without friction", BAR),
+        ("dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
+    )
     return ProcedureResult(
         procedure="hose_dynamics",
         title=f"Hose inertance and capacitance: {length:g} m, bore {bore * 1e3:.4g} mm",
         figure=7,
-        estimates=(*_lines(inertances, tests, parameters), *_lines(capacitances, tests, parameters)),
+        estimates=tuple(e for fits in both for e in _lines(fits, tests, parameters)),
         panels=(
-            _groups_panel(inertances, [i for i, _ in defined], "inertance [kg/m4]"),
-            _groups_panel(capacitances, [c for _, c in defined], "capacitance [m3/Pa]"),
-            *_equation_panels(inertances, "dQ/dt [m3/s2]", "drop without friction", BAR),
-            *_equation_panels(capacitances, "dP/dt [Pa/s]", "flow stored in the hose", LITRES_PER_MINUTE),
+            *map(_groups_panel, both, defined),
+            *(p for fits, labels in zip(both, sides, strict=True) for p in _equation_panels(fits, *labels)),
         ),
         remarks=(
-            *_remarks(inertances, capacitances),
-            constants_remark(parameters, ["density", "bulk_modulus"], tested_density(tests)),
+            *_remarks(both),
+            data.constants_remark(parameters, ["density", "bulk_modulus"], data.tested_density(tests)),
         ),
-        others=tuple(_others(inertances, capacitances, defined)),
+        others=tuple(_others(both, defined)),
         findings=(
-            *_findings(inertances, capacitances, aligned),
-            *signal_findings(tests, SIGNALS, "hose_dynamics"),
+            *_findings(both, aligned),
+            *data.signal_findings(tests, SIGNALS, "hose_dynamics"),
         ),
     )
 
@@ -168,16 +135,14 @@ class Equation:
     transition_flow: float
 
 
-def equations(parameters: Mapping[str, Number], length: float, bore: float) -> tuple[Equation, Equation]:
+def equations(parameters: Mapping[str, Number], length: float, bore: float) -> tuple[Equation, ...]:
     """Both equations of a hose; |Q| is rounded as in `spool_valve.turbulent_drop`."""
-    density, modulus, known = (
-        parameter_value(parameters, f"boom_stick.{name}")
-        for name in ("density", "bulk_modulus", "valve_transition_flow")
-    )
-    # resistance of the tested hose from that of the stick's hose, eq. (10)
-    resistance, stick_length, stick_bore = (
-        parameter_value(parameters, f"boom_stick.stick_hose_{name}")
-        for name in ("resistance", "length", "bore")
+    density, modulus, known, resistance, stick_length, stick_bore = (
+        data.parameter_value(parameters, f"boom_stick.{name}")
+        for name in (
+            *("density", "bulk_modulus", "valve_transition_flow"),
+            *("stick_hose_resistance", "stick_hose_length", "stick_hose_bore"),
+        )
     )
     half_width = PERIODS / float(hose.frequency_limit(length, density, modulus))
     z, transition = ca.SX.sym("z", 4), ca.SX.sym("transition")
@@ -187,29 +152,25 @@ def equations(parameters: Mapping[str, Number], length: float, bore: float) -> t
     friction = flow * (u["R"] + u["C_R"] * ca.sqrt(flow**2 + transition**2))
     inertance = {
         "I": float(hose.inertance(length, bore, density)),
-        "C_R": scaled(resistance, stick_length, stick_bore, length, bore),
+        "C_R": scaled(resistance, stick_length, stick_bore, length, bore),  # by that of the stick's hose
         "R": 0.0,
         "s": 0.0,
     }
     capacitance = {"C": float(hose.capacitance(length, bore, modulus)), "s": 0.0}
     terms = (
-        (inertance, p_in - p_out - friction, u["I"] * flow),
-        (capacitance, q_in - q_out, u["C"] * pressure),
+        ("I", inertance, p_in - p_out - friction, u["I"] * flow),
+        ("C", capacitance, q_in - q_out, u["C"] * pressure),
     )
-    first, second = (
-        Equation(
-            next(iter(start)), law(z, {n: u[n] for n in start}, transition, f, h), start, half_width, known
-        )
-        for start, f, h in terms
+    return tuple(
+        Equation(name, balance.law(z, {n: u[n] for n in start}, transition, f, h), start, half_width, known)
+        for name, start, f, h in terms
     )
-    return first, second
 
 
 def _check(test: Recording, equation: Equation) -> None:
     """Refuse constant flows, meters that count in opposite directions, too few samples."""
-    ends = [test[name] for name in ("flow_in", "flow_out")]
-    valid = np.isfinite(ends[0]) & np.isfinite(ends[1])
-    inlet, outlet = (flow[valid] for flow in ends)
+    ends = np.array([test[name] for name in ("flow_in", "flow_out")])
+    inlet, outlet = ends[:, np.isfinite(ends).all(axis=0)]
     if inlet.size and not np.ptp(inlet) > 0:
         raise Problem(f"{test.source}: flow_in: expected fast changes of flow and pressure, got a constant")
     if inlet @ outlet < 0:
@@ -234,32 +195,35 @@ def _check(test: Recording, equation: Equation) -> None:
 def prepared(recording: Recording, equation: Equation) -> Samples:
     """The four signals of a recording over windows of good samples."""
     rate = uniform_rate(recording)
-    half = max(round(equation.half_width * rate), 3)
-    bump, slope = modulating_function(half)
+    bump, slope = balance.modulating_function(max(round(equation.half_width * rate), 3), rate)
     raw = np.array([recording.interpolated(n) for n in SIGNALS])
     return Samples(
         law=equation.law,
         names=equation.law.unknowns,
         sensors=tuple(SIGNALS),
         raw=raw,
-        sd=noise_of(raw, np.array([noise_sd(recording, n) for n in SIGNALS])),
+        sd=balance.noise_of(raw, np.array([data.noise_sd(recording, n) for n in SIGNALS])),
         channels=[(k, np.ones(1)) for k in range(4)],
         known=np.array([equation.transition_flow]),
-        bump=bump / rate,
+        rate=rate,
+        bump=bump,
         slope=slope,
-        starts=window_starts(good_all(recording, SIGNALS), half),
+        starts=balance.window_starts(good_all(recording, SIGNALS), bump.size),
     )
 
 
 def solved(equation: Equation, groups: Sequence[Recording]) -> Solution:
     """Fit of one equation to some recordings."""
-    return solve(
+    return balance.solve(
         [prepared(group, equation) for group in groups],
         equation.start,
         f"hose_dynamics, {equation.name}",
-        zero_limits(groups, SIGNALS),
+        data.zero_limits(groups, SIGNALS),
         priors={"s": POSITION},
     )
+
+
+# ---- delay of a logger ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -283,19 +247,19 @@ def align(both: Sequence[Equation], tests: Sequence[Recording]) -> Aligned:
 
     A delay is searched for only if an equation does not fit.
     """
-    steps = [1 / uniform_rate(test) for test in tests]
-    plain = fitted = _attempt(both, tests)
+    plain = aligned = _attempt(both, tests)
     late, delayed = LOGGERS[0], 0.0
     if plain is None or any(solution.fit.misfit for solution in plain):
         late, delayed = _search(both, tests)
-        fitted = _attempt(both, [_without(test, late, delayed) for test in tests])
-    changes = [delay(solution, late, steps) for solution in fitted or ()]
+        aligned = _attempt(both, [_without(test, late, delayed) for test in tests])
+    changes = [balance.delay(solution, late) for solution in aligned or ()]
     change, sd = min(changes, key=lambda found: found[1], default=(0.0, math.inf))
     delayed += change
-    p = min(1.0, len(LOGGERS) * probability(delayed, sd, SHIFT * max(steps)))
+    tolerance = balance.SHIFT / min(map(uniform_rate, tests))
+    p = min(1.0, len(LOGGERS) * probability(delayed, sd, tolerance))
     milliseconds = f"{1e3 * delayed:.3g} +- {1e3 * sd:.2g} ms"
     sentence = f"hose_dynamics: {', '.join(late)} would have to be {milliseconds} late"
-    if p > UNLIKELY:
+    if p > balance.UNLIKELY:
         solutions = plain or [solved(equation, tests) for equation in both]
         return Aligned(tests, solutions, (), Finding("time shift", p, sentence))
     groups, later = ([_without(test, late, x) for test in tests] for x in (delayed, delayed + sd))
@@ -324,67 +288,60 @@ def _without(recording: Recording, late: Sequence[str], delayed: float) -> Recor
 
 
 def _search(both: Sequence[Equation], tests: Sequence[Recording]) -> tuple[Sequence[str], float]:
-    """Sensors with one logger, and their delay [s] against the others with which both equations fit best."""
-    every = [(equation, [_inner(prepared(test, equation)) for test in tests]) for equation in both]
+    """Sensors with one logger, and their delay [s] against the others with which both equations fit best.
+
+    Windows count whose neighbours are without a bad sample, too, up to which signals are moved.
+    """
+    every = [(equation, [prepared(test, equation) for test in tests]) for equation in both]
+    for _, samples in every:
+        for k, s in enumerate(samples):
+            between = np.isin(s.starts - s.hop, s.starts) & np.isin(s.starts + s.hop, s.starts)
+            samples[k] = replace(s, starts=s.starts[between])
     if any(s.starts.size < MIN_WINDOWS for _, samples in every for s in samples):
         return LOGGERS[0], 0.0
-    rates = [uniform_rate(test) for test in tests]
-    longest = HOP * both[0].half_width
+    longest = balance.HOP * both[0].half_width
     grid = np.linspace(-longest, longest, DELAYS)
 
     def misfit(delayed: float, late: Sequence[str]) -> float:
-        return sum(_misfit(equation, samples, rates, late, delayed) for equation, samples in every)
+        return sum(_misfit(equation, samples, late, delayed) for equation, samples in every)
 
     nearest, late = min(((x, late) for late in LOGGERS for x in grid), key=lambda tried: misfit(*tried))
     around = nearest + (grid[1] - grid[0]) * np.array([-1, 1])
-    found = optimize.minimize_scalar(
-        misfit, bounds=around, args=(late,), options={"xatol": 1e-2 / max(rates)}
-    )
+    accuracy = {"xatol": 1e-2 / max(map(uniform_rate, tests))}
+    found = optimize.minimize_scalar(misfit, bounds=around, args=(late,), options=accuracy)
     return late, float(found.x)
 
 
-def _inner(s: Samples) -> Samples:
-    """The windows whose neighbours are without a bad sample, too."""
-    hop = max(round(HOP * (s.bump.size + 1) / 2), 1)
-    return replace(s, starts=s.starts[np.isin(s.starts - hop, s.starts) & np.isin(s.starts + hop, s.starts)])
-
-
-def _misfit(
-    equation: Equation,
-    samples: Sequence[Samples],
-    rates: Sequence[float],
-    late: Sequence[str],
-    delayed: float,
-) -> float:
+def _misfit(equation: Equation, samples: Sequence[Samples], late: Sequence[str], delayed: float) -> float:
     """Logarithm of the squares that plain least squares leave of an equation, linear about its start."""
     columns, theta = [], np.array([*equation.start.values()])
-    for s, rate in zip(samples, rates, strict=True):
-        rows = [k for k, name in enumerate(s.sensors) if name in late]
-        raw = s.raw.copy()
-        raw[rows] = shift(raw[rows], (0, -delayed * rate), mode="nearest")
-        both, _, by_theta = (x.full() for x in s.law.terms(raw, theta, s.known))
-        force, momentum = np.concatenate([both[None], by_theta.reshape(theta.size, 2, -1)]).swapaxes(0, 1)
-        ones = np.full((1, s.starts.size), s.weight)
-        columns.append(np.concatenate([s.integral(force, momentum), ones]))
+    for s in samples:
+        moved = shift(s.raw, (0, -delayed * s.rate), mode="nearest")
+        raw = np.where(np.isin(s.sensors, late)[:, None], moved, s.raw)
+        at = balance.linearised(s, raw, theta)
+        columns.append(np.concatenate([at.e, at.by_theta[:, 0], np.ones_like(at.e)]))
     e, *x = np.concatenate(columns, axis=1)
     matrix = np.array(x).T / np.maximum(np.linalg.norm(x, axis=1), 1e-300)
     left = e - matrix @ np.linalg.lstsq(matrix, e)[0]
     return math.log(max(float(left @ left), 1e-300))
 
 
+# ---- results -------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class GroupFits:
     """Fits of one quantity, "I" or "C": to each group of recordings, and to all groups.
 
-    pooled        the fit to all groups; its interval is widened to their scatter if they differ
-    homogeneity   probability of the scatter between the groups if all have the same value
+    pooled   the fit to all groups; its interval is widened to their scatter if they differ
+    equal    probability of the scatter between the groups if all have the same value
     """
 
     name: str
     groups: tuple[Regression, ...]
     solution: Solution
     pooled: Regression
-    homogeneity: float
+    equal: float
 
     @property
     def determined(self) -> bool:
@@ -392,64 +349,62 @@ class GroupFits:
         return self.pooled.determined(self.name)
 
 
-def fits(equation: Equation, solution: Solution, aligned: Aligned) -> GroupFits:
+def fitted(equation: Equation, solution: Solution, aligned: Aligned) -> GroupFits:
     """Fits of all groups and of each."""
-    name, groups, pooled = equation.name, aligned.groups, solution.fit
+    name, groups, pooled, equal = equation.name, aligned.groups, solution.fit, 1.0
     alone = [solved(equation, [group]).fit for group in groups] if len(groups) > 1 else [pooled]
-    if pooled[name] < -SIGNIFICANT * pooled.sd(name):
+    if pooled[name] < -balance.SIGNIFICANT * pooled.sd(name):
         files = ", ".join(str(group.source) for group in groups)
         raise Problem(
             f"{files}: {name}: expected positive, got {pooled[name]:.3g}: change the sign of the "
             "flows, or exchange the two pressures"
         )
-    values, chance = [group[name] for group in alone], 1.0
     if len(alone) > 1:
-        chance = homogeneity(values, [group.sd(name) for group in alone])
-    if chance < UNLIKELY:
-        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(values))
-        widening = max(1.0, scatter / pooled.sd(name))
-        pooled = replace(pooled, covariance=pooled.covariance * widening**2)
+        values, weights = np.array([(group[name], group.sd(name) ** -2.0) for group in alone]).T
+        away = values - np.average(values, weights=weights)
+        equal = float(stats.chi2.sf(weights @ away**2, values.size - 1))
+        if equal < balance.UNLIKELY:
+            widening = max(1.0, values.std(ddof=1) / math.sqrt(values.size) / pooled.sd(name))
+            pooled = replace(pooled, covariance=pooled.covariance * widening**2)
     if aligned.later:
         change = solved(equation, aligned.later).fit.values - pooled.values
         pooled = replace(pooled, covariance=pooled.covariance + np.outer(change, change))
-    return GroupFits(name, tuple(alone), solution, pooled, chance)
+    return GroupFits(name, tuple(alone), solution, pooled, equal)
 
 
-def _findings(inertances: GroupFits, capacitances: GroupFits, aligned: Aligned) -> Iterator[Finding]:
+def _findings(both: Sequence[GroupFits], aligned: Aligned) -> Iterator[Finding]:
     """Tests of both residuals: zeros, the model, a delay, a change in time."""
-    for fits, quantity in ((inertances, "inertance"), (capacitances, "capacitance")):
-        label = f"hose_dynamics, {quantity}"
-        yield from zero_findings(fits.solution, label)
-        yield model_finding(fits.solution, label)
+    for fits in both:
+        label = f"hose_dynamics, {QUANTITIES[fits.name]}"
+        yield from balance.zero_findings(fits.solution, label)
+        yield balance.model_finding(fits.solution, label)
     yield aligned.finding
-    solution = inertances.solution
-    courses = [
-        course(group, s.centres / uniform_rate(group))
-        for group, s in zip(aligned.groups, solution.samples, strict=True)
-    ]
-    yield drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")
+    solution = both[0].solution
+    courses = data.courses(aligned.groups, solution)
+    yield balance.drift_finding(solution, "C_R", courses, "hose_dynamics: the resistance")
 
 
 def by_definition(recording: Recording, resistance: float) -> tuple[Array, Array]:
     """Samples of I and of C; the drop is C_R Q|Q| with the hose's C_R [Pa.s2/m6]."""
     window = max(DEFINITION_WINDOW, DEFINITION_SAMPLES * period(recording.time))
-    smoothing, good = filter_for(recording, window), good_all(recording, SIGNALS)
+    smoothing, usable = filter_for(recording, window), good_all(recording, SIGNALS)
     signal, rate = (
-        {name: smoothing.apply(np.where(good, recording[name], np.nan), order) for name in SIGNALS}
+        {name: smoothing.apply(np.where(usable, recording[name], np.nan), order) for name in SIGNALS}
         for order in (0, 1)
     )
     flow = signal["flow_in"]
     inertial_drop = signal["pressure_in"] - signal["pressure_out"] - resistance * flow * np.abs(flow)
-    fractions = ((inertial_drop, rate["flow_in"]), (flow - signal["flow_out"], rate["pressure_out"]))
-    ratios = []
-    for numerator, denominator in fractions:
+
+    def ratio(numerator: Array, denominator: Array) -> Array:
         size = np.abs(denominator)
         clear = size > CLEAR * np.max(size, initial=0.0, where=np.isfinite(size))
-        ratios.append(numerator[clear] / denominator[clear])
-    return ratios[0], ratios[1]
+        return np.asarray(numerator[clear] / denominator[clear])
+
+    stored = flow - signal["flow_out"]
+    return ratio(inertial_drop, rate["flow_in"]), ratio(stored, rate["pressure_out"])
 
 
-def mean_of_means(name: str, unit: str, groups: list[Array]) -> Estimate:
+def mean_of_means(name: str, unit: str, groups: Sequence[Array]) -> Estimate:
     """The mean of the groups' means, with Student's t interval from their scatter."""
     means = np.array([group.mean() for group in groups if group.size])
     n = means.size
@@ -463,13 +418,11 @@ def _lines(
     fits: GroupFits, groups: Sequence[Recording], parameters: Mapping[str, Number]
 ) -> Iterator[Estimate]:
     """The machine's lines by I ~ rho l/A and C ~ A l; none if the data do not determine the quantity."""
-    if not fits.determined:
-        return
-    length, bore = hose_size(groups)
-    density = density_ratio(groups, parameters) if fits.name == "I" else 1.0
-    for name, line in LINES[fits.name].items():
-        line_length = parameter_value(parameters, f"{line}_length")
-        area = float(hose.area(parameter_value(parameters, f"{line}_bore")) / hose.area(bore))
+    length, bore = data.hose_size(groups)
+    density = data.density_ratio(groups, parameters) if fits.name == "I" else 1.0
+    for line in LINES[fits.name] if fits.determined else ():
+        line_length = data.parameter_value(parameters, f"{line}_length")
+        area = float(hose.area(data.parameter_value(parameters, f"{line}_bore")) / hose.area(bore))
         ratio = line_length / length
         factor = density * (ratio / area if fits.name == "I" else ratio * area)
         note = "regression over windows, section 4(c)"
@@ -477,48 +430,48 @@ def _lines(
             note += f", times {factor:.4g} for {line_length:g} m instead of {length:g} m"
             note += "" if abs(area - 1) < 1e-9 else f" and {area:.4g} times the area"
             note += "" if abs(density - 1) < 1e-9 else f" and {density:.4g} times the density"
+        name = f"{line}_{QUANTITIES[fits.name]}"
         yield fits.pooled.estimate(name, UNITS[fits.name], note, fits.name, factor)
 
 
-def _others(
-    inertances: GroupFits, capacitances: GroupFits, defined: Sequence[tuple[Array, Array]]
-) -> Iterator[Estimate]:
-    for k, fits in enumerate((inertances, capacitances)):
+def _others(both: Sequence[GroupFits], defined: Sequence[Sequence[Array]]) -> Iterator[Estimate]:
+    for fits, samples in zip(both, defined, strict=True):
         unit = UNITS[fits.name]
         yield fits.pooled.estimate(fits.name, unit, "regression, the tested hose")
-        yield mean_of_means(f"{fits.name} by definition", unit, [both[k] for both in defined])
-    for fits, signal, end in ((inertances, "flow", "outlet"), (capacitances, "pressure", "inlet")):
+        yield mean_of_means(f"{fits.name} by definition", unit, samples)
+    for fits, signal, end in zip(both, ("flow", "pressure"), ("outlet", "inlet"), strict=True):
         note = f"position s of the {signal}; 0 lumped, 1/2 distributed"
         yield fits.pooled.estimate(f"weight of the {end}'s {signal}", "1", note, "s")
 
 
-def _groups_panel(fits: GroupFits, defined: Sequence[Array], label: str) -> Panel:
+def _groups_panel(fits: GroupFits, defined: Sequence[Array]) -> Panel:
     """Values of each group by both methods."""
-    number = np.arange(1.0, len(defined) + 1)
-    values = np.array([group[fits.name] for group in fits.groups])
-    errors = coverage_factor() * np.array([group.sd(fits.name) for group in fits.groups])
-    means, scatter = (np.array([f(samples) for samples in defined]) for f in (np.mean, np.std))
+    number, quantity = np.arange(1.0, len(defined) + 1), QUANTITIES[fits.name]
+    values, sds = np.array([(group[fits.name], group.sd(fits.name)) for group in fits.groups]).T
+    means, scatter = np.array([(samples.mean(), samples.std()) for samples in defined]).T
     ends = np.array([0.5, len(defined) + 0.5])
+    errors = coverage_factor() * sds
     curves = (
         Curve("by definition: mean and scatter of samples", number - 0.1, means, "compared", error=scatter),
         Curve("by definition: mean of means", ends, np.full(2, means.mean()), "compared", line=True),
         Curve("regression, 95 %", number + 0.1, values, "measured", error=errors),
         Curve("regression, all groups", ends, np.full(2, fits.pooled[fits.name]), "fit", line=True),
     )
-    return Panel("group", label, curves, f"{label.split()[0].capitalize()} of each group")
+    label = f"{quantity} [{UNITS[fits.name]}]"
+    return Panel("group", label, curves, f"{quantity.capitalize()} of each group")
 
 
 def _equation_panels(fits: GroupFits, rate: str, side: str, unit: tuple[str, float]) -> tuple[Panel, Panel]:
     """Both sides of the equation as means over the windows, whose slope is the quantity; and the residual."""
-    value, weight = fits.pooled[fits.name], fits.solution.samples[0].weight
-    linear = [part.linear for part in fits.solution.parts]
-    x = -np.concatenate([one.by_theta[0, 0] for one in linear]) / weight
-    residual = np.concatenate([one.e[0] for one in linear]) / weight
+    value, linear = fits.pooled[fits.name], [part.linear for part in fits.solution.parts]
+    x = -np.concatenate([one.by_theta[0, 0] for one in linear])
+    residual = np.concatenate([one.e[0] for one in linear])
     measured = Curve("measured, filtered", x, value * x + residual)
     return Panel(rate, side, (measured,), "Filtered equation", y_unit=unit).with_line(value, "fit")
 
 
-def _remarks(inertances: GroupFits, capacitances: GroupFits) -> Iterator[str]:
+def _remarks(both: Sequence[GroupFits]) -> Iterator[str]:
+    inertances = both[0]
     count = sum(s.starts.size for s in inertances.solution.samples)
     yield (
         f"The regression uses {count} windows of {len(inertances.groups)} groups; no window has a "
@@ -528,15 +481,15 @@ def _remarks(inertances: GroupFits, capacitances: GroupFits) -> Iterator[str]:
         "The values by definition follow the method of the paper: the interval is the scatter of the "
         "group means. They are biased by the noise of the derivatives and by the position of the flow meter."
     )
-    for fits, quantity in ((inertances, "inertance"), (capacitances, "capacitance")):
-        unit = UNITS[fits.name]
+    for fits in both:
+        quantity, unit = QUANTITIES[fits.name], UNITS[fits.name]
         if not fits.determined:
             yield (
                 f"These recordings do not determine the {quantity}: {fits.pooled[fits.name]:.2g} +- "
                 f"{fits.pooled.sd(fits.name):.1g} {unit}. The parameter keeps its known value. "
                 "Recordings with faster changes of flow and pressure would determine the parameter better."
             )
-        elif fits.homogeneity < UNLIKELY:
+        elif fits.equal < balance.UNLIKELY:
             values = ", ".join(f"{group[fits.name]:.4g}" for group in fits.groups)
             yield (
                 f"The {quantity} differs between the groups ({values} {unit}) more than noise explains: "
@@ -548,5 +501,5 @@ def _remarks(inertances: GroupFits, capacitances: GroupFits) -> Iterator[str]:
             "inlet to the outlet (1/2: distributed evenly along the hose). The lumped hose uses the "
             "flow of the inlet."
         )
-    yield from misfit_remark(inertances.pooled, "The equation of the inertance")
-    yield from misfit_remark(capacitances.pooled, "The equation of the capacitance")
+    for fits in both:
+        yield from balance.misfit_remark(fits.pooled, f"The equation of the {QUANTITIES[fits.name]}")

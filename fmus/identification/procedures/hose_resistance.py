@@ -15,48 +15,22 @@ Validity: steady flow above the dead zone of the meter; eq. (10) for a smooth pi
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
+from operator import mul
 
 import casadi as ca
 import numpy as np
 from scipy import stats
 
 from fmus.components import hose
-from fmus.identification.balance import (
-    Law,
-    Solution,
-    drift_finding,
-    law,
-    misfit_remark,
-    model_finding,
-    probability,
-    solve,
-    steady,
-    zero_findings,
-)
+from fmus.identification import balance
+from fmus.identification.balance import Solution
 from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
-from fmus.identification.procedures.experiment_data import (
-    SHORTEST_STRETCH,
-    StepMeans,
-    concatenate,
-    constants_remark,
-    course,
-    declared_limits,
-    density_ratio,
-    hose_size,
-    parameter_value,
-    pressure_offset_remark,
-    select,
-    signal_findings,
-    steady_stretches,
-    step_means,
-    tested_density,
-    training_recordings,
-    zero_limits,
-)
+from fmus.identification.procedures import experiment_data as data
+from fmus.identification.procedures.experiment_data import StepMeans, parameter_value
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
@@ -65,11 +39,17 @@ from orchestrator.data.table import Array
 SIGNALS: Mapping[str, str] = {"pressure_in": "Pa", "pressure_out": "Pa", "flow": "m3/s"}
 FLOWS = (60.0, 100.0, 200.0, 300.0)  # L/min, at which C_R by eq. (10) is reported
 UNIT = "Pa.s2/m6"
+LABELS = {  # of the laws in the panels of drop and residual
+    "square": ("C_R Q|Q|, eq. (1)", "eq. (1)"),
+    "power": ("k Q^1.75, eq. (10)", "eq. (10)"),
+    "mixed": ("with laminar part", "with laminar part"),
+}
 TINY = 1e-30  # (m3/s)^4, avoids a division by the zero variance of equal flows
 MIN_STEPS = 4  # fewer steps cannot distinguish between the laws
 LEVEL = 0.02  # of C_R: a change over the flows that is no contradiction, the bar of the project for a value
 ONE_WAY = 0.9  # rank correlation of flow and time from which on a change in time cannot be told
-DropLaw = tuple[Law, ca.Function]  # and its drop as a function of (flow, unknowns, transition flow)
+DropLaw = tuple[balance.Law, ca.Function]  # and its drop as a function of (flow, unknowns, transition flow)
+Fits = Mapping[str, Solution]  # by each law; "mixed" only if the others are misfits and it is significant
 
 
 @lru_cache(maxsize=1)
@@ -94,34 +74,17 @@ def laws() -> Mapping[str, DropLaw]:
     }
     return {
         name: (
-            law(z, unknowns, transition, z[0] - z[1] - drop),
+            balance.law(z, unknowns, transition, z[0] - z[1] - drop),
             ca.Function(name, [q, ca.vertcat(*unknowns.values()), transition], [drop]),
         )
         for name, (unknowns, drop) in forms.items()
     }
 
 
-@dataclass(frozen=True)
-class HoseFit:
-    """Fits of eq. (1), of eq. (10), and of a laminar and turbulent drop together.
-
-    mixed            None unless both other laws are misfits and the laminar part is significant
-    zero, zero_sd    pressure difference without flow [Pa] by the best law, and its standard deviation
-    reference_flow   rms of the flows [m3/s] with their weights in C_R of eq. (1)
-    """
-
-    square: Solution
-    power: Solution
-    mixed: Solution | None
-    zero: float
-    zero_sd: float
-    transition_flow: float
-    reference_flow: float
-
-    def drop(self, name: str, flow: Array) -> Array:
-        """Drop by one of the laws."""
-        fit = getattr(self, name).fit
-        return np.asarray(laws()[name][1](flow[None], fit.values, self.transition_flow).full()[0])
+def drop_by(fits: Fits, name: str, flow: Array) -> Array:
+    """Drop [Pa] by one of the laws at flows [m3/s]."""
+    known = fits[name].samples[0].known
+    return np.asarray(laws()[name][1](flow[None], fits[name].fit.values, known).full()[0])
 
 
 def scaled(resistance: float, length: float, diameter: float, to_length: float, to_diameter: float) -> float:
@@ -134,35 +97,39 @@ def scaled(resistance: float, length: float, diameter: float, to_length: float, 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """C_R of the stick's and the boom's hoses from that of the tested hose."""
-    tests = training_recordings(recordings, "hose_resistance", SIGNALS)
+    tests = data.training_recordings(recordings, "hose_resistance", SIGNALS)
     steps, along, word = steady_steps(tests)
-    limits = zero_limits(tests, ("pressure_in", "pressure_out")) | declared_limits(tests, ["flow"])
+    limits = data.zero_limits(tests, ("pressure_in", "pressure_out")) | data.declared_limits(tests, ["flow"])
     fits = fit_laws(steps, parameter_value(parameters, "boom_stick.valve_transition_flow"), limits)
-    length, bore = hose_size(tests)
-    flow = f"at {fits.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min"
+    square, good = fits["square"], steps.measured()
+    zero = zero_of(fits)
+    weights = square.column("resistance") ** 2
+    reference_flow = float(np.sqrt(weights @ good.flow**2 / weights.sum()))  # weighted rms
+    length, bore = data.hose_size(tests)
+    flow = f"{reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min"
     estimates = []
     for axis in ("stick", "boom"):
         size = tuple(parameter_value(parameters, f"boom_stick.{axis}_hose_{n}") for n in ("length", "bore"))
-        factor = density_ratio(tests, parameters) ** 0.75 * scaled(1.0, length, bore, *size)
-        note = f"eq. (1), section 4(b), {flow}"
+        factor = data.density_ratio(tests, parameters) ** 0.75 * scaled(1.0, length, bore, *size)
+        note = f"eq. (1), section 4(b), at {flow}"
         if abs(factor - 1) > 1e-9:
             note += f", eq. (10) from {length:g} m to {size[0]:g} m, {size[1] * 1e3:.4g} mm"
         name = f"boom_stick.{axis}_hose_resistance"
-        estimates.append(fits.square.fit.estimate(name, UNIT, note, "resistance", factor))
+        estimates.append(square.fit.estimate(name, UNIT, note, "resistance", factor))
     return ProcedureResult(
         procedure="hose_resistance",
         title=f"Hose resistance: {length:g} m, bore {bore * 1e3:.4g} mm",
         figure=6,
         estimates=tuple(estimates),
-        panels=panels(replace(steps, drop=steps.drop - fits.zero), fits),
+        panels=panels(steps.without_zero(zero.value), fits),
         remarks=(
-            *_remarks(steps, fits),
-            constants_remark(parameters, ["density"], tested_density(tests)),
+            *_remarks(steps, fits, zero, flow),
+            data.constants_remark(parameters, ["density"], data.tested_density(tests)),
         ),
-        others=tuple(_others(fits, flow)),
+        others=tuple(_others(fits, zero, flow)),
         findings=(
-            *_findings(fits.square, steps.measured().flow, (along[steps.good], word)),
-            *signal_findings(tests, SIGNALS, "hose_resistance"),
+            *_findings(square, good.flow, (along[steps.good], word)),
+            *data.signal_findings(tests, SIGNALS, "hose_resistance"),
         ),
     )
 
@@ -171,20 +138,17 @@ def steady_steps(recordings: Sequence[Recording]) -> tuple[StepMeans, Array, str
     """Means over the stretches of steady flow in all recordings, with the `course` of each."""
     means, along, word = [], list[Array](), ""
     for recording in recordings:
-        steps = steady_stretches(recording, ["flow"])
+        steps = data.steady_stretches(recording, ["flow"])
         if not steps:
-            raise Problem(
-                f"{recording.source}: flow: expected a steady flow for {SHORTEST_STRETCH:g} s or longer, got "
-                "none"
-            )
-        means.append(step_means(recording, steps))
-        times = np.array([recording.time[step].mean() - recording.time[0] for step in steps])
-        values, word = course(recording, times)
+            expected = f"expected a steady flow for {data.SHORTEST_STRETCH:g} s or longer, got none"
+            raise Problem(f"{recording.source}: flow: {expected}")
+        means.append(data.step_means(recording, steps))
+        values, word = data.course_of(recording, steps)
         along.append(values)
-    return concatenate(means), np.concatenate(along), word
+    return data.concatenate(means), np.concatenate(along), word
 
 
-def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> HoseFit:
+def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, float]) -> Fits:
     """All laws, fitted to the measured steps; `limits` are the largest errors of the zeros."""
     good = steps.measured()
     if good.flow.size < MIN_STEPS:
@@ -199,84 +163,79 @@ def fit_laws(steps: StepMeans, transition_flow: float, limits: Mapping[str, floa
             f"hose_resistance: the drop pressure_in - pressure_out falls with the flow, C_R = {start:.3g}: "
             "change the sign of the flow, or exchange the two pressures"
         )
-    largest = float(np.abs(good.flow).max())
+    largest, none = float(np.abs(good.flow).max()), np.zeros_like(good.drop)
     # only the difference of the pressures counts, so that at the outlet is taken as zero
-    means = np.array([good.drop, np.zeros_like(good.drop), good.flow])
-    errors = np.array([good.drop_error, np.zeros_like(good.drop), good.flow_error])
+    means, errors = np.array([good.drop, none, good.flow]), np.array([good.drop_error, none, good.flow_error])
 
     def fitted(name: str, **initial: float) -> Solution:
-        samples = steady(laws()[name][0], tuple(SIGNALS), means, errors, (transition_flow,))
-        return solve([samples], initial, "hose_resistance", limits)
+        samples = balance.steady(laws()[name][0], tuple(SIGNALS), means, errors, (transition_flow,))
+        return balance.solve([samples], initial, "hose_resistance", limits)
 
-    square, power = fitted("square", resistance=start), fitted("power", factor=start * largest**0.25)
-    try:
-        mixed = fitted("mixed", resistance=start, laminar_square=(start * largest / 10) ** 2)
-    except Problem:  # data that contradict this law may have no optimum
-        mixed = None
-    if mixed and not (mixed.fit["laminar_square"] > 0 and mixed.fit.significant("laminar_square")):
-        mixed = None
-    mixed = mixed if square.fit.misfit and power.fit.misfit else None
-    best = mixed or min(square, power, key=_aic)
-    zero, zero_sd = best.difference_of_zeros("pressure_in", "pressure_out")
-    weights = square.column("resistance") ** 2
-    return HoseFit(
-        square=square,
-        power=power,
-        mixed=mixed,
-        zero=zero,
-        zero_sd=zero_sd,
-        transition_flow=transition_flow,
-        reference_flow=float(np.sqrt(weights @ good.flow**2 / weights.sum())),
-    )
+    fits = {
+        "square": fitted("square", resistance=start),
+        "power": fitted("power", factor=start * largest**0.25),
+    }
+    if all(solution.fit.misfit for solution in fits.values()):
+        try:
+            mixed = fitted("mixed", resistance=start, laminar_square=(start * largest / 10) ** 2)
+        except Problem:  # data that contradict this law may have no optimum
+            return fits
+        if mixed.fit["laminar_square"] > 0 and mixed.fit.significant("laminar_square"):
+            fits["mixed"] = mixed
+    return fits
+
+
+def zero_of(fits: Fits) -> Estimate:
+    """Pressure difference without flow by the best law."""
+    best = fits.get("mixed") or min(fits.values(), key=_aic)
+    zero, sd = best.sum_of_zeros({"pressure_in": 1.0, "pressure_out": -1.0})
+    return Estimate.normal("pressures without flow", zero, "Pa", sd, "pressure_in - pressure_out")
 
 
 def _aic(solution: Solution) -> float:
-    """Akaike's criterion, in which a zero counts with its prior."""
+    """Akaike's criterion for residuals of known standard deviation, in which a zero counts with its prior."""
     zeros = sum((2 * value / solution.limits[n]) ** 2 for n, (value, _) in solution.zeros.items())
-    return solution.fit.aic + zeros
+    return solution.fit.chi_square + 2 * len(solution.fit.names) + zeros
 
 
 def _findings(square: Solution, flow: Array, along: tuple[Array, str]) -> Iterator[Finding]:
     """Tests of the residual of eq. (1): a C_R that changes with the flow, or in time; zeros; the model."""
     size = np.abs(flow)
     level = square.column("resistance") * (size - size.mean()) / max(float(np.ptp(size)), TINY)
-    value, covariance = square.effects(level[None])
-    change, sd = float(value[0]), math.sqrt(covariance[0, 0])
+    change, sd = square.effect(level)
     percent = 100 / square.fit["resistance"]
     yield Finding(
         "model",
-        probability(change, sd, LEVEL * square.fit["resistance"]),
+        balance.probability(change, sd, LEVEL * square.fit["resistance"]),
         f"hose_resistance: C_R of eq. (1) changes by {percent * change:+.3g} +- {percent * sd:.2g} % from "
         "the smallest to the largest flow",
     )
     if abs(float(stats.spearmanr(size, along[0])[0])) < ONE_WAY:  # else time and flow look alike
-        yield drift_finding(square, "resistance", [along], "hose_resistance: C_R", given=level[None])
-    yield from zero_findings(square, "hose_resistance")
-    yield model_finding(square, "hose_resistance: eq. (1)")
+        yield balance.drift_finding(square, "resistance", [along], "hose_resistance: C_R", given=[level])
+    yield from balance.zero_findings(square, "hose_resistance")
+    yield balance.model_finding(square, "hose_resistance: eq. (1)")
 
 
-def panels(steps: StepMeans, fits: HoseFit) -> tuple[Panel, ...]:
+def panels(steps: StepMeans, fits: Fits) -> tuple[Panel, ...]:
     """Drop over flow with the laws, residual, C_R over flow."""
-    good, dead = steps.measured(), select(steps, steps.dead)
+    good, dead = steps.measured(), data.select(steps, steps.dead)
     flows = np.linspace(0.0, float(np.abs(good.flow).max()), 200)
     drop = [
         Curve("measured", good.flow, good.drop, error=good.drop_error),
         Curve("masked: dead zone of the meter", dead.flow, dead.drop, "masked"),
-        Curve("C_R Q|Q|, eq. (1)", flows, fits.drop("square", flows), "fit", line=True),
-        Curve("k Q^1.75, eq. (10)", flows, fits.drop("power", flows), "compared", line=True),
     ]
-    left = {name: good.drop - fits.drop(name, good.flow) for name in ("square", "power")}
-    residual = [
-        Curve("eq. (1)", good.flow, left["square"], "fit", error=good.drop_error),
-        Curve("eq. (10)", good.flow, left["power"], "compared"),
-    ]
-    if fits.mixed is not None:
-        drop.append(Curve("with laminar part", flows, fits.drop("mixed", flows), "compared", line=True))
-        rest = good.drop - fits.drop("mixed", good.flow)
-        residual.append(Curve("with laminar part", good.flow, rest, "compared"))
-    constant = np.full_like(flows[1:], fits.square.fit["resistance"])
+    residual = []
+    for name in fits:
+        label, short = LABELS[name]
+        line = Curve(label, flows, drop_by(fits, name, flows), "compared", line=True)
+        left = Curve(short, good.flow, good.drop - drop_by(fits, name, good.flow), "compared")
+        if name == "square":
+            line, left = replace(line, kind="fit"), replace(left, kind="fit", error=good.drop_error)
+        drop.append(line)
+        residual.append(left)
+    constant = np.full_like(flows[1:], fits["square"].fit["resistance"])
     in_range = flows[flows >= np.abs(good.flow).min() / 2]  # eq. (10) has no limit at Q = 0
-    power_resistance = fits.power.fit["factor"] * in_range**-0.25
+    power_resistance = fits["power"].fit["factor"] * in_range**-0.25
     resistance = (
         Curve("measured", good.flow, good.resistance, error=good.resistance_error),
         Curve("eq. (1)", flows[1:], constant, "fit", line=True),
@@ -290,49 +249,45 @@ def panels(steps: StepMeans, fits: HoseFit) -> tuple[Panel, ...]:
     )
 
 
-def _others(fits: HoseFit, reference_flow: str) -> Iterator[Estimate]:
-    yield fits.square.fit.estimate("C_R", UNIT, f"eq. (1), the tested hose {reference_flow}", "resistance")
-    note = "pressure_in - pressure_out"
-    yield Estimate.normal("pressures without flow", fits.zero, "Pa", fits.zero_sd, note)
-    yield fits.power.fit.estimate("k", "Pa/(m3/s)^1.75", "eq. (10), the tested hose", "factor")
+def _others(fits: Fits, zero: Estimate, reference_flow: str) -> Iterator[Estimate]:
+    square, power = fits["square"].fit, fits["power"].fit
+    yield square.estimate("C_R", UNIT, f"eq. (1), the tested hose at {reference_flow}", "resistance")
+    yield zero
+    yield power.estimate("k", "Pa/(m3/s)^1.75", "eq. (10), the tested hose", "factor")
     for litres in FLOWS:
-        yield fits.power.fit.derived(
-            f"C_R({litres:g} L/min)",
-            UNIT,
-            "k Q^-0.25, eq. (10)",
-            partial(lambda flow, v: float(v["factor"] * flow**-0.25), litres * LITRES_PER_MINUTE[1]),
-        )
-    if fits.mixed is not None:
-        note = "Q sqrt(R^2 + (C_R Q)^2)"
-        yield fits.mixed.fit.estimate("C_R with laminar part", UNIT, note, "resistance")
-        yield fits.mixed.fit.derived(
-            "R, laminar part", "Pa.s/m3", note, lambda v: math.sqrt(v["laminar_square"])
-        )
+        scale = (litres * LITRES_PER_MINUTE[1]) ** -0.25
+        note = "k Q^-0.25, eq. (10)"
+        yield power.derived(f"C_R({litres:g} L/min)", UNIT, note, "factor", partial(mul, scale))
+    if "mixed" in fits:
+        mixed, note = fits["mixed"].fit, "Q sqrt(R^2 + (C_R Q)^2)"
+        yield mixed.estimate("C_R with laminar part", UNIT, note, "resistance")
+        yield mixed.derived("R, laminar part", "Pa.s/m3", note, "laminar_square", math.sqrt)
 
 
-def _remarks(steps: StepMeans, fits: HoseFit) -> Iterator[str]:
+def _remarks(steps: StepMeans, fits: Fits, zero: Estimate, reference_flow: str) -> Iterator[str]:
     """Steps left out, the better law, the reference flow, the offset, a laminar part, a misfit."""
     if omissions := steps.omissions():
         flat = ", the flat region at the beginning of Fig. 6" if steps.dead.any() else ""
         yield f"Left out of {steps.flow.size} steps: {omissions}{flat}."
-    square, power = fits.square.fit, fits.power.fit
-    better, worse = (
-        ("eq. (1)", "eq. (10)") if _aic(fits.square) < _aic(fits.power) else ("eq. (10)", "eq. (1)")
-    )
+    square, power = fits["square"].fit, fits["power"].fit
+    better, worse = "eq. (1)", "eq. (10)"
+    if not _aic(fits["square"]) < _aic(fits["power"]):
+        better, worse = worse, better
     yield (
         f"{better.capitalize()} fits better than {worse}: chi-square is {square.chi_square:.4g} by eq. (1), "
         f"{power.chi_square:.4g} by eq. (10), with {square.freedom} degrees of freedom."
     )
     yield (
-        f"C_R is valid for {fits.reference_flow / LITRES_PER_MINUTE[1]:.0f} L/min, the weighted rms "
+        f"C_R is valid for {reference_flow}, the weighted rms "
         "of the flows. By eq. (10) C_R would fall by 16 % for each doubling of the flow."
     )
-    yield from pressure_offset_remark(fits.zero, fits.zero_sd)
-    if fits.mixed is not None:
+    yield from data.pressure_offset_remark(zero)
+    if "mixed" in fits:
         yield (
             "The small flows show a laminar part: with Q sqrt(R^2 + (C_R Q)^2) chi-square is "
-            f"{fits.mixed.fit.chi_square:.4g}. The lumped hose has no such term: C_R includes a part of it."
+            f"{fits['mixed'].fit.chi_square:.4g}. The lumped hose has no such term: C_R includes a part of "
+            "it."
         )
-    yield from misfit_remark(square, "Eq. (1)")
-    if "flow" not in fits.square.limits:
+    yield from balance.misfit_remark(square, "Eq. (1)")
+    if "flow" not in fits["square"].limits:
         yield "The description of the flow meter has no `zero_error`: the intervals do not cover its zero."

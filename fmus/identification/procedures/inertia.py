@@ -20,7 +20,7 @@ Validity: rigid links, viscous friction, correct known parameters.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
@@ -28,24 +28,12 @@ import numpy as np
 import scipy.linalg
 
 from fmus.contract import quantities, symbols
-from fmus.identification.balance import (
-    DETERMINED,
-    Normal,
-    Solution,
-    flat,
-    model_finding,
-    shift_finding,
-    solve,
-    zero_findings,
-)
+from fmus.identification import balance
+from fmus.identification.balance import Normal, Solution, flat
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
+from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance
-from fmus.identification.procedures.experiment_data import (
-    declared_limits,
-    signal_findings,
-    training_recordings,
-)
 from fmus.identification.procedures.momentum_balance import (
     ALL_PRESSURES,
     JOINTS,
@@ -54,8 +42,8 @@ from fmus.identification.procedures.momentum_balance import (
     joint_recording,
     known_parameter_effects,
     parameter_vector,
+    torque_panels,
 )
-from fmus.identification.recordings.clock import uniform_rate
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import Number
@@ -88,17 +76,17 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         raise Problem(
             f'inertia: expected a recording of the machine or of a joint with use = "train", got {present}'
         )
-    training, p = training_recordings(recordings, source, SIGNALS), parameter_vector(parameters)
-    names, dropped, limits = list(FREE), list[str](), declared_limits(training, ALL_PRESSURES)
+    training, p = data.training_recordings(recordings, source, SIGNALS), parameter_vector(parameters)
+    names, dropped, limits = list(FREE), list[str](), data.declared_limits(training, ALL_PRESSURES)
     while True:
         theta = tuple(f"manipulator.{n}" for n in (*names, *DAMPINGS))
         records = [joint_recording(r, JOINTS, theta, p, window=WINDOW) for r in training]
-        solution = solve(
+        solution = balance.solve(
             [r.samples for r in records], {n: parameters[n].value for n in theta}, "inertia", limits
         )
         pairs = [(solution.fit.sd(n), solution.fit[n]) for n in theta[: len(names)]]
         relative = [math.inf if value <= 0 else sd / value for sd, value in pairs]
-        if max(relative, default=0.0) <= DETERMINED:
+        if max(relative, default=0.0) <= balance.DETERMINED:
             break
         dropped.append(names.pop(relative.index(max(relative))))
     all_effects = known_parameter_effects(solution, parameters)
@@ -126,10 +114,10 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             *base_estimates(records, solution, p),
         ),
         findings=(
-            shift_finding(solution, ALL_PRESSURES, 1 / uniform_rate(training[0]), "inertia"),
-            *zero_findings(solution, "inertia"),
-            *signal_findings(training, SIGNALS, "inertia"),
-            model_finding(solution, "inertia"),
+            balance.shift_finding(solution, ALL_PRESSURES, "inertia"),
+            *balance.zero_findings(solution, "inertia"),
+            *data.signal_findings(training, SIGNALS, "inertia"),
+            balance.model_finding(solution, "inertia"),
         ),
     )
 
@@ -262,15 +250,12 @@ def base_estimates(records: Sequence[JointRecording], solution: Solution, p: Arr
 
 def panels(record: JointRecording, solution: Solution) -> tuple[Panel, ...]:
     """Torque and residual of each joint over the time of one recording."""
-    t, linear = record.time[record.samples.centres], solution.parts[0].linear
+    linear = solution.parts[0].linear
     by_estimates = -np.einsum("mrt,m->rt", linear.by_theta, solution.fit.values)
     result: list[Panel] = []
     for joint, model, residual in zip(JOINTS, by_estimates, linear.e, strict=True):
-        curves = (
-            Curve("measured, filtered, minus known terms", t, model + residual, line=True),
-            Curve("by the estimates", t, model, "fit", line=True),
-        )
-        torque = Panel(f"time, {joint}", "torque", curves, joint, ("s", 1.0), ("kN.m", 1e3))
-        rest = (Curve("measured - model", t, residual, line=True),)
-        result += [torque, replace(torque, y_label="residual", curves=rest, title="", y_unit=("N.m", 1.0))]
+        measured = Curve("measured, filtered, minus known terms", model, model + residual, line=True)
+        fit = Curve("by the estimates", model, model, "fit", line=True)
+        label = (f"time, {joint}", "torque")
+        result += torque_panels(label, joint, record, measured, fit, "measured - model")
     return tuple(result)

@@ -12,8 +12,8 @@ Savitzky-Golay filter smooths angles and pressures first; the speeds are its der
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -33,12 +33,8 @@ from fmus.identification.balance import (
     noise_of,
     window_starts,
 )
-from fmus.identification.procedures.experiment_data import (
-    course,
-    noise_sd,
-    parameter_value,
-    tank_pressure,
-)
+from fmus.identification.procedure_result import Curve, Panel
+from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
 from fmus.manipulator import MANIPULATOR, arm
@@ -176,42 +172,57 @@ def speed_ratio(joint: str, q: Array, p: Array) -> Array:
 
 
 @dataclass(frozen=True)
+class Filtered:
+    """Angles and pressures through one Savitzky-Golay filter; n filtered samples.
+
+    needed, raw    pressures that are needed; samples without gaps, zero of other pressures, shape (9, N)
+    channels       sensor and filter of each row of z
+    z              angles, speeds, pressures, shape (12, n)
+    acceleration   of the joints, shape (3, n)
+    good           whether all samples under the filter are good, shape (n,)
+    """
+
+    needed: Sequence[str]
+    raw: Array
+    channels: Sequence[tuple[int, Array]]
+    z: Array
+    acceleration: Array
+    good: Mask
+
+
+def filtered(recording: Recording, joints: Sequence[str], kernel: SavitzkyGolay) -> Filtered:
+    """The angles and these joints' pressures in a recording that is longer than the filter."""
+    names = (*ANGLES, *(n for j in joints for n in PRESSURES[j]))
+    none = np.zeros(recording.time.size)
+    raw = np.array([recording.interpolated(n) if n in names else none for n in SIGNALS])
+    value, derivative, second = kernel.weights
+    channels = [(k, weights) for weights in (value, derivative) for k in range(3)]
+    channels += [(k, value) for k in range(3, len(raw))]
+    return Filtered(
+        needed=names[3:],
+        raw=raw,
+        channels=channels,
+        z=np.array([np.correlate(raw[k], weights, "valid") for k, weights in channels]),
+        acceleration=np.array([np.correlate(angle, second, "valid") for angle in raw[:3]]),
+        good=np.asarray(sliding_window_view(good_all(recording, names), kernel.size).all(axis=1)),
+    )
+
+
+@dataclass(frozen=True)
 class JointRecording:
     """A recording, ready for the balance of some joints.
 
     samples         its signals in the law; names of the unknowns are those of the law
-    time, z         of the filtered samples, shape (n,) and (12, n): angles, speeds, pressures
+    z               filtered samples, shape (12, n): angles, speeds, pressures
     at_stroke_end   number of samples left out because a piston was at the end of its stroke
     possible        number of windows without any fault
     """
 
     source: Recording
     samples: Samples
-    time: Array
     z: Array
     at_stroke_end: int
     possible: int
-
-    @property
-    def course(self) -> tuple[Array, str]:
-        """Time or temperature of the oil at each window, and the word for it."""
-        return course(self.source, self.time[self.samples.centres] - self.source.time[0])
-
-
-def angles(recording: Recording) -> Array:
-    """The joint angles without gaps, shape (3, n)."""
-    return np.array([recording.interpolated(name) for name in ANGLES])
-
-
-def pressures(recording: Recording, needed: Collection[str]) -> Array:
-    """The pressures without gaps, shape (6, n); zero for those that are not needed."""
-    zero = np.zeros(recording.time.size)
-    return np.array([recording.interpolated(n) if n in needed else zero for n in ALL_PRESSURES])
-
-
-def all_good(good: Mask, width: int) -> Mask:
-    """Whether all samples under a filter of `width` samples are good, shape (n - width + 1,)."""
-    return np.asarray(sliding_window_view(good, width).all(axis=1))
 
 
 def joint_recording(
@@ -231,54 +242,57 @@ def joint_recording(
     rounding   rms speeds of the first joint over which the sign of the dry friction is rounded
     """
     rate = uniform_rate(recording)
-    savitzky_golay = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
-    half, taps = max(round(window * rate / 2), 2) + 1, savitzky_golay.size
-    bump, slope = modulating_function(half)
-    needed = [n for j in joints for n in PRESSURES[j]]
-    shortest = 2 * half + taps
+    kernel = SavitzkyGolay(rate, max(SMOOTHING, (ORDER + 2) / rate), ORDER)
+    half = max(round(window * rate / 2), 2) + 1
+    bump, slope = modulating_function(half, rate)
+    shortest = 2 * half + kernel.size
     if recording.time.size < shortest:
         raise Problem(
             f"{recording.source}: {recording.time.size} samples, expected {shortest} or more for the filters"
         )
-    raw = np.concatenate([angles(recording), pressures(recording, needed)])
-    sd = [noise_sd(recording, n) if n in (*ANGLES, *needed) else 0.0 for n in (*ANGLES, *ALL_PRESSURES)]
-    value, derivative = savitzky_golay.weights[:2]
-    channels = [*((k, value) for k in range(3)), *((k, derivative) for k in range(3))]
-    channels += [(k, value) for k in range(3, len(raw))]
-    model = momentum_law(joints, theta)
-    z = np.array([np.correlate(raw[k], kernel, "valid") for k, kernel in channels])
+    f = filtered(recording, joints, kernel)
+    used, model = (*ANGLES, *f.needed), momentum_law(joints, theta)
     strokes = np.array([p[PARAMETERS.index(f"manipulator.{j}_stroke")] for j in ("boom", "stick")])[:, None]
-    position: Array = np.array(equation_of_motion()[0](z[:3], p)[0].full())
+    position: Array = np.array(equation_of_motion()[0](f.z[:3], p)[0].full())
     at_end: Mask = np.any((position < STOP_MARGIN) | (position > strokes - STOP_MARGIN), axis=0)
-    good = all_good(good_all(recording, (*ANGLES, *needed)), taps) & ~at_end
-    speed = speed_ratio(joints[0], z[:3], p) * z[3 + JOINTS.index(joints[0])]
+    good = f.good & ~at_end
+    speed = speed_ratio(joints[0], f.z[:3], p) * f.z[3 + JOINTS.index(joints[0])]
     rms = float(np.sqrt(np.mean(speed**2)))
-    starts = window_starts(good & (np.abs(speed) >= slow * rms), half)
-    if not window_starts(good, half).size:
+    if not window_starts(good, bump.size).size:
         raise Problem(
             f"{recording.source}: expected {shortest / rate:.2g} s without a gap or "
-            f"clipped sample in {', '.join((*ANGLES, *needed))}, got no such stretch"
+            f"clipped sample in {', '.join(used)}, got no such stretch"
         )
-    offset = taps // 2
-    return JointRecording(
-        source=recording,
-        samples=Samples(
-            law=model,
-            names=model.unknowns,
-            sensors=(*ANGLES, *ALL_PRESSURES),
-            raw=raw,
-            sd=noise_of(raw, np.array(sd)),
-            channels=channels,
-            known=np.array([*p, tank_pressure(recording), max(rounding * rms, 1e-9)]),
-            bump=bump / bump.sum(),
-            slope=slope * rate / bump.sum(),
-            starts=starts,
-        ),
-        time=recording.time[offset : offset + z.shape[1]],
-        z=z,
-        at_stroke_end=int(at_end.sum()),
-        possible=window_starts(np.ones_like(good), half).size,
+    samples = Samples(
+        law=model,
+        names=model.unknowns,
+        sensors=tuple(SIGNALS),
+        raw=f.raw,
+        sd=noise_of(f.raw, np.array([noise_sd(recording, n) if n in used else 0.0 for n in SIGNALS])),
+        channels=f.channels,
+        known=np.array([*p, tank_pressure(recording), max(rounding * rms, 1e-9)]),
+        rate=rate,
+        bump=bump,
+        slope=slope,
+        starts=window_starts(good & (np.abs(speed) >= slow * rms), bump.size),
     )
+    possible = window_starts(np.ones_like(good), bump.size).size
+    return JointRecording(recording, samples, f.z, int(at_end.sum()), possible)
+
+
+def torque_panels(
+    label: tuple[str, str], title: str, record: JointRecording, measured: Curve, fit: Curve, residual: str
+) -> tuple[Panel, Panel]:
+    """Torque over time with its fit, and the residual.
+
+    label           of time and torque
+    measured, fit   curves at the windows; their x is replaced by the time
+    """
+    t = record.source.time[0] + record.samples.times
+    curves = tuple(replace(curve, x=t) for curve in (measured, fit))
+    torque = Panel(*label, curves, title, ("s", 1.0), ("kN.m", 1e3))
+    rest = (replace(curves[0], label=residual, y=measured.y - fit.y),)
+    return torque, replace(torque, y_label="residual", curves=rest, title="", y_unit=("N.m", 1.0))
 
 
 def parameter_vector(parameters: Mapping[str, Number]) -> Array:
@@ -357,4 +371,5 @@ def known_parameter_effects(
 
 
 def _largest(changes: Mapping[str, float]) -> list[str]:
-    return sorted(changes, key=lambda n: -abs(changes[n]))[:MAX_NAMES]
+    # rounding errors do not decide between equal changes
+    return sorted(changes, key=lambda n: -float(f"{abs(changes[n]):.9g}"))[:MAX_NAMES]

@@ -13,40 +13,16 @@ lines).
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import casadi as ca
 import numpy as np
 
-from fmus.identification.balance import (
-    NEGLIGIBLE,
-    SIGNIFICANT,
-    Law,
-    Regression,
-    Solution,
-    drift_finding,
-    law,
-    misfit_remark,
-    model_finding,
-    probability,
-    solve,
-    steady,
-    zero_findings,
-)
+from fmus.identification import balance
+from fmus.identification.balance import SIGNIFICANT, Regression, Solution
 from fmus.identification.estimate import coverage_factor
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
-from fmus.identification.procedures.experiment_data import (
-    SHORTEST_STRETCH,
-    condition,
-    course,
-    parameter_value,
-    signal_findings,
-    steady_stretches,
-    tank_pressure,
-    training_recordings,
-    zero_limits,
-)
+from fmus.identification.procedures import experiment_data as data
 from fmus.identification.recordings.masks import averages
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -67,7 +43,7 @@ GUESS = 1e-12  # m3/(s.Pa), start of the search for a conductance; the law is li
 LITRE = LITRES_PER_MINUTE[1]
 
 
-def leakage_law() -> Law:
+def leakage_law() -> balance.Law:
     """Both equations; pressures above the tank pressure."""
     z = ca.SX.sym("z", 4)
     a, b, flow_a, drain = ca.vertsplit(z)
@@ -76,7 +52,7 @@ def leakage_law() -> Law:
     square_a, square_b = u["square_ex"] * a * ca.fabs(a), u["square_ex"] * b * ca.fabs(b)
     through = u["internal"] * d + u["square_in"] * d * ca.fabs(d)
     at_a, at_b = u["external"] * a + square_a, u["external"] * b + square_b
-    return law(z, u, ca.SX.sym("none"), ca.vertcat(flow_a - through - at_a, drain - at_a - at_b))
+    return balance.law(z, u, ca.SX.sym("none"), ca.vertcat(flow_a - through - at_a, drain - at_a - at_b))
 
 
 @dataclass(frozen=True)
@@ -97,13 +73,13 @@ class SteadyPoints:
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Internal and external leakage resistance."""
-    tests = training_recordings(recordings, "motor_leakage", SIGNALS)
+    tests = data.training_recordings(recordings, "motor_leakage", SIGNALS)
     points = steady_points(tests)
-    solution = solve(
-        [steady(leakage_law(), tuple(SIGNALS), points.means, points.errors)],
+    solution = balance.solve(
+        [balance.steady(leakage_law(), tuple(SIGNALS), points.means, points.errors)],
         dict.fromkeys(EQUATIONS, GUESS) | dict.fromkeys(QUADRATIC_TERMS, 0.0),
         "motor_leakage",
-        zero_limits(tests, SIGNALS),
+        data.zero_limits(tests, SIGNALS),
         tested=tuple(QUADRATIC_TERMS),
     )
     fit = solution.fit
@@ -120,20 +96,21 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
                 f"{name}_leakage_resistance",
                 "Pa.s/m3",
                 f"eq. {EQUATIONS[name]}, {line}",
-                partial(lambda name, conductance: 1 / conductance[name], name),
+                name,
+                lambda conductance: 1 / conductance,
             )
             for name in positive
         ),
         panels=panels(points, fit["internal"], fit["external"], [r.title for r in tests]),
         remarks=(
             f"{points.recording.size} stretches with steady pressures in {len(tests)} recordings are used.",
-            *misfit_remark(fit, "The linear law"),
-            *_remarks(solution, points, positive, parameter_value(parameters, "swing.line_resistance")),
+            *balance.misfit_remark(fit, "The linear law"),
+            *_remarks(solution, points, positive, data.parameter_value(parameters, "swing.line_resistance")),
         ),
         others=tuple(
             fit.estimate(f"conductance, {name} leakage", "m3/(s.Pa)", "1/R", name) for name in EQUATIONS
         ),
-        findings=(*_findings(solution, points), *signal_findings(tests, SIGNALS, "motor_leakage")),
+        findings=(*_findings(solution, points), *data.signal_findings(tests, SIGNALS, "motor_leakage")),
     )
 
 
@@ -152,26 +129,23 @@ def _check_signs(fit: Regression, points: SteadyPoints) -> None:
 
 def _findings(solution: Solution, points: SteadyPoints) -> Iterator[Finding]:
     """Tests of the residual: quadratic parts, a change in time, zeros, the model."""
-    for name, (value, sd, largest) in quadratic_terms(solution, points).items():
-        yield Finding(
-            "model",
-            probability(value, sd),
-            f"motor_leakage: {QUADRATIC_TERMS[name]} of {value * largest:.2g} +- {sd * largest:.1g} L/min",
-        )
+    for name, (value, sd) in quadratic_terms(solution, points).items():
+        sentence = f"motor_leakage: {QUADRATIC_TERMS[name]} of {value:.2g} +- {sd:.1g} L/min"
+        yield Finding("model", balance.probability(value, sd), sentence)
+    along = [(points.along, points.word)]
     for name in EQUATIONS:
-        yield drift_finding(solution, name, [(points.along, points.word)], f"motor_leakage: {name} leakage")
-    yield from zero_findings(solution, "motor_leakage")
-    yield model_finding(solution, "motor_leakage: the linear law")
+        yield balance.drift_finding(solution, name, along, f"motor_leakage: {name} leakage")
+    yield from balance.zero_findings(solution, "motor_leakage")
+    yield balance.model_finding(solution, "motor_leakage: the linear law")
 
 
-def quadratic_terms(solution: Solution, points: SteadyPoints) -> dict[str, tuple[float, float, float]]:
-    """Each quadratic term, its standard deviation, and its largest regressor over one L/min."""
+def quadratic_terms(solution: Solution, points: SteadyPoints) -> dict[str, tuple[float, float]]:
+    """Largest flow [L/min] by each quadratic term, and its standard deviation."""
     values, covariance = solution.effects(np.array([solution.column(n) for n in QUADRATIC_TERMS]))
     a, b = points.means[:2]
-    largest = (np.abs(a - b).max() ** 2 / LITRE, np.abs(a * np.abs(a) + b * np.abs(b)).max() / LITRE)
-    sds = np.sqrt(np.diag(covariance))
-    rows = zip(QUADRATIC_TERMS, values, sds, largest, strict=True)
-    return {n: (float(v), float(sd), float(top)) for n, v, sd, top in rows}
+    largest = np.array([np.abs(a - b).max() ** 2, np.abs(a * np.abs(a) + b * np.abs(b)).max()]) / LITRE
+    rows = np.column_stack([values, np.sqrt(np.diag(covariance))]) * largest[:, None]
+    return {n: (value, sd) for n, (value, sd) in zip(QUADRATIC_TERMS, rows.tolist(), strict=True)}
 
 
 def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
@@ -179,21 +153,18 @@ def steady_points(recordings: Sequence[Recording]) -> SteadyPoints:
     columns, word = [np.empty((10, 0))], ""
     for k, recording in enumerate(recordings):
         if "shaft" in recording.conditions:
-            condition(recording, "shaft", ["locked"])
-        steady = steady_stretches(recording, PRESSURES)
-        if steady:
-            means, errors = averages(recording, tuple(SIGNALS), steady)
-            means[:2] -= tank_pressure(recording)
-            middles = np.array([recording.time[s].mean() - recording.time[0] for s in steady])
-            along, word = course(recording, middles)
-            more = np.array([np.full(len(steady), k), along])
-            columns.append(np.concatenate([means, errors, more]))
+            data.condition(recording, "shaft", ["locked"])
+        if stretches := data.steady_stretches(recording, PRESSURES):
+            means, errors = averages(recording, tuple(SIGNALS), stretches)
+            means[:2] -= data.tank_pressure(recording)
+            along, word = data.course_of(recording, stretches)
+            columns.append(np.concatenate([means, errors, [np.full(along.size, k), along]]))
     table = np.concatenate(columns, axis=1)
     table = table[:, np.isfinite(table).all(axis=0)]
     if table.shape[1] < MIN_POINTS:
         raise Problem(
             f"{recordings[0].source}: expected {MIN_POINTS} or more stretches of "
-            f"{SHORTEST_STRETCH:g} s with steady pressures, got {table.shape[1]}"
+            f"{data.SHORTEST_STRETCH:g} s with steady pressures, got {table.shape[1]}"
         )
     return SteadyPoints(table[:4], table[4:8], table[8], table[9], word)
 
@@ -222,8 +193,9 @@ def _remarks(
 ) -> Iterator[str]:
     """Offsets, quadratic terms, leakages too small to be determined, and the lines to the sensors."""
     fit = solution.fit
-    for row, (meter, location) in enumerate(METERS.items()):
-        value, sd = _flow_without_pressure(solution, row)
+    by_zero = solution.parts[0].linear.g[:, :, 0, 0]  # the law is linear: the same at all points
+    for row, (meter, location) in zip(by_zero.T, METERS.items(), strict=True):
+        value, sd = solution.sum_of_zeros(dict(zip(SIGNALS, row, strict=True)))
         if abs(value) > SIGNIFICANT * sd:
             yield (
                 f"Without pressure a flow {location} of {value / LITRE:.2g} +- "
@@ -239,7 +211,7 @@ def _remarks(
             )
     drop = resistance * float(np.abs(p.means[2]).max())
     bias = resistance * (fit["internal"] + fit["external"])
-    if bias >= NEGLIGIBLE * fit.sd("external") / abs(fit["external"]):
+    if bias >= balance.NEGLIGIBLE * fit.sd("external") / abs(fit["external"]):
         yield (
             "The pressures are assumed to be those at the motor. If the sensors are at the far end of its "
             f"lines ({resistance:.3g} Pa.s/m3), the drop along a line is up to {drop:.2g} Pa, and the "
@@ -247,29 +219,18 @@ def _remarks(
         )
 
 
-def _flow_without_pressure(solution: Solution, row: int) -> tuple[float, float]:
-    """Flow by the zeros of all sensors in one equation, and its standard deviation."""
-    by_zero = solution.parts[0].linear.g[:, row, 0, 0]  # the law is linear: the same at all points
-    contrast = np.zeros(len(solution.covariance))
-    for k, sensor in enumerate(solution.limits, len(solution.fit.names)):
-        contrast[k] = by_zero[list(SIGNALS).index(sensor)]
-    values = np.array([*np.zeros(len(solution.fit.names)), *(v for v, _ in solution.zeros.values())])
-    return float(contrast @ values), math.sqrt(contrast @ solution.covariance @ contrast)
-
-
 def _linearity_remarks(solution: Solution, p: SteadyPoints) -> Iterator[str]:
     """A sentence on each significant quadratic term; one sentence if there is none."""
     terms = quadratic_terms(solution, p)
-    clear = {n: t for n, t in terms.items() if abs(t[0]) > SIGNIFICANT * t[1]}
-    for n, (value, sd, largest) in clear.items():
+    clear = {n: term for n, term in terms.items() if abs(term[0]) > SIGNIFICANT * term[1]}
+    for n, (value, sd) in clear.items():
         yield (
-            f"The flows have {QUADRATIC_TERMS[n]}: {value * largest:.2g} +- {sd * largest:.1g} L/min at "
+            f"The flows have {QUADRATIC_TERMS[n]}: {value:.2g} +- {sd:.1g} L/min at "
             "most, which the laminar law of eqs. (11), (12) neglects."
         )
     if not clear:
-        visible = max(SIGNIFICANT * sd * largest for _, sd, largest in terms.values()) * LITRE
-        percent = 100 * visible / np.abs(p.means[2:]).max()
+        visible = SIGNIFICANT * max(sd for _, sd in terms.values()) * LITRE
         yield (
-            f"The leakage is linear: a quadratic part would be significant from {percent:.2g} % of the "
-            "largest flow on."
+            f"The leakage is linear: a quadratic part would be significant from "
+            f"{100 * visible / np.abs(p.means[2:]).max():.2g} % of the largest flow on."
         )

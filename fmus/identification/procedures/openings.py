@@ -27,12 +27,14 @@ Validity: steady flow; the leakage is a small part of it (below a tenth).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import optimize, stats
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
@@ -47,10 +49,8 @@ SAME = 2e-3  # of the full command: steps that are closer have one command
 DRAWS = 2000  # curves: the 2.5 % quantile of one has an error of a tenth of a standard deviation
 POINTS, GRID = 10, 96  # of a table; commands at which curves are drawn, besides the measured ones
 FOOT = (0.8, 3.5)  # exponents of a curve below its lowest node: a notch begins with 1 to 2, a rounding with 3
-SHORT_FOOT = (
-    0.9,
-    2.1,
-)  # of a straight line: 1 for a sharp start, 2 for a rounding that ends at the lowest node
+# of a straight line: 1 for a sharp start, 2 for a rounding that ends at the lowest node
+SHORT_FOOT = (0.9, 2.1)
 CURVED = 1.3  # times the change of slope to the lowest node by which a parabola through three is bent
 UNDERLAP = 1.2  # largest exponent of an edge that is open at zero command
 DETERMINED = 0.25  # largest relative standard deviation of a rounding that the data determine
@@ -61,6 +61,7 @@ COLLINEAR = 1e3  # condition number of causes that the data cannot tell apart
 LARGEST = 10.0  # limits of a zero up to which it may be a fault of a sensor
 UNTOLD = 2.0  # limits of a zero above which its standard deviation tells nothing
 CLOSE = 0.1  # half bands: errors of a table below it do not count
+SEARCH: Mapping[str, Any] = {"method": "dogbox", "ftol": 1e-12, "xtol": 1e-12, "gtol": 1e-12}  # of a line
 
 
 @dataclass(frozen=True)
@@ -161,89 +162,89 @@ class Priors:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Means over the steps with one command, shape (n,), and what their scatter tells.
+    """The steps of one opening, and means over those with one command: n steps, m nodes.
 
-    command, area, sd   [V], [m2], standard errors (times `scatter`)
-    by_zero, by_flow    derivatives of the areas by the zeros of drop and flow
-    steps               the steps, sorted by command; `index` is the node of each, `error` its area's sd
-    levels, slope       areas of the steps, and [m2/V] there; `deviation` from the node over its `noise`
-    by_pressure         derivatives of the steps' areas by the zero of the drop
-    chi_square, freedom of the steps about their nodes
+    steps           the measured steps, sorted by command
+    index           node of each step
+    levels, slope   areas of the steps [m2], and [m2/V] there
+    by_drop         derivatives of the areas by drop and flow
+    by_flow
+    noise           standard errors of the areas by the noise; `error` is `scatter` times as large
     """
 
-    command: Array
-    area: Array
-    sd: Array
-    by_zero: Array
-    by_flow: Array
     steps: ValveSteps
     index: NDArray[np.int64]
-    error: Array
-    noise: Array
     levels: Array
     slope: Array
-    by_pressure: Array
-    deviation: Array
-    chi_square: float
-    freedom: int
+    by_drop: Array
+    by_flow: Array
+    noise: Array
+    scatter: float = 1.0
 
     @classmethod
     def of(cls, steps: ValveSteps, c: ValveConstants) -> Nodes:
         """The nodes of the measured steps."""
-        s = select(steps, steps.good)
+        s = steps.measured()
         order = np.argsort(s.command, kind="stable")
         s = type(s)(**{name: column[order] for name, column in vars(s).items()})
-        area, by_zero, by_flow = s.effective(c)
+        area, by_drop, by_flow = s.effective(c)
         index = np.concatenate([[0], np.cumsum(np.diff(s.command) > SAME * c.full_command)])
-        count = np.bincount(index)
-        middle = np.bincount(index, area) / count
-        voltage = np.bincount(index, s.command) / count
-        slope = np.gradient(middle, voltage)[index] if count.size > 1 else np.zeros_like(area)
-        error = np.hypot(np.hypot(by_flow * s.flow_error, by_zero * s.drop_error), slope * s.command_error)
-        level = area - slope * (s.command - voltage[index])
-        weight = error**-2.0
-        total = np.bincount(index, weight)
+        middle, voltage = (np.bincount(index, x) / np.bincount(index) for x in (area, s.command))
+        slope = np.gradient(middle, voltage)[index] if voltage.size > 1 else np.zeros_like(area)
+        noise = np.hypot(np.hypot(by_flow * s.flow_error, by_drop * s.drop_error), slope * s.command_error)
+        return cls(s, index, area, np.asarray(slope), by_drop, by_flow, np.asarray(noise))
 
-        def mean(x: Array) -> Array:
-            return np.asarray(np.bincount(index, weight * x) / total)
+    def mean(self, x: Array) -> Array:
+        """Means (m,) of values of the steps (n,), weighted by the noise of their areas."""
+        weight = self.noise**-2.0
+        return np.asarray(np.bincount(self.index, weight * x) / np.bincount(self.index, weight))
 
-        means = mean(level)
-        deviation = (level - means[index]) / error
-        chi_square, freedom = float(deviation @ deviation), int(area.size - count.size)
-        return cls(
-            command=np.asarray(voltage),
-            area=means,
-            sd=np.asarray(total**-0.5),
-            by_zero=mean(by_zero),
-            by_flow=mean(by_flow),
-            steps=s,
-            index=index,
-            error=np.asarray(error),
-            noise=np.asarray(error),
-            levels=area,
-            slope=np.asarray(slope),
-            by_pressure=by_zero * means[index] / area,  # of the drops, not of the scatter of the areas
-            deviation=np.asarray(deviation),
-            chi_square=chi_square,
-            freedom=freedom,
-        )
+    def within(self, x: Array) -> Array:
+        """Deviations of values of the steps from the means of their nodes, over the noise, shape (n,)."""
+        return np.asarray((x - self.mean(x)[self.index]) / self.noise)
+
+    @cached_property
+    def command(self) -> Array:
+        """Of the nodes [V]."""
+        return np.asarray(np.bincount(self.index, self.steps.command) / np.bincount(self.index))
+
+    @cached_property
+    def at_node(self) -> Array:
+        """Areas that the steps would have at the commands of their nodes [m2]."""
+        return self.levels - self.slope * (self.steps.command - self.command[self.index])
+
+    @cached_property
+    def area(self) -> Array:
+        """Of the nodes [m2]."""
+        return self.mean(self.at_node)
 
     @property
-    def scatter(self) -> float:
-        """Scatter of steps with one command over their noise: 1 unless significantly larger."""
-        if not self.freedom or stats.chi2.sf(self.chi_square, self.freedom) >= UNLIKELY:
-            return 1.0
-        return math.sqrt(self.chi_square / self.freedom)
+    def error(self) -> Array:
+        """Standard errors of the steps' areas [m2]."""
+        return self.scatter * self.noise
 
-    def times(self, factor: float) -> Nodes:
-        """With larger errors than those of the noise alone, which `noise` keeps."""
-        return replace(self, sd=factor * self.sd, error=factor * self.error)
+    @cached_property
+    def sd(self) -> Array:
+        """Standard errors of the nodes' areas [m2]."""
+        return np.asarray(np.bincount(self.index, self.error**-2.0) ** -0.5)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the steps about their nodes."""
+        return self.levels.size - self.command.size
+
+    def scattered(self) -> float:
+        """Scatter of steps with one command over their noise: 1 unless significantly larger."""
+        chi_square = float(np.sum(self.within(self.at_node) ** 2))
+        likely = _tail(chi_square, self.freedom) >= UNLIKELY
+        return 1.0 if likely else math.sqrt(chi_square / self.freedom)
 
     def draws(self, known: Priors, random: np.random.Generator) -> Array:
-        """Areas that noise and zeros allow, shape (DRAWS, n)."""
+        """Areas that noise and zeros allow, shape (DRAWS, m)."""
         noise, zeros = random.standard_normal((DRAWS, self.sd.size)), random.standard_normal((2, DRAWS, 1))
-        zero, flow_zero = known.zero_sd * zeros[0], known.flow_zero * zeros[1]
-        return np.asarray(self.area + self.sd * noise - self.by_zero * zero - self.by_flow * flow_zero)
+        by_zero, by_flow = self.mean(self.by_drop), self.mean(self.by_flow)
+        by_zeros = by_zero * known.zero_sd * zeros[0] + by_flow * known.flow_zero * zeros[1]
+        return np.asarray(self.area + self.sd * noise - by_zeros)
 
     def falling(self, limit: float) -> tuple[float, float]:
         """Probability that a rising opening falls as much, and its largest fall in parts of it.
@@ -252,14 +253,18 @@ class Nodes:
         number of areas that it joins [Robertson, Wright and Dykstra, Order Restricted Statistical Inference
         (1988), section 2.3]; with the zero of the pressures for which it is least.
         """
-        best = (math.inf, 1, 0.0)
+        best, by_zero = (math.inf, 1, 0.0), self.mean(self.by_drop)
         for zero in np.linspace(-limit, limit, ZEROS):
-            areas = self.area - self.by_zero * zero
+            areas = self.area - by_zero * zero
             rising = isotonic_regression(areas, weights=self.sd**-2.0).x
             joined = max(self.sd.size - np.unique(rising).size, 1)
             top = np.maximum.accumulate(areas)
             best = min(best, (float(np.sum(((areas - rising) / self.sd) ** 2)), joined, max(1 - areas / top)))
-        return float(stats.chi2.sf(best[0], best[1])), float(best[2])
+        return _tail(*best[:2]), float(best[2])
+
+
+def _tail(chi_square: float, freedom: int) -> float:
+    return float(stats.chi2.sf(chi_square, freedom)) if freedom else 1.0
 
 
 @dataclass(frozen=True)
@@ -291,7 +296,7 @@ def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | 
     """Regression of the steps about their nodes on lag, drift and zero; None if they tell none of these."""
     zero, largest = 0.0, 0.4 * float(steps.drop[steps.good].min())
     for _ in range(8):  # Gauss-Newton
-        found = _effects(Nodes.of(replace(steps, drop=steps.drop - zero), c), known)
+        found = _effects(Nodes.of(steps.without_zero(zero), c), known)
         if not found or "zero" not in found.effects:
             break
         step, sd = found.effects["zero"]
@@ -303,31 +308,26 @@ def repeated(steps: ValveSteps, c: ValveConstants, known: Priors) -> Repeated | 
 
 
 def _effects(nodes: Nodes, known: Priors) -> Repeated | None:
-    s = nodes.steps
+    s, deviation = nodes.steps, nodes.within(nodes.at_node)
     warm = bool(np.isfinite(s.temperature).all() and np.ptp(s.temperature) > 0)
     cause = s.temperature if warm else s.time
     span = float(np.ptp(cause)) or 1.0
-    weight = nodes.noise**-2.0
-    total = np.bincount(nodes.index, weight)
-
-    def white(column: Array) -> Array:
-        """Deviations of a column from the means of its nodes, over the noise."""
-        mean = np.bincount(nodes.index, weight * column) / total
-        return np.asarray((column - mean[nodes.index]) / nodes.noise)
-
-    drift, zero = white(nodes.levels * (cause - cause.mean()) / span), white(nodes.by_pressure)
+    columns = {
+        "drift": nodes.within(nodes.levels * (cause - cause.mean()) / span),
+        # of the drops, not of the scatter of the areas
+        "zero": nodes.within(nodes.by_drop * nodes.area[nodes.index] / nodes.levels),
+    }
     fits: list[Repeated] = []
     for by_command in (True, False):
-        lag = white(-(nodes.slope if by_command else nodes.levels) * s.change / 2)
-        columns = {"lag": lag, "drift": drift, "zero": zero}
+        columns["lag"] = nodes.within(-(nodes.slope if by_command else nodes.levels) * s.change / 2)
         for names in (("lag", "drift", "zero"), ("lag", "drift"), ("zero",)):
             x, freedom = np.array([columns[n] for n in names]), nodes.freedom - len(names)
             size = np.linalg.norm(x, axis=1)
             if freedom < 2 or not size.all() or np.linalg.cond(x.T / size) > COLLINEAR:
                 continue
             inverse = np.linalg.inv(x @ x.T)
-            values = inverse @ x @ nodes.deviation
-            left = float(np.sum((nodes.deviation - values @ x) ** 2))
+            values = inverse @ x @ deviation
+            left = float(np.sum((deviation - values @ x) ** 2))
             sd = np.sqrt(np.diag(inverse) * max(1.0, left / freedom))
             if names[-1] == "zero" and sd[-1] > UNTOLD * known.zero:
                 continue
@@ -355,11 +355,9 @@ def zero_by_pressures(each: Collection[Repeated], known: Priors) -> tuple[float,
     """
     seen = [r.effects["zero"] for r in each if "zero" in r.effects]
     weight = np.array([sd**-2.0 for _, sd in seen])
-    by_data = float(weight @ [z for z, _ in seen])
-    z, sd = by_data / max(weight.sum(), 1e-300), max(weight.sum(), 1e-300) ** -0.5
-    if stats.norm.sf((abs(z) - known.zero) / sd) < UNLIKELY:
-        return z, sd
-    precision = weight.sum() + known.zero_sd**-2.0
+    by_data, precision = float(weight @ [z for z, _ in seen]), max(weight.sum(), 1e-300)
+    if stats.norm.sf((abs(by_data / precision) - known.zero) * precision**0.5) >= UNLIKELY:
+        precision = weight.sum() + known.zero_sd**-2.0
     return by_data / precision, precision**-0.5
 
 
@@ -403,27 +401,37 @@ class Line:
         rounding = self["rounding"] if "rounding" in self.names else min(self.rounding, 2 * start)
         return self["slope0"], start, max(rounding, ROUNDING[0])
 
+    def combination(self, weights: Mapping[str, float]) -> tuple[float, float]:
+        """A weighted sum of parameters and its standard deviation."""
+        w = np.array([weights.get(n, 0.0) for n in self.names])
+        return float(w @ self.values), math.sqrt(w @ self.covariance @ w)
+
     def area(self, command: float) -> tuple[float, float]:
         """Area [m2] of the first opening at a command [V] behind the foot, and its standard deviation."""
         slope, start, _ = self.law()
-        gradient = np.zeros(len(self.names))
-        for name, value in (("slope0", command - start), ("start0", -slope)):
-            gradient[self.names.index(name)] = value
-        return slope * (command - start), math.sqrt(gradient @ self.covariance @ gradient)
+        sd = self.combination({"slope0": command - start, "start0": -slope})[1]
+        return slope * (command - start), sd
 
-    def draws(self) -> dict[str, Array]:
-        """Parameter -> its values in draws of the estimates' normal distribution, shape (DRAWS, 1)."""
+    def draws(self) -> tuple[Array, Array, Array]:
+        """`law` in draws of the estimates' normal distribution, shape (DRAWS, 1) each."""
         scale = np.sqrt(np.diag(self.covariance))
         normal = np.random.default_rng(0).multivariate_normal(
             np.zeros(scale.size), self.covariance / np.outer(scale, scale), DRAWS
         )
-        return {n: (self[n] + s * x)[:, None] for n, s, x in zip(self.names, scale, normal.T, strict=True)}
+        p = {n: (self[n] + s * x)[:, None] for n, s, x in zip(self.names, scale, normal.T, strict=True)}
+        width = p.get("rounding", np.full((DRAWS, 1), self.rounding))
+        return p["slope0"], p["start0"], np.maximum(width, ROUNDING[0])
 
 
 def straight(z: Array, width: Array | float) -> Array:
     """`fmus.components.smooth.ramp` of arrays."""
     s = np.clip(z / width, 0.0, 1.0)
     return np.asarray(width * (s**3 - s**4 / 2) + np.maximum(z - width, 0.0))
+
+
+def _law(p: tuple[Array | float, Array | float, Array | float], command: Array) -> Array:
+    """Areas of lines: slope, zero and rounding, at commands."""
+    return np.asarray(p[0] * straight(command - p[1] + p[2] / 2, p[2]))
 
 
 def fit_line(
@@ -465,16 +473,15 @@ def fit_line(
         p = dict(zip(names, x * scale, strict=True))
         slopes, starts = (np.array([p[f"{n}{g}"] for g in range(count)])[group] for n in ("slope", "start"))
         w = max(p.get("rounding", known.rounding.value), ROUNDING[0])
-        law = slopes * straight(v - starts + w / 2, w)
         measured = s.effective(c, p["zero"], p.get("flow_zero", 0.0))[0]
-        return np.append((measured - law) / nodes.error, [(p[n] - m) / sd for n, (m, sd) in priors.items()])
+        left = (measured - _law((slopes, starts, w), v)) / nodes.error
+        return np.append(left, [(p[n] - m) / sd for n, (m, sd) in priors.items()])
 
-    limits = {
-        "rounding": ROUNDING,
-        "zero": (-0.4 * s.drop.min() / known.zero, 0.4 * s.drop.min() / known.zero),
-    }
-    low, high = np.array([limits.get(n, (-np.inf, np.inf)) for n in names]).T
-    found, r, jacobian = _minimum(residual, np.array([start[n] for n in names]), low, high)
+    largest = 0.4 * float(s.drop.min()) / known.zero
+    limits = {"rounding": ROUNDING, "zero": (-largest, largest)}
+    bounds = np.array([limits.get(n, (-np.inf, np.inf)) for n in names]).T
+    fit = optimize.least_squares(residual, [start[n] for n in names], "3-point", bounds, **SEARCH)
+    found, r, jacobian = fit.x, fit.fun, fit.jac
     chi_square, freedom = float(r @ r), r.size - len(names)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * np.outer(scale, scale)
     p = float(stats.chi2.sf(chi_square, freedom)) if freedom > 0 else 1.0
@@ -490,51 +497,27 @@ def fit_line(
     return Line(names, found * scale, np.asarray(covariance), chi_square, freedom, p, known.rounding.value)
 
 
-def _minimum(
-    residual: Callable[[Array], Array], x: Array, low: Array, high: Array
-) -> tuple[Array, Array, Array]:
-    """Gauss-Newton of a nearly linear residual: parameters of magnitude one, residual and its Jacobian."""
-    for _ in range(40):
-        r, h = residual(x), 1e-5
-        jacobian = np.column_stack(
-            [(residual(x + d) - residual(x - d)) / (2 * h) for d in h * np.eye(x.size)]
-        )
-        step = np.linalg.lstsq(jacobian, -r, rcond=None)[0]
-        size = next(
-            (s for s in (1, 0.5, 0.2, 0.05) if _less(residual(np.clip(x + s * step, low, high)), r)), 0
-        )
-        if not size or np.linalg.norm(jacobian @ step) < 1e-4:
-            break
-        x = np.clip(x + size * step, low, high)
-    return x, r, jacobian
-
-
-def _less(a: Array, b: Array) -> bool:
-    return bool(a @ a < b @ b)
-
-
 def line(nodes: Nodes, c: ValveConstants, known: Priors, *, any_zero: bool = False) -> Line:
     """The straight line of one opening; its rounding is free if steps on the foot determine it."""
+
+    def with_rounding(value: float) -> Line:
+        other = replace(known, rounding=replace(known.rounding, value=value))
+        return fit_line(nodes, c, other, any_zero=any_zero)
+
     fixed = fit_line(nodes, c, known, any_zero=any_zero)
     if np.count_nonzero(nodes.steps.command < fixed["start0"] + ROUNDING[1] / 2) < 2 or known.rounding.sd:
         return fixed
-    free = fit_line(nodes, c, known, any_zero=any_zero, foot=True)
-    sharp = _with_rounding(nodes, c, known, ROUNDING[0], any_zero)
-    as_known = _tail(fixed.chi_square - min(free.chi_square, sharp.chi_square), 1)
+    free, sharp = fit_line(nodes, c, known, any_zero=any_zero, foot=True), with_rounding(ROUNDING[0])
+    better = fixed.chi_square - min(free.chi_square, sharp.chi_square)
+    as_known = _tail(better, 1)
     certain = free.sd("rounding") < DETERMINED * free["rounding"] and free["rounding"] < 0.99 * ROUNDING[1]
     if certain and sharp.chi_square - free.chi_square > CERTAIN**2:
         return replace(free, as_known=as_known)
-    if fixed.chi_square - min(free.chi_square, sharp.chi_square) < CERTAIN**2:
+    if better < CERTAIN**2:
         return fixed
     # the known rounding is wrong, as of a sharp start
     other = ROUNDING[0] if sharp.chi_square < free.chi_square + CERTAIN else free["rounding"]
-    return replace(_with_rounding(nodes, c, known, other, any_zero), as_known=as_known)
-
-
-def _with_rounding(nodes: Nodes, c: ValveConstants, known: Priors, value: float, any_zero: bool) -> Line:
-    """The straight line with another rounding than the known one."""
-    other = replace(known, rounding=replace(known.rounding, value=value))
-    return fit_line(nodes, c, other, any_zero=any_zero)
+    return replace(with_rounding(other), as_known=as_known)
 
 
 # ---- curves and their band ---------------------------------------------------------------------------
@@ -569,13 +552,16 @@ class OpeningCurve:
         low, high = (np.interp(command, self.command, end) for end in (self.low, self.high))
         return np.asarray(low), np.asarray(high)
 
+    def openings(self, largest: float, note: str) -> Iterator[Estimate]:
+        """Points of the table behind the start, relative to an area [m2]; each has its command as name."""
+        for command, area in zip(self.commands[1:], self.areas[1:], strict=True):
+            numbers = np.array([area, self.draws_at(command).std(), *self.band_at(command)]) / largest
+            value, sd, low, high = map(float, numbers)
+            yield Estimate(f"{command:.3g}", value, "1", sd, low, high, note)
+
     def draws_at(self, command: float) -> Array:
         """Effective area [m2] of each curve at the nearest command [V] of the grid."""
         return np.asarray(self.draws[:, np.argmin(np.abs(self.command - command))])
-
-    def at(self, command: Array) -> Array:
-        """Effective area [m2] at commands [V], as the machine evaluates the table."""
-        return tabulated(self.commands, self.areas, command)
 
     def estimate(self, name: str, unit: str, note: str, draws: Array, value: float | None = None) -> Estimate:
         """An estimate from its value in each curve: median, standard deviation, 95 % interval."""
@@ -611,11 +597,9 @@ def curve(
     between = (grid >= v[0] - 1e-6) & (grid <= v[-1] + 1e-6)
     if fitted:
         p = fitted.draws()
-        w = np.maximum(p.get("rounding", np.full((DRAWS, 1), fitted.rounding)), ROUNDING[0])
         middle, start = _law(fitted.law(), grid), fitted["start0"] - fitted.law()[2] / 2
-        draws = _law((p["slope0"], p["start0"], w), grid)
-        values, exponents = _law((p["slope0"], p["start0"], w), v), SHORT_FOOT
-        starts = (p["start0"] - w / 2)[:, 0]
+        draws, values, exponents = _law(p, grid), _law(p, v), SHORT_FOOT
+        starts = (p[1] - p[2] / 2)[:, 0]
     else:
         values = nodes.draws(known, random)[:, : v.size]
         mean = isotonic_regression(nodes.area[: v.size], weights=nodes.sd[: v.size] ** -2.0).x
@@ -634,13 +618,8 @@ def curve(
         draws[:, below], starts = foot.draws(grid[below], random)
         if not fitted:
             start = float(np.median(starts))
-            one = _Foot(
-                v[0],
-                np.maximum(middle[between][:1], 1e-6 * nodes.area.max()),
-                np.atleast_1d(np.median(foot.slope)),
-                exponents,
-                bounds,
-            )
+            area = np.maximum(middle[between][:1], 1e-6 * nodes.area.max())
+            one = replace(foot, area=area, slope=np.atleast_1d(np.median(foot.slope)))
             middle[below] = one.at(grid[below], np.array([start]))[0]
     last = np.diff(values[:, -2:], axis=1) / (v[-1] - v[-2])
     way = grid[above] - v[-1]
@@ -654,11 +633,6 @@ def curve(
     area = tabulated(*points, grid)
     ends = np.minimum(low, area), np.maximum(high, area)
     return OpeningCurve(grid, draws, area, *ends, *points, starts, float(v[0]), float(v[-1]))
-
-
-def _law(p: tuple[Array | float, Array | float, Array | float], command: Array) -> Array:
-    """Areas of lines: slope, zero and rounding, at commands."""
-    return np.asarray(p[0] * straight(command - p[1] + p[2] / 2, p[2]))
 
 
 def _kinked(v: Array, values: Array, grid: Array, random: np.random.Generator) -> Array:
@@ -723,11 +697,9 @@ def simultaneous_band(draws: Array) -> tuple[Array, Array]:
     A curve is as extreme as its most extreme point; the band leaves out the most extreme 5 % of the curves.
     """
     count, ordered = draws.shape[0], np.sort(draws, axis=0)
-    rank = np.full(count, count)
-    for column, values in zip(draws.T, ordered.T, strict=True):
-        below = np.searchsorted(values, column, side="right")  # curves at or below this one, itself included
-        above = count - np.searchsorted(values, column, side="left")
-        rank = np.minimum(rank, np.minimum(below, above))
+    below = stats.rankdata(draws, "max", axis=0)  # curves at or below this one, itself included
+    above = count + 1 - stats.rankdata(draws, "min", axis=0)
+    rank = np.minimum(below, above).min(axis=1)
     k = max(int(np.quantile(rank, 1 - CONFIDENCE)), 1)
     return ordered[k - 1], ordered[count - k]
 
@@ -807,10 +779,20 @@ class Openings:
         """Whether a straight line suffices for each edge."""
         return min(line.p for line in self.lines.values()) >= UNLIKELY / len(self.lines)
 
+    @property
+    def common(self) -> OpeningCurve:
+        """The curve of the first edge, which all have if they are equal."""
+        return next(iter(self.curves.values()))
+
+    @property
+    def largest(self) -> float:
+        """Area at full command of the edge that opens furthest [m2]."""
+        return max(float(curve.areas[-1]) for curve in self.curves.values())
+
     def distinct(self) -> dict[str, OpeningCurve]:
         """One entry for all edges with the same curve; its name is "all" then."""
         if len({id(curve) for curve in self.curves.values()}) == 1 and len(self.curves) > 1:
-            return {"all": next(iter(self.curves.values()))}
+            return {"all": self.common}
         return dict(self.curves)
 
 
@@ -824,12 +806,12 @@ def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Opening
     largest = max((abs(r.effects["drift"][0]) for r in drifting.values()), default=0.0)
     steps, known = without_drift(steps, drifting), replace(known, drift=largest)
     zero, zero_sd = zero_by_pressures(found_again.values(), known)
-    measured = {e: Nodes.of(steps.of(e), c) for e in edges}
-    corrected = replace(steps, drop=steps.drop - zero)
-    nodes = {e: Nodes.of(corrected.of(e), c) for e in edges}
-    scatter = max(n.scatter for n in nodes.values())
-    nodes = {e: n.times(scatter) for e, n in nodes.items()}
-    measured = {e: n.times(scatter) for e, n in measured.items()}
+    corrected = steps.without_zero(zero)
+    measured, nodes = ({e: Nodes.of(some.of(e), c) for e in edges} for some in (steps, corrected))
+    scatter = max(n.scattered() for n in nodes.values())
+    measured, nodes = (
+        {e: replace(n, scatter=scatter) for e, n in each.items()} for each in (measured, nodes)
+    )
     any_zero = {e: line(n, c, known, any_zero=True) for e, n in measured.items()}
     lines = {e: line(n, c, known) for e, n in measured.items()}
     for e, free in any_zero.items():  # a zero outside its declaration is named, and used
@@ -841,39 +823,35 @@ def fit_openings(steps: ValveSteps, c: ValveConstants, known: Priors) -> Opening
         steps, c, known, nodes, lines, None, any_zero, {}, 1.0, falling, found_again, (zero, zero_sd)
     )
     if found.straight:
-        found = replace(found, nodes=measured)
-        pooled = Nodes.of(steps, c).times(scatter)
-        group = np.array([edges.index(str(e)) for e in pooled.steps.edge])
-        any_common = any(lines[e] is any_zero[e] for e in edges)
-        common = line(pooled, c, known, any_zero=any_common)
-        foot = "rounding" in common.names and not known.rounding.sd
-        apart = fit_line(pooled, c, known, group, any_zero=any_common, foot=foot)
-        equal = _tail(common.chi_square - apart.chi_square, 2 * (len(edges) - 1))
-        own = {e: curve(measured[e], steps.of(e), c, known, lines[e], monotone=True) for e in edges}
-        found = replace(found, own=own)
-        if equal > UNLIKELY and common["start0"] > -CERTAIN * common.sd("start0"):
-            together = {"all": line(pooled, c, known, any_zero=True)} if len(edges) > 1 else any_zero
-            one = curve(pooled, steps, c, known, common, monotone=True)
-            return replace(
-                found, line=common, any_zero=together, curves=dict.fromkeys(edges, one), equal=equal
-            )
-        return replace(found, curves=own, equal=equal)
-    pooled = Nodes.of(corrected, c).times(scatter)
-    chi_square, freedom = _difference(list(nodes.values()), pooled)
-    equal = _tail(chi_square, freedom)
+        return _straight(replace(found, nodes=measured), scatter)
+    pooled = replace(Nodes.of(corrected, c), scatter=scatter)
+    equal = _tail(*_difference(nodes.values(), pooled))
+    rises = {e: p >= UNLIKELY for e, (p, _) in falling.items()}
     if equal > UNLIKELY:
-        rises = min(p for p, _ in falling.values()) >= UNLIKELY
-        one = curve(pooled, corrected, c, by_curve, None, monotone=rises)
+        one = curve(pooled, corrected, c, by_curve, None, monotone=all(rises.values()))
         return replace(found, curves=dict.fromkeys(edges, one), equal=equal)
-    own = {
-        e: curve(nodes[e], corrected.of(e), c, by_curve, None, monotone=falling[e][0] >= UNLIKELY)
-        for e in edges
-    }
+    own = {e: curve(nodes[e], corrected.of(e), c, by_curve, None, monotone=rises[e]) for e in edges}
     return replace(found, curves=own, equal=equal)
 
 
-def _tail(chi_square: float, freedom: int) -> float:
-    return float(stats.chi2.sf(chi_square, freedom)) if freedom else 1.0
+def _straight(found: Openings, scatter: float) -> Openings:
+    """The straight line of all edges together, unless they differ or are open at zero command."""
+    steps, c, known, edges = found.steps, found.constants, found.known, found.steps.edges
+    pooled = replace(Nodes.of(steps, c), scatter=scatter)
+    group = np.array([edges.index(str(e)) for e in pooled.steps.edge])
+    any_common = any(found.lines[e] is found.any_zero[e] for e in edges)
+    common = line(pooled, c, known, any_zero=any_common)
+    foot = "rounding" in common.names and not known.rounding.sd
+    apart = fit_line(pooled, c, known, group, any_zero=any_common, foot=foot)
+    equal = _tail(common.chi_square - apart.chi_square, 2 * (len(edges) - 1))
+    own = {e: curve(n, steps.of(e), c, known, found.lines[e], monotone=True) for e, n in found.nodes.items()}
+    if equal <= UNLIKELY or common["start0"] <= -CERTAIN * common.sd("start0"):
+        return replace(found, own=own, curves=own, equal=equal)
+    any_zero = {"all": line(pooled, c, known, any_zero=True)} if len(edges) > 1 else found.any_zero
+    one = curve(pooled, steps, c, known, common, monotone=True)
+    return replace(
+        found, own=own, line=common, any_zero=any_zero, curves=dict.fromkeys(edges, one), equal=equal
+    )
 
 
 def _difference(each: Collection[Nodes], pooled: Nodes) -> tuple[float, int]:

@@ -18,10 +18,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from fmus.identification.balance import probability
+from fmus.identification.balance import METERS, probability
 from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
+from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
 from fmus.identification.recordings.masks import in_dead_zone, standard_error
 from fmus.parameters import Number
@@ -29,7 +29,7 @@ from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 
 SIGNALS: Mapping[str, str] = {}  # of any name; those in Pa and m3/s are read
-READ = {"Pa": ("pressure sensor", BAR), "m3/s": ("flow meter", LITRES_PER_MINUTE)}
+READ = {"Pa": METERS["pressure"], "m3/s": METERS["flow"]}
 CUT = 0.01  # share of readings at the lowest one from which on the mean is not the zero
 LARGEST = 20.0  # limits of the data sheet above which the machine was not at rest
 LOADED = "expected a reading near zero, with the pump off and all pressures relieved"

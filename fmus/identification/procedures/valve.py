@@ -12,7 +12,7 @@ C_d A sqrt(2/rho) is measured: the area is valid for the known C_d and the densi
 recording if it has one.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,18 +22,8 @@ from fmus.identification.balance import probability
 from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, ProcedureResult
-from fmus.identification.procedures.experiment_data import (
-    SETTLING_TIME,
-    SHORTEST_STEP,
-    concatenate,
-    condition,
-    difference_limit,
-    parameter,
-    select,
-    signal_findings,
-    step_means,
-    training_recordings,
-)
+from fmus.identification.procedures import experiment_data as data
+from fmus.identification.procedures.experiment_data import STEP_SIGNALS, select
 from fmus.identification.procedures.openings import (
     CERTAIN,
     SAME,
@@ -63,26 +53,25 @@ MIN_VOLTAGES = 3  # different commands at which the flow must be measured
 # sign of the command that opens each edge, correction E7 in docs/equations.md
 COMMAND_SIGN = {"P-A": 1, "B-T": 1, "P-B": -1, "A-T": -1}
 SAME_WAY = {"P-A": "B-T", "B-T": "P-A", "P-B": "A-T", "A-T": "P-B"}  # edges that one direction opens
-WRONG_NOISE, NOISE_ERROR = (
-    2.0,
-    0.05,
-)  # factor up to which a noise is known; sd of the logarithm of a found one
+WRONG_NOISE = 2.0  # factor up to which a noise is known
+NOISE_ERROR = 0.05  # standard deviation of the logarithm of a noise that was found
 SAME_OIL = 0.01  # relative difference of two densities of one oil
+Test = tuple[float, str]  # probability and sentence of a finding
 UNEVEN = 1.3  # scatter over its noise that ripple and errors of a standard error may cause
 
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """Area and dead band or opening curve of the valve's edges, and C_R over the command."""
-    tests = training_recordings(recordings, "valve", SIGNALS)
+    tests = data.training_recordings(recordings, "valve", SIGNALS)
     found = identify_openings(tests, parameters)
     zero = zero_of(found)
-    corrected = replace(found.steps, drop=found.steps.drop - zero.value)
+    corrected = found.steps.without_zero(zero.value)
     declared = all(r.sensor("flow").zero_error is not None for r in tests)
     return ProcedureResult(
         procedure="valve",
         title="Valve: C_R of the metering edges over the command",
         figure=5,
-        estimates=tuple(_of_line(found, found.line, found.curves) if found.line else _of_curves(found)),
+        estimates=tuple(_of_line(found, found.line, found.common) if found.line else _of_curves(found)),
         panels=panels(corrected, found),
         remarks=tuple(remarks(corrected, found, zero, declared)),
         others=(*_resistances(found), zero, *_of_edges(found)),
@@ -93,38 +82,35 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
 
 def identify_openings(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> Openings:
     """The openings of the edges with their bands."""
-    tests = training_recordings(recordings, "valve", SIGNALS)
-    constants = ValveConstants.of(parameters)
-    steps = concatenate([_steps_of(_with_its_noise(r, constants), constants) for r in tests])
-    readings = [r for e in steps.edges if (r := closed_reading(steps.of(e), constants))]
+    tests = data.training_recordings(recordings, "valve", SIGNALS)
+    c = ValveConstants.of(parameters)
+    steps = data.concatenate([_steps_of(_with_its_noise(r, c), c) for r in tests])
+    readings = [r for e in steps.edges if (r := closed_reading(steps.of(e), c))]
     flow_zero, sd = 0.0, max(r.sensor("flow").zero_error or 0.0 for r in tests) / 3**0.5
     if readings:
         weight = [error**-2.0 for _, error in readings]
         flow_zero, sd = float(np.average([q for q, _ in readings], weights=weight)), sum(weight) ** -0.5
-    steps = select(steps, steps.command > SAME * constants.full_command)
-    steps = _opened(replace(steps, flow=steps.flow - flow_zero), constants)
+    steps = select(steps, steps.command > SAME * c.full_command)
+    steps = _opened(replace(steps, flow=steps.flow - flow_zero), c)
     for edge in steps.edges:
-        _check_voltages(edge, steps.of(edge), constants)
-    limit = difference_limit(tests, ("pressure_in", "pressure_out"))
-    known = Priors(parameter(parameters, ROUNDING), limit, sd)
-    return replace(fit_openings(steps, constants, known), flow_zero=(flow_zero, sd) if readings else None)
+        own = steps.of(edge)
+        voltages = Nodes.of(own, c).command.size if own.good.any() else 0
+        if voltages < MIN_VOLTAGES:
+            raise Problem(
+                f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "
+                f"out of {own.command.size} steps: {own.omissions() or 'none'}"
+            )
+    limit = data.difference_limit(tests, ("pressure_in", "pressure_out"))
+    known = Priors(data.parameter(parameters, ROUNDING), limit, sd)
+    return replace(fit_openings(steps, c, known), flow_zero=(flow_zero, sd) if readings else None)
 
 
 # ---- steps -------------------------------------------------------------------------------------------
 
 
-def _check_voltages(edge: str, steps: ValveSteps, constants: ValveConstants) -> None:
-    voltages = Nodes.of(steps, constants).command.size if steps.good.any() else 0
-    if voltages < MIN_VOLTAGES:
-        raise Problem(
-            f"valve {edge}: expected flow at {MIN_VOLTAGES} voltages or more, got {voltages}; left "
-            f"out of {steps.command.size} steps: {steps.omissions() or 'none'}"
-        )
-
-
 def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Array, list[slice]]:
     """The edge, its opening command [V] and the steps in which it is held, also those at zero."""
-    edge, samples = condition(recording, "edge", COMMAND_SIGN), recording["command"]
+    edge, samples = data.condition(recording, "edge", COMMAND_SIGN), recording["command"]
     largest, full = float(np.nanmax(np.abs(samples))), constants.full_command
     if not full / UNREAL < largest < full * UNREAL:  # such as mV taken as V
         expected = f"expected a full command of about {full:g} V, got {largest:g} V: is its unit right?"
@@ -134,7 +120,7 @@ def _stretches(recording: Recording, constants: ValveConstants) -> tuple[str, Ar
         expected = "positive" if COMMAND_SIGN[edge] > 0 else "negative"
         raise Problem(f"{recording.source}: command: expected {expected} values, which open {edge}, got none")
     gapless = replace(recording, signals={**recording.signals, "command": command})
-    stretches = steady(gapless, "command", SETTLING_TIME, SHORTEST_STEP)
+    stretches = steady(gapless, "command", data.SETTLING_TIME, data.SHORTEST_STEP)
     return edge, command, [step for step in stretches if command[step.start] > -SAME * full]
 
 
@@ -148,9 +134,6 @@ def _noises(recording: Recording, constants: ValveConstants) -> Iterator[tuple[s
         fast = noise(samples, sensor)
         if sensor.noise > 0 and scatter and np.isfinite(fast):
             yield name, fast, max(fast, float(np.median(scatter)))
-
-
-STEP_SIGNALS = ("pressure_in", "pressure_out", "flow")
 
 
 def _with_its_noise(recording: Recording, constants: ValveConstants) -> Recording:
@@ -169,7 +152,7 @@ def _with_its_noise(recording: Recording, constants: ValveConstants) -> Recordin
 def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
     """All steps of a recording; a reading in the dead zone of the meter is one, too."""
     edge, command, steps = _stretches(recording, constants)
-    means, meter = step_means(recording, steps), recording.sensor("flow")
+    means, meter = data.step_means(recording, steps), recording.sensor("flow")
     sign = np.where(means.drop < 0, -1.0, 1.0)
     flow = sign * means.flow
     highest = (flow + CERTAIN * means.flow_error)[means.good]  # flow along the drop that noise allows
@@ -181,13 +164,12 @@ def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
             "or exchange pressure_in and pressure_out"
         )
     middle = np.array([command[step].mean() for step in steps])
-    spread = np.array([command[step].std() / np.sqrt(step.stop - step.start) for step in steps])
-    of_dead = np.array([np.nanstd(recording["flow"][s]) / np.sqrt(s.stop - s.start) for s in steps])
+    size = np.sqrt([step.stop - step.start for step in steps])
+    of_dead = np.array([np.nanstd(recording["flow"][step]) for step in steps]) / size
     error = np.where(means.dead, np.maximum(of_dead, meter.resolution / 12**0.5), means.flow_error)
     temperature = next((n for n in recording.signals if "temperature" in n), "")
     warmth = recording[temperature] if temperature else np.full(recording.time.size, np.nan)
-    machine = constants.density
-    density = recording.numeric_condition("density") if "density" in recording.conditions else machine
+    density = data.stated(recording, "density") or constants.density
     drop = means.drop[np.isfinite(means.drop)]
     usual = [float(np.median(e[means.good])) if means.good.any() else 0.0 for e in (means.drop_error, error)]
     return ValveSteps(
@@ -199,7 +181,7 @@ def _steps_of(recording: Recording, constants: ValveConstants) -> ValveSteps:
             "flow_error": np.where(means.good, np.maximum(error, usual[1]), error),
         },
         command=np.abs(middle),
-        command_error=spread,
+        command_error=np.array([command[step].std() for step in steps]) / size,
         supply_drop=np.ones(len(steps)) * np.max(np.abs(drop), initial=0.0),
         time=np.array([recording.time[step].mean() for step in steps]),
         temperature=np.array([np.nanmean(warmth[step]) if temperature else np.nan for step in steps]),
@@ -254,28 +236,28 @@ def _findings(recordings: Sequence[Recording], found: Openings) -> Iterator[Find
         (p, f"valve {e}: the opening falls by {100 * fall:.2g} % while the command rises.")
         for e, (p, fall) in found.falling.items()
     ]
-    zeros = (
+    zeros = [
         (e, free) for e, free in found.any_zero.items() if free.is_zero(found.known) and free.p >= UNLIKELY
-    )
-    tests: dict[str, Iterable[tuple[float, str]]] = {
+    ]
+    tests: dict[str, list[Test]] = {
         "zero of a pressure sensor": [_outside(e, free, found.known.zero) for e, free in zeros],
-        "zero of a flow meter": _flow_zero(recordings, found),
+        "zero of a flow meter": [*_flow_zero(recordings, found)],
         "falling opening": falling,
         "dead band": [_start(e, found) for e in found.nodes],
-        "density": _density(recordings, found.constants),
+        "density": [*_density(recordings, found.constants)],
         "noise": [t for r in recordings for t in _noise(r, found.constants)],
     }
-    yield from (f for f in signal_findings(recordings, STEP_SIGNALS, "valve") if f.fault != "noise")
+    yield from (f for f in data.signal_findings(recordings, STEP_SIGNALS, "valve") if f.fault != "noise")
     for edge, again in found.repeated.items():
         for fault, test in _repeated(edge, again, found.known.zero):
-            tests[fault] = [*tests.get(fault, ()), test]
-    for fault, results in tests.items():
-        if several := list(results):
+            tests.setdefault(fault, []).append(test)
+    for fault, several in tests.items():
+        if several:
             p, sentence = min(several)
             yield Finding(fault, min(1.0, len(several) * p), sentence)
 
 
-def _outside(edge: str, free: Line, limit: float) -> tuple[float, str]:
+def _outside(edge: str, free: Line, limit: float) -> Test:
     """Score test of a zero beyond its limit, by the straight line with any zero."""
     zero, bar = free["zero"], BAR[1]
     return probability(zero, free.sd("zero"), limit), (
@@ -284,7 +266,7 @@ def _outside(edge: str, free: Line, limit: float) -> tuple[float, str]:
     )
 
 
-def _flow_zero(recordings: Sequence[Recording], found: Openings) -> Iterator[tuple[float, str]]:
+def _flow_zero(recordings: Sequence[Recording], found: Openings) -> Iterator[Test]:
     """The reading at closed edges against the declared zero; undeclared it is none."""
     if found.flow_zero:
         (zero, sd), unit = found.flow_zero, LITRES_PER_MINUTE[1]
@@ -296,53 +278,56 @@ def _flow_zero(recordings: Sequence[Recording], found: Openings) -> Iterator[tup
         yield probability(zero, sd, limit), sentence
 
 
-def _start(edge: str, found: Openings) -> tuple[float, str]:
+def _start(edge: str, found: Openings) -> Test:
     """An edge that is open at zero command, or closed where its opening would give a flow."""
-    curve, nodes = found.curves[edge], found.nodes[edge]
-    bounds = found.steps.of(edge).shut().idle_area(found.constants)
     line = found.line or (found.lines[edge] if found.straight else None)
+    tests = [_underlap(edge, found.nodes[edge], line), *_idle(edge, found)]
     if line:
-        first, sd = line["start0"], line.sd("start0")
-    else:
-        a, v, s = nodes.area, nodes.command, nodes.sd
-        length = (v[1] - v[0]) / (a[1] - a[0])
-        first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
-    # least area where the meter reads nothing: below the lowest node that of the steepest start
-    lowest, latest = nodes.command[0], float(curve.start.max())
-    steep = np.clip((bounds[:, 0] - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
-    inside = np.interp(bounds[:, 0], nodes.command, nodes.area)
-    least = np.where(bounds[:, 0] >= lowest, inside, steep * (latest < lowest))
-    error = np.interp(bounds[:, 0], nodes.command, nodes.sd)
-    idle = [
-        (
-            float(stats.norm.sf((x - bound) / e)),
-            f"valve {edge}: the flow meter reads nothing at {v:.3g} V, although the opening gives a flow: "
-            "the opening has a step, or the meter was stuck.",
-        )
-        for (v, bound), x, e in sorted(zip(bounds.tolist(), least, error, strict=True), reverse=True)
-    ]
-    underlap = (
-        float(stats.norm.sf(-first / sd)),
-        f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
-        "offset. The machine has no opening at zero command.",
-    )
-    tests = [underlap, *idle]
-    if line:
-        known = found.known.rounding.value
         sentence = (
-            f"valve {edge}: the opening does not begin with a rounding of {known:.3g} V as known, but with"
-            f" one of {line.law()[2]:.2g} V."
+            f"valve {edge}: the opening does not begin with a rounding of {found.known.rounding.value:.3g} V "
+            f"as known, but with one of {line.law()[2]:.2g} V."
         )
         tests.append((line.as_known, sentence))
     p, sentence = min(tests, key=lambda test: test[0])
     return min(1.0, p * len(tests)), sentence
 
 
-def _density(recordings: Sequence[Recording], c: ValveConstants) -> Iterator[tuple[float, str]]:
+def _underlap(edge: str, nodes: Nodes, line: Line | None) -> Test:
+    if line:
+        first, sd = line["start0"], line.sd("start0")
+    else:
+        a, v, s = nodes.area, nodes.command, nodes.sd
+        length = (v[1] - v[0]) / (a[1] - a[0])
+        first, sd = float(v[0] - a[0] * length), float(length * np.hypot(s[0], s[1] * a[0] / a[1]))
+    sentence = (
+        f"valve {edge}: the opening begins at {first:.2g} V: an underlapped spool, or a command with an "
+        "offset. The machine has no opening at zero command."
+    )
+    return float(stats.norm.sf(-first / sd)), sentence
+
+
+def _idle(edge: str, found: Openings) -> Iterator[Test]:
+    """Steps at which the meter reads nothing, from the highest command on, although the opening is open."""
+    curve, nodes = found.curves[edge], found.nodes[edge]
+    command, bound = found.steps.of(edge).shut().idle_area(found.constants).T
+    # below the lowest node the least area is that of the steepest start
+    lowest, latest = nodes.command[0], float(curve.start.max())
+    steep = np.clip((command - latest) / max(lowest - latest, 1e-9), 0.0, None) * nodes.area[0]
+    inside = np.interp(command, nodes.command, nodes.area)
+    least = np.where(command >= lowest, inside, steep * (latest < lowest))
+    p = stats.norm.sf((least - bound) / np.interp(command, nodes.command, nodes.sd))
+    for k in np.argsort(-command):
+        sentence = (
+            f"valve {edge}: the flow meter reads nothing at {command[k]:.3g} V, although the opening gives a "
+            "flow: the opening has a step, or the meter was stuck."
+        )
+        yield float(p[k]), sentence
+
+
+def _density(recordings: Sequence[Recording], c: ValveConstants) -> Iterator[Test]:
     """An oil that is not that of the machine."""
     for recording in recordings:
-        if "density" in recording.conditions:
-            density = recording.numeric_condition("density")
+        if density := data.stated(recording, "density"):
             other = abs(density / c.density - 1) > SAME_OIL
             sentence = (
                 f"valve: {recording.source.name} was recorded with an oil of {density:.4g} kg/m3, not the "
@@ -351,7 +336,7 @@ def _density(recordings: Sequence[Recording], c: ValveConstants) -> Iterator[tup
             yield 0.0 if other else 1.0, sentence
 
 
-def _noise(recording: Recording, c: ValveConstants) -> Iterator[tuple[float, str]]:
+def _noise(recording: Recording, c: ValveConstants) -> Iterator[Test]:
     """Noise known to a factor of two: fast changes are not above it, and the scatter is not below it."""
     for name, fast, scatter in _noises(recording, c):
         sensor = recording.sensor(name)
@@ -365,7 +350,7 @@ def _noise(recording: Recording, c: ValveConstants) -> Iterator[tuple[float, str
         yield float(stats.norm.sf(max(large, small) / NOISE_ERROR)), sentence
 
 
-def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, tuple[float, str]]]:
+def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, Test]]:
     """Tests of steps with one command: after a rising against a falling one, against time, and the rest."""
     effects = {name: value for name, (value, _) in found.effects.items()}
     if "lag" in effects:
@@ -392,132 +377,113 @@ def _repeated(edge: str, found: Repeated, limit: float) -> Iterator[tuple[str, t
 
 def zero_of(found: Openings) -> Estimate:
     """Difference of the two pressures without flow."""
-    note = "pressure_in - pressure_out"
-    lines = [found.line] if found.line else list(found.lines.values()) if found.straight else []
-    if not lines:
-        zero, sd = found.zero
-        return Estimate.normal("pressures without flow", zero, "Pa", sd, note)
-    value = float(np.mean([line["zero"] for line in lines]))
-    sd = max(line.sd("zero") for line in lines)
-    return Estimate.normal("pressures without flow", value, "Pa", sd, note)
+    zero, sd = found.zero
+    if lines := [found.line] if found.line else list(found.lines.values()) if found.straight else []:
+        zero, sd = float(np.mean([line["zero"] for line in lines])), max(line.sd("zero") for line in lines)
+    return Estimate.normal("pressures without flow", zero, "Pa", sd, "pressure_in - pressure_out")
 
 
-def _of_line(
-    found: Openings, line: Line, curves: Mapping[str, OpeningCurve], edge: str = ""
-) -> Iterator[Estimate]:
+def _of_line(found: Openings, line: Line, curve: OpeningCurve, edge: str = "") -> Iterator[Estimate]:
     """Area and dead band of a straight opening; the latter is as uncertain as a foot without a flow."""
     suffix = f"[{edge}]" if edge else ""
     count = sum(int(n.steps.command.size) for e, n in found.nodes.items() if edge in ("", e))
     note, full = f"fit of {count} steps, section 4(a)", found.constants.full_command
-    curve = curves[edge] if edge else next(iter(curves.values()))
     name, (area, sd), about = f"valve_area{suffix}", line.area(full), f"{note}, with C_d and density as known"
-    sd = float(np.hypot(sd, area * found.known.drift / 3**0.5))
     if curve.last_measured < full * (1 - SAME):
         yield curve.estimate(name, "m2", f"{about}, extrapolated", curve.draws[:, -1], area)
     else:
+        sd = float(np.hypot(sd, area * found.known.drift / 3**0.5))
         yield Estimate.normal(name, area, "m2", sd, about)
     _, start, rounding = line.law()
-    name, value = f"valve_dead_band{suffix}", start - rounding / 2
+    name, width = f"valve_dead_band{suffix}", f"valve_command_rounding{suffix}"
     if "rounding" in line.names:
-        i = [line.names.index(n) for n in ("start0", "rounding")]
-        sd = float(np.sqrt(np.array([1, -0.5]) @ line.covariance[np.ix_(i, i)] @ np.array([1, -0.5])))
+        value, sd = line.combination({"start0": 1.0, "rounding": -0.5})
         yield Estimate.normal(name, value, "V", sd, note, minimum=0.0)
-        yield Estimate.normal(f"valve_command_rounding{suffix}", rounding, "V", line.sd("rounding"), note)
+        yield Estimate.normal(width, rounding, "V", line.sd("rounding"), note)
         return
     note = f"{note}, rounding {rounding:.3g} V as known; the interval is that of any foot"
-    yield curve.estimate(name, "V", note, np.maximum(curve.start, 0.0), max(value, 0.0))
+    yield curve.estimate(name, "V", note, np.maximum(curve.start, 0.0), max(start - rounding / 2, 0.0))
     if rounding < found.known.rounding.value:
         note = "twice the start of the straight opening, so that the dead band is not negative"
-        yield Estimate(
-            f"valve_command_rounding{suffix}", rounding, "V", rounding / 12**0.5, 0.0, rounding, note
-        )
+        yield Estimate(width, rounding, "V", rounding / 12**0.5, 0.0, rounding, note)
 
 
 def _of_curves(found: Openings) -> Iterator[Estimate]:
     """Area of the edge that opens furthest, and the first start of an opening."""
     largest = max(found.curves.values(), key=lambda curve: float(curve.areas[-1]))
-    yield _full_area(
-        largest, "valve_area", "at full command by the opening curve, with C_d and density as known"
-    )
+    note = "at full command by the opening curve, with C_d and density as known"
+    yield _full_area(largest, "valve_area", note)
     earliest = min(found.curves.values(), key=lambda curve: float(curve.commands[0]))
-    note = "start of the opening curve; the tables of the edges replace it"
-    starts = np.maximum(earliest.start, 0.0)
-    yield earliest.estimate("valve_dead_band", "V", note, starts, float(earliest.commands[0]))
+    yield _first(
+        earliest, "valve_dead_band", "start of the opening curve; the tables of the edges replace it"
+    )
 
 
 def _full_area(curve: OpeningCurve, name: str, note: str) -> Estimate:
-    draws, area = curve.draws[:, -1], float(curve.areas[-1])
-    return curve.estimate(name, "m2", f"{note}, section 4(a)", draws, area)
+    return curve.estimate(name, "m2", f"{note}, section 4(a)", curve.draws[:, -1], float(curve.areas[-1]))
+
+
+def _first(curve: OpeningCurve, name: str, note: str) -> Estimate:
+    return curve.estimate(name, "V", note, np.maximum(curve.start, 0.0), float(curve.commands[0]))
 
 
 def _of_edges(found: Openings) -> Iterator[Estimate]:
     """Area and start of each edge; openings at the points of the tables with their band."""
-    if found.line or found.straight:
+    if found.straight:
         for edge, line in found.lines.items():
-            yield from _of_line(found, line, found.own, edge)
+            yield from _of_line(found, line, found.own[edge], edge)
         return
-    full = max(float(curve.areas[-1]) for curve in found.curves.values())
+    note = "point of the table, relative to valve_area; the interval is that of the 95 % band"
     for edge, curve in found.distinct().items():
         yield _full_area(curve, f"valve_area[{edge}]", "at full command")
-        start, starts = float(curve.commands[0]), np.maximum(curve.start, 0.0)
-        yield curve.estimate(f"valve_dead_band[{edge}]", "V", "start of the opening", starts, start)
-        for command, area in zip(curve.commands[1:], curve.areas[1:], strict=True):
-            note = "point of the table, relative to valve_area; the interval is that of the 95 % band"
-            yield _opening(curve, f"opening[{edge}]({command:.3g} V)", command, area, full, note)
-
-
-def _opening(
-    curve: OpeningCurve, name: str, command: float, area: float, full: float, note: str, listed: str = ""
-) -> Estimate:
-    """Opening at a point of a table, relative to the largest area."""
-    low, high = (float(end) / full for end in curve.band_at(np.array(command)))
-    sd = float(curve.draws_at(command).std()) / full
-    return Estimate(name, float(area) / full, "1", sd, low, high, note, listed)
+        yield _first(curve, f"valve_dead_band[{edge}]", "start of the opening")
+        for point in curve.openings(found.largest, note):
+            yield replace(point, name=f"opening[{edge}]({point.name} V)")
 
 
 def _tables(found: Openings) -> Iterator[Estimate]:
     """Points of the tables of all edges as parameters; an untested edge gets the table of another."""
     tested = found.curves
-    full = max(float(curve.areas[-1]) for curve in tested.values())
-    note = "opening curve of edge {}, section 4(a); relative to valve_area"
     for edge, other in SAME_WAY.items():
         source = edge if edge in tested else other if other in tested else next(iter(tested))
-        curve, name = tested[source], f"valve_{edge.replace('-', '').lower()}"
-        about = note.format(source)
+        curve, name = tested[source], _table_of(edge)
+        note = f"opening curve of edge {source}, section 4(a); relative to valve_area"
         for i, command in enumerate(curve.commands, 1):
-            yield _entry(f"{name}_command_{i}", float(command), "V", about, f"{name}_commands")
-        yield _entry(f"{name}_opening_1", 0.0, "1", about, f"{name}_openings")
-        for i, (command, area) in enumerate(zip(curve.commands[1:], curve.areas[1:], strict=True), 2):
-            yield _opening(curve, f"{name}_opening_{i}", command, area, full, about, f"{name}_openings")
+            yield _entry(f"{name}_command_{i}", float(command), "V", note)
+        yield _entry(f"{name}_opening_1", 0.0, "1", note)
+        for i, point in enumerate(curve.openings(found.largest, note), 2):
+            yield replace(point, name=f"{name}_opening_{i}", listed=f"{name}_openings")
 
 
 def _no_tables(parameters: Mapping[str, Number]) -> Iterator[Estimate]:
     """Empty tables in place of known ones, because a straight line suffices."""
-    for edge in SAME_WAY:
-        name, note = (
-            f"valve_{edge.replace('-', '').lower()}",
-            "no table: a straight line suffices, section 4(a)",
-        )
+    for name in map(_table_of, SAME_WAY):
         known = parameters.get(f"boom_stick.{name}_command_2")
         if known and known.value > 0:
             for kind, unit in (("command", "V"), ("opening", "1")):
-                yield _entry(f"{name}_{kind}_1", 0.0, unit, note, f"{name}_{kind}s")
+                yield _entry(
+                    f"{name}_{kind}_1", 0.0, unit, "no table: a straight line suffices, section 4(a)"
+                )
 
 
-def _entry(name: str, value: float, unit: str, note: str, listed: str) -> Estimate:
-    return Estimate(name, value, unit, 0.0, value, value, note, listed)
+def _table_of(edge: str) -> str:
+    return f"valve_{edge.replace('-', '').lower()}"
+
+
+def _entry(name: str, value: float, unit: str, note: str) -> Estimate:
+    """An entry of a list, which is exact."""
+    return Estimate(name, value, unit, 0.0, value, value, note, f"{name.rpartition('_')[0]}s")
 
 
 def _resistances(found: Openings) -> Iterator[Estimate]:
     """C_R at the voltages of `VOLTAGES`, and the zero of a straight opening."""
-    c = found.constants
-    for edge, curve in found.distinct().items():
-        suffix = "" if len(found.distinct()) == 1 else f"[{edge}]"
+    c, distinct = found.constants, found.distinct()
+    for edge, curve in distinct.items():
+        suffix = "" if len(distinct) == 1 else f"[{edge}]"
         for voltage in VOLTAGES:
             areas = curve.draws_at(voltage)
             if curve.first_measured <= voltage <= c.full_command * (1 + SAME) and areas.min() > 0:
-                draws = c.resistance(areas)
-                note = "eq. (2) with the fitted opening"
+                draws, note = c.resistance(areas), "eq. (2) with the fitted opening"
                 yield curve.estimate(f"C_R({voltage:g} V){suffix}", "Pa.s2/m6", note, draws)
     if line := found.line:
         note = "zero of the straight part of the opening, extrapolated"

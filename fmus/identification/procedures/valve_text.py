@@ -44,7 +44,7 @@ def remarks(steps: ValveSteps, found: Openings, zero: Estimate, declared: bool) 
         label = f"{edge}: " if edge else ""
         yield label + _polynomial_remark(steps_of, c.full_command)
         yield label + _logarithm_remark(steps_of)
-    yield from pressure_offset_remark(zero.value, zero.sd)
+    yield from pressure_offset_remark(zero)
     density = ", ".join(f"{x:.4g}" for x in np.unique(steps.density))
     yield f"Known: C_d = {c.discharge_coefficient:.4g}, density {density} kg/m3."
     percent = 100 * BAR[1] / (2 * float(good.drop.mean()))  # A ~ Q / sqrt(dp)

@@ -22,10 +22,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmus.identification.balance import Solution, drift_finding, model_finding, solve, zero_findings
+from fmus.identification import balance
+from fmus.identification.balance import Solution
 from fmus.identification.estimate import Estimate
 from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
-from fmus.identification.procedures.experiment_data import signal_findings, training_recordings, zero_limit
+from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.momentum_balance import (
     ANGLES,
     DRY,
@@ -36,6 +37,7 @@ from fmus.identification.procedures.momentum_balance import (
     JointRecording,
     joint_recording,
     parameter_vector,
+    torque_panels,
 )
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
@@ -67,8 +69,7 @@ class Weighed:
 
     def stated(self, k: int) -> float | None:
         """The payload [kg] that a recording states."""
-        source = self.records[k].source
-        return source.numeric_condition(CONDITION) if CONDITION in source.conditions else None
+        return data.stated(self.records[k].source, CONDITION)
 
     @property
     def tares(self) -> list[int]:
@@ -94,7 +95,7 @@ class Weighed:
 
 def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) -> ProcedureResult:
     """The payload of each recording that is not one of the empty head."""
-    weighed = weigh(training_recordings(recordings, "weighing", SIGNALS), parameter_vector(parameters))
+    weighed = weigh(data.training_recordings(recordings, "weighing", SIGNALS), parameter_vector(parameters))
     fit, tares = weighed.solution.fit, len(weighed.tares)
     how = "moments of the boom's cylinder, " + (
         f"less the tare of {tares} recording{'s' * (tares > 1)}"
@@ -102,7 +103,7 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
         else "less the known mass of the head"
     )
     loaded = [k for k in range(len(weighed.records)) if k not in weighed.tares]
-    courses = [r.course for r in weighed.records]
+    courses = data.courses([r.source for r in weighed.records], weighed.solution)
     return ProcedureResult(
         procedure="weighing",
         title="Payload from the pressures of the boom's cylinder",
@@ -120,10 +121,10 @@ def identify(recordings: Sequence[Recording], parameters: Mapping[str, Number]) 
             fit.estimate("dry friction, further unknown", "N", how, DRY),
         ),
         findings=(
-            drift_finding(weighed.solution, DAMPING, courses, "weighing: friction"),
-            *zero_findings(weighed.solution, "weighing"),
-            *signal_findings([r.source for r in weighed.records], SIGNALS, "weighing"),
-            model_finding(weighed.solution, "weighing"),
+            balance.drift_finding(weighed.solution, DAMPING, courses, "weighing: friction"),
+            *balance.zero_findings(weighed.solution, "weighing"),
+            *data.signal_findings([r.source for r in weighed.records], SIGNALS, "weighing"),
+            balance.model_finding(weighed.solution, "weighing"),
         ),
     )
 
@@ -142,9 +143,9 @@ def weigh(recordings: Sequence[Recording], p: Array) -> Weighed:
         replace(r.samples, names=(n, *r.samples.names[1:])) for r, n in zip(records, names, strict=True)
     ]
     start = dict.fromkeys(names, head) | {DAMPING: 0.0, DRY: 0.0, OFFSET: 0.0}
-    limits = {n: max(zero_limit(r, n) for r in recordings) for n in PRESSURES[JOINT]}
-    solution = solve(samples, start, "weighing", limits, tested=(OFFSET,))
-    plain = solve(samples, start, "weighing", tested=(OFFSET,)) if solution.fit.misfit else solution
+    limits = {n: max(data.zero_limit(r, n) for r in recordings) for n in PRESSURES[JOINT]}
+    solution = balance.solve(samples, start, "weighing", limits, tested=(OFFSET,))
+    plain = balance.solve(samples, start, "weighing", tested=(OFFSET,)) if solution.fit.misfit else solution
     return Weighed(tuple(records), solution, plain, head)
 
 
@@ -181,14 +182,8 @@ def _remarks(weighed: Weighed, loaded: Sequence[int]) -> Iterator[str]:
 
 def _panels(weighed: Weighed, k: int) -> tuple[Panel, Panel]:
     """Moment of the mass above the empty head over time, and the residual, of one recording."""
-    record, part = weighed.records[k], weighed.solution.parts[k]
-    t, residual = record.time[record.samples.centres], part.linear.e[0]
-    fit = -part.linear.by_theta[0, 0] * (weighed.solution.fit.values[k] - weighed.head)
-    curves = (
-        Curve("measured, filtered, without friction", t, fit + residual),
-        Curve("by the mass", t, fit, "fit"),
-    )
-    title = record.source.source.stem
-    top = Panel("time", "moment of the mass", curves, title, x_unit=("s", 1.0), y_unit=("kN.m", 1e3))
-    rest = (Curve("measured - fit", t, residual),)
-    return top, replace(top, y_label="residual", curves=rest, title="", y_unit=("N.m", 1.0))
+    record, linear = weighed.records[k], weighed.solution.parts[k].linear
+    by_mass = -linear.by_theta[0, 0] * (weighed.solution.fit.values[k] - weighed.head)
+    measured = Curve("measured, filtered, without friction", by_mass, by_mass + linear.e[0])
+    fit, title = Curve("by the mass", by_mass, by_mass, "fit"), record.source.source.stem
+    return torque_panels(("time", "moment of the mass"), title, record, measured, fit, "measured - fit")

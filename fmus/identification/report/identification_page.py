@@ -132,7 +132,6 @@ def page_content(
         },
         "warnings": [
             *(f"{name}: {why}." for name, why in identified.skipped.items() if why != NO_RECORDING),
-            *(warning for result in identified.results for warning in result.warnings),
             *(report_texts.warnings(refined) if refined else ()),
         ],
     }

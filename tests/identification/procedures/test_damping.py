@@ -76,8 +76,8 @@ def test_the_paper_s_estimator_is_attenuated_by_a_coarse_encoder_and_corrected()
             one = as_printed(
                 [changed(told, {"manipulator.stick_angle": x})], joint, CONTACTS[joint].theta, P
             )[size]
-            plain.append(one.value)
-            corrected.append(one.corrected)
+            plain.append(one[1])
+            corrected.append(one[2])
     lost, left = (np.mean(x) / truth(joint) - 1 for x in (plain, corrected))
     assert lost < -0.02
     # what is even in the noise beyond attenuation: a tenth of it
