@@ -44,7 +44,7 @@ class BlackBox:
     """Any simulator of whole runs: `simulate(p, time, inputs)` returns the outputs, shape (n, ny).
 
     Its states cannot be set, so that each run is one segment (single shooting). Its sensitivities are finite
-    differences. `simulate` is called from several threads unless `refine` gets `threads=1`.
+    differences. Of several recordings, `simulate` is called from several threads.
     """
 
     def __init__(

@@ -30,17 +30,17 @@ from benchmarks.black_box import BlackBox
 from benchmarks.played import Fmu
 from fmus.identification.machine import FREE, nominal, problem
 from fmus.identification.recordings.reading import read, window
-from fmus.identification.refinement.compiled_model import SimulationFailed
-from fmus.identification.refinement.multistart import (
-    EVERY,
-    ITERATIONS,
-    SPREAD,
+from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator
+from fmus.identification.refinement.problem import EstimationProblem
+from fmus.identification.refinement.refine import (
+    START_ITERATIONS,
+    RefinementResult,
+    compiled,
     multistart,
     random_start,
+    refine,
     subsampled,
 )
-from fmus.identification.refinement.problem import EstimationProblem
-from fmus.identification.refinement.refine import RefinementResult, compiled, refine
 from fmus.rig.experiments import experiment
 from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem
@@ -67,11 +67,10 @@ class Played:
         run = given.training[0]
         pose = {f"initial_{j}_angle": float(np.mean(run.measured_states[f"{j}_angle"][:100])) for j in JOINTS}
         names = (inputs, (*given.names, *pose), given.outputs)
-        self.pose, self.fmu, self.count = np.array(list(pose.values())), Fmu(folder, names, run.time, u), 0
+        self.pose, self.fmu = np.array(list(pose.values())), Fmu(folder, names, run.time, u)
 
     def __call__(self, p: np.ndarray, *_: np.ndarray) -> np.ndarray:
         """Outputs at the samples."""
-        self.count += 1
         try:
             return self.fmu(np.concatenate([p, self.pose]), TOLERANCE)
         except RuntimeError:
@@ -96,16 +95,16 @@ def main() -> None:
         u = np.column_stack([given.training[0].inputs[n] for n in model.inputs])
         played = Played(Path(name), given, model.inputs, u)
         box = BlackBox(played, model.inputs, given.outputs, given.names, model.p0, CHANGE)
-        routes = {"exact": (model, 2), "differences": (box, 1)}
+        routes = {"exact": model, "differences": box}
         low, high = given.bounds()
         starts = [given.initial() + AWAY * random.standard_normal(len(FREE)) for _ in range(chosen.starts)]
         print(f"{len(FREE)} parameters, {len(given.outputs)} outputs, {chosen.seconds:g} s at 200 Hz\n")
         print(f"{'start':>5}  {'route':<12}{'iterations':>11}{'time':>9}{'residual':>10}  end")
         found: dict[str, list[tuple[RefinementResult | None, float]]] = {route: [] for route in routes}
         for k, z in enumerate(starts):
-            for route, (simulator, threads) in routes.items():
+            for route, simulator in routes.items():
                 begun = time.perf_counter()
-                one = _search(given, simulator, threads, np.clip(z, low, high))
+                one = _search(given, simulator, np.clip(z, low, high))
                 found[route].append((one, time.perf_counter() - begun))
                 print(f"{k:>5}  {route:<12}{_row(*found[route][-1])}", flush=True)
         print()
@@ -116,12 +115,12 @@ def main() -> None:
 def compare(given: EstimationProblem, count: int) -> None:
     """Print time and results of random starts, by whole refinements and by `multistart`."""
     refined = refine(given)
-    coarse = subsampled(given, EVERY)
+    coarse = subsampled(given)
     random, simulator = np.random.default_rng(0), compiled(coarse)
     begun = time.process_time(), time.perf_counter()
-    reference = refine(coarse, simulator, iterations=ITERATIONS, start=refined.z)
+    reference = refine(coarse, simulator, iterations=START_ITERATIONS, start=refined.z)
     whole = [
-        refine(coarse, simulator, iterations=ITERATIONS, start=random_start(coarse, random, SPREAD))
+        refine(coarse, simulator, iterations=START_ITERATIONS, start=random_start(coarse, random))
         for _ in range(count)
     ]
     between = time.process_time(), time.perf_counter()
@@ -130,7 +129,7 @@ def compare(given: EstimationProblem, count: int) -> None:
     sd = reference.statistics.sd(reference.robust)
     for name, first, last, apart in (
         ("refinements", begun, between, [np.max(np.abs(w.z - reference.z) / sd) for w in whole]),
-        ("multistart", between, end, [start.distance for start in found.starts]),
+        ("multistart", between, end, [start.apart for start in found.starts]),
     ):
         cpu, wall = (b - a for a, b in zip(first, last, strict=True))
         times = f"processor time {cpu:6.1f} s, wall time {wall:6.1f} s"
@@ -157,11 +156,9 @@ def _sum(ends: list[tuple[RefinementResult | None, float]]) -> str:
     return f"{told}; truth within 1.96 standard deviations in {np.sum(off < 1.96)} of {off.size} parameters"
 
 
-def _search(
-    given: EstimationProblem, simulator: object, threads: int, z: np.ndarray
-) -> RefinementResult | None:
+def _search(given: EstimationProblem, simulator: Simulator, z: np.ndarray) -> RefinementResult | None:
     try:
-        return refine(given, simulator, threads=threads, start=z)
+        return refine(given, simulator, start=z)
     except Problem:
         return None  # it cannot be simulated from there
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from fmus.contract import Quantity, Scalar, Subsystem, quantities
 from fmus.identification.recordings.reading import add
-from fmus.identification.refinement.measured_runs import RecordingMap
-from fmus.identification.refinement.problem import EstimationProblem, free_parameters
+from fmus.identification.refinement.problem import EstimationProblem, RecordingMap, free_parameters
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from fmus.identification.recordings.reading import add
 from fmus.identification.refinement.gauss_newton import Iteration
-from fmus.identification.refinement.measured_runs import RecordingMap
-from fmus.identification.refinement.problem import EstimationProblem, free_parameters
+from fmus.identification.refinement.problem import EstimationProblem, RecordingMap, free_parameters
 from fmus.identification.refinement.refine import RefinementResult, refine
 from fmus.parameters import Values, values
 from orchestrator.base.errors import Problem

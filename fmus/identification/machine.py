@@ -4,7 +4,7 @@ Parameters are addressed by `part.name`. Their values are those of the parameter
 A parameter file uses the bare `name` if the parts do not differ. A recording calls a signal `part.name`.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 
@@ -16,13 +16,11 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.finding import Finding
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.compiled_model import zero_of
-from fmus.identification.refinement.measured_runs import RecordingMap
 from fmus.identification.refinement.problem import (
     EstimationProblem,
     FreeParameter,
-    declared_errors,
+    RecordingMap,
     free_parameters,
-    free_zeros,
 )
 from fmus.identification.refinement.refine import RefinementResult
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
@@ -43,6 +41,7 @@ FREE = (
     *("column_inertia", "boom_mass", "stick_mass", "stick_inertia", "head_mass"),
     *("swing_damping", "boom_piston_damping", "stick_piston_damping"),
 )
+PRIOR_SHARE = 0.5  # of the largest error of a zero: one in twenty sensors of a data sheet is that far off
 PRIOR_SD = 0.3  # relative, of a value that was not measured: the scatter of the literature
 COMMANDS = {name: INPUTS[name][0] for name in ("swing_command", "boom_command", "stick_command")}
 # s, less if it would remove more than the noise of the sensor
@@ -147,7 +146,6 @@ def problem(
     defaults = values(HARVESTER)
     p = {flat: lookup(name, parameters).value for name, flat in flat_of.items()}
     outputs = _measured_outputs(recordings)
-    errors = declared_errors([r for r in recordings if r.use == "train"], {n: signals[n] for n in outputs})
     fixed = Values(p, defaults.u, defaults.x)
     priors: dict[str, tuple[float, float | None]] = {}
     for name in names:
@@ -168,7 +166,7 @@ def problem(
         outputs=tuple(mapping.outputs),
         free=(
             *_within_ten(free_parameters(HARVESTER, [flat_of[n] for n in names], priors, fixed)),
-            *free_zeros(errors, {n: q.unit for n, q in quantities(HARVESTER.outputs).items()}),
+            *_zeros([r for r in recordings if r.use == "train"], {n: signals[n] for n in outputs}),
         ),
         training=tuple(runs["train"]),
         held_out=tuple(runs["test"]),
@@ -181,6 +179,20 @@ def _within_ten(free: Collection[FreeParameter]) -> tuple[FreeParameter, ...]:
     return tuple(
         replace(f, low=max(f.low, f.value / 10), high=min(f.high, f.value * 10)) if f.log else f for f in free
     )
+
+
+def _zeros(recordings: Sequence[Recording], signals: Mapping[str, str]) -> Iterator[FreeParameter]:
+    """The zeros of the sensors that declare a `zero_error`, as free parameters.
+
+    A reading is the output of the model plus this zero. An encoder that was mounted 2 degrees off makes the
+    masses wrong that carry the arm, with intervals that do not know of it. The zero is bounded by the
+    declared error, so that it cannot take the place of a force that the model lacks.
+    """
+    for output, name in signals.items():
+        declared = [r.sensor(name).zero_error or 0.0 for r in recordings if name in r.signals]
+        if (most := max(declared, default=0.0)) > 0:
+            unit = quantities(HARVESTER.outputs)[output].unit
+            yield FreeParameter(zero_of(output), 0.0, unit, PRIOR_SHARE * most, -most, most, scale=most)
 
 
 def _measured_outputs(recordings: Sequence[Recording]) -> tuple[str, ...]:

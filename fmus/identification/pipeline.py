@@ -25,8 +25,15 @@ from fmus.identification.procedures import (
 )
 from fmus.identification.recording_names import MACHINE, check_names, check_units
 from fmus.identification.refinement.gauss_newton import INTERRUPTED
-from fmus.identification.refinement.multistart import SPREAD, MultistartResult, multistart
-from fmus.identification.refinement.refine import RefinementResult, advice, compiled, refine
+from fmus.identification.refinement.refine import (
+    SPREAD,
+    MultistartResult,
+    RefinementResult,
+    advice,
+    compiled,
+    multistart,
+    refine,
+)
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names
@@ -204,7 +211,7 @@ def _run_joint(
             identified.starts = found = multistart(refined, starts)
         identified.interrupted = found.interrupted
         if found.starts:
-            same = f"{round(found.fraction * len(found.starts))} of {len(found.starts)}"
+            same = f"{sum(start.same for start in found.starts)} of {len(found.starts)}"
             away = f"up to {100 * SPREAD:.0f} % away or twice the prior standard deviation"
             report(f"random starts, {away}: {same} lead to the same result, on every fourth sample")
 
@@ -226,8 +233,7 @@ def refine_together(
     with activity("compiling the model for the joint refinement"):
         problem = machine.problem(recordings, parameters, names)
         simulator = compiled(problem)
-    seconds = sum(float(run.time[-1] - run.time[0]) for run in problem.training)
-    size = f"{len(problem.free)} parameters, {len(problem.outputs)} signals, {seconds:.0f} s"
+    size = f"{len(problem.free)} parameters, {len(problem.outputs)} signals, {problem.seconds:.0f} s"
     report(f"joint refinement: {size}")
     for line in machine.assumptions(recordings):
         report(f"  {line}")

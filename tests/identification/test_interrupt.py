@@ -14,7 +14,7 @@ from fmus.identification.estimate import Estimate
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
 from fmus.identification.procedure_result import ProcedureResult
-from fmus.identification.refinement.multistart import MultistartResult
+from fmus.identification.refinement.refine import MultistartResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
 

@@ -75,18 +75,18 @@ def linearise(shooting: Shooting, old: Evaluation, new: Evaluation, scales: Scal
         both = np.column_stack([segment.jacobian, other.residual])
         return triangular(both / scales.sd[segment.column, None])
 
-    pairs = [p for both in zip(old.runs, new.runs, strict=True) for p in zip(*both, strict=True)]
-    residuals, runs = iter(parallel(rows, pairs, shooting.threads)), []
+    pairs = zip(old.segments, new.segments, strict=True)
+    residuals, runs = iter(parallel(rows, list(pairs))), []
     for k, segments in enumerate(old.runs):
-        defects, prior = new.defects(k), shooting.start_prior(k, new.starts[k][0])
+        defects, start = new.defects(k), shooting.start_prior(k, new.starts[k][0])
         ends = [np.column_stack([s.end_by, d]) for s, d in zip(segments[:-1], defects, strict=True)]
         if shooting.detached:
             ends = [0 * end for end in ends]
-            prior[:, : len(prior)] *= _STIFF
-        runs.append(condense([next(residuals) for _ in segments], ends, prior))
-    return Linearisation(
-        tuple(runs), np.vstack([*(run.bottom for run in runs), shooting.problem.prior_rows(new.z)])
-    )
+            start[:, : len(start)] *= _STIFF
+        runs.append(condense([next(residuals) for _ in segments], ends, start))
+    sd = shooting.problem.prior_sd()
+    priors = np.column_stack([np.eye(len(new.z)), new.z - shooting.problem.initial()]) / sd[:, None]
+    return Linearisation(tuple(runs), np.vstack([*(run.bottom for run in runs), priors[np.isfinite(sd)]]))
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,13 @@ def minimise(
 
     Raises Problem if the start cannot be simulated.
     """
-    outputs, bounds = len(shooting.problem.outputs), shooting.problem.bounds()
-    current = _evaluated(shooting, previous.z if previous else z)
+    problem, outputs = shooting.problem, len(shooting.problem.outputs)
+    z = previous.z if previous else z
+    try:
+        current = shooting.evaluate(z, shooting.measured_starts(z))
+    except SimulationFailed as failed:
+        start = "cannot be simulated with the initial parameter values"
+        raise Problem(f"{problem.sub.name}: {start}: {failed}") from None
     scales = current.scales(outputs, correlated=False)
     linear = linearise(shooting, current, current, scales)
     history, reason = list(previous.history) if previous else [], f"{iterations} iterations"
@@ -150,9 +155,9 @@ def minimise(
     far, trust = True, (1.0, 1.0)
     try:
         for _ in range(iterations):
-            best = linear.merit(linear.step(current.z, bounds, LARGEST_RADIUS))
+            best = linear.merit(linear.step(current.z, problem.bounds(), LARGEST_RADIUS))
             remaining = math.sqrt(max(0.0, linear.merit() - best))
-            history.append(_iteration(shooting, current, len(history), remaining))
+            history.append(Iteration(len(history), current.rms, remaining, problem.by_name(current.z)))
             if progress:
                 progress(history[-1])
             new_scales = current.scales(outputs, correlated=not far)
@@ -172,21 +177,6 @@ def minimise(
     except KeyboardInterrupt:
         reason = INTERRUPTED
     return Solution(current, linear, scales, tuple(history), reason)
-
-
-def _evaluated(shooting: Shooting, z: Array) -> Evaluation:
-    """The start of a search, from measured initial states."""
-    try:
-        return shooting.evaluate(z, shooting.measured_starts(z))
-    except SimulationFailed as failed:
-        start = "cannot be simulated with the initial parameter values"
-        raise Problem(f"{shooting.problem.sub.name}: {start}: {failed}") from None
-
-
-def _iteration(shooting: Shooting, current: Evaluation, number: int, remaining: float) -> Iteration:
-    residual = np.concatenate([s.residual for s in current.segments])
-    rms = float((residual @ residual / max(1, residual.size)) ** 0.5)
-    return Iteration(number, rms, remaining, shooting.problem.by_name(current.z))
 
 
 def _next(

@@ -3,7 +3,12 @@
 The output-error method minimises the weighted squares of simulation minus measurement, with priors and
 bounds. Multiple shooting cuts the recordings into segments with initial states of their own, which have to be
 continuous at the optimum [Bock 1987]. Even with poor initial values the simulation cannot diverge, because
-the data correct it at the start of each segment.
+the data correct it at the start of each segment. A first search fits predictions over a short horizon from
+measured states, a second one whole recordings.
+
+`multistart` repeats both from random initial parameters, on fewer samples. The second search depends only on
+the parameters at the end of the first. So if the first ends where that of the reference ended, the repetition
+is taken to lead to the reference, and the second search is left out.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from fmus.identification.estimate import Estimate, confidence_interval, coverage
 from fmus.identification.refinement.compiled_model import CompiledModel, Simulator
 from fmus.identification.refinement.gauss_newton import (
     CONVERGED,
+    DETACHED,
     INTERRUPTED,
     ITERATIONS,
     STUCK,
@@ -26,8 +32,7 @@ from fmus.identification.refinement.gauss_newton import (
     Solution,
     minimise,
 )
-from fmus.identification.refinement.measured_runs import MeasuredRun
-from fmus.identification.refinement.problem import EstimationProblem
+from fmus.identification.refinement.problem import EstimationProblem, MeasuredRun
 from fmus.identification.refinement.shooting import Shooting, cut, parallel
 from fmus.identification.refinement.statistics import (
     VAGUE,
@@ -47,6 +52,10 @@ SEGMENT = 2.0  # s, default length of a segment
 HORIZON = 0.5  # s, default prediction horizon of the first search
 _AT_BOUND = 1e-9  # distance of z from its bound
 _OPEN = math.log(1000)  # an interval of a logarithm with a larger half width is reported as open
+SPREAD = 0.25  # half width of the range of random initial z; a prior with a larger 2 sd replaces it
+EVERY = 4  # one of so many samples is used for random starts
+START_ITERATIONS = 25  # of a search from a random start
+SAME = 1.0  # standard deviations within which two results are the same
 FEW = 10  # segments; from so many a standard deviation has an error of a quarter, 1 / sqrt(2 (n - 1))
 
 
@@ -156,7 +165,6 @@ def refine(
     *,
     segment: float = SEGMENT,
     horizon: float = HORIZON,
-    threads: int = 2,
     iterations: int = ITERATIONS,
     tolerance: float = TOLERANCE,
     start: Array | None = None,
@@ -173,16 +181,17 @@ def refine(
     start       initial z, by default that of the problem
     """
     z = problem.initial() if start is None else start
-    shooting = cut_into_segments(problem, simulator or compiled(problem), z, segment, threads)
+    shooting = cut_into_segments(problem, simulator or compiled(problem), z, segment)
     first = fit_predictions(shooting, z, horizon, progress) if horizon < segment else None
     return result(shooting, minimise(shooting, z, iterations, tolerance, progress, first))
 
 
 def cut_into_segments(
-    problem: EstimationProblem, simulator: Simulator, z: Array, segment: float = SEGMENT, threads: int = 2
+    problem: EstimationProblem, simulator: Simulator, z: Array, segment: float = SEGMENT
 ) -> Shooting:
     """The recordings of a problem in segments; priors of the initial states are those at z."""
-    _check(problem, simulator)
+    if not problem.training:
+        raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
     inputs = tuple(run.input_matrix(simulator.inputs) for run in problem.training)
     seconds = segment if simulator.states else math.inf  # initial states of segments cannot be set
     edges = tuple(cut(run.time, seconds) for run in problem.training)
@@ -191,7 +200,7 @@ def cut_into_segments(
         run.initial_state(simulator, p, u, corrected=False)[0] / simulator.nominal
         for run, u in zip(problem.training, inputs, strict=True)
     ]
-    return Shooting(problem, simulator, inputs, tuple(states), edges, threads)
+    return Shooting(problem, simulator, inputs, tuple(states), edges)
 
 
 def fit_predictions(
@@ -215,7 +224,6 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
     training = parallel(
         lambda k: simulate(problem.training[k], simulator, p, initial_states[k], shooting.inputs[k]),
         range(len(initial_states)),
-        shooting.threads,
     )
     by_inputs = np.zeros((len(z), len(z)))
     if solution.reason != INTERRUPTED:  # after an interrupt nobody waits for more simulations
@@ -242,17 +250,6 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
 def compiled(problem: EstimationProblem, tolerance: float = 1e-6) -> Simulator:
     """The problem's subsystem with exact sensitivities; the compiled library is cached."""
     return CompiledModel(problem.sub, problem.outputs, problem.names, problem.fixed, tolerance)
-
-
-def _check(problem: EstimationProblem, simulator: Simulator) -> None:
-    for names, expected, label in (
-        (simulator.outputs, problem.outputs, "outputs"),
-        (simulator.free, problem.names, "free parameters"),
-    ):
-        if tuple(names) != tuple(expected):
-            raise Problem(f"{problem.sub.name}: {label} of the simulator: expected {expected}, got {names}")
-    if not problem.training:
-        raise Problem(f"{problem.sub.name}: expected at least one recording to fit, got none")
 
 
 def advice(refined: RefinementResult) -> tuple[str, ...]:
@@ -286,3 +283,112 @@ def advice(refined: RefinementResult) -> tuple[str, ...]:
             "they are wide and inaccurate. Longer recordings help."
         )
     return tuple(sentences)
+
+
+# ---- random starts -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RandomStart:
+    """The search from one random start.
+
+    z            of the initial parameters
+    apart        largest distance of the end from the reference, in standard deviations of the coarse problem;
+                 infinite if the model cannot be simulated from the start
+    residual     root mean square residual at the end
+    joined       its fit of predictions ended at that of the reference, whose end it gets
+    """
+
+    z: Array
+    apart: float
+    residual: float
+    iterations: int
+    joined: bool = False
+
+    @property
+    def same(self) -> bool:
+        """Did it lead to the reference?"""
+        return self.apart < SAME
+
+
+@dataclass(frozen=True)
+class MultistartResult:
+    """The searches from all random starts, and whether an interrupt ended them early."""
+
+    starts: tuple[RandomStart, ...]
+    interrupted: bool = False
+
+
+def multistart(refined: RefinementResult, count: int) -> MultistartResult:
+    """Search again from `count` random starts.
+
+    Every fourth sample is used; the reference is the result of a search on the same samples from the optimum.
+    """
+    problem, rng = subsampled(refined.problem), np.random.default_rng(0)
+    starts: list[RandomStart] = []
+    try:
+        shooting = cut_into_segments(problem, refined.simulator, refined.z)
+        path = fit_predictions(shooting, refined.z)
+        best = _whole(shooting, refined.z, path)
+        reference = result(shooting, best)
+        sd = reference.statistics.sd(reference.robust)
+        for _ in range(count):
+            z = random_start(problem, rng)
+            try:
+                shooting = cut_into_segments(problem, refined.simulator, z)
+                predictions = fit_predictions(shooting, z)
+                joined = _same_end(predictions, path)
+                solution = best if joined else _whole(shooting, z, predictions)
+            except Problem:  # the model cannot be simulated from there
+                starts.append(RandomStart(z, math.inf, math.nan, 0))
+                continue
+            apart = float(np.max(np.abs(solution.z - best.z) / sd))
+            iterations = len(predictions.history if joined and predictions else solution.history)
+            starts.append(RandomStart(z, apart, solution.history[-1].residual, iterations, joined))
+    except KeyboardInterrupt:
+        return MultistartResult(tuple(starts), interrupted=True)
+    return MultistartResult(tuple(starts))
+
+
+def _whole(shooting: Shooting, z: Array, predictions: Solution | None) -> Solution:
+    """The fit of whole recordings; an interrupt ends all searches."""
+    solution = minimise(shooting, z, START_ITERATIONS, previous=predictions)
+    if solution.reason == INTERRUPTED:
+        raise KeyboardInterrupt
+    return solution
+
+
+def _same_end(one: Solution | None, other: Solution | None) -> bool:
+    """Have both converged to parameters whose residuals differ by less than the tolerances of both?"""
+    if not (one and other and one.converged and other.converged):
+        return False
+    return float(np.linalg.norm(other.linear.rows[:, :-1] @ (one.z - other.z))) < 2 * DETACHED
+
+
+def random_start(problem: EstimationProblem, rng: np.random.Generator) -> Array:
+    """Random z within `SPREAD` of the initial value, or from a prior that is wider, inside the bounds.
+
+    A narrow prior attracts the search from any start; starts drawn from it would not test the search.
+    """
+    sd = problem.prior_sd()
+    z = problem.initial() + np.where(
+        np.isfinite(sd) & (2 * sd > SPREAD),
+        np.clip(rng.standard_normal(len(sd)), -2, 2) * np.where(np.isfinite(sd), sd, 0),
+        rng.uniform(-SPREAD, SPREAD, len(sd)),
+    )
+    return np.asarray(np.clip(z, *problem.bounds()))
+
+
+def subsampled(problem: EstimationProblem) -> EstimationProblem:
+    """The same problem with one of `EVERY` samples."""
+
+    def subsample(run: MeasuredRun) -> MeasuredRun:
+        return replace(
+            run,
+            **{name: getattr(run, name)[::EVERY] for name in ("time", "measured", "weight")},
+            inputs={name: u[::EVERY] for name, u in run.inputs.items()},
+            input_noise={},
+            measured_states={name: x[::EVERY] for name, x in run.measured_states.items()},
+        )
+
+    return replace(problem, training=tuple(map(subsample, problem.training)), held_out=())

@@ -31,6 +31,7 @@ from orchestrator.data.table import Array
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+THREADS = 2  # segments simulated at a time
 _HEIGHT = 3  # rows of a block per column: each level of the tree has a third of the rows of the level before
 _LONGEST = 0.05  # largest correlation time, as a fraction of the samples; beyond that a residual is a trend
 SD_AT_REST = 1e-3  # prior standard deviation of an initial state that is at rest, in nominal values
@@ -55,10 +56,9 @@ class Scales:
 
     def change(self, other: Scales) -> float:
         """Largest relative difference."""
-        old, new = (
-            np.concatenate([np.hypot(1.0, s.model_error), np.sqrt(s.correlation_time)]) for s in (self, other)
-        )
-        return float(np.max(np.abs(new / old - 1)))
+        errors = np.hypot(1.0, other.model_error) / np.hypot(1.0, self.model_error)
+        times = np.sqrt(other.correlation_time) / np.sqrt(self.correlation_time)
+        return float(np.max(np.abs(np.append(errors, times) - 1)))
 
 
 def correlation_time(residual: Array) -> float:
@@ -69,15 +69,10 @@ def correlation_time(residual: Array) -> float:
     return min(max(1.0, autocorrelation_time(residual)), max(1.0, _LONGEST * n))
 
 
-def parallel(function: Callable[[Task], Result], tasks: Sequence[Task], threads: int) -> list[Result]:
+def parallel(function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:
     """Results in the order of the tasks; an interrupt cancels the tasks that have not begun."""
-    if threads == 1 or len(tasks) == 1:
-        return [function(task) for task in tasks]
-    pool = ThreadPoolExecutor(threads)
-    try:
+    with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(function, tasks))
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def triangular(rows: Array) -> Array:
@@ -180,6 +175,12 @@ class Evaluation:
         """The segments of all runs, in the order of time."""
         return [segment for run in self.runs for segment in run]
 
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals, 1 if the sensors explain them."""
+        residual = np.concatenate([s.residual for s in self.segments])
+        return float((residual @ residual / max(1, residual.size)) ** 0.5)
+
     def scales(self, outputs: int, correlated: bool) -> Scales:
         """Scales estimated from the residuals of each output.
 
@@ -208,7 +209,6 @@ class Shooting:
     inputs: tuple[Array, ...]
     prior_states: tuple[Array, ...]
     edges: tuple[tuple[int, ...], ...]
-    threads: int
     detached: bool = False
 
     def measured_starts(self, z: Array) -> tuple[Array, ...]:
@@ -219,7 +219,7 @@ class Shooting:
             run = self.problem.training[k]
             return run.segment_states(self.simulator, p, self.inputs[k], self.edges[k]) / nominal
 
-        return tuple(parallel(states, range(len(self.edges)), self.threads))
+        return tuple(parallel(states, range(len(self.edges))))
 
     def start_prior(self, k: int, state: Array) -> Array:
         """Rows [initial state | parameters | residual] of the prior of a run's initial state."""
@@ -238,7 +238,7 @@ class Shooting:
             return self._segment(run, i, starts[run][i], p, p_z, sensitivities)
 
         tasks = [(k, i) for k, edges in enumerate(self.edges) for i in range(len(edges) - 1)]
-        segments = iter(parallel(evaluate_segment, tasks, self.threads))
+        segments = iter(parallel(evaluate_segment, tasks))
         return Evaluation(z, starts, tuple(tuple(next(segments) for _ in e[1:]) for e in self.edges))
 
     def _segment(self, run: int, i: int, start: Array, p: Array, p_z: Array, sensitivities: bool) -> Segment:

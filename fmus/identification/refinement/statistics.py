@@ -17,14 +17,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import correlate
+from scipy.sparse.csgraph import connected_components
 from scipy.stats import norm
 from statsmodels.tsa.stattools import acf
 
 from fmus.identification.recordings.masks import autocorrelation_time, noise
 from fmus.identification.refinement.compiled_model import SimulationFailed, Simulator
 from fmus.identification.refinement.gauss_newton import LARGEST_RADIUS, Solution, linearise
-from fmus.identification.refinement.measured_runs import MeasuredRun, local_parabolas
-from fmus.identification.refinement.problem import FreeParameter
+from fmus.identification.refinement.problem import FreeParameter, MeasuredRun, local_parabolas
 from fmus.identification.refinement.shooting import CondensedRun, Shooting
 from orchestrator.data.table import Array
 
@@ -176,16 +176,10 @@ def unidentified(free: tuple[FreeParameter, ...], data_covariance: Array) -> tup
     variances, vectors = np.linalg.eigh(data_covariance)
     undetermined = vectors[:, variances > LIMIT**2]
     projector = undetermined @ undetermined.T  # its diagonal blocks are the groups
-    ungrouped = [j for j in range(len(projector)) if projector[j, j] > _TAKES_PART]
+    part = np.flatnonzero(np.diag(projector) > _TAKES_PART)
+    count, groups = connected_components(np.abs(projector[np.ix_(part, part)]) > _TAKES_PART)
     sentences = []
-    while ungrouped:
-        group, new = [ungrouped[0]], [ungrouped[0]]
-        while new:
-            j = new.pop()
-            more = [i for i in ungrouped if i not in group and abs(projector[i, j]) > _TAKES_PART]
-            group, new = group + more, new + more
-        ungrouped = [j for j in ungrouped if j not in group]
-        group.sort()
+    for group in (part[groups == k] for k in range(count)):
         block = np.ix_(group, group)
         sentences.append(_sentence([free[j] for j in group], projector[block], data_covariance[block]))
     return tuple(sentences)

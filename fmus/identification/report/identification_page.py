@@ -24,8 +24,7 @@ from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import Extrapolation, extrapolations
-from fmus.identification.refinement.multistart import MultistartResult
-from fmus.identification.refinement.refine import RefinementResult, advice
+from fmus.identification.refinement.refine import MultistartResult, RefinementResult, advice
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import attribute
 from fmus.identification.report.figures import (
@@ -209,15 +208,20 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
     joined     whether the search was ended on the path that leads to the result
     """
     names, problem = parameter_names(), refined.problem
-    seconds = sum(float(run.time[-1] - run.time[0]) for run in problem.training)
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
-    rows = []
-    for number, start in enumerate(starts.starts if starts else (), 1):
-        z = np.array([f.z_of(start.initial[f.name]) for f in problem.free])
-        row = {"name": f"random {number}", "away": rms(z - problem.initial()), "apart": start.distance}
-        row |= {"residual": start.residual, "iterations": start.iterations}
-        rows.append(row | {"same": start.distance < 1, "joined": start.joined})
+    rows = [
+        {
+            "name": f"random {number}",
+            "away": rms(start.z - problem.initial()),
+            "apart": start.apart,
+            "residual": start.residual,
+            "iterations": start.iterations,
+            "same": start.same,
+            "joined": start.joined,
+        }
+        for number, start in enumerate(starts.starts if starts else (), 1)
+    ]
     return {
         "names": [names.get(n, n) for n in problem.names],
         "correlation": refined.statistics.correlation,
@@ -226,7 +230,7 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
         "unidentified": [_renamed(sentence, names) for sentence in refined.unidentified],
         "starts": rows,
         "facts": {
-            "recordings": f"{len(problem.training)} for training, {seconds:.0f} s; "
+            "recordings": f"{len(problem.training)} for training, {problem.seconds:.0f} s; "
             f"{len(problem.held_out)} held out",
             "iterations": str(len(refined.history)),
             "ended": refined.reason,

@@ -8,7 +8,7 @@ from identification.recordings.conftest import GAUGE, SIZE, T, recording, rounde
 
 from fmus.identification.recordings.masks import good
 from fmus.identification.recordings.quality import examine
-from fmus.identification.refinement.measured_runs import usable_samples
+from fmus.identification.refinement.problem import usable_samples
 from orchestrator.data.recording import Sensor
 
 

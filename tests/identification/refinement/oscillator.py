@@ -9,8 +9,12 @@ from kit.toy import toy
 
 from fmus.contract import Quantity, Subsystem
 from fmus.identification.refinement.compiled_model import CompiledModel
-from fmus.identification.refinement.measured_runs import MeasuredRun, RecordingMap
-from fmus.identification.refinement.problem import EstimationProblem, free_parameters
+from fmus.identification.refinement.problem import (
+    EstimationProblem,
+    MeasuredRun,
+    RecordingMap,
+    free_parameters,
+)
 from fmus.parameters import Values
 from orchestrator.data.recording import Recording, Sensor
 

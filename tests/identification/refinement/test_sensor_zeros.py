@@ -12,8 +12,7 @@ from kit import shards
 from fmus.identification import machine
 from fmus.identification.machine import nominal
 from fmus.identification.refinement.compiled_model import zero_of
-from fmus.identification.refinement.measured_runs import RecordingMap
-from fmus.identification.refinement.problem import free_zeros
+from fmus.identification.refinement.problem import FreeParameter, RecordingMap
 from fmus.identification.refinement.refine import compiled, refine
 from orchestrator.data.recording import Sensor, read_recording
 
@@ -67,7 +66,10 @@ def _with_zero(error: float, off: float):
 
     return replace(
         base,
-        free=(*base.free, *free_zeros({"position": error}, {"position": "m"})),
+        free=(
+            *base.free,
+            FreeParameter(zero_of("position"), 0.0, "m", error / 2, -error, error, scale=error),
+        ),
         training=(shifted(0),),
         held_out=(shifted(7),),
     )

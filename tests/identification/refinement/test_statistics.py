@@ -9,10 +9,14 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from fmus.identification.estimate import coverage_factor
-from fmus.identification.refinement.measured_runs import smoothed
-from fmus.identification.refinement.multistart import EVERY, multistart, subsampled
-from fmus.identification.refinement.problem import FreeParameter
-from fmus.identification.refinement.refine import RefinementResult, compiled, refine
+from fmus.identification.refinement.problem import FreeParameter, smoothed
+from fmus.identification.refinement.refine import (
+    RefinementResult,
+    compiled,
+    multistart,
+    refine,
+    subsampled,
+)
 from fmus.identification.refinement.shooting import CondensedRun, correlation_time
 from fmus.identification.refinement.statistics import (
     SimulatedRun,
@@ -184,18 +188,20 @@ def test_sensitivities_are_those_of_a_repeated_simulation(refined: RefinementRes
 
 
 def test_random_starts_lead_to_the_same_optimum(refined: RefinementResult) -> None:
-    """From any start within 30 %, with a quarter of the samples, and also if it is not ended at the path
+    """From any start within 25 %, with a quarter of the samples, and also if it is not ended at the path
     of the reference."""
-    starts = multistart(refined, count=4, spread=0.3)
-    assert starts.fraction == 1
-    assert len({start.initial["gain"] for start in starts.starts}) == 4
-    coarse = subsampled(refined.problem, EVERY)
+    starts = multistart(refined, count=4).starts
+    assert all(start.same for start in starts)
+    away = np.array([start.z for start in starts]) - refined.problem.initial()
+    # of 12 uniform numbers the largest is below half of the range once in 4000 times
+    assert 0.125 < np.max(np.abs(away)) <= 0.25
+    coarse = subsampled(refined.problem)
+    assert len(coarse.training[0].time) == 151
     sd, reference = refined.statistics.sd(refined.robust), refine(coarse, start=refined.z).z
-    joined = [start for start in starts.starts if start.joined]
+    joined = [start for start in starts if start.joined]
     assert joined
     for start in joined:
-        z = np.array([f.z_of(start.initial[f.name]) for f in coarse.free])
-        shift = refine(coarse, start=z).z - reference
+        shift = refine(coarse, start=start.z).z - reference
         assert np.max(np.abs(shift / sd)) < 0.1  # the tolerance of a search
 
 
