@@ -24,7 +24,7 @@ from rich.table import Table
 
 from fmus.export.build import build
 from fmus.identification.estimate import Estimate
-from fmus.identification.recordings.reading import extrapolations
+from fmus.identification.report.prediction import extrapolations
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 

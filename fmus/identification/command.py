@@ -11,14 +11,13 @@ from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import downsample, resample_uniformly
 from fmus.identification.recordings.reading import doubtful, read_folder, unused_files
 from fmus.identification.report.identification_page import (
-    extrapolated,
     extrapolation_text,
     faults,
     page_content,
     quality,
     write_page,
 )
-from fmus.identification.report.prediction import RecordingComparison, prediction
+from fmus.identification.report.prediction import RecordingComparison, extrapolated, prediction
 from fmus.parameters import write
 from orchestrator.base.errors import Problem
 from orchestrator.base.progress import doing

@@ -171,6 +171,7 @@ def problem(
         training=tuple(runs["train"]),
         held_out=tuple(runs["test"]),
         fixed=fixed,
+        labels={**parameter_names(), **{n: signals[n] for n in outputs}},
     )
 
 
@@ -233,12 +234,12 @@ def assumptions(recordings: Sequence[Recording]) -> list[str]:
 def estimates(refined: RefinementResult) -> tuple[Estimate, ...]:
     """The estimated parameters of the machine, as parameters.toml calls them; see `zeros` for the others."""
     zeros_ = {zero_of(output) for output in refined.problem.outputs}
-    return tuple(e for e in refined.estimates(names=parameter_names()) if e.name not in zeros_)
+    return tuple(e for e in refined.estimates() if e.name not in zeros_)
 
 
 def zeros(refined: RefinementResult) -> dict[str, Estimate]:
     """Signal -> estimated zero of its sensor."""
-    names = {zero_of(output): signal_names()[output] for output in refined.problem.outputs}
+    names = {zero_of(output): refined.problem.label(output) for output in refined.problem.outputs}
     return {names[e.name]: e for e in refined.estimates() if e.name in names}
 
 
@@ -253,11 +254,11 @@ def zero_sentences(refined: RefinementResult) -> list[str]:
 
 def findings(refined: RefinementResult) -> tuple[Finding, ...]:
     """The test of the residuals: does each signal have the noise of its sensor, and nothing else?"""
-    ratios = {signal_names().get(n, n): w for n, w in refined.whiteness.items() if np.isfinite(w.rms)}
-    if not ratios:
+    tests = {name: test for name, test in refined.whiteness.items() if np.isfinite(test.rms)}
+    if not tests:
         return ()
-    name, worst = min(ratios.items(), key=lambda item: (item[1].excess, -item[1].rms))
-    p = min(1.0, len(ratios) * worst.excess)  # the least of several p-values [Bonferroni]
+    name, worst = min(tests.items(), key=lambda item: (item[1].excess, -item[1].rms))
+    p = min(1.0, len(tests) * worst.excess)  # the least of several p-values [Bonferroni]
     rms = f"{worst.rms:.3g} times the noise of its sensor"
     return (Finding("model", p, f"the model misses {name} by more than noise: the residual is {rms}."),)
 

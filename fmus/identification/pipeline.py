@@ -106,6 +106,10 @@ class Identified:
         tests = [(r.procedure, finding) for r in self.results for finding in r.findings]
         return tests + [(MACHINE, f) for f in (machine.findings(self.refined) if self.refined else ())]
 
+    def of_machine(self, use: str) -> list[Recording]:
+        """The recordings of the machine at work to "train" or to "test"."""
+        return [r for r in self.recordings if r.procedure == MACHINE and r.use == use]
+
     def skip(self, procedure: str, error: Problem, report: Report) -> None:
         """Note and report why a procedure has no result."""
         self.skipped[procedure] = str(error).removeprefix(f"{procedure}: ")

@@ -71,7 +71,7 @@ def test_an_interrupt_without_estimates_is_raised(quick):
 def test_an_interrupted_search_is_not_restarted(quick):
     """The best point so far is kept, and the random starts are skipped."""
     better = (replace(AREA, value=3e-5),)
-    best = SimpleNamespace(reason="interrupted", problem=WITHOUT_ZEROS, estimates=lambda **_: better)
+    best = SimpleNamespace(reason="interrupted", problem=WITHOUT_ZEROS, estimates=lambda: better)
     quick.setattr(pipeline, "refine_together", lambda *_: best)
     quick.setattr(pipeline, "multistart", lambda *_: pytest.fail("restarted"))
     found = identify([VALVE, MACHINE], starts=4)
@@ -81,7 +81,7 @@ def test_an_interrupted_search_is_not_restarted(quick):
 
 def test_interrupted_starts_keep_the_result(quick):
     """The result of the refinement is kept."""
-    refined = SimpleNamespace(reason="converged", problem=WITHOUT_ZEROS, estimates=lambda *_, **__: (AREA,))
+    refined = SimpleNamespace(reason="converged", problem=WITHOUT_ZEROS, estimates=lambda: (AREA,))
     quick.setattr(pipeline, "refine_together", lambda *_: refined)
     quick.setattr(pipeline, "multistart", lambda *_, **__: MultistartResult((), interrupted=True))
     found = identify([VALVE, MACHINE], starts=4)

@@ -14,9 +14,9 @@ A signal without visible noise (a command, an encoder at rest) may be constant a
 
 import math
 from collections.abc import Collection, Sequence
-from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from orchestrator.data.recording import Mask, Recording, Sensor
@@ -33,6 +33,7 @@ OVERSTATED = 3.0  # stated noise over estimated noise, from which the stated noi
 WHITE = 0.7  # least ratio of the noise estimates by the sixth and the fourth difference if the noise is white
 MIN_GOOD = 0.5  # least fraction of good samples for an average
 ROUNDING = 1e-9  # s, of time stamps, in a settling time
+SHORTEST_REACH = 32  # samples at which the search for the end of an interval looks first
 EXACT = Sensor()  # without noise, steps, ends and dead zone
 
 
@@ -166,19 +167,33 @@ def steady(recording: Recording, command: str, settle: float = 0.0, shortest: fl
     width = 4 * sensor.sd + sensor.resolution
     # the mean of equal values differs from them by rounding
     width += 1e-9 * float(np.nanmax(np.abs(values), initial=0.0))
-    starts, total = [0], 0.0
-    for k, value in enumerate(values.tolist()):
-        if k > starts[-1] and not abs(value - total / (k - starts[-1])) <= width:  # also after and at a gap
-            starts.append(k)
-            total = 0.0
-        total += value
-    result = []
-    for start, stop in pairwise([*starts, len(values)]):
-        first = max(int(np.searchsorted(time, time[start] + settle - ROUNDING)), start)
-        long_enough = first < stop and time[stop - 1] - time[first] >= shortest - ROUNDING
-        if long_enough and np.isfinite(values[start]):
-            result.append(slice(first, stop))
-    return result
+    starts = _starts(values, width)
+    stops = np.append(starts[1:], len(values))
+    firsts = np.maximum(np.searchsorted(time, time[starts] + settle - ROUNDING), starts)
+    lengths = time[stops - 1] - time[np.minimum(firsts, len(time) - 1)]
+    kept = (firsts < stops) & (lengths >= shortest - ROUNDING) & np.isfinite(values[starts])
+    return [slice(int(first), int(stop)) for first, stop in zip(firsts[kept], stops[kept], strict=True)]
+
+
+def _starts(values: Array, width: float) -> NDArray[np.intp]:
+    """Where a signal leaves the mean of the samples since the last such place by more than `width`."""
+    jumps = (~(np.abs(np.diff(values)) <= width)).tolist()  # also at a gap and after it
+    starts, reach = [0], SHORTEST_REACH
+    while starts[-1] + 1 < len(values):
+        start = starts[-1]
+        if jumps[start]:
+            starts.append(start + 1)
+            continue
+        ahead = values[start : start + reach]
+        before = np.cumsum(ahead[:-1]) / np.arange(1, len(ahead))
+        if (leaves := np.flatnonzero(~(np.abs(ahead[1:] - before) <= width))).size:
+            starts.append(start + 1 + int(leaves[0]))
+            reach = SHORTEST_REACH
+        elif start + reach < len(values):
+            reach *= 4
+        else:
+            break
+    return np.array(starts)
 
 
 def averages(recording: Recording, names: Sequence[str], intervals: Sequence[slice]) -> tuple[Array, Array]:

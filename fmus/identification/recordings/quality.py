@@ -5,7 +5,7 @@
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +46,73 @@ BOW = 0.25  # periods; a remark if the drift moves time stamps farther than this
 
 
 @dataclass(frozen=True)
+class SignalQuality:
+    """Faults and noise of one signal, in SI units.
+
+    sensor      the instrument as described
+    low, high   extremes of the samples, NaN if there are none
+    step        quantisation step estimated from the samples, 0 if there is none
+    noise       noise estimated from the samples
+    moving      noise of the samples that differ from their neighbours
+    unused      cause of `masks.faults` -> fraction of the samples, and a text, empty if there are none
+    """
+
+    name: str
+    unit: str
+    sensor: Sensor
+    low: float
+    high: float
+    step: float
+    noise: float
+    moving: float
+    unused: Mapping[str, tuple[float, str]]
+
+    def faults(self) -> list[str]:
+        """A sentence for each fault; samples in the dead zone are not a fault."""
+        show, sensor = self.show, self.sensor
+        gaps, clipped, stuck, _ = (text for _, text in self.unused.values())
+        least, most = PLAUSIBLE.get(self.unit, (0.0, math.inf))
+        largest = max(abs(self.low), abs(self.high))
+        # what is zero up to the noise of its sensor tells nothing about its unit
+        implausible = largest > AT_ZERO * sensor.sd and not least <= largest <= most
+        limits = f"{show(least)} to {show(most)}" if least else f"up to {show(most)}"
+        extremes = f"from {show(self.low)} to {show(self.high)}"
+        # a slow signal rounded to steps looks like noise of up to half a step
+        stated, known = math.hypot(sensor.noise, sensor.resolution / 2), sensor.resolution
+        found, noise = show(self.noise), show(sensor.noise)
+        weight = f"{show(self.moving)}: the weight of the signal is too small"
+        visible = self.noise > 0 and self.step > FINEST_STATED * (self.high - self.low)
+        steps, resolution = f"steps of {show(self.step)}", f"the stated resolution, {show(known)}"
+        ends = "at an end of the sensor's range or held at the signal's own extreme"
+        tests = {
+            f"{gaps} without a sample.": gaps,
+            f"{clipped} clipped, {ends}.": clipped,
+            f"{stuck} stuck at one value, without the noise of the sensor; not used.": stuck,
+            f"{extremes}, expected a largest magnitude of {limits}: is its unit right?": implausible,
+            f"noise of {found}, stated {noise}.": self.noise > LOUD * stated > 0,
+            f"stated noise of {noise}, much larger than that of the samples, {weight}.": overstated(
+                sensor, self.moving
+            ),
+            f"{steps}, coarser than {resolution}.": self.step > COARSE * known > 0,
+            f"{steps}, finer than {resolution}.": 0 < self.step < FINE * known,
+            f"{steps} without a stated resolution.": known == 0 and visible,
+        }
+        return [sentence for sentence, true in tests.items() if true]
+
+    def row(self) -> tuple[str, ...]:
+        """The signal's row of the table."""
+        fractions = (f"{100 * fraction:.2g} %" if text else "-" for fraction, text in self.unused.values())
+        pairs = ((self.step, self.sensor.resolution), (self.noise, self.sensor.noise))
+        cells = (f"{self.show(v)} ({self.show(stated) if stated else '-'})" for v, stated in pairs)
+        return (self.name, *fractions, *cells)
+
+    def show(self, value: float) -> str:
+        """A value in its display unit."""
+        unit = display_unit(self.unit)
+        return unit.plain(value) if self.unit == "1" else unit.ascii(value)
+
+
+@dataclass(frozen=True)
 class Quality:
     """Quality of a recording's clock and signals.
 
@@ -58,16 +125,17 @@ class Quality:
     rate: float
     jitter: float
     clock: list[str]
-    signals: list["SignalQuality"]
+    signals: list[SignalQuality]
 
     def remarks(self) -> list[str]:
         """One sentence for each remark; none for a clean recording."""
         remarks, constant = list(self.clock), []
         for s in self.signals:
             remarks += [f"{s.name}: {fault}" for fault in s.faults()]
+            _, dead = s.unused["dead zone"]
             if s.low == s.high:
                 constant.append(f"{s.name} ({s.show(s.low)})")
-            elif dead := s.unused["dead zone"].text:
+            elif dead:
                 zone = s.show(s.sensor.dead_zone)
                 remarks.append(f"{s.name}: {dead} in the sensor's dead zone of {zone}, not used.")
         return [*remarks, f"One value throughout: {', '.join(constant)}."] if constant else remarks
@@ -85,12 +153,34 @@ def examine(recording: Recording) -> Quality:
     return Quality(recording.source.name, *_clock(recording), signals)
 
 
-def _true(tests: Iterable[tuple[object, str]]) -> list[str]:
-    """The sentences whose tests are true."""
-    return [sentence for test, sentence in tests if test]
+def _signal(recording: Recording, name: str) -> SignalQuality:
+    values, sensor = recording[name], recording.sensor(name)
+    finite = values[np.isfinite(values)]
+    return SignalQuality(
+        name=name,
+        unit=recording.units[name],
+        sensor=sensor,
+        low=float(finite.min()) if finite.size else math.nan,
+        high=float(finite.max()) if finite.size else math.nan,
+        step=step(values),
+        noise=noise(values, sensor),
+        moving=noise(values, sensor, moving=True),
+        unused={cause: _unused(mask, recording.time) for cause, mask in faults(recording, name).items()},
+    )
 
 
-# ---- clock -------------------------------------------------------------------------------------------
+def _unused(mask: Mask, time: Array) -> tuple[float, str]:
+    """Fraction of the samples that are not used for one cause, and a text."""
+    count, parts, fraction = int(mask.sum()), true_intervals(mask), float(mask.mean())
+    if not parts:
+        return 0.0, ""
+    ends = np.append(time, 2 * time[-1] - time[-2])  # an interval of one sample lasts until the next sample
+    longest = max(float(ends[part.stop] - time[part.start]) for part in parts)
+    share = f"{100 * fraction:.2g} %" if fraction < 0.995 else "all"
+    several = f"in {len(parts)} parts, " if len(parts) > 1 else ""
+    first = f"first at {time[parts[0].start]:.6g} s"
+    samples = f"{count} sample{'s' * (count > 1)}"
+    return fraction, f"{samples} ({share}; {several}{first}, longest {longest:.3g} s)"
 
 
 def _clock(recording: Recording) -> tuple[float, float, list[str]]:
@@ -101,37 +191,21 @@ def _clock(recording: Recording) -> tuple[float, float, list[str]]:
     rate = float(np.sum(steps) / (time[-1] - time[0]))
     jitter, drift, bow = _drift(time, steps) if len(time) >= 10 else (0.0, 0.0, 0.0)
     missing, longest = int(np.sum(steps[intervals > GAP * usual] - 1)), int(np.argmax(intervals))
-    close, repetitions = int(np.sum(intervals < CLOSE * usual)), np.flatnonzero(_repeated(recording))
+    gap = f"the longest interval is {1e3 * intervals[longest]:.4g} ms at {time[longest]:.6g} s"
+    close, repeated = int(np.sum(intervals < CLOSE * usual)), time[_repeated(recording)]
     low, high = PLAUSIBLE_RATES
-    found = _true(
-        (
-            (
-                not low <= rate <= high,
-                f"{rate:.3g} Hz, expected {low:g} Hz to {high:g} Hz: is the unit of time right?",
-            ),
-            (
-                missing,
-                f"{missing} samples are missing; the longest interval is {1e3 * intervals[longest]:.4g} ms"
-                f" at {time[longest]:.6g} s, the usual one {1e3 / rate:.4g} ms.",
-            ),
-            (close, f"{close} time stamps are less than half a period after the one before."),
-            (
-                jitter * rate > UNIFORM,
-                f"jitter of {1e3 * jitter:.3g} ms, {100 * jitter * rate:.0f} % of a period.",
-            ),
-            (
-                bow * rate > BOW,
-                f"the interval changes by {100 * drift:.2g} % from start to end,"
-                f" which is {1e3 * bow:.3g} ms off a uniform clock.",
-            ),
-            (
-                repetitions.size,
-                f"{repetitions.size} rows repeat the row before,"
-                f" first at {time[repetitions[:1]].sum():.6g} s.",
-            ),
-        )
-    )
-    return rate, jitter, [f"The clock: {text}" for text in found]
+    rows, off = f"{repeated.size} rows repeat the row before", f"{1e3 * bow:.3g} ms off a uniform clock"
+    tests = {
+        f"{rate:.3g} Hz, expected {low:g} Hz to {high:g} Hz: is the unit of time right?": not (
+            low <= rate <= high
+        ),
+        f"{missing} samples are missing; {gap}, the usual one {1e3 / rate:.4g} ms.": missing,
+        f"{close} time stamps are less than half a period after the one before.": close,
+        f"jitter of {1e3 * jitter:.3g} ms, {100 * jitter * rate:.0f} % of a period.": jitter * rate > UNIFORM,
+        f"the interval changes by {100 * drift:.2g} % from start to end, which is {off}.": bow * rate > BOW,
+        f"{rows}, first at {repeated[:1].sum():.6g} s.": repeated.size,
+    }
+    return rate, jitter, [f"The clock: {sentence}" for sentence, true in tests.items() if true]
 
 
 def _drift(time: Array, steps: Array) -> tuple[float, float, float]:
@@ -183,120 +257,3 @@ def _chance(values: Array, sensor: Sensor) -> Array:
     judged = np.isfinite(values) & ~at_ends(values, sensor) & (np.abs(values) > sensor.dead_zone)
     result[judged] = (at_rest * np.exp(-((change / sd) ** 2) / 4))[judged]
     return result
-
-
-# ---- signals -----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Unused:
-    """Samples that are not used for one cause: fraction of all, and a text, empty if there are none."""
-
-    fraction: float
-    text: str
-
-
-def _unused(mask: Mask, time: Array) -> Unused:
-    count, parts, fraction = int(mask.sum()), true_intervals(mask), float(mask.mean())
-    if not parts:
-        return Unused(0.0, "")
-    ends = np.append(time, 2 * time[-1] - time[-2])  # an interval of one sample lasts until the next sample
-    longest = max(float(ends[part.stop] - time[part.start]) for part in parts)
-    share = f"{100 * fraction:.2g} %" if fraction < 0.995 else "all"
-    several = f"in {len(parts)} parts, " if len(parts) > 1 else ""
-    first = f"first at {time[parts[0].start]:.6g} s"
-    samples = f"{count} sample{'s' * (count > 1)}"
-    return Unused(fraction, f"{samples} ({share}; {several}{first}, longest {longest:.3g} s)")
-
-
-@dataclass(frozen=True)
-class SignalQuality:
-    """Faults and noise of one signal, in SI units.
-
-    sensor      the instrument as described
-    low, high   extremes of the samples, NaN if there are none
-    step        quantisation step estimated from the samples, 0 if there is none
-    noise       noise estimated from the samples
-    moving      noise of the samples that differ from their neighbours
-    unused      cause of `masks.faults` -> its samples
-    """
-
-    name: str
-    unit: str
-    sensor: Sensor
-    low: float
-    high: float
-    step: float
-    noise: float
-    moving: float
-    unused: Mapping[str, Unused]
-
-    def faults(self) -> list[str]:
-        """A sentence for each fault; samples in the dead zone are not a fault."""
-        show, sensor = self.show, self.sensor
-        gaps, clipped, stuck, _ = (unused.text for unused in self.unused.values())
-        least, most = PLAUSIBLE.get(self.unit, (0.0, math.inf))
-        largest = max(abs(self.low), abs(self.high))
-        # what is zero up to the noise of its sensor tells nothing about its unit
-        implausible = largest > AT_ZERO * sensor.sd and not least <= largest <= most
-        limits = f"{show(least)} to" if least else "up to"
-        # a slow signal rounded to steps looks like noise of up to half a step
-        stated, known = math.hypot(sensor.noise, sensor.resolution / 2), sensor.resolution
-        visible = self.noise > 0 and self.step > FINEST_STATED * (self.high - self.low)
-        steps, resolution = f"steps of {show(self.step)}", f"the stated resolution, {show(known)}"
-        return _true(
-            (
-                (gaps, f"{gaps} without a sample."),
-                (
-                    clipped,
-                    f"{clipped} clipped,"
-                    " at an end of the sensor's range or held at the signal's own extreme.",
-                ),
-                (stuck, f"{stuck} stuck at one value, without the noise of the sensor; not used."),
-                (
-                    implausible,
-                    f"from {show(self.low)} to {show(self.high)},"
-                    f" expected a largest magnitude of {limits} {show(most)}: is its unit right?",
-                ),
-                (
-                    self.noise > LOUD * stated > 0,
-                    f"noise of {show(self.noise)}, stated {show(sensor.noise)}.",
-                ),
-                (
-                    overstated(sensor, self.moving),
-                    f"stated noise of {show(sensor.noise)}, much larger than that of the samples,"
-                    f" {show(self.moving)}: the weight of the signal is too small.",
-                ),
-                (self.step > COARSE * known > 0, f"{steps}, coarser than {resolution}."),
-                (0 < self.step < FINE * known, f"{steps}, finer than {resolution}."),
-                (known == 0 and visible, f"{steps} without a stated resolution."),
-            )
-        )
-
-    def row(self) -> tuple[str, ...]:
-        """The signal's row of the table."""
-        fractions = (f"{100 * u.fraction:.2g} %" if u.text else "-" for u in self.unused.values())
-        pairs = ((self.step, self.sensor.resolution), (self.noise, self.sensor.noise))
-        cells = (f"{self.show(v)} ({self.show(stated) if stated else '-'})" for v, stated in pairs)
-        return (self.name, *fractions, *cells)
-
-    def show(self, value: float) -> str:
-        """A value in its display unit."""
-        unit = display_unit(self.unit)
-        return unit.plain(value) if self.unit == "1" else unit.ascii(value)
-
-
-def _signal(recording: Recording, name: str) -> SignalQuality:
-    values = recording[name]
-    finite = values[np.isfinite(values)]
-    return SignalQuality(
-        name=name,
-        unit=recording.units[name],
-        sensor=recording.sensor(name),
-        low=float(finite.min()) if finite.size else math.nan,
-        high=float(finite.max()) if finite.size else math.nan,
-        step=step(values),
-        noise=noise(values, recording.sensor(name)),
-        moving=noise(values, recording.sensor(name), moving=True),
-        unused={cause: _unused(mask, recording.time) for cause, mask in faults(recording, name).items()},
-    )

@@ -7,8 +7,8 @@ recording with the same conditions.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from orchestrator.base import toml
 from orchestrator.base.errors import Problem
-from orchestrator.base.text import display_unit
 from orchestrator.base.units import doubts, factor_and_offset, parse_unit, si_unit
 from orchestrator.data.recording import Mask, Recording, Sensor, read_recording
 from orchestrator.data.table import GAP_MARKS, SUFFIXES, Array, TextFormat, read_columns
@@ -66,8 +65,6 @@ USUAL: Mapping[str, tuple[float, float]] = {
     **{"rad": (0.1, 1.0), "rad/s": (0.1, 10.0), "N": (1e3, 1e5), "kg": (10.0, 1e3)},
 }
 LONGEST = 1e4  # [s]; a longer recording is in milliseconds
-MARGIN = 0.01  # of the largest value in training, by which an input may leave its range
-BRIEF = 0.05  # share of samples between zero and the range in training: a ramp
 
 
 def doubtful(recordings: Iterable[Recording]) -> list[str]:
@@ -78,60 +75,6 @@ def doubtful(recordings: Iterable[Recording]) -> list[str]:
         if (end := float(r.time[-1] - r.time[0])) >= LONGEST:
             told.append(f"{r.source}: {end:.6g} s; did you mean ms?")
     return told
-
-
-@dataclass(frozen=True)
-class Extrapolation:
-    """An input of a recording that leaves the range of its values in training, in SI units.
-
-    training   least and largest value of one sign in training, both 0 if there was none
-    reached    the value outside that is farthest from the range
-    """
-
-    signal: str
-    unit: str
-    training: tuple[float, float]
-    reached: float
-
-    def __str__(self) -> str:
-        shown, unit = display_unit(self.unit), self.unit if self.unit != "1" else ""
-        low, high, reached = (f"{shown.factor * v:.3g}" for v in (*self.training, self.reached))
-        unit = shown.name or unit
-        trained = f"{low} to {high} {unit}" if self.training != (0.0, 0.0) else "no value of this sign"
-        return f"{self.signal} is {reached} {unit}, in training {trained}"
-
-
-def extrapolations(
-    recording: Recording, training: Mapping[str, Array], signals: Iterable[str]
-) -> Iterator[Extrapolation]:
-    """The inputs of a recording that are outside their ranges in training.
-
-    training   samples of each signal in training; NaN do not count
-    signals    names of the inputs; those without training samples are not compared
-
-    Both signs of a signal have a range of their own, because a valve has other edges for each. An input is
-    outside if it is farther from zero than ever in training, or nearer for more than `BRIEF` of its samples
-    of this sign: every motion begins at zero, but what holds at 3 V and 5 V need not hold at 1 V.
-    """
-    for name in signals:
-        if name not in recording.signals or not np.isfinite(known := training.get(name, np.zeros(0))).any():
-            continue
-        sensor = recording.sensor(name)
-        margin = 4 * sensor.sd + sensor.resolution + MARGIN * float(np.nanmax(np.abs(known)))
-        for sign in (1.0, -1.0):
-            values, trained = (s[s > margin] for s in (sign * recording[name], sign * known))
-            if not values.size:
-                continue
-            low, high = (float(trained.min()), float(trained.max())) if trained.size else (0.0, 0.0)
-            below = values[values < low - margin]
-            if values.max() > high + margin:
-                reached = float(values.max())
-            elif below.size > BRIEF * values.size:
-                reached = float(below.min())
-            else:
-                continue
-            ends = sorted((sign * low, sign * high))
-            yield Extrapolation(name, recording.units.get(name, "1"), (ends[0], ends[1]), sign * reached)
 
 
 def _usual(recording: Recording, name: str) -> list[float]:

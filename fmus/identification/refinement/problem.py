@@ -352,7 +352,8 @@ class RecordingMap:
 class EstimationProblem:
     """A subsystem, its free parameters, the runs to fit and the runs held out.
 
-    fixed   values of the other parameters, inputs and states; None: those of the subsystem's file
+    fixed    values of the other parameters, inputs and states; None: those of the subsystem's file
+    labels   parameter or output -> its name in the results; by default its own
     """
 
     sub: Subsystem
@@ -361,6 +362,16 @@ class EstimationProblem:
     training: tuple[MeasuredRun, ...]
     held_out: tuple[MeasuredRun, ...] = ()
     fixed: Values | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    def label(self, name: str) -> str:
+        """Name of a parameter or an output in the results."""
+        return self.labels.get(name, name)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the outputs in the results."""
+        return tuple(map(self.label, self.outputs))
 
     @property
     def names(self) -> tuple[str, ...]:

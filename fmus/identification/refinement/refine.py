@@ -68,9 +68,9 @@ class RefinementResult:
     history              one entry per iteration
     unidentified         sentences about parameters that the data do not determine
     at_bound             parameters at one of their bounds
-    whiteness            tests of the residuals per output
+    whiteness            tests of the residuals per signal
     training, held_out   simulations of the runs from their initial states
-    model_error          per output: estimated error of the model, in standard deviations of the sensor
+    model_error          estimated error of the model in standard deviations of each sensor, shape (ny,)
     simulator            with which the parameters were estimated
     """
 
@@ -84,7 +84,7 @@ class RefinementResult:
     whiteness: Mapping[str, Whiteness]
     training: tuple[SimulatedRun, ...]
     held_out: tuple[SimulatedRun, ...]
-    model_error: Mapping[str, float]
+    model_error: Array
     simulator: Simulator
 
     @property
@@ -102,10 +102,8 @@ class RefinementResult:
         """Are the residuals correlated or larger than the sensors explain?"""
         return not all(w.white for w in self.whiteness.values() if np.isfinite(w.rms))
 
-    def estimates(self, names: Mapping[str, str] | None = None) -> tuple[Estimate, ...]:
+    def estimates(self) -> tuple[Estimate, ...]:
         """One estimate per parameter; its interval comes from the scatter between segments if `robust`.
-
-        names   free parameter -> name of its estimate
 
         Intervals end at a bound if that is nearer, and are open if the data do not determine the parameter.
         """
@@ -124,13 +122,13 @@ class RefinementResult:
             low, high = confidence_interval(z, width, degrees, minimum=lowest, maximum=highest)
             estimates.append(
                 Estimate(
-                    name=(names or {}).get(free.name, free.name),
+                    name=self.problem.label(free.name),
                     value=free.value_of(z),
                     unit=free.unit,
                     sd=z_sd * free.derivative(z),
                     low=free.value_of(low),
                     high=free.value_of(high),
-                    note=note + "; at its bound" * (free.name in self.at_bound),
+                    note=note + "; at its bound" * (self.problem.label(free.name) in self.at_bound),
                 )
             )
         return tuple(estimates)
@@ -155,8 +153,7 @@ class RefinementResult:
         covariance = statistics.robust_covariance if self.robust else statistics.covariance
         variance = np.einsum("kij,jl,kil->ki", by_z, covariance, by_z, optimize=True)
         variance = np.maximum(variance, 0.0) + np.sum((solution.y_x * start) ** 2, axis=-1)
-        errors = np.array([self.model_error[name] for name in outputs])
-        return by_z, np.sqrt(variance + noise**2 * (1 + errors**2))
+        return by_z, np.sqrt(variance + noise**2 * (1 + self.model_error**2))
 
 
 def refine(
@@ -230,19 +227,20 @@ def result(shooting: Shooting, solution: Solution) -> RefinementResult:
         by_inputs = input_covariance(shooting, solution)
     found = statistics(solution, problem.prior_sd(), by_inputs)
     low, high = problem.bounds()
-    at_bound = np.minimum(z - low, high - z) < _AT_BOUND
+    bound = np.minimum(z - low, high - z) < _AT_BOUND
+    free = [replace(f, name=problem.label(f.name)) for f in problem.free]
     return RefinementResult(
         problem=problem,
         z=z,
         reason=solution.reason,
         history=solution.history,
         statistics=found,
-        unidentified=unidentified(problem.free, found.data_covariance),
-        at_bound=tuple(n for n, bound in zip(problem.names, at_bound, strict=True) if bound),
-        whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.outputs)},
+        unidentified=unidentified(free, found.data_covariance),
+        at_bound=tuple(f.name for f, at in zip(free, bound, strict=True) if at),
+        whiteness={n: whiteness(training, simulator.inputs, k) for k, n in enumerate(problem.signals)},
         training=tuple(training),
         held_out=tuple(simulate(run, simulator, p) for run in problem.held_out),
-        model_error=dict(zip(problem.outputs, solution.scales.model_error.tolist(), strict=True)),
+        model_error=solution.scales.model_error,
         simulator=simulator,
     )
 

@@ -168,7 +168,7 @@ def _smoothed_noise(run: MeasuredRun, names: tuple[str, ...], rng: np.random.Gen
     return drawn
 
 
-def unidentified(free: tuple[FreeParameter, ...], data_covariance: Array) -> tuple[str, ...]:
+def unidentified(free: Sequence[FreeParameter], data_covariance: Array) -> tuple[str, ...]:
     """One sentence per group of parameters that the data do not determine, alone or in combination.
 
     data_covariance   covariance of z from the data alone, shape (np, np)

@@ -1,6 +1,5 @@
 """Report of an identification: one self-contained HTML file, and a JSON file with the same values."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,18 +11,14 @@ from fmus.contract import quantities
 from fmus.identification.estimate import Estimate
 from fmus.identification.finding import named
 from fmus.identification.machine import (
-    COMMANDS,
     lookup,
     nominal,
-    parameter_names,
-    signal_names,
     zero_sentences,
 )
 from fmus.identification.pipeline import NO_RECORDING, Identified
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import MAX_RATE, resample_uniformly
 from fmus.identification.recordings.quality import examine
-from fmus.identification.recordings.reading import Extrapolation, extrapolations
 from fmus.identification.refinement.refine import MultistartResult, RefinementResult, advice
 from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import attribute
@@ -34,8 +29,14 @@ from fmus.identification.report.figures import (
     joint_figure,
     opening_panel,
 )
-from fmus.identification.report.prediction import RecordingComparison, default_values, rms
-from fmus.machine.parts import INPUTS, SUBSYSTEMS
+from fmus.identification.report.prediction import (
+    Extrapolation,
+    RecordingComparison,
+    default_values,
+    extrapolated,
+    rms,
+)
+from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.data.recording import Recording
 from orchestrator.pages import html_page
 from orchestrator.pages.figures import plot
@@ -136,28 +137,10 @@ def page_content(
     }
 
 
-def extrapolated(identified: Identified) -> list[tuple[str, Extrapolation]]:
-    """Inputs of the held-out recordings of the machine that leave their ranges in training, with the file."""
-    training = [r for r in identified.recordings if r.use == "train"]
-    inputs = [targets[0] for targets in INPUTS.values()]
-    ranges = {n: [r[n] for r in training if n in r.signals] for n in inputs}
-    valves = [r["command"] for r in training if r.procedure == "valve" and "command" in r.signals]
-    for name in COMMANDS.values():  # a bench shows an edge, and the machine has the same for the other sign
-        ranges[name] += [sign * volts for volts in valves for sign in (1, -1)]
-    known = {n: np.concatenate(values) for n, values in ranges.items() if values}
-    return [
-        (r.source.name, found) for r in _held_out(identified) for found in extrapolations(r, known, known)
-    ]
-
-
 def extrapolation_text(outside: tuple[str, Extrapolation]) -> str:
     """A sentence on an input outside its range in training: the prediction is doubtful, not the estimates."""
     file, found = outside
     return f"{file}: {found}: its prediction is an extrapolation, which the bands do not cover."
-
-
-def _held_out(identified: Identified) -> list[Recording]:
-    return [r for r in identified.recordings if r.procedure == MACHINE and r.use == "test"]
 
 
 def _joints(comparison: RecordingComparison) -> Iterator[tuple[str, Any, str]]:
@@ -180,7 +163,7 @@ def _parameter(estimate: Estimate, procedure: str) -> dict[str, Any]:
 def _next_commands(folder: Path, out: Path, identified: Identified) -> dict[str, str]:
     """Commands that use the estimates -> their purpose."""
     commands = {f"harvester build --parameters {out}": "FMUs with these parameters"}
-    for recording in _held_out(identified)[:1]:
+    for recording in identified.of_machine("test")[:1]:
         lines = [n for n in ("supply", "tank") if f"swing.{n}_pressure" in recording.signals]
         play = "".join(f' --play "*.{line}_pressure"' for line in lines)
         command = f"harvester validate --reference {folder / recording.source.name}{play}"
@@ -207,7 +190,7 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
     same       whether the search led to the result, within a standard deviation
     joined     whether the search was ended on the path that leads to the result
     """
-    names, problem = parameter_names(), refined.problem
+    problem = refined.problem
     scatter = "from the scatter between segments: residuals are correlated, which noise of sensors is not"
     noise = "from the noise of the sensors: residuals are uncorrelated"
     rows = [
@@ -223,11 +206,11 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
         for number, start in enumerate(starts.starts if starts else (), 1)
     ]
     return {
-        "names": [names.get(n, n) for n in problem.names],
+        "names": [problem.label(name) for name in problem.names],
         "correlation": refined.statistics.correlation,
         "condition": refined.statistics.condition,
         "fits": [_fit(refined, k) for k in range(len(problem.outputs))],
-        "unidentified": [_renamed(sentence, names) for sentence in refined.unidentified],
+        "unidentified": [f"{sentence}." for sentence in refined.unidentified],
         "starts": rows,
         "facts": {
             "recordings": f"{len(problem.training)} for training, {problem.seconds:.0f} s; "
@@ -236,27 +219,20 @@ def refinement(refined: RefinementResult, starts: MultistartResult | None = None
             "ended": refined.reason,
             "95 % intervals": scatter if refined.robust else noise,
         },
-        "remarks": [*advice(refined), *(f"{names.get(n, n)} ended at its bound." for n in refined.at_bound)],
+        "remarks": [*advice(refined), *(f"{name} ended at its bound." for name in refined.at_bound)],
     }
 
 
 def _fit(refined: RefinementResult, k: int) -> dict[str, Any]:
     """Goodness of fit of an output."""
-    output = refined.problem.outputs[k]
-    tests, errors = refined.whiteness[output], {}
+    signal = refined.problem.signals[k]
+    tests, errors = refined.whiteness[signal], {}
     for use, traces in (("train", refined.training), ("test", refined.held_out)):
         relative = np.array([float(trace.nrmse()[k]) for trace in traces])
         errors[use] = rms(relative) if np.isfinite(relative).any() else None
     fit = errors | {"noise": tests.rms, "memory": tests.outside, "white": tests.ljung_box}
     inputs = max(tests.inputs.values(), default=None)
-    return {"signal": signal_names()[output], **html_page.json_values(fit), "inputs": inputs}
-
-
-def _renamed(sentence: str, names: Mapping[str, str]) -> str:
-    """A sentence with the names of the report; longest first, because one may be the beginning of another."""
-    pattern = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
-    text = re.sub(rf"\b({pattern})\b", lambda m: names[m[1]], sentence)
-    return f"{text.rstrip('.')}."
+    return {"signal": signal, **html_page.json_values(fit), "inputs": inputs}
 
 
 def quality(recording: Recording) -> dict[str, Any]:
@@ -281,7 +257,7 @@ def quality(recording: Recording) -> dict[str, Any]:
             "noise": signal.noise,
             "sensor": signal.sensor.text,
             "remarks": signal.faults(),
-            "dead": signal.unused["dead zone"].fraction,
+            "dead": signal.unused["dead zone"][0],
         }
         for signal in report.signals
     ]

@@ -1,22 +1,25 @@
-"""Prediction of a recording: the machine with the estimates, simulated and compared with the measurement."""
+"""Prediction of a recording: the machine with the estimates, simulated and compared with the measurement.
 
-from collections.abc import Mapping
+An input that leaves its range in training makes a prediction an extrapolation.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fmus.composition import declared
 from fmus.identification.estimate import coverage_factor
-from fmus.identification.machine import COMMANDS, signal_names, zeros
+from fmus.identification.machine import COMMANDS, zeros
 from fmus.identification.pipeline import Identified
 from fmus.identification.procedures.momentum_balance import JOINTS
-from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.clock import filter_for
 from fmus.identification.recordings.masks import good
-from fmus.machine.parts import SUBSYSTEMS, parts, wiring
+from fmus.machine.parts import INPUTS, SUBSYSTEMS, parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import values
 from orchestrator.base.errors import Problem
+from orchestrator.base.text import display_unit
 from orchestrator.data.recording import Recording, fill_gaps
 from orchestrator.data.table import Array
 
@@ -29,6 +32,8 @@ COMMAND_TOLERANCE = 1e-4  # V, error of a command that changes the opening of a 
 TOLERANCE = 1e-8  # of CVODES, far below the resolution of sensors; dry friction requires it
 WINDOW = 0.1  # s, filter that differentiates angles, wide enough for the encoder's steps
 CONSTANT = 1e-9  # range over largest value below which a signal is constant
+MARGIN = 0.01  # of the largest value in training, by which an input may leave its range
+BRIEF = 0.05  # share of samples between zero and the range in training: a ramp
 QUANTITIES = ("angle", "speed", "pressure", "flow")
 
 
@@ -208,15 +213,15 @@ def default_values(identified: Identified) -> dict[str, float]:
 
 def prediction(identified: Identified) -> RecordingComparison | None:
     """A recording of the machine and its prediction with the estimates; a held-out one if possible."""
-    recordings = [r for r in identified.recordings if r.procedure == MACHINE]
+    recordings = [*identified.of_machine("test"), *identified.of_machine("train")]
     if not recordings:
         return None
-    selected = next((r for r in recordings if r.use == "test"), recordings[0])
+    selected = recordings[0]
     predicted = predict(excitation(selected), default_values(identified))
     if (refined := identified.refined) is None:
         return compare(selected, predicted)
     simulated = (refined.held_out if selected.use == "test" else refined.training)[0]
-    names = [signal_names()[output] for output in refined.problem.outputs]
+    names = refined.problem.signals
     if np.isfinite(simulated.y).all():  # with all corners of the inputs; its readings contain the zeros
         predicted = {**predicted, **dict(zip(names, simulated.y.T, strict=True))}
         predicted |= {name: predicted[name] - zero.value for name, zero in zeros(refined).items()}
@@ -227,3 +232,69 @@ def prediction(identified: Identified) -> RecordingComparison | None:
         sd=dict(zip(names, sd.T, strict=True)),
         sensitivities={parameter: dict(zip(names, y.T, strict=True)) for parameter, y in changes},
     )
+
+
+@dataclass(frozen=True)
+class Extrapolation:
+    """An input of a recording that leaves the range of its values in training, in SI units.
+
+    training   least and largest value of one sign in training, both 0 if there was none
+    reached    the value outside that is farthest from the range
+    """
+
+    signal: str
+    unit: str
+    training: tuple[float, float]
+    reached: float
+
+    def __str__(self) -> str:
+        shown, unit = display_unit(self.unit), self.unit if self.unit != "1" else ""
+        low, high, reached = (f"{shown.factor * v:.3g}" for v in (*self.training, self.reached))
+        unit = shown.name or unit
+        trained = f"{low} to {high} {unit}" if self.training != (0.0, 0.0) else "no value of this sign"
+        return f"{self.signal} is {reached} {unit}, in training {trained}"
+
+
+def extrapolations(
+    recording: Recording, training: Mapping[str, Array], signals: Iterable[str]
+) -> Iterator[Extrapolation]:
+    """The inputs of a recording that are outside their ranges in training.
+
+    training   samples of each signal in training; NaN do not count
+    signals    names of the inputs; those without training samples are not compared
+
+    Both signs of a signal have a range of their own, because a valve has other edges for each. An input is
+    outside if it is farther from zero than ever in training, or nearer for more than `BRIEF` of its samples
+    of this sign: every motion begins at zero, but what holds at 3 V and 5 V need not hold at 1 V.
+    """
+    for name in signals:
+        if name not in recording.signals or not np.isfinite(known := training.get(name, np.zeros(0))).any():
+            continue
+        sensor = recording.sensor(name)
+        margin = 4 * sensor.sd + sensor.resolution + MARGIN * float(np.nanmax(np.abs(known)))
+        for sign in (1.0, -1.0):
+            values, trained = (s[s > margin] for s in (sign * recording[name], sign * known))
+            if not values.size:
+                continue
+            low, high = (float(trained.min()), float(trained.max())) if trained.size else (0.0, 0.0)
+            below = values[values < low - margin]
+            if values.max() > high + margin:
+                reached = float(values.max())
+            elif below.size > BRIEF * values.size:
+                reached = float(below.min())
+            else:
+                continue
+            ends = sorted((sign * low, sign * high))
+            yield Extrapolation(name, recording.units.get(name, "1"), (ends[0], ends[1]), sign * reached)
+
+
+def extrapolated(identified: Identified) -> list[tuple[str, Extrapolation]]:
+    """Inputs of the held-out recordings of the machine that leave their ranges in training, with the file."""
+    training = [r for r in identified.recordings if r.use == "train"]
+    ranges = {n: [r[n] for r in training if n in r.signals] for n, *_ in INPUTS.values()}
+    valves = [r["command"] for r in training if r.procedure == "valve" and "command" in r.signals]
+    for name in COMMANDS.values():  # a bench shows an edge, and the machine has the same for the other sign
+        ranges[name] += [sign * volts for volts in valves for sign in (1, -1)]
+    known = {n: np.concatenate(values) for n, values in ranges.items() if values}
+    held_out = identified.of_machine("test")
+    return [(r.source.name, found) for r in held_out for found in extrapolations(r, known, known)]

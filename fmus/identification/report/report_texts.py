@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from fmus.identification.estimate import Estimate
-from fmus.identification.machine import parameter_names, signal_names
 from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.refinement.refine import RefinementResult
 from fmus.identification.report.prediction import WINDOW
@@ -96,16 +95,14 @@ CHECK = (
 
 def warnings(refined: RefinementResult) -> list[str]:
     """Sentences on doubtful results, the last one with advice; empty if there is no doubt."""
-    names, signals = parameter_names(), signal_names()
     sentences = []
     if not refined.converged:
         sentences.append(f"The search did not converge: {refined.reason}.")
     if refined.at_bound:
-        at_bound = ", ".join(names.get(name, name) for name in refined.at_bound)
-        sentences.append(f"At a bound, so not identified: {at_bound}.")
+        sentences.append(f"At a bound, so not identified: {', '.join(refined.at_bound)}.")
     residual = refined.history[-1].residual if refined.history else 0.0
     if residual > FAR:
-        ratios = {signals[n]: test.rms for n, test in refined.whiteness.items() if test.rms > FAR}
+        ratios = {n: test.rms for n, test in refined.whiteness.items() if test.rms > FAR}
         far = ", ".join(f"{name} {ratios[name]:.3g} times" for name in _largest(ratios)[:NAMED])
         sentences.append(
             f"The joint refinement leaves residuals {residual:.3g} times as large as the noise of the "
@@ -116,7 +113,7 @@ def warnings(refined: RefinementResult) -> list[str]:
     if poor := [name for name in _largest(errors) if errors[name] > POOR]:
         sentences.append(
             "The model does not even reproduce the recordings that were used for fitting. NRMSE above "
-            f"{percent(POOR)} of the range: {', '.join(f'{signals[n]} {percent(errors[n])}' for n in poor)}."
+            f"{percent(POOR)} of the range: {', '.join(f'{n} {percent(errors[n])}' for n in poor)}."
         )
     return [*sentences, CHECK] if sentences else []
 
@@ -127,13 +124,13 @@ def _largest(values: Mapping[str, float]) -> list[str]:
 
 
 def _training_nrmse(refined: RefinementResult) -> dict[str, float]:
-    """NRMSE of each output over all training recordings; infinite if a simulation failed.
+    """NRMSE of each signal over all training recordings; infinite if a simulation failed.
 
     The error is divided by the largest range of the output over the recordings: if a joint is at rest in a
     recording, the range of its angle there is noise.
     """
     errors = {}
-    for k, name in enumerate(refined.problem.outputs):
+    for k, name in enumerate(refined.problem.signals):
         traces = [t for t in refined.training if t.run.compared[:, k].any()]
         if traces:
             error = np.concatenate([t.error[t.run.compared[:, k], k] for t in traces])

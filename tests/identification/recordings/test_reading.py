@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -10,9 +9,8 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from fmus.identification.recordings.reading import extrapolations, read, read_folder, require, unused_files
+from fmus.identification.recordings.reading import read, read_folder, require, unused_files
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording, Sensor
 
 
 def parquet(path, columns):
@@ -159,29 +157,3 @@ def test_data_without_a_description_are_reported(csv):
         "b.csv: left out, b.toml is missing.",
         "c.mat: left out, c.toml has no table [experiment].",
     ]
-
-
-def driven(*commands: float, ramp: int = 0, sd: float = 0.0) -> Recording:
-    """Commands [V] that are held for 100 samples each, with ramps between them."""
-    corners = np.cumsum([0, *(n for _ in commands for n in (99, 1 + ramp))])[:-1]
-    volts = np.interp(np.arange(corners[-1] + 1), corners, np.repeat(commands, 2))
-    volts += sd * np.random.default_rng(0).standard_normal(volts.size)
-    time, units, sensors = np.arange(volts.size) / 100, {"command": "V"}, {"command": Sensor(noise=sd)}
-    return Recording(Path("a.csv"), time, {"command": volts}, units, sensors=sensors)
-
-
-@pytest.mark.parametrize(
-    ("training", "predicted", "told"),
-    [
-        (driven(0, 3, 5, -3), driven(0, 4, -3, ramp=2), []),  # in between, after a fast ramp from zero
-        (driven(0, 3, 5, -3), driven(0, 1, 4), ["command is 1 V, in training 3 to 5 V"]),
-        (driven(0, 3, 5), driven(0, -4), ["command is -4 V, in training no value of this sign"]),
-        (driven(0, 5, -5, -2), driven(0, 5, -6), ["command is -6 V, in training -5 to -2 V"]),
-        (driven(0, 5, ramp=90), driven(0, 1, 4, 0.2), []),  # a slow ramp shows all values
-        (driven(5, 5, sd=0.1), driven(5, 5, 5, 5, sd=0.1), []),  # noise is no range
-    ],
-)
-def test_inputs_outside_their_range_in_training_are_told(training, predicted, told):
-    """Farther from zero than ever, or nearer for long; each sign by itself; other signals do not count."""
-    found = extrapolations(predicted, {"command": training["command"]}, ["command", "missing"])
-    assert [str(extrapolation) for extrapolation in found] == told

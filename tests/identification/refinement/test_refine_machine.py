@@ -84,7 +84,7 @@ def test_machine_is_found_from_far_away(refined: RefinementResult) -> None:
 
 def test_estimates_are_called_as_parameter_files_call_them(refined: RefinementResult) -> None:
     """Names contain the component only if components differ; intervals contain the values."""
-    found = {e.name: e for e in refined.estimates(names=parameter_names())}
+    found = {e.name: e for e in refined.estimates()}
     assert {"valve_area", "boom_piston_damping", "head_mass"} <= set(found)
     assert parameter_names()["swing_initial_preload"] == "swing.initial_preload"
     assert all(e.low < e.value < e.high and e.sd > 0 for e in found.values())

@@ -124,7 +124,7 @@ def test_residuals_are_white_only_if_the_model_is_right(refined: RefinementResul
     assert tests.inputs["push"] > 0.1  # a hundredth by chance
     assert right.inputs["push"] < 0.1
     assert wrong.robust
-    assert wrong.model_error["position"] > 5
+    assert wrong.model_error[0] > 5
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,18 @@ from kit.properties import examples
 
 from fmus.identification.machine import COMMANDS
 from fmus.identification.report.attribution import candidate_effects
-from fmus.identification.report.prediction import COMMAND_TOLERANCE, Excitation, excitation, predict, simplify
+from fmus.identification.report.prediction import (
+    COMMAND_TOLERANCE,
+    Excitation,
+    excitation,
+    extrapolations,
+    predict,
+    simplify,
+)
 from fmus.machine.poses import NOMINAL, POSES
 from fmus.machine.work_cycle import Move
 from orchestrator.base.errors import Problem
-from orchestrator.data.recording import Recording
+from orchestrator.data.recording import Recording, Sensor
 
 ROOT = Path(__file__).parents[3]
 POSE = {joint: getattr(POSES[NOMINAL], joint) for joint in ("swing", "boom", "stick")}
@@ -125,3 +132,29 @@ def test_rounding_makes_no_corners():
     corners = np.abs(np.diff(found, 2)) > 1e-9
     assert corners.sum() <= 8  # four corners, each between two samples at most
     assert np.abs(found - move).max() < COMMAND_TOLERANCE
+
+
+def driven(*commands: float, ramp: int = 0, sd: float = 0.0) -> Recording:
+    """Commands [V] that are held for 100 samples each, with ramps between them."""
+    corners = np.cumsum([0, *(n for _ in commands for n in (99, 1 + ramp))])[:-1]
+    volts = np.interp(np.arange(corners[-1] + 1), corners, np.repeat(commands, 2))
+    volts += sd * np.random.default_rng(0).standard_normal(volts.size)
+    time, units, sensors = np.arange(volts.size) / 100, {"command": "V"}, {"command": Sensor(noise=sd)}
+    return Recording(Path("a.csv"), time, {"command": volts}, units, sensors=sensors)
+
+
+@pytest.mark.parametrize(
+    ("training", "predicted", "told"),
+    [
+        (driven(0, 3, 5, -3), driven(0, 4, -3, ramp=2), []),  # in between, after a fast ramp from zero
+        (driven(0, 3, 5, -3), driven(0, 1, 4), ["command is 1 V, in training 3 to 5 V"]),
+        (driven(0, 3, 5), driven(0, -4), ["command is -4 V, in training no value of this sign"]),
+        (driven(0, 5, -5, -2), driven(0, 5, -6), ["command is -6 V, in training -5 to -2 V"]),
+        (driven(0, 5, ramp=90), driven(0, 1, 4, 0.2), []),  # a slow ramp shows all values
+        (driven(5, 5, sd=0.1), driven(5, 5, 5, 5, sd=0.1), []),  # noise is no range
+    ],
+)
+def test_inputs_outside_their_range_in_training_are_told(training, predicted, told):
+    """Farther from zero than ever, or nearer for long; each sign by itself; other signals do not count."""
+    found = extrapolations(predicted, {"command": training["command"]}, ["command", "missing"])
+    assert [str(extrapolation) for extrapolation in found] == told

@@ -33,9 +33,9 @@ def refined(**more) -> RefinementResult:
     """A synthetic result."""
     free = tuple(FreeParameter(n, 2.0, log=True) for n in ("valve_area", "boom_stick_initial_preload"))
     training = (traces("a", 0.03), traces("b", 0.04))
-    problem = EstimationProblem(
-        HARVESTER, ("boom_angle", "swing_flow_a"), free, tuple(t.run for t in training)
-    )
+    outputs, runs = ("boom_angle", "swing_flow_a"), tuple(t.run for t in training)
+    labels = {"boom_angle": "manipulator.boom_angle", "boom_stick_initial_preload": PRELOAD}
+    problem = EstimationProblem(HARVESTER, outputs, free, runs, labels=labels)
     covariance = np.array([[0.04, 0.01], [0.01, 0.01]])
     quiet = Whiteness(np.nan, np.nan, {}, np.nan)
     given = {
@@ -44,12 +44,15 @@ def refined(**more) -> RefinementResult:
         "reason": "converged",
         "history": (),
         "statistics": Statistics(covariance, covariance, covariance, 100, 10, 7.0),
-        "unidentified": ("boom_stick_initial_preload and valve_area: not each",),
-        "at_bound": ("boom_stick_initial_preload",),
-        "whiteness": {"boom_angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1), "swing_flow_a": quiet},
+        "unidentified": (f"{PRELOAD} and valve_area: not each",),
+        "at_bound": (PRELOAD,),
+        "whiteness": {
+            "manipulator.boom_angle": Whiteness(0.2, 0.01, {"u": 0.3, "v": 0.1}, 1.1),
+            "swing_flow_a": quiet,
+        },
         "training": training,
         "held_out": (traces("c", 0.05),),
-        "model_error": {},
+        "model_error": np.zeros(2),
         "simulator": None,
     }
     return RefinementResult(**{**given, **more})
@@ -152,7 +155,10 @@ def test_residuals_far_above_the_noise_are_a_warning():
     """168 times: the number, and the worst signals as the report names them; a good fit has none."""
     assert warnings(refined(at_bound=())) == []
     history = (Iteration(0, 168.0, 0.1, {}),)
-    tests = {"boom_angle": Whiteness(0.0, 1.0, {}, 505.0), "swing_flow_a": Whiteness(0.2, 0.01, {}, 1.1)}
+    tests = {
+        "manipulator.boom_angle": Whiteness(0.0, 1.0, {}, 505.0),
+        "swing_flow_a": Whiteness(0.2, 0.01, {}, 1.1),
+    }
     far = refined(history=history, whiteness=tests, at_bound=())
     told, check = warnings(far)
     assert "residuals 168 times as large as the noise" in told
