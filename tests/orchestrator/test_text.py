@@ -17,6 +17,7 @@ from orchestrator.base.text import (
     sentences,
     typeset,
 )
+from orchestrator.base.units import pretty
 from orchestrator.pages.html_page import json_values
 
 TABLE = TextTable(["name", "value"], [["a", "1"], ["<b>", "unstable"]], title="Title", strong=["unstable"])
@@ -42,6 +43,8 @@ def test_print_has_other_signs_than_a_terminal() -> None:
     """Powers of ten, minus signs and dashes; dates and names stay; words become lists and sentences."""
     assert typeset("-1e-07 at 2026-11-21, a-1") == "\N{MINUS SIGN}1·10⁻⁷ at 2026-11-21, a-1"
     assert typeset("-") == "\N{EN DASH}"
+    assert typeset("R is 2.5e-13 +- 1e+03 Pa, eq. (1)") == "R is 2.5·10⁻¹³ ± 1·10³ Pa, eq. (1)"
+    assert [pretty(u) for u in ("Pa.s2/m6", "m3/(s.Pa^0.5)", "s-1")] == ["Pa·s²/m⁶", "m³/(s·Pa^0.5)", "s⁻¹"]
     assert error_display_unit("m").ascii(1e-3) == "1 mm"
     assert error_display_unit("N.m").text(-2e-4) == "\N{MINUS SIGN}2·10⁻⁷ kN·m"
     joined = [join_words(words) for words in (["a"], ["a", "b"], ["a", "b", "c"])]

@@ -1,5 +1,6 @@
 """Masks of good samples, intervals with a constant command, and averages over them."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,14 +8,17 @@ import pytest
 import scipy.signal
 from hypothesis import given
 from hypothesis import strategies as st
+from identification.recordings.conftest import GAUGE, SIZE, T, recording, rounded
 
-from fmus.identification.recordings.masks import averages, good, good_all, standard_error, steady
+from fmus.identification.recordings.masks import averages, faults, good, good_all, standard_error, steady
+from fmus.identification.recordings.quality import examine
 from fmus.identification.recordings.reading import add, split, take, window
+from fmus.identification.refinement.problem import usable_samples
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Sensor
 
 
-def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
+def test_good_samples_are_there_in_range_and_out_of_the_dead_zone():
     """Each reason against a sample is enough to exclude it."""
     values = [np.nan, -20.0, 20.0, 5.0, -5.0, 0.0, 5.1, 12.0]
     made = recording(q=values, u=np.arange(8.0), sensors={"q": Sensor(low=-20, high=20, dead_zone=5)})
@@ -29,7 +33,7 @@ def test_good_samples_are_there_in_range_and_out_of_the_dead_zone(recording):
     settle=st.integers(0, 20),
     shortest=st.integers(0, 20),
 )
-def test_steady_stretches_are_those_of_the_steps(recording, lengths, settle, shortest):
+def test_steady_stretches_are_those_of_the_steps(lengths, settle, shortest):
     """The intervals of a stepped command are its steps without settling time; short ones are left out."""
     levels = np.arange(len(lengths)) % 3 * 1.5
     starts = np.concatenate(([0], np.cumsum(lengths))).tolist()
@@ -41,7 +45,7 @@ def test_steady_stretches_are_those_of_the_steps(recording, lengths, settle, sho
     assert steady(recording(u=np.repeat(levels, lengths)), "u", settle / 200, shortest / 200) == expected
 
 
-def test_steady_stretches_of_a_measured_command(recording):
+def test_steady_stretches_of_a_measured_command():
     """Sensor noise does not end an interval; a slow ramp and a gap do."""
     rng = np.random.default_rng(1)
     u = np.concatenate([np.zeros(200), np.linspace(0, 2, 200), np.full(200, 2.0)]) + rng.normal(0, 0.005, 600)
@@ -55,7 +59,7 @@ def test_steady_stretches_of_a_measured_command(recording):
     assert edges[2] == (501, 600)
 
 
-def test_averages_of_good_samples_over_stretches(recording):
+def test_averages_of_good_samples_over_stretches():
     """Means use the good samples; with too few of them there is no mean."""
     values = np.concatenate([np.full(100, 1.0), np.full(100, 3.0)])
     values[:30], values[100:160] = np.nan, 900.0
@@ -82,7 +86,7 @@ def test_standard_error_of_a_reading_that_does_not_leave_its_step():
     assert standard_error(np.full(100, 3.0)) == 0.0
 
 
-def test_parts_of_a_recording_keep_everything_else(recording):
+def test_parts_of_a_recording_keep_everything_else():
     """Splitting keeps all samples and instruments; a window is half open; an added signal has its unit."""
     sensor = Sensor(noise=1.0)
     made = recording(x=np.arange(100.0), sensors={"x": sensor})
@@ -99,3 +103,86 @@ def test_parts_of_a_recording_keep_everything_else(recording):
         window(made, 3, 4)
     with pytest.raises(Problem, match=r"signal v: expected shape \(100,\), got \(3,\)"):
         add(made, "v", np.zeros(3), "m/s")
+
+
+# ---- stuck
+
+
+def made(sensor, values, name="pressure"):
+    return replace(recording(sensors={name: sensor}, **{name: values}), procedure="machine")
+
+
+def gauge(noise=0.1):
+    rng = np.random.default_rng(1)
+    return rounded(150 + 80 * np.sin(1.3 * T) + rng.normal(0, noise, SIZE), GAUGE.resolution)
+
+
+def remarks(read):
+    return " ".join(text for text in examine(read).remarks() if not text.startswith("The clock"))
+
+
+@pytest.mark.parametrize("stop", [1100, 3800])
+def test_stuck_samples_are_not_used(stop):
+    """Samples of a gauge that is stuck for half a second, or for most of the recording, are not used."""
+    values = gauge()
+    values[1000:stop] = values[1000]
+    read = made(GAUGE, values)
+    used = good(read, "pressure")
+    assert not used[1000:stop].any()
+    # a neighbour may be equal by chance
+    assert used[:990].all()
+    assert used[stop + 10 :].all()
+    # the refinement leaves ten samples about it out, too
+    usable = usable_samples(read, "pressure")
+    assert not usable[990 : stop + 10].any()
+    assert usable[:980].all()
+    assert "stuck at one value" in remarks(read)
+
+
+@pytest.mark.parametrize(("size", "longest"), [(900, 3), (1050, 4)])
+def test_a_run_is_stuck_if_chance_makes_one_in_a_thousand_recordings(size, longest):
+    """Equal samples have a chance of 1 / 1000 at least: k of them, somewhere among n, n / 1000^k."""
+    values = np.random.default_rng(0).normal(size=size)
+    values[[10, 20]] = 9.0, -9.0
+    for run in (longest, longest + 1):
+        values[300 : 300 + run] = values[300]
+        assert faults(recording(x=values), "x")["stuck"].sum() == run * (run > longest)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 20.0])
+def test_an_encoder_at_rest_is_used(noise):
+    """An encoder at rest for most of the time is not stuck, whatever noise is stated."""
+    step = 0.044
+    moving = np.clip(T - 5, 0, 4) * 20
+    quiet = np.random.default_rng(2).normal(0, 0.005, SIZE)
+    read = made(Sensor(noise=noise, resolution=step), rounded(moving + quiet, step), "angle")
+    assert good(read, "angle").all()
+    assert "stuck" not in remarks(read)
+
+
+def test_commands_dead_zones_and_smooth_signals_may_stand_still():
+    """Held commands, a meter in its dead zone, and a simulated angle at rest are not stuck."""
+    command = made(Sensor(), np.where(T < 10, 5 * np.sin(T), 5.0), "swing.swing_command")
+    assert good(command, "swing.swing_command").all()
+    rng = np.random.default_rng(3)
+    flow = 100 * np.sin(0.5 * T) + rng.normal(0, 0.3, SIZE)
+    flow[np.abs(flow) < 10] = 0.0
+    meter = made(Sensor(noise=0.3, dead_zone=10.0), flow, "flow")
+    assert np.array_equal(good(meter, "flow"), flow != 0)
+    assert "stuck" not in remarks(meter)
+    read = made(Sensor(), np.where(T < 10, np.sin(T), np.sin(10.0)), "angle")
+    assert good(read, "angle").all()
+
+
+def test_overstated_noise_has_a_remark():
+    """A stated noise of 0.5 instead of 0.1: good samples stay good, and a remark reports the value."""
+    read = made(replace(GAUGE, noise=0.5), gauge())
+    assert good(read, "pressure").all()
+    text = remarks(read)
+    assert "stuck" not in text
+    assert "stated noise of 0.5, much larger than that of the samples" in text
+    assert "noise" not in remarks(made(replace(GAUGE, noise=0.25), gauge()))  # 2.2 times as large
+    small = made(replace(GAUGE, noise=0.001), gauge(1.0))
+    assert "stated 0.001" in remarks(small)
+    assert good(small, "pressure").all()
+    assert "noise" not in remarks(made(GAUGE, gauge()))

@@ -92,9 +92,9 @@ def test_noise_and_steps_other_than_stated(clean):
     (text,) = remarks_on(loud, "pressure")
     assert "noise of 0.3" in text
     assert "stated 0.1" in text
-    coarse = plant(clean, "angle", rounded(clean["angle"], 4 * ENCODER.resolution), slice(None))
+    coarse = plant(clean, "angle", rounded(clean["angle"], 2 * ENCODER.resolution), slice(None))
     assert any("coarser than the stated resolution" in text for text in remarks_on(coarse, "angle"))
-    stated = replace(clean, sensors={**clean.sensors, "angle": Sensor(resolution=4 * ENCODER.resolution)})
+    stated = replace(clean, sensors={**clean.sensors, "angle": Sensor(resolution=2 * ENCODER.resolution)})
     assert any("finer than the stated resolution" in text for text in remarks_on(stated, "angle"))
     silent = replace(coarse, sensors={})
     assert any("without a stated resolution" in text for text in remarks_on(silent, "angle"))
@@ -120,17 +120,18 @@ def test_missing_samples_of_the_clock(clean):
 
 
 def test_jitter_and_drift_of_the_clock(clean):
-    """Jitter of a computer that is late at times; an interval that changes by 0.4 % is a drift."""
+    """Jitter of a computer that is late at times; one that is 0.4 of a period off has a drift."""
     rng = np.random.default_rng(5)
     made = replace(clean, time=clean.time + rng.normal(0, 0.0005, SIZE))
     assert ["jitter" in text for text in remarks_on(made, "The clock")] == [True]
     # standard deviation from 4000 samples: 1 / sqrt(8000) = 1.1 %, four times that
     assert examine(made).jitter == pytest.approx(0.0005, rel=0.045)
     x = np.arange(SIZE) / SIZE
-    made = replace(clean, time=SIZE / RATE * (x + 0.002 * x**2))
+    made, less = (replace(clean, time=SIZE / RATE * (x + bow * x**2)) for bow in (0.0008, 0.0004))
     (text,) = remarks_on(made, "The clock")
-    # the parabola 0.002 x^2 of 20 s is at most 0.002 / 4 / 2 * 20 s off the line through it
-    assert "changes by 0.4 % from start to end, which is 5 ms off" in text
+    # the parabola 0.0008 x^2 of 20 s is at most 0.0008 / 4 / 2 * 20 s off the line through it
+    assert "changes by 0.16 % from start to end, which is 2 ms off" in text
+    assert remarks_on(less, "The clock") == []
 
 
 def twice(made, rows):
@@ -154,6 +155,26 @@ def test_rows_written_twice(clean):
     ]
 
 
+@pytest.mark.parametrize(
+    ("chance", "slope", "planted", "told"),
+    [
+        # 119 rows by chance, five standard deviations of their number are 55
+        (0.03, 0, 40, False),
+        (0.03, 0, 100, True),
+        (0.08, 0, 300, False),  # rows that are equal in one of twelve cases are not judged
+        (0.03, 60, 100, True),  # a triangle with a period of 36 samples: of its slope no two rows are equal
+    ],
+)
+def test_equal_rows_are_counted_against_chance(recording, chance, slope, planted, told):
+    """A step over 2 root pi sd is the probability of two equal samples of a constant."""
+    sd, k = 1 / (2 * np.sqrt(np.pi) * chance), np.arange(SIZE)
+    triangle = slope * np.abs((k % 36) - 18)
+    values = np.round(np.random.default_rng(0).normal(triangle, sd))
+    made = recording(sensors={"x": Sensor(noise=sd, resolution=1.0)}, x=values)
+    rows = 9 + 36 * np.arange(planted) if slope else np.arange(100, SIZE, SIZE // planted)[:planted]
+    assert any("repeat" in text for text in remarks_on(twice(made, rows), "The clock")) == told
+
+
 def test_stamps_that_follow_too_soon(clean):
     """Two time stamps in quick succession belong to one sample that was written twice."""
     soon = clean.time.copy()
@@ -168,6 +189,10 @@ def test_noise_is_estimated_behind_motion(sd):
     rng = np.random.default_rng(6)
     t = T
     values = 20 * np.sin(2 * np.pi * t) + np.sin(2 * np.pi * 5 * t) + rng.normal(0, sd, SIZE)
+    # the sixth difference passes a sine by (2 sin(pi f))^6, and white noise by the root of 924 = 12 over 6
+    sine = noise(np.sin(2 * np.pi * np.arange(4001) / 20.37))
+    passed = (2 * np.sin(np.pi / 20.37)) ** 6 * np.sqrt(0.5) / (0.67449 * np.sqrt(924))
+    assert sine == pytest.approx(passed, rel=1e-3)  # the median of a sine over 200 periods
     # a median of 4000 values of which about one in six is independent: 1.17 / sqrt(4000 / 6) = 4.5 %, twice
     assert noise(values) == pytest.approx(sd, rel=0.09)
 
@@ -180,7 +205,9 @@ def test_step_is_estimated_exactly_and_only_if_there_is_one():
     # rounding to 1e-4 over some thousand steps
     assert step(written) == pytest.approx(600 / 4096, rel=1e-5)
     assert step(values) == 0.0
-    assert step(np.repeat(np.arange(10.0), 400)) == 0.0
+    # eight levels or more, which change in every fiftieth sample or more often
+    for count, length, expected in ((8, 1, 1.0), (7, 1, 0.0), (10, 33, 1.0), (10, 66, 0.0)):
+        assert step(np.repeat(np.arange(120.0) % count, length)) == pytest.approx(expected)
 
 
 @table(__file__, "units", "unit, factor, limits")
@@ -190,14 +217,23 @@ def test_an_implausible_unit_has_a_remark(clean, unit, factor, limits):
     texts = remarks_on(plant(made, "pressure", factor * clean["pressure"], slice(None)), "pressure")
     (text,) = [text for text in texts if "is its unit right?" in text]
     assert limits in text
-    usual = {"Pa": 1e5, "V": 0.05, "rad": 0.01, "m3/s": 1e-5}[unit]
+    usual = {"Pa": 1e5, "V": 0.05, "rad": 0.01, "rad/s": 0.01, "m3/s": 1e-5}[unit]
     sd, noise = clean.sensor("pressure").sd, np.random.default_rng(3).normal(size=clean.time.size)
     for values in (usual * clean["pressure"], 0.0 * clean["pressure"], sd * noise):
         made = plant(replace(made, sensors=SENSORS), "pressure", values, slice(None))
         assert not [text for text in remarks_on(made, "pressure") if "unit" in text]
 
 
-def test_a_clock_in_milliseconds_has_a_remark(clean):
-    """Time in ms declared as s: a remark on 0.2 Hz."""
-    made = replace(clean, time=1000 * clean.time)
-    assert any("0.2 Hz" in text and "unit of time" in text for text in examine(made).remarks())
+@pytest.mark.parametrize(("unit", "doubt"), [(1000, True), (15, False), (0.003, False), (0.0015, True)])
+def test_a_clock_in_milliseconds_has_a_remark(clean, unit, doubt):
+    """0.2 Hz of a time in ms declared as s, and 133 kHz; none on 13 Hz and 67 kHz."""
+    texts = examine(replace(clean, time=unit * clean.time)).remarks()
+    assert any(f"{RATE / unit:.3g} Hz" in text and "unit of time" in text for text in texts) == doubt
+
+
+@pytest.mark.parametrize(("sd", "doubt"), [(0.005, True), (0.01, False)])
+def test_a_signal_that_is_noise_has_no_unit(recording, sd, doubt):
+    """0.05 V is less than any command; ten standard deviations of the sensor are no zero, five are."""
+    made = recording(sensors={"u": Sensor(noise=sd)}, u=0.05 * np.sin(T))
+    texts = examine(replace(made, units={"u": "V"})).remarks()
+    assert any("is its unit right?" in text for text in texts) == doubt

@@ -9,10 +9,11 @@ import pytest
 from identification.refinement.oscillator import INVERTED, NOISE, TRUTH, problem, recording, run, upright
 from kit.mistakes import problem as problem_of
 
-from benchmarks.black_box import BlackBox, FiniteDifferences
+from benchmarks.black_box import BlackBox
 from fmus.identification.refinement import shooting
 from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.refine import compiled, refine
+from fmus.identification.refinement.shooting import condense, triangular
 
 
 def test_steps_shrink_quadratically_without_noise() -> None:
@@ -102,27 +103,20 @@ def test_threads_and_order_of_recordings_do_not_matter(monkeypatch) -> None:
     np.testing.assert_allclose(turned.z, one.z, atol=float(1e-6 * one.statistics.sd(False).min()))
 
 
-@pytest.mark.parametrize("kind", ["differences", "black box"])
-def test_differences_lead_to_the_same_optimum(kind: str) -> None:
-    """Finite differences of segments or of whole simulations lead to the same optimum."""
-    start = {"position": 0.0, "speed": 0.0}
+def test_a_black_box_leads_to_the_same_optimum() -> None:
+    """Finite differences of whole simulations, whose states cannot be set."""
     task = problem(run(recording()))
     exact = compiled(task, 1e-9)
-    inputs = task.training[0].input_matrix(exact.inputs)
-    other = FiniteDifferences(exact)
-    if kind == "black box":
-        other = BlackBox(
-            lambda p, time, u: exact.segment(np.array(list(start.values())), p, time, u, False).y,
-            exact.inputs,
-            exact.outputs,
-            exact.free,
-            exact.p0,
-        )
-    one, two = (refine(task, model, tolerance=1e-3) for model in (exact, other))
-    assert inputs.shape == (601, 1)
-    # a black box starts from exactly zero, the other from an estimate: about half a standard deviation
-    limit = 1.0 if kind == "black box" else 0.01
-    assert np.max(np.abs(one.z - two.z) / one.statistics.sd(False)) < limit
+    box = BlackBox(
+        lambda p, time, u: exact.segment(np.zeros(2), p, time, u, False).y,
+        exact.inputs,
+        exact.outputs,
+        exact.free,
+        exact.p0,
+    )
+    one, two = (refine(task, model, tolerance=1e-3) for model in (exact, box))
+    # the box starts from exactly zero, the other from an estimate: about half a standard deviation
+    assert np.max(np.abs(one.z - two.z) / one.statistics.sd(False)) < 1
 
 
 @pytest.mark.parametrize("horizon", [0.5, np.inf])
@@ -152,3 +146,35 @@ def test_errors_of_the_user_are_messages_of_one_line() -> None:
         (lambda: refine(problem()), "expected at least one recording to fit"),
     ):
         assert re.search(message, problem_of(call))
+
+
+NX, FREE, SEGMENTS, ROWS = 3, 2, 4, 40
+
+
+def test_the_step_is_that_of_the_whole_system() -> None:
+    """Least squares over all unknowns, with multipliers for continuity, gives the same step."""
+    rng = np.random.default_rng(0)
+    jacobians = rng.standard_normal((SEGMENTS, ROWS, NX + FREE))
+    residuals = rng.standard_normal((SEGMENTS, ROWS))
+    ends = rng.standard_normal((SEGMENTS, NX, NX + FREE))
+    gaps = rng.standard_normal((SEGMENTS - 1, NX))
+    prior = np.hstack([np.eye(NX), np.zeros((NX, FREE)), rng.standard_normal((NX, 1))])
+    rows = [triangular(np.column_stack(both)) for both in zip(jacobians, residuals, strict=True)]
+    run = condense(rows, [np.column_stack(both) for both in zip(ends[:-1], gaps, strict=True)], prior)
+    dz = np.linalg.lstsq(run.bottom[:, :-1], -run.bottom[:, -1], rcond=None)[0]
+
+    size, states = SEGMENTS * NX + FREE, SEGMENTS * NX
+    rows, right = np.zeros((SEGMENTS * ROWS + NX, size)), np.append(residuals.ravel(), prior[:, -1])
+    closed = np.zeros((gaps.size, size))
+    for i in range(SEGMENTS):
+        own, here = slice(i * NX, (i + 1) * NX), slice(i * ROWS, (i + 1) * ROWS)
+        rows[here, own], rows[here, states:] = jacobians[i, :, :NX], jacobians[i, :, NX:]
+        if i < SEGMENTS - 1:
+            closed[own, own], closed[own, states:] = ends[i, :, :NX], ends[i, :, NX:]
+            closed[own, (i + 1) * NX : (i + 2) * NX] = -np.eye(NX)
+    rows[-NX:, :NX] = np.eye(NX)
+    whole = np.block([[rows.T @ rows, closed.T], [closed, np.zeros((gaps.size, gaps.size))]])
+    step = np.linalg.solve(whole, -np.append(rows.T @ right, gaps.ravel()))[:size]
+    # rounding, through normal equations of a condition below 1e4
+    np.testing.assert_allclose(dz, step[states:], rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(run.states(dz).ravel(), step[:states], rtol=1e-9, atol=1e-10)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from kit import shards
 from kit.properties import examples
 
+from fmus import swing
 from fmus.contract import quantities, symbolic
 from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution
 from fmus.machine.one_block import HARVESTER
@@ -198,3 +200,52 @@ def test_threads_do_not_disturb_each_other() -> None:
         assert a.steps == b.steps
         for name in ("y", "x", "y_x", "y_p", "x_x", "x_p"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
+
+
+# ---- points of opening curves, in the variants of a drive that have them
+
+POINTS = ((0.8, 0.0), (1.5, 0.012), (3.0, 0.06), (5.0, 0.19), (7.5, 0.55), (10.0, 1.0))
+DRIVE_OUTPUTS = ("swing_pressure_a", "swing_torque", "supply_flow")
+CURVES = (
+    *("valve_area", "valve_pa_opening_3", "valve_pa_opening_4", "valve_pa_command_3"),
+    *("valve_bt_opening_4", "valve_bt_command_1", "valve_bt_command_2"),
+)
+
+
+def with_tables(sub):
+    """The values of a drive with a table in each edge."""
+    v = values(sub)
+    points = {
+        f"valve_{edge}_{what}_{i}": x
+        for edge in ("pa", "at", "pb", "bt")
+        for i, point in enumerate(POINTS, 1)
+        for what, x in zip(("command", "opening"), point, strict=True)
+    }
+    return replace(v, p={**v.p, **points})
+
+
+@pytest.mark.parametrize("variant", ["lumped", "quasistatic", "detailed"])
+def test_derivatives_by_points_are_those_of_differences(variant):
+    """A command that sweeps the first four points of P-A and B-T, at a speed that follows it."""
+    sub = swing.VARIANTS[variant]
+    numbers = with_tables(sub)
+    model = CompiledModel(sub, DRIVE_OUTPUTS, CURVES, numbers, tolerance=1e-9)
+    time = np.linspace(0.0, 0.4, 41)
+    rows = np.tile([numbers.u[name] for name in model.inputs], (time.size, 1))
+    rows[:, model.inputs.index("swing_command")] = 4.5 * time / 0.4
+    rows[:, model.inputs.index("swing_speed")] = 0.2 * (time / 0.4) ** 2
+
+    def simulated(p, sensitivities=False):
+        x, _ = model.start(p, rows[0])
+        return model.segment(x, p, time, rows, sensitivities)
+
+    exact = simulated(model.p0, sensitivities=True).y_p
+    for j, name in enumerate(CURVES):
+        step = 1e-4 * model.p0[j]
+        change = step * (np.arange(len(CURVES)) == j)
+        ahead, behind = (simulated(model.p0 + sign * change).y for sign in (1, -1))
+        difference = (ahead - behind) / (2 * step)
+        scale = np.abs(difference).max(axis=0)
+        assert (scale > 0).all(), name
+        # the error of the difference, with kinks of the second derivative at the points
+        assert (np.abs(exact[:, :, j] - difference).max(axis=0) < 1e-3 * scale).all(), name

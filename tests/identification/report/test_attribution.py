@@ -18,6 +18,7 @@ from fmus.identification.report.attribution import (
     explained_squares,
     orthogonal_part,
     shapley_values,
+    unexplained,
 )
 from fmus.identification.report.prediction import Excitation, compare, predict
 from fmus.machine.work_cycle import Move
@@ -82,6 +83,24 @@ def test_white_noise_shows_no_effect(effects):
     assert "a cause that is not in the list" in explanation.verdict  # the noise of the sensors is not given
     # five columns explain five of some thousand samples by chance
     assert explanation.together < 0.02
+
+
+def test_an_interval_counts_half_a_second_of_correlation():
+    """Newey and West: the covariance of the products with lags up to 0.5 s, each with a smaller weight."""
+    rng = np.random.default_rng(0)
+    change, error = (np.convolve(rng.standard_normal(1000), np.ones(30), "same") for _ in range(2))
+    share = explain({"x": change + error}, {"swinging head": {"x": change}}, step=STEP).shares[0]
+    product = change * (change + error - share.coefficient * change)
+    lags = [(1 - k / 51) * product[k:] @ product[: product.size - k] for k in range(51)]
+    sd = np.sqrt(2 * sum(lags) - lags[0]) / (change @ change)
+    # the same sum in another order, with the factor n / (n - 1) for one coefficient at most
+    assert share.high - share.low == pytest.approx(2 * 1.959964 * sd, rel=1e-3)
+
+
+@pytest.mark.parametrize("ratio", [1.4, 1.6])
+def test_a_signal_is_above_the_noise_from_one_and_a_half_times_on(ratio):
+    """A residual of that size of a sensor of noise one."""
+    assert unexplained({"x": np.full(9, ratio)}, {"x": 1.0}, {}) == ["x"] * (ratio > 1.5)
 
 
 @pytest.mark.parametrize("why", ["noise", "small"])

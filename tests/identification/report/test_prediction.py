@@ -82,6 +82,23 @@ def test_a_recording_gives_the_excitation():
     assert found.pose == pytest.approx(POSE, abs=5e-5)
     # the lines through the smoothed pressure may be 0.5 bar off
     np.testing.assert_allclose(found.lines["supply_pressure"], 2e7, atol=6e4)
+    loud = replace(recording, signals=signals | {"swing.supply_pressure": rng.normal(2e7, 2e6, time.size)})
+    left = excitation(loud).lines["supply_pressure"].std() / 2e6
+    # cubic over 11 samples: 89/429 of the variance [Savitzky and Golay, table I]; 400 samples, 40 independent
+    assert left == pytest.approx(np.sqrt(89 / 429), rel=0.15)
+
+
+@pytest.mark.parametrize(("volts", "pressure"), [(0.8e-4, 4e4), (1.2e-4, 6e4)])
+def test_small_corners_of_inputs_are_left_out(volts, pressure):
+    """A tenth of a millivolt and half a bar: a bump that is less is a straight line, a larger one is not."""
+    time = np.arange(0.0, 2.0, 0.005)
+    bump = np.interp(time, [0.5, 0.9, 1.1, 1.5], [0.0, 1.0, 1.0, 0.0])
+    signals = {f"manipulator.{j}_angle": np.full(time.size, a) for j, a in POSE.items()}
+    signals |= dict.fromkeys(COMMANDS.values(), volts * bump) | {"swing.supply_pressure": pressure * bump}
+    found = excitation(Recording(Path("x.csv"), time, signals, {}, procedure="machine"))
+    kept = volts > 1e-4
+    assert found.commands["boom_command"].any() == kept
+    assert (np.ptp(found.lines["supply_pressure"]) > 0.5 * pressure) == kept
 
 
 def test_gaps_of_a_command_are_filled_or_refused():
@@ -151,6 +168,9 @@ def driven(*commands: float, ramp: int = 0, sd: float = 0.0) -> Recording:
         (driven(0, 3, 5), driven(0, -4), ["command is -4 V, in training no value of this sign"]),
         (driven(0, 5, -5, -2), driven(0, 5, -6), ["command is -6 V, in training -5 to -2 V"]),
         (driven(0, 5, ramp=90), driven(0, 1, 4, 0.2), []),  # a slow ramp shows all values
+        (driven(0, 5), driven(0, 5.03), []),  # 1 % farther
+        (driven(0, 5), driven(0, 5.07), ["command is 5.07 V, in training 5 to 5 V"]),
+        (driven(0, 3, 5), driven(0, *12 * [4], 1), ["command is 1 V, in training 3 to 5 V"]),  # for 8 %
         (driven(5, 5, sd=0.1), driven(5, 5, 5, 5, sd=0.1), []),  # noise is no range
     ],
 )
