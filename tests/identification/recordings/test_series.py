@@ -1,9 +1,7 @@
 """A file of numbers without a description becomes a recording."""
 
-import h5py
 import numpy as np
 import pytest
-import scipy.io
 from kit.mistakes import table
 
 from fmus.identification.recordings.reading import read_series
@@ -32,19 +30,6 @@ def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
     path.write_text("when,u\nMonday,1\nTuesday,2\n", encoding="utf-8")
     np.testing.assert_array_equal(read_series(path, {"command": "u"})["command"], [1, 2])
     np.testing.assert_array_equal(read_series(path, {"command": 1}, skip_lines=1)["command"], [1, 2])
-
-
-def test_matlab_variables_by_name(tmp_path):
-    """The same data in both formats of MATLAB files."""
-    old, new = tmp_path / "old.mat", tmp_path / "new.mat"
-    scipy.io.savemat(old, {"u": VALUES[:, :1], "data": VALUES, "wide": VALUES.T})
-    with h5py.File(new, "w") as file:
-        file["u"], file["data"], file["wide"] = VALUES[:, :1].T, VALUES.T, VALUES
-    for path in (old, new):
-        found = read_series(path, {"command": "u", "pressure": "data(:,2)", "row": "wide(2,:)"})
-        np.testing.assert_array_equal(found["command"], VALUES[:, 0])
-        np.testing.assert_array_equal(found["pressure"], VALUES[:, 1])
-        np.testing.assert_array_equal(found["row"], VALUES[:, 1])
 
 
 @table(__file__, "mistakes", "columns, options, message")

@@ -102,24 +102,21 @@ def test_small_corners_of_inputs_are_left_out(volts, pressure):
 
 
 def test_gaps_of_a_command_are_filled_or_refused():
-    """Ten missing samples have no effect; half a second of them, or a pose without samples, is refused."""
+    """Ten missing samples have no effect, half a second of them is refused, as is a pose without samples."""
     time = np.arange(0.0, 2.0, 0.005)
     ramp = np.interp(time, [0.5, 1.5], [0.0, 4.0])
-    angles = {f"manipulator.{j}_angle": np.full(time.size, a) for j, a in POSE.items()}
-    lost = {}
-    for name, gap in (("short", slice(200, 210)), ("long", slice(200, 300))):
-        lost[name] = ramp.copy()
-        lost[name][gap] = np.nan
-    signals = {**angles, **dict.fromkeys(COMMANDS.values(), lost["short"])}
+    short, long = (np.where((time >= 1) & (time < end), np.nan, ramp) for end in (1.05, 1.5))
+    signals = {f"manipulator.{j}_angle": np.full(time.size, a) for j, a in POSE.items()}
+    signals |= dict.fromkeys(COMMANDS.values(), short)
     recording = Recording(Path("x.csv"), time, signals, {}, procedure="machine", use="test")
     # straight lines through the samples may be off by this
     np.testing.assert_allclose(excitation(recording).commands["boom_command"], ramp, atol=COMMAND_TOLERANCE)
-    long = replace(recording, signals={**signals, COMMANDS["boom_command"]: lost["long"]})
-    with pytest.raises(Problem, match=r"boom_command: expected gaps of .* got one from 1 s to 1\.495 s"):
-        excitation(long)
-    unseen = np.where(time < 1.0, np.nan, 0.0)
-    with pytest.raises(Problem, match="swing_angle: expected a sample in the first"):
-        excitation(replace(recording, signals={**signals, "manipulator.swing_angle": unseen}))
+    for name, values, message in (
+        (COMMANDS["boom_command"], long, r"boom_command: expected gaps of .* got one from 1 s to 1\.495 s"),
+        ("manipulator.swing_angle", np.where(time < 1, np.nan, 0.0), "swing_angle: expected a sample in the"),
+    ):
+        with pytest.raises(Problem, match=message):
+            excitation(replace(recording, signals={**signals, name: values}))
 
 
 def test_a_measured_supply_pressure_drives_the_machine(usual):
