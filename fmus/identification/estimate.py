@@ -18,28 +18,6 @@ def coverage_factor(freedom: float = math.inf) -> float:
     return float(stats.t.ppf((1 + CONFIDENCE) / 2, freedom))
 
 
-def confidence_interval(
-    value: float,
-    sd: float,
-    freedom: float = math.inf,
-    *,
-    log: bool = False,
-    minimum: float = -math.inf,
-    maximum: float = math.inf,
-) -> tuple[float, float]:
-    """Lower and upper end of the 95 % interval of a value with this standard deviation.
-
-    freedom            degrees of freedom of the standard deviation, infinite if it is known exactly
-    log                interval of the logarithm, which keeps both ends of a positive value positive
-    minimum, maximum   physical bounds of the value, at which the interval is cut off
-    """
-    half_width = coverage_factor(freedom) * sd
-    if log and value > 0:
-        ratio = math.exp(half_width / value)
-        return value / ratio, value * ratio
-    return max(value - half_width, minimum), min(value + half_width, maximum)
-
-
 @dataclass(frozen=True)
 class Estimate:
     """Estimated value of one parameter with its 95 % confidence interval.
@@ -73,8 +51,17 @@ class Estimate:
         log: bool = False,
         minimum: float = -math.inf,
     ) -> Estimate:
-        """An estimate with the interval that `confidence_interval` computes."""
-        low, high = confidence_interval(value, sd, freedom, log=log, minimum=minimum)
+        """An estimate with a symmetrical 95 % interval.
+
+        freedom   degrees of freedom of the standard deviation, infinite if it is known exactly
+        log       interval of the logarithm, which keeps both ends of a positive value positive
+        minimum   physical bound of the value, at which the interval is cut off
+        """
+        half = coverage_factor(freedom) * sd
+        low, high = max(value - half, minimum), value + half
+        if log and value > 0:
+            ratio = math.exp(half / value)
+            low, high = value / ratio, value * ratio
         return cls(name, value, unit, sd, low, high, note)
 
     @property

@@ -59,20 +59,6 @@ class FreeParameter:
     log: bool = False
     scale: float = 1.0
 
-    def z_of(self, value: float) -> float:
-        """z of a value; minus infinity for zero if z is logarithmic."""
-        if not self.log:
-            return value / self.scale
-        return math.log(value) if value > 0 else -math.inf
-
-    def value_of(self, z: float) -> float:
-        """The value of z."""
-        return math.exp(z) if self.log else self.scale * z
-
-    def derivative(self, z: float) -> float:
-        """d value / dz."""
-        return math.exp(z) if self.log else self.scale
-
 
 def free_parameters(
     sub: Subsystem,
@@ -383,26 +369,38 @@ class EstimationProblem:
         """Length of all runs to fit [s]."""
         return sum(float(run.time[-1] - run.time[0]) for run in self.training)
 
+    def _each(self, name: str) -> Array:
+        """A field of all free parameters, shape (np,)."""
+        return np.array([getattr(f, name) for f in self.free])
+
+    def z_of(self, values: Array) -> Array:
+        """z of parameter values, shape (np,); minus infinity for zero if z is logarithmic."""
+        log = self._each("log")
+        positive = np.maximum(values, 0.0, where=log, out=np.ones(len(log)))
+        with np.errstate(divide="ignore"):
+            return np.where(log, np.log(positive), values / self._each("scale"))
+
+    def values_of(self, z: Array) -> Array:
+        """Parameter values of z, shape (np,)."""
+        log = self._each("log")
+        return np.where(log, np.exp(z, where=log, out=np.ones(len(log))), self._each("scale") * z)
+
+    def derivatives(self, z: Array) -> Array:
+        """d value / dz, shape (np,)."""
+        return np.where(self._each("log"), self.values_of(z), self._each("scale"))
+
     def initial(self) -> Array:
         """z of the initial values, shape (np,)."""
-        return np.array([f.z_of(f.value) for f in self.free])
+        return self.z_of(self._each("value"))
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of z, each of shape (np,)."""
+        return self.z_of(self._each("low")), self.z_of(self._each("high"))
 
     def prior_sd(self) -> Array:
         """Prior standard deviations of z, shape (np,), infinite without a prior."""
         sd = np.array([math.inf if f.sd is None else f.sd for f in self.free])
         return np.asarray(sd / self.derivatives(self.initial()))
-
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of z, each of shape (np,)."""
-        return np.array([f.z_of(f.low) for f in self.free]), np.array([f.z_of(f.high) for f in self.free])
-
-    def values_of(self, z: Array) -> Array:
-        """Parameter values of z, shape (np,)."""
-        return np.array([f.value_of(float(v)) for f, v in zip(self.free, z, strict=True)])
-
-    def derivatives(self, z: Array) -> Array:
-        """d value / dz, shape (np,)."""
-        return np.array([f.derivative(float(v)) for f, v in zip(self.free, z, strict=True)])
 
     def by_name(self, z: Array) -> dict[str, float]:
         """Parameter values of z by name."""

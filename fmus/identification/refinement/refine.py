@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmus.identification.estimate import Estimate, confidence_interval, coverage_factor
+from fmus.identification.estimate import Estimate, coverage_factor
 from fmus.identification.refinement.compiled_model import CompiledModel, Simulator
 from fmus.identification.refinement.gauss_newton import (
     CONVERGED,
@@ -112,26 +112,18 @@ class RefinementResult:
         runs = len(self.problem.training)
         note = f"joint refinement of {len(self.z)} parameters on {runs} recording{'s' * (runs > 1)}, {basis}"
         note += "" if self.converged else f"; the search did not converge: {self.reason}"
-        sd, degrees = self.statistics.sd(robust), self.statistics.degrees(robust)
-        estimates = []
-        for free, z, z_sd, lowest, highest in zip(
-            self.problem.free, self.z.tolist(), sd.tolist(), *self.problem.bounds(), strict=True
-        ):
-            vague = z_sd > VAGUE / 2 or (free.log and coverage_factor(degrees) * z_sd > _OPEN)
-            width = math.inf if vague else z_sd
-            low, high = confidence_interval(z, width, degrees, minimum=lowest, maximum=highest)
-            estimates.append(
-                Estimate(
-                    name=self.problem.label(free.name),
-                    value=free.value_of(z),
-                    unit=free.unit,
-                    sd=z_sd * free.derivative(z),
-                    low=free.value_of(low),
-                    high=free.value_of(high),
-                    note=note + "; at its bound" * (self.problem.label(free.name) in self.at_bound),
-                )
-            )
-        return tuple(estimates)
+        problem, sd = self.problem, self.statistics.sd(robust)
+        half = coverage_factor(self.statistics.degrees(robust)) * sd
+        log = np.array([f.log for f in problem.free])
+        half = np.where((sd > VAGUE / 2) | (log & (half > _OPEN)), math.inf, half)
+        low, high = np.clip([self.z - half, self.z + half], *problem.bounds())
+        columns = [problem.values_of(z).tolist() for z in (self.z, low, high)]
+        sds = (sd * problem.derivatives(self.z)).tolist()
+        names = [problem.label(f.name) for f in problem.free]
+        return tuple(
+            Estimate(name, value, f.unit, sd, low, high, note + "; at its bound" * (name in self.at_bound))
+            for name, f, sd, value, low, high in zip(names, problem.free, sds, *columns, strict=True)
+        )
 
     def uncertainty(self, run: MeasuredRun) -> tuple[Array, Array]:
         """Derivatives of the outputs over a run by z, shape (n, ny, np), and their uncertainty, (n, ny).
