@@ -23,11 +23,10 @@ import numpy as np
 
 from benchmarks.openings import VALVES, Trial, trials
 from fmus.components.spool_valve import opening
-from fmus.identification.estimate import Estimate
 from fmus.identification.machine import Parameters, lookup, nominal
 from fmus.identification.pipeline import PROCEDURES, identify
-from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.recordings.reading import read_folder
+from fmus.identification.results import Estimate, ProcedureResult
 from fmus.rig.experiments import EXPERIMENTS, WEIGHED, experiment
 from fmus.rig.recordings import write
 

@@ -13,10 +13,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from benchmarks import openings
-from fmus.identification.estimate import Estimate
 from fmus.identification.machine import lookup, nominal
 from fmus.identification.pipeline import Identified, identify
-from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures import valve, weighing
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.recordings.reading import read_folder
@@ -24,6 +22,7 @@ from fmus.identification.report import report_texts
 from fmus.identification.report.attribution import Explanation, attribute
 from fmus.identification.report.figures import draw_procedure, joint_figure
 from fmus.identification.report.prediction import WINDOW, RecordingComparison, default_values, prediction
+from fmus.identification.results import Estimate, ProcedureResult
 from fmus.rig import write_all
 from orchestrator.base.text import TextTable, typeset
 from orchestrator.pages import plotting

@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from fmus.export.build import build
-from fmus.identification.estimate import Estimate
 from fmus.identification.report.prediction import extrapolations
+from fmus.identification.results import Estimate
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording
 

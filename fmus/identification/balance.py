@@ -36,9 +36,7 @@ from scipy.linalg.lapack import dtbtrs
 from scipy.signal import savgol_filter
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE
+from fmus.identification.results import BAR, LITRES_PER_MINUTE, Estimate, Finding
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array

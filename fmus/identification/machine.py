@@ -12,8 +12,6 @@ import numpy as np
 
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
 from fmus.identification.recording_names import MACHINE
 from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.problem import (
@@ -23,6 +21,7 @@ from fmus.identification.refinement.problem import (
     free_parameters,
 )
 from fmus.identification.refinement.refine import RefinementResult
+from fmus.identification.results import Estimate, Finding
 from fmus.machine.one_block import HARVESTER, HIDDEN, TOTALS
 from fmus.machine.parts import INPUTS, SUBSYSTEMS
 from fmus.parameters import Number, Values, derived, entry_name, numbers, read, values

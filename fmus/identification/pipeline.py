@@ -9,10 +9,7 @@ from dataclasses import dataclass, field, replace
 from types import ModuleType
 
 from fmus.identification import machine
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
 from fmus.identification.machine import Parameters, nominal, short_name, updated
-from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.procedures import (
     damping,
     hose_dynamics,
@@ -34,6 +31,7 @@ from fmus.identification.refinement.refine import (
     multistart,
     refine,
 )
+from fmus.identification.results import Estimate, Finding, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.base.text import first_names

@@ -11,10 +11,10 @@ import pytest
 from kit import shards
 from kit.mistakes import refused, table
 
-from fmus.identification.finding import Finding
 from fmus.identification.machine import FREE, lookup, nominal, short_name, targets_of, updated
 from fmus.identification.pipeline import PROCEDURES
 from fmus.identification.procedures import motor_leakage
+from fmus.identification.results import Finding
 from fmus.machine.build import parts_with_parameters
 from fmus.parameters import values
 from fmus.rig.recordings import write, write_all

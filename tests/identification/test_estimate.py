@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from fmus.identification.estimate import Estimate, coverage_factor
+from fmus.identification.results import Estimate, coverage_factor
 
 
 def ends(value: float, sd: float, *freedom: float, **shape: object) -> tuple[float, float]:

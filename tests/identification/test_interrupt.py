@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from fmus.identification import command, pipeline
-from fmus.identification.estimate import Estimate
 from fmus.identification.machine import nominal
 from fmus.identification.pipeline import identify
-from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.refinement.refine import MultistartResult
+from fmus.identification.results import Estimate, ProcedureResult
 from orchestrator.__main__ import main
 from orchestrator.data.recording import Recording
 

@@ -26,9 +26,6 @@ import numpy as np
 
 from fmus.identification import balance
 from fmus.identification.balance import Solution
-from fmus.identification.estimate import Estimate, coverage_factor
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.momentum_balance import (
@@ -45,6 +42,7 @@ from fmus.identification.procedures.momentum_balance import (
 )
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.reading import require
+from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult, coverage_factor
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

@@ -9,9 +9,6 @@ import numpy as np
 from scipy import stats
 
 from fmus.identification.balance import SIGNIFICANT, Solution
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import BAR
 from fmus.identification.recording_names import TEMPERATURE
 from fmus.identification.recordings.clock import filter_for, resample_uniformly
 from fmus.identification.recordings.masks import (
@@ -24,6 +21,7 @@ from fmus.identification.recordings.masks import (
     noise,
 )
 from fmus.identification.recordings.reading import require
+from fmus.identification.results import BAR, Estimate, Finding
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Mask, Recording, Sensor, true_intervals

@@ -42,13 +42,20 @@ from scipy.ndimage import shift
 from fmus.components import hose
 from fmus.identification import balance
 from fmus.identification.balance import Law, Regression, Samples, Solution, probability
-from fmus.identification.estimate import Estimate, coverage_factor
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.hose_resistance import scaled
 from fmus.identification.recordings.clock import filter_for, period, uniform_rate
 from fmus.identification.recordings.masks import good, good_all
+from fmus.identification.results import (
+    BAR,
+    LITRES_PER_MINUTE,
+    Curve,
+    Estimate,
+    Finding,
+    Panel,
+    ProcedureResult,
+    coverage_factor,
+)
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

@@ -26,11 +26,17 @@ from scipy import stats
 from fmus.components import hose
 from fmus.identification import balance
 from fmus.identification.balance import Solution
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import StepMeans, parameter_value
+from fmus.identification.results import (
+    BAR,
+    LITRES_PER_MINUTE,
+    Curve,
+    Estimate,
+    Finding,
+    Panel,
+    ProcedureResult,
+)
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

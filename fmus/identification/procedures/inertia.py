@@ -30,8 +30,6 @@ import scipy.linalg
 from fmus.contract import quantities, symbols
 from fmus.identification import balance
 from fmus.identification.balance import Normal, Solution, flat
-from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures import momentum_balance
 from fmus.identification.procedures.momentum_balance import (
@@ -44,6 +42,7 @@ from fmus.identification.procedures.momentum_balance import (
     parameter_vector,
     torque_panels,
 )
+from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS
 from fmus.parameters import Number

@@ -33,10 +33,10 @@ from fmus.identification.balance import (
     noise_of,
     window_starts,
 )
-from fmus.identification.procedure_result import Curve, Panel
 from fmus.identification.procedures.experiment_data import noise_sd, parameter_value, tank_pressure
 from fmus.identification.recordings.clock import SavitzkyGolay, uniform_rate
 from fmus.identification.recordings.masks import good_all
+from fmus.identification.results import Curve, Panel
 from fmus.manipulator import MANIPULATOR, arm
 from fmus.manipulator.design import POINT_MASS, VISCOUS
 from fmus.manipulator.model import Design, forces

@@ -19,11 +19,17 @@ import numpy as np
 
 from fmus.identification import balance
 from fmus.identification.balance import SIGNIFICANT, Regression, Solution
-from fmus.identification.estimate import coverage_factor
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel, ProcedureResult
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.recordings.masks import averages
+from fmus.identification.results import (
+    BAR,
+    LITRES_PER_MINUTE,
+    Curve,
+    Finding,
+    Panel,
+    ProcedureResult,
+    coverage_factor,
+)
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

@@ -38,8 +38,8 @@ from scipy import optimize, stats
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
-from fmus.identification.estimate import CONFIDENCE, Estimate
 from fmus.identification.procedures.experiment_data import StepMeans, parameter_value, select
+from fmus.identification.results import CONFIDENCE, Estimate
 from fmus.parameters import Number
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array

@@ -19,11 +19,9 @@ import numpy as np
 from scipy import stats
 
 from fmus.identification.balance import METERS, probability
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures.experiment_data import training_recordings, zero_limit
 from fmus.identification.recordings.masks import in_dead_zone, standard_error
+from fmus.identification.results import Curve, Estimate, Finding, Panel, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

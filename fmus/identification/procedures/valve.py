@@ -19,9 +19,6 @@ import numpy as np
 from scipy import stats
 
 from fmus.identification.balance import probability
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import Finding
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, ProcedureResult
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.experiment_data import STEP_SIGNALS, select
 from fmus.identification.procedures.openings import (
@@ -40,6 +37,7 @@ from fmus.identification.procedures.openings import (
 )
 from fmus.identification.procedures.valve_text import panels, remarks
 from fmus.identification.recordings.masks import noise, steady
+from fmus.identification.results import BAR, LITRES_PER_MINUTE, Estimate, Finding, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

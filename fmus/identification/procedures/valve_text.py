@@ -7,10 +7,9 @@ import numpy as np
 import statsmodels.api as sm
 from numpy.polynomial import Polynomial
 
-from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import BAR, LITRES_PER_MINUTE, Curve, Panel
 from fmus.identification.procedures.experiment_data import pressure_offset_remark, select
 from fmus.identification.procedures.openings import SAME, UNLIKELY, OpeningCurve, Openings, ValveSteps
+from fmus.identification.results import BAR, LITRES_PER_MINUTE, Curve, Estimate, Panel
 from orchestrator.data.recording import Mask
 from orchestrator.data.table import Array
 

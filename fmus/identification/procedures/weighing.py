@@ -24,8 +24,6 @@ import numpy as np
 
 from fmus.identification import balance
 from fmus.identification.balance import Solution
-from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.procedures import experiment_data as data
 from fmus.identification.procedures.momentum_balance import (
     ANGLES,
@@ -39,6 +37,7 @@ from fmus.identification.procedures.momentum_balance import (
     parameter_vector,
     torque_panels,
 )
+from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
 from fmus.parameters import Number
 from orchestrator.base.errors import Problem
 from orchestrator.data.recording import Recording

@@ -369,25 +369,27 @@ class EstimationProblem:
         """Length of all runs to fit [s]."""
         return sum(float(run.time[-1] - run.time[0]) for run in self.training)
 
+    @property
+    def _log(self) -> Mask:
+        return np.array([f.log for f in self.free], dtype=bool)
+
     def _each(self, name: str) -> Array:
-        """A field of all free parameters, shape (np,)."""
-        return np.array([getattr(f, name) for f in self.free])
+        """A number of all free parameters, shape (np,)."""
+        return np.array([getattr(f, name) for f in self.free], dtype=np.float64)
 
     def z_of(self, values: Array) -> Array:
         """z of parameter values, shape (np,); minus infinity for zero if z is logarithmic."""
-        log = self._each("log")
-        positive = np.maximum(values, 0.0, where=log, out=np.ones(len(log)))
         with np.errstate(divide="ignore"):
-            return np.where(log, np.log(positive), values / self._each("scale"))
+            logarithm = np.log(np.where(self._log, np.maximum(values, 0.0), 1.0))
+        return np.where(self._log, logarithm, values / self._each("scale"))
 
     def values_of(self, z: Array) -> Array:
         """Parameter values of z, shape (np,)."""
-        log = self._each("log")
-        return np.where(log, np.exp(z, where=log, out=np.ones(len(log))), self._each("scale") * z)
+        return np.where(self._log, np.exp(np.where(self._log, z, 0.0)), self._each("scale") * z)
 
     def derivatives(self, z: Array) -> Array:
         """d value / dz, shape (np,)."""
-        return np.where(self._each("log"), self.values_of(z), self._each("scale"))
+        return np.where(self._log, self.values_of(z), self._each("scale"))
 
     def initial(self) -> Array:
         """z of the initial values, shape (np,)."""

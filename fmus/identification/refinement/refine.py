@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fmus.identification.estimate import Estimate, coverage_factor
 from fmus.identification.refinement.compiled_model import CompiledModel, Simulator
 from fmus.identification.refinement.gauss_newton import (
     CONVERGED,
@@ -45,6 +44,7 @@ from fmus.identification.refinement.statistics import (
     unidentified,
     whiteness,
 )
+from fmus.identification.results import Estimate, coverage_factor
 from orchestrator.base.errors import Problem
 from orchestrator.data.table import Array
 

@@ -24,7 +24,6 @@ import numpy as np
 import statsmodels.api as sm
 from scipy.optimize import nnls
 
-from fmus.identification.estimate import CONFIDENCE
 from fmus.identification.report.prediction import (
     Excitation,
     RecordingComparison,
@@ -34,6 +33,7 @@ from fmus.identification.report.prediction import (
     rms,
 )
 from fmus.identification.report.report_texts import percent
+from fmus.identification.results import CONFIDENCE
 from orchestrator.base.processes import mapping
 from orchestrator.data.table import Array
 

@@ -24,10 +24,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.prediction import RecordingComparison, nrmse
 from fmus.identification.report.report_texts import footer, percentage
+from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
 from orchestrator.base.text import MINUS, display_unit, name_with_unit, typeset
 from orchestrator.base.units import pretty
 from orchestrator.data.table import Array

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 
 from fmus.contract import quantities
-from fmus.identification.estimate import Estimate
-from fmus.identification.finding import named
 from fmus.identification.machine import (
     lookup,
     nominal,
@@ -36,6 +34,7 @@ from fmus.identification.report.prediction import (
     extrapolated,
     rms,
 )
+from fmus.identification.results import Estimate, named
 from fmus.machine.parts import SUBSYSTEMS
 from orchestrator.data.recording import Recording
 from orchestrator.pages import html_page

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fmus.composition import declared
-from fmus.identification.estimate import coverage_factor
 from fmus.identification.machine import COMMANDS, zeros
 from fmus.identification.pipeline import Identified
 from fmus.identification.procedures.momentum_balance import JOINTS
 from fmus.identification.recordings.clock import filter_for
 from fmus.identification.recordings.masks import good
+from fmus.identification.results import coverage_factor
 from fmus.machine.parts import INPUTS, SUBSYSTEMS, parts, wiring
 from fmus.monolith import join, simulate
 from fmus.parameters import values

@@ -5,10 +5,9 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import ProcedureResult
 from fmus.identification.refinement.refine import RefinementResult
 from fmus.identification.report.prediction import WINDOW
+from fmus.identification.results import Estimate, ProcedureResult
 from orchestrator.base import text
 from orchestrator.base.text import DASH, display_unit, sentences, typeset
 from orchestrator.data.recording import Recording

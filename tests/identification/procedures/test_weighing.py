@@ -8,10 +8,10 @@ from identification.procedures.bench import measured
 from identification.procedures.lumped_machine import ENCODER, KNOWN, PRESSURE, V, gravity
 from kit import shards
 
-from fmus.identification.finding import named
 from fmus.identification.machine import nominal
 from fmus.identification.procedures.weighing import SIGNALS, identify
 from fmus.identification.recordings.reading import read
+from fmus.identification.results import named
 from fmus.rig.experiments import WEIGHED, experiment
 from fmus.rig.recordings import write
 from orchestrator.base.errors import Problem

@@ -8,7 +8,6 @@ from identification.refinement.oscillator import NOISE, TRUTH, problem, recordin
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from fmus.identification.estimate import coverage_factor
 from fmus.identification.refinement.problem import FreeParameter, smoothed
 from fmus.identification.refinement.refine import (
     RefinementResult,
@@ -26,6 +25,7 @@ from fmus.identification.refinement.statistics import (
     unidentified,
     whiteness,
 )
+from fmus.identification.results import coverage_factor
 
 
 @pytest.fixture(scope="module")

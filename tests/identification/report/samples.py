@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import Curve, Panel, ProcedureResult
 from fmus.identification.report.attribution import EffectShare, Explanation
+from fmus.identification.results import Curve, Estimate, Panel, ProcedureResult
 from orchestrator.pages.figures import PALETTE, REFERENCE, SIMULATION, TraceFigure, TraceLine, TracePanel
 
 LITRES, BAR = ("L/min", 1e-3 / 60), ("bar", 1e5)

@@ -9,8 +9,6 @@ import pytest
 from identification.report.samples import panel, residual, result
 from matplotlib.image import imread
 
-from fmus.identification.estimate import Estimate
-from fmus.identification.procedure_result import Curve, Panel
 from fmus.identification.report import report_texts
 from fmus.identification.report.figures import (
     SIGNALS,
@@ -20,6 +18,7 @@ from fmus.identification.report.figures import (
     opening_panel,
 )
 from fmus.identification.report.prediction import RecordingComparison, nrmse
+from fmus.identification.results import Curve, Estimate, Panel
 from orchestrator.data.recording import Recording
 from orchestrator.pages import plotting
 from orchestrator.pages.figures import plot

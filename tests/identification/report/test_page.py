@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from identification.report.samples import AREA, page, result, traces
 from lxml import html
 
-from fmus.identification.estimate import Estimate
 from fmus.identification.report import report_texts
 from fmus.identification.report.identification_page import render, write_page
+from fmus.identification.results import Estimate
 from orchestrator.pages.figures import VENDOR
 
 
