@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from identification.refinement.oscillator import TRUTH, problem, recording, run
 from kit.mistakes import problem as problem_of
 
@@ -49,6 +50,26 @@ def test_a_signal_may_be_missing_in_one_of_the_recordings() -> None:
     assert task.training[0].weight.all()
     assert task.held_out[0].weight.any(axis=0).tolist() == [True, False]
     assert task.held_out[0].compared.any(axis=0).tolist() == [True, False]
+
+
+def test_what_the_machine_knows_before() -> None:
+    """Values within a factor of ten, 30 % without a measurement; zeros within half of what is declared; the
+    pressures of the lines smoothed over 20 s."""
+    time, name = np.arange(6000) / 200, signal_names()["supply_pressure"]
+    read = still("swing_pressure_a")
+    supply = 2e7 + 1e4 * np.random.default_rng(0).standard_normal(6000)
+    signals = {n: np.resize(s, 6000) for n, s in read.signals.items()} | {name: supply}
+    sensors = {n: replace(s, zero_error=1e5) for n, s in read.sensors.items()} | {name: Sensor(noise=1e4)}
+    units = {**read.units, name: "Pa"}
+    task = machine.problem(
+        [replace(read, time=time, signals=signals, sensors=sensors, units=units)], nominal(), ["head_mass"]
+    )
+    mass, zero = task.free
+    known = nominal()["manipulator.head_mass"]
+    assert (mass.sd, mass.high) == pytest.approx((known.sd or 0.3 * known.value, 10 * known.value))
+    assert mass.low == pytest.approx(known.value / 10)
+    assert (zero.value, zero.sd, zero.low, zero.high) == (0.0, 5e4, -1e5, 1e5)
+    assert task.training[0].input_noise["supply_pressure"] == (1e4, 3999)
 
 
 def test_insufficient_recordings_are_refused() -> None:

@@ -8,16 +8,19 @@ from identification.refinement.oscillator import NOISE, TRUTH, problem, recordin
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from fmus.identification.refinement.problem import FreeParameter, smoothed
+from fmus.identification.recordings.masks import noise
+from fmus.identification.refinement.problem import FreeParameter, moves_at_start, smoothed
 from fmus.identification.refinement.refine import (
     RefinementResult,
     compiled,
+    cut_into_segments,
     multistart,
     refine,
     subsampled,
 )
 from fmus.identification.refinement.shooting import CondensedRun, correlation_time
 from fmus.identification.refinement.statistics import (
+    NOISE_ERROR,
     SimulatedRun,
     _jackknife,
     excess,
@@ -65,7 +68,7 @@ def test_optimum_and_covariance_are_those_of_scipy(refined: RefinementResult) ->
     free = len(one.time) - 5
     covariance = np.linalg.inv(other.jac.T @ other.jac) * 2 * other.cost / free
     # two start states and three parameters; the noise is white, so every sample counts
-    assert found.statistics.degrees_of_freedom == free
+    assert (found.statistics.degrees_of_freedom, found.statistics.segments) == (free, 6)
     sd = found.statistics.sd(False)
     # the search ends within a tenth of a standard deviation, usually far within
     assert np.max(np.abs(found.z - other.x[2:]) / sd) < 0.1
@@ -84,6 +87,8 @@ def test_unidentifiable_pair_is_named(refined: RefinementResult) -> None:
     # five standard deviations of about 0.5 %
     assert ratio == pytest.approx(TRUTH["gain"] / TRUTH["loss"], rel=0.025)
     assert found.statistics.condition > 1e6
+    # a prior of 100 on each, which both share along their ratio: rounding of the information
+    assert found.statistics.sd(False)[2:] == pytest.approx(np.full(2, 100 / np.sqrt(2)), rel=1e-3)
     assert refined.unidentified == ()
 
 
@@ -110,6 +115,15 @@ def test_what_was_known_before_bounds_what_the_data_leave_open() -> None:
     )
 
 
+@pytest.mark.parametrize(("share", "named"), [(0.03, "gain: "), (0.1, "gain and loss: ")])
+def test_a_parameter_that_hardly_takes_part_is_not_named(share, named) -> None:
+    """A direction without data whose square is 3 % or 10 % along the second parameter."""
+    direction = np.sqrt([1 - share, share])
+    free = (FreeParameter("gain", 1.0, log=True), FreeParameter("loss", 1.0, log=True))
+    (sentence,) = unidentified(free, 1e-4 * np.eye(2) + 1e4 * np.outer(direction, direction))
+    assert sentence.startswith(named)
+
+
 def test_residuals_are_white_only_if_the_model_is_right(refined: RefinementResult) -> None:
     """With a wrong gain, residuals are correlated in time and with the input."""
     right = refined.whiteness["position"]
@@ -125,6 +139,13 @@ def test_residuals_are_white_only_if_the_model_is_right(refined: RefinementResul
     assert right.inputs["push"] < 0.1
     assert wrong.robust
     assert wrong.model_error[0] > 5
+
+
+def test_the_error_of_an_estimated_noise() -> None:
+    """The scatter of 400 estimates from 1000 samples each, known to 1 / sqrt(800) = 3.5 %."""
+    rng = np.random.default_rng(0)
+    found = np.std([noise(rng.standard_normal(1000)) for _ in range(400)])
+    assert found * np.sqrt(1000) == pytest.approx(NOISE_ERROR, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -153,8 +174,10 @@ def test_whiteness_does_not_see_across_gaps() -> None:
     holes = rng.random(one.weight.shape) < 0.5
     half = replace(one, weight=np.where(holes, 0.0, one.weight))
     assert whiteness([replace(traces, run=half)], ("push",), 0).white
-    none = replace(one, weight=0 * one.weight)
-    assert np.isnan(whiteness([replace(traces, run=none)], ("push",), 0).outside)
+    for samples in (150, 170):  # four times 40 lags are needed
+        few = replace(one, weight=one.weight * (np.arange(601) < samples)[:, None])
+        found = whiteness([replace(traces, run=few)], ("push",), 0)
+        assert np.isnan(found.outside) == (samples < 160)
 
 
 def test_bands_hold_the_readings_to_come() -> None:
@@ -216,6 +239,35 @@ def test_noise_of_an_input_is_removed() -> None:
     moving, window = smoothed(time, wave + noise, 8.0, 0.1)
     assert 5 <= window < 200
     assert np.std(moving - wave) < 0.07
+
+
+@pytest.mark.parametrize(
+    ("size", "seconds", "removed"), [(1.05, 10, True), (1.15, 10, False), (1.3, 1, True), (1.5, 1, False)]
+)
+def test_a_window_may_remove_no_more_than_noise(size, seconds, removed) -> None:
+    """Of noise 1, mean squares up to 1 + 3 sqrt(2 / 2000) of ten seconds, 1 + 4 sqrt(2 / 199) of each."""
+    time = np.arange(2000) / 200
+    signal = np.sqrt(size) * (-1.0) ** np.arange(2000) * (time < seconds)  # parabolas remove all of it
+    assert (smoothed(time, signal, 2.0, 1.0)[1] > 100) == removed
+
+
+@pytest.mark.parametrize(("ratio", "moves"), [(4.0, False), (6.0, True)])
+def test_a_slope_of_five_standard_deviations_is_motion(ratio, moves) -> None:
+    """Of six samples in a tenth of a second: the slope has the standard deviation sd / root of sum t^2."""
+    made = recording()
+    sd = NOISE / np.sqrt(np.sum((np.arange(6) / 50 - 0.05) ** 2))
+    made = replace(made, signals={**made.signals, "position": ratio * sd * made.time})
+    assert moves_at_start(made, "position") == moves
+
+
+def test_the_start_of_a_run_is_known_at_rest_only() -> None:
+    """A prior of a nominal value, of a thousandth at rest; a speed is a slope of five samples."""
+    task = problem(run(recording()))
+    prior = cut_into_segments(task, compiled(task), task.initial()).start_prior(0, np.zeros(2))
+    assert prior[:, :2].tolist() == [[1.0, 0.0], [0.0, 1000.0]]
+    exact, noisy = (run(recording(noise=n)).measured_states["speed"] for n in (0.0, NOISE))
+    # a parabola over five samples: the sum of the squares of -2 to 2 is ten; 600 samples, 5 of which depend
+    assert np.std(noisy - exact) == pytest.approx(NOISE * 50 / np.sqrt(10), rel=0.15)
 
 
 def test_correlation_time_of_an_autoregressive_process() -> None:

@@ -17,6 +17,7 @@ from fmus.identification.report.figures import (
     joint_figure,
     opening_panel,
 )
+from fmus.identification.report.identification_page import _joints
 from fmus.identification.report.prediction import RecordingComparison, nrmse
 from fmus.identification.results import Curve, Estimate, Panel
 from orchestrator.data.recording import Recording
@@ -187,6 +188,13 @@ def test_a_flow_in_the_dead_zone_is_drawn():
     drawn = joint_figure(comparison(lost, {"swing.swing_flow_a": TIME}), "swing")
     assert len(plotting.draw(drawn).axes) == 2
     assert "flow into A" in plot(drawn, "Swing")
+
+
+def test_only_joints_that_move_are_drawn():
+    """By a hundredth of a radian from end to end."""
+    motion = {f"manipulator.{j}_angle": a * np.sin(TIME) for j, a in (("swing", 0.004), ("stick", 0.006))}
+    seen = comparison({}, motion | {"manipulator.boom_angle": 0 * TIME})
+    assert [title for title, _, _ in _joints(seen)] == ["Stick"]
 
 
 def test_nrmse_is_over_the_range():

@@ -129,6 +129,9 @@ def test_parameters_are_shown_in_display_units():
     assert report_texts.half_width(AREA) == "± 0.50 %"
     wide = Estimate("a", 10.0, "1", 10.0, 2.0, 32.0, "")
     assert report_texts.half_width(wide) == "\N{MULTIPLICATION SIGN}÷ 4.0"
+    narrow = Estimate("a", 10.0, "1", 2.0, 5.5, 14.5, "")
+    assert report_texts.half_width(narrow) == "± 45 %"
+    assert "÷" in report_texts.half_width(Estimate("a", 10.0, "1", 3.0, 4.5, 15.5, ""))
     assert report_texts.change(1.1, 1.0) == "+10 %"
     assert report_texts.change(1.1, None) == report_texts.DASH
     assert report_texts.probability(1e-9) == "< 0.001"

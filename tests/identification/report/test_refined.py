@@ -9,7 +9,7 @@ from identification.report.samples import channel
 
 from fmus.identification.refinement.gauss_newton import Iteration
 from fmus.identification.refinement.problem import EstimationProblem, FreeParameter, MeasuredRun
-from fmus.identification.refinement.refine import MultistartResult, RandomStart, RefinementResult
+from fmus.identification.refinement.refine import MultistartResult, RandomStart, RefinementResult, advice
 from fmus.identification.refinement.statistics import SimulatedRun, Statistics, Whiteness
 from fmus.identification.report.identification_page import faults, quality, refinement
 from fmus.identification.report.prediction import compare
@@ -152,9 +152,26 @@ def test_the_lines_for_a_terminal():
 # ------------------------------------------------- warnings at the top of the page and in the terminal
 
 
+def test_advice_and_intervals_depend_on_the_information():
+    """A scatter between nine segments is advised against; an interval over a factor 1000 is open."""
+    loud = {"manipulator.boom_angle": Whiteness(0.0, 1.0, {}, 2.0)}
+    for segments, count in ((9, 1), (10, 0)):
+        some = Statistics(np.eye(2), np.eye(2), np.eye(2), 100, segments, 7.0)
+        assert len(advice(refined(statistics=some, whiteness=loud))) == count
+    # half the interval is 1.984 standard deviations, and the logarithm of 1000 is 6.91
+    for sd, is_open in ((3.4, False), (3.6, True)):
+        covariance = sd**2 * np.eye(2)
+        (one, _) = refined(statistics=Statistics(*3 * [covariance], 100, 10, 7.0)).estimates()
+        assert np.isinf(one.high) == is_open
+    assert [RandomStart(np.zeros(2), apart, 1.0, 9).same for apart in (0.9, 1.1)] == [True, False]
+
+
 def test_residuals_far_above_the_noise_are_a_warning():
     """168 times: the number, and the worst signals as the report names them; a good fit has none."""
-    assert warnings(refined(at_bound=())) == []
+    assert warnings(refined(at_bound=(), history=(Iteration(0, 2.9, 0.1, {}),))) == []
+    many = {f"s{k}": Whiteness(0.0, 1.0, {}, 3.1 + k) for k in range(5)}
+    told, _ = warnings(refined(at_bound=(), history=(Iteration(0, 3.1, 0.1, {}),), whiteness=many))
+    assert "(s4 7.1 times, s3 6.1 times, s2 5.1 times)" in told
     history = (Iteration(0, 168.0, 0.1, {}),)
     tests = {
         "manipulator.boom_angle": Whiteness(0.0, 1.0, {}, 505.0),
