@@ -87,17 +87,17 @@ def resample(recording: Recording, rate: float, hold: Collection[str] = ()) -> R
     clock = time[0] + np.arange(1 + int(duration * rate * (1 + 1e-12) + 1e-9)) / rate
     longest = GAP / old
     down = rate < old * (1 - 1e-6)
+    finer = np.linspace(time[0], time[-1], 1 + round(duration * old))
     signals, sensors = {}, dict(recording.sensors)
     for name, values in recording.signals.items():
-        if down and name not in hold:
-            finer = np.linspace(time[0], time[-1], 1 + round(duration * old))
-            usable = np.where(good(recording, name), values, np.nan)
-            filtered = _filtered(_interpolated(finer, time, usable, longest), rate / old)
-            signals[name] = _interpolated(clock, finer, filtered, longest)
-            if name in sensors:
-                sensors[name] = _filtered_sensor(sensors[name], rate / old)
-        else:
+        if not down or name in hold:
             signals[name] = _interpolated(clock, time, values, longest, name in hold)
+            continue
+        usable = np.where(good(recording, name), values, np.nan)
+        filtered = _filtered(_interpolated(finer, time, usable, longest), rate / old)
+        signals[name] = _interpolated(clock, finer, filtered, longest)
+        if name in sensors:
+            sensors[name] = _filtered_sensor(sensors[name], rate / old)
     return replace(recording, time=clock, signals=signals, sensors=sensors)
 
 

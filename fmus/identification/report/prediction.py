@@ -52,19 +52,17 @@ class Excitation:
 
 def excitation(recording: Recording) -> Excitation:
     """The excitation during a recording of the machine, which is at rest in its first `REST` seconds."""
-    pose = {joint: _initial_mean(recording, f"manipulator.{joint}_angle") for joint in JOINTS}
+    pose = {}
+    for joint in JOINTS:
+        name = f"manipulator.{joint}_angle"
+        first = recording[name][recording.time <= recording.time[0] + REST]
+        if not np.isfinite(first).any():
+            raise Problem(f"{recording.source}: {name}: expected a sample in the first {REST:g} s, got none")
+        pose[joint] = float(np.nanmean(first))
     samples = np.column_stack([fill_gaps(recording, signal) for signal in COMMANDS.values()])
     commands = dict(zip(COMMANDS, simplify(recording.time, samples).T, strict=True))
     lines = {name: signal for name in LINES if (signal := f"swing.{name}") in recording.signals}
     return Excitation(recording.time, commands, pose, {n: _smooth(recording, s) for n, s in lines.items()})
-
-
-def _initial_mean(recording: Recording, name: str) -> float:
-    """Mean of a signal over the first `REST` seconds."""
-    first = recording[name][recording.time <= recording.time[0] + REST]
-    if not np.isfinite(first).any():
-        raise Problem(f"{recording.source}: {name}: expected a sample in the first {REST:g} s, got none")
-    return float(np.nanmean(first))
 
 
 def _smooth(recording: Recording, signal: str) -> Array:

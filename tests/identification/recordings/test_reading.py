@@ -2,15 +2,25 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.io
+from kit.mistakes import table
 
-from fmus.identification.recordings.reading import read, read_folder, require, unused_files
+from fmus.identification.recordings.reading import (
+    doubtful,
+    read,
+    read_folder,
+    read_series,
+    require,
+    unused_files,
+)
 from orchestrator.base.errors import Problem
+from orchestrator.data.recording import Recording
 
 
 def parquet(path, columns):
@@ -146,6 +156,23 @@ def test_required_signals_have_their_dimension(csv):
         require(found, {"pressure_out": "Pa"})
 
 
+USUAL = {"Pa": (1e5, 1e7), "m3/s": (1e-4, 1e-3), "m": (0.1, 1), "m/s": (0.1, 1), "V": (1, 10)}
+USUAL |= {"rad": (0.1, 1), "rad/s": (0.1, 10), "N": (1e3, 1e5), "kg": (10, 1e3)}
+
+
+@pytest.mark.parametrize(("unit", "low", "high"), [(unit, *sizes) for unit, sizes in USUAL.items()])
+def test_signals_far_from_usual_are_doubted(unit, low, high):
+    """Ten thousand times as large or small as usual; a time of hours may be in milliseconds."""
+    time = np.linspace(0, 9e3, 3)
+    for peak, usual in ((1e4 * high, high), (1e-4 * low, low)):
+        made = Recording(Path("a.csv"), time, {"x": peak * np.ones(3)}, {"x": unit})
+        (told,) = doubtful([made])
+        assert f"usually about {usual:.3g} {unit};" in told
+    usual = replace(made, signals={"x": high * np.ones(3)})
+    assert doubtful([usual]) == []
+    assert doubtful([replace(usual, time=1.2 * time)]) == ["a.csv: 10800 s; did you mean ms?"]
+
+
 def test_data_without_a_description_are_reported(csv):
     """A data file that is not read is reported with its name and the reason."""
     recordings = read_folder(csv.parent)
@@ -157,3 +184,52 @@ def test_data_without_a_description_are_reported(csv):
         "b.csv: left out, b.toml is missing.",
         "c.mat: left out, c.toml has no table [experiment].",
     ]
+
+
+# ---- files of numbers without a description
+
+VALUES = np.stack([np.linspace(-1, 1, 1024), np.sin(np.linspace(0, 20, 1024))], axis=1)
+
+
+@pytest.mark.parametrize("mark", [" ", "\t", ",", ";", "   "])
+def test_plain_text_is_read_whatever_separates_it(tmp_path, mark):
+    """Two columns of numbers without names, units and time become two signals at the given rate."""
+    path = tmp_path / "actuator.dat"
+    np.savetxt(path, VALUES, fmt="%.17g", delimiter=mark)
+    found = read_series(path, {"command": 0, "pressure": 1}, rate=50.0, units={"pressure": "bar"})
+    np.testing.assert_array_equal(found["command"], VALUES[:, 0])
+    # one multiplication: one rounding
+    np.testing.assert_allclose(found["pressure"], 1e5 * VALUES[:, 1], rtol=1e-15)
+    np.testing.assert_array_equal(found.time, np.arange(1024) / 50)
+    assert found.units == {"command": "1", "pressure": "Pa"}
+    assert (found.procedure, found.title) == ("", "actuator")
+
+
+def test_only_the_columns_asked_for_must_be_numbers(tmp_path):
+    """A date in another column does not matter; a named column is selected by its name."""
+    path = tmp_path / "named.csv"
+    path.write_text("when,u\nMonday,1\nTuesday,2\n", encoding="utf-8")
+    np.testing.assert_array_equal(read_series(path, {"command": "u"})["command"], [1, 2])
+    np.testing.assert_array_equal(read_series(path, {"command": 1}, skip_lines=1)["command"], [1, 2])
+
+
+@table(__file__, "mistakes", "columns, options, message")
+def test_what_cannot_be_read_is_named(tmp_path, columns, options, message):
+    """A message of one line for each error of the file or the call."""
+    path = tmp_path / "plain.txt"
+    path.write_text("1 2\n3 4\n5 x\n", encoding="utf-8")
+    with pytest.raises(Problem) as caught:
+        read_series(path, columns, **options)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["0,5;1\n1;-2,5e1\n", "0,5 1\n1 -2,5e1\n", "0.5,1\n1,-25\n", "0.5 1\n1 -25\n"]
+)
+def test_a_decimal_comma_is_found(tmp_path, text):
+    """A comma inside cells with another delimiter is decimal; otherwise it is the delimiter."""
+    (tmp_path / "a.txt").write_text(text)
+    found = read_series(tmp_path / "a.txt", {"u": 0, "y": 1})
+    np.testing.assert_array_equal(found["u"], [0.5, 1.0])
+    np.testing.assert_array_equal(found["y"], [1.0, -25.0])

@@ -1,7 +1,6 @@
 """The sensitivities of the machine against methods that share no code with the compiled ones."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 
@@ -14,7 +13,7 @@ from kit.properties import examples
 
 from fmus import swing
 from fmus.contract import quantities
-from fmus.identification.refinement.compiled_model import CompiledModel, SegmentSolution
+from fmus.identification.refinement.compiled_model import CompiledModel
 from fmus.machine.one_block import HARVESTER
 from fmus.machine.work_cycle import COMMANDS, Move, sample
 from fmus.monolith import join, simulate
@@ -120,45 +119,6 @@ def test_the_derivatives_are_those_of_the_program(seed: int) -> None:
     expected = (4 * central(1e-5) - central(2e-5)) / 3
     # rounding over the step of 1e-5, and a third derivative that jumps (fmax): measured up to 1e-7
     assert (np.abs(found - expected).max(axis=0) < 1e-6 * np.abs(found).max(axis=0)).all()
-
-
-@examples(10)
-@given(cut=st.integers(1, TIME.size - 2))
-def test_two_pieces_are_one(cut: int) -> None:
-    """Two consecutive segments give the whole by the chain rule, as multiple shooting requires."""
-    machine = model(1e-10)
-    rows = inputs(machine)
-    x0, _ = machine.start(machine.p0, rows[0])
-    whole = machine.segment(x0, machine.p0, TIME, rows)
-    first = machine.segment(x0, machine.p0, TIME[: cut + 1], rows[: cut + 1])
-    second = machine.segment(first.x, machine.p0, TIME[cut:], rows[cut:])
-    assert np.array_equal(first.y, whole.y[: cut + 1])
-    assert np.array_equal(first.y_p, whole.y_p[: cut + 1])
-    by_x, by_p = second.y_x @ first.x_x, second.y_p + second.y_x @ first.x_p
-    for found, expected in ((by_x, whole.y_x[cut:]), (by_p, whole.y_p[cut:])):
-        # the second piece begins with other steps: errors of the solver, measured 1e-8
-        scale = np.maximum(np.abs(expected), np.abs(found)).max(axis=0)
-        assert (np.abs(found - expected).max(axis=0) <= 1e-6 * scale).all()
-    assert np.array_equal(second.y[-1, 4:6], second.x[12:14])  # two angles are outputs and states
-
-
-def test_threads_do_not_disturb_each_other() -> None:
-    """Segments from two threads on one model are bit-identical to those from one thread."""
-    machine = model(1e-6)
-    rows = inputs(machine)
-    x0, _ = machine.start(machine.p0, rows[0])
-
-    def run(scale: float) -> SegmentSolution:
-        return machine.segment(x0, machine.p0 * scale, TIME, rows)
-
-    scales = np.linspace(0.98, 1.02, 20)
-    alone = [run(scale) for scale in scales]
-    with ThreadPoolExecutor(2) as pool:
-        together = list(pool.map(run, scales))
-    for a, b in zip(alone, together, strict=True):
-        assert a.steps == b.steps
-        for name in ("y", "x", "y_x", "y_p", "x_x", "x_p"):
-            assert np.array_equal(getattr(a, name), getattr(b, name))
 
 
 # ---- points of opening curves, in the variants of a drive that have them

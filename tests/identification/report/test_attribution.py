@@ -16,7 +16,6 @@ from fmus.identification.report.attribution import (
     effect_changes,
     explain,
     explained_squares,
-    orthogonal_part,
     shapley_values,
     unexplained,
 )
@@ -180,16 +179,6 @@ def test_two_equal_effects_share(effects):
     assert [s.alone for s in explanation.shares] == pytest.approx([1.0, 1.0])
     assert [s.together for s in explanation.shares] == pytest.approx([0.5, 0.5])
     assert "hardly distinguish it from" in explanation.verdict
-
-
-def test_the_orthogonal_part_is_orthogonal():
-    """It has no component along the regressors, even if these are linearly dependent."""
-    rng = np.random.default_rng(3)
-    slope = rng.standard_normal((50, 3))
-    slope = np.column_stack([slope, slope[:, 0] - slope[:, 1], np.zeros(50)])
-    rest = orthogonal_part(rng.standard_normal(50), slope)
-    # exact identity: rounding only
-    np.testing.assert_allclose(slope.T @ rest, 0, atol=1e-12)
 
 
 def test_a_small_share_is_not_reported(effects):

@@ -138,16 +138,6 @@ def test_straight_lines_stay_within_the_tolerance(values, tolerance):
     np.testing.assert_array_equal(found[[0, -1]], samples[[0, -1]])
 
 
-def test_rounding_makes_no_corners():
-    """A ramp that was written with six digits becomes one straight line."""
-    time = np.arange(0.0, 4.0, 0.005)
-    move = Move("boom", 0.5, 3.3, 0.7, 1.1, 0.6).sample(time)
-    found = simplify(time, np.round(move, 5)[:, None])[:, 0]
-    corners = np.abs(np.diff(found, 2)) > 1e-9
-    assert corners.sum() <= 8  # four corners, each between two samples at most
-    assert np.abs(found - move).max() < COMMAND_TOLERANCE
-
-
 def driven(*commands: float, ramp: int = 0, sd: float = 0.0) -> Recording:
     """Commands [V] that are held for 100 samples each, with ramps between them."""
     corners = np.cumsum([0, *(n for _ in commands for n in (99, 1 + ramp))])[:-1]
