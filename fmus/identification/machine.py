@@ -4,7 +4,7 @@ Parameters are addressed by `part.name`. Their values are those of the parameter
 A parameter file uses the bare `name` if the parts do not differ. A recording calls a signal `part.name`.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 
@@ -13,6 +13,7 @@ import numpy as np
 from fmus.composition import declared, flat_names
 from fmus.contract import quantities
 from fmus.identification.recording_names import MACHINE
+from fmus.identification.recordings.reading import add
 from fmus.identification.refinement.compiled_model import zero_of
 from fmus.identification.refinement.problem import (
     EstimationProblem,
@@ -142,14 +143,12 @@ def problem(
     for recording in recordings:
         for command in COMMANDS.values():
             _ = recording[command]  # a drive without its command would be simulated at rest
-    defaults = values(HARVESTER)
+    train, test = ([r for r in recordings if r.use == use] for use in ("train", "test"))
+    defaults, outputs = values(HARVESTER), _measured_outputs(train)
     p = {flat: lookup(name, parameters).value for name, flat in flat_of.items()}
-    outputs = _measured_outputs(recordings)
     fixed = Values(p, defaults.u, defaults.x)
-    priors: dict[str, tuple[float, float | None]] = {}
-    for name in names:
-        known = lookup(name, parameters)
-        priors[flat_of[name]] = (known.value, known.sd or PRIOR_SD * abs(known.value) or None)
+    known = {flat_of[name]: lookup(name, parameters) for name in names}
+    priors = {n: (k.value, k.sd or PRIOR_SD * abs(k.value) or None) for n, k in known.items()}
     zero_at_rest = ("_speed", "_flow", "_flow_a", "_flow_b")
     mapping = RecordingMap(
         HARVESTER,
@@ -159,25 +158,19 @@ def problem(
         rest=[n for n in quantities(HARVESTER.states) if n.endswith(zero_at_rest)],
         values=fixed,
     )
-    runs = {use: [mapping.run(r) for r in recordings if r.use == use] for use in ("train", "test")}
+    free = [  # on a logarithmic scale at most a factor of ten from the value
+        replace(f, low=max(f.low, f.value / 10), high=min(f.high, f.value * 10)) if f.log else f
+        for f in free_parameters(HARVESTER, list(known), priors, fixed)
+    ]
+    measured = {n: signals[n] for n in outputs}
     return EstimationProblem(
         sub=HARVESTER,
-        outputs=tuple(mapping.outputs),
-        free=(
-            *_within_ten(free_parameters(HARVESTER, [flat_of[n] for n in names], priors, fixed)),
-            *_zeros([r for r in recordings if r.use == "train"], {n: signals[n] for n in outputs}),
-        ),
-        training=tuple(runs["train"]),
-        held_out=tuple(runs["test"]),
+        outputs=outputs,
+        free=(*free, *_zeros(train, measured)),
+        training=tuple(map(mapping.run, train)),
+        held_out=tuple(map(mapping.run, test)),
         fixed=fixed,
-        labels={**parameter_names(), **{n: signals[n] for n in outputs}},
-    )
-
-
-def _within_ten(free: Collection[FreeParameter]) -> tuple[FreeParameter, ...]:
-    """Bounds of parameters on a logarithmic scale: at most a factor of ten from the value."""
-    return tuple(
-        replace(f, low=max(f.low, f.value / 10), high=min(f.high, f.value * 10)) if f.log else f for f in free
+        labels=parameter_names() | measured,
     )
 
 
@@ -195,9 +188,8 @@ def _zeros(recordings: Sequence[Recording], signals: Mapping[str, str]) -> Itera
             yield FreeParameter(zero_of(output), 0.0, unit, PRIOR_SHARE * most, -most, most, scale=most)
 
 
-def _measured_outputs(recordings: Sequence[Recording]) -> tuple[str, ...]:
+def _measured_outputs(training: Sequence[Recording]) -> tuple[str, ...]:
     """Outputs that a training recording has a sensor for."""
-    training = [r for r in recordings if r.use == "train"]
     if not training:
         raise Problem("joint refinement: expected a recording of the machine to train with, got none")
     names = signal_names()
@@ -214,8 +206,7 @@ def with_return_line(recording: Recording) -> Recording:
     if RETURN in recording.signals or "tank_pressure" not in recording.conditions:
         return recording
     stated = np.full(recording.time.size, recording.numeric_condition("tank_pressure"))
-    signals, units = {**recording.signals, RETURN: stated}, {**recording.units, RETURN: "Pa"}
-    return replace(recording, signals=signals, units=units)
+    return add(recording, RETURN, stated, "Pa")
 
 
 def assumptions(recordings: Sequence[Recording]) -> list[str]:

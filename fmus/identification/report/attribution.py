@@ -157,8 +157,11 @@ def explain(
     used = unexplained(residual, noise, small)
     quiet = tuple(n for n in residual if n not in used)
     if not used:
-        only_small = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
-        return Explanation((), 0.0, 0.0, 1.0, (), quiet, nothing_to_explain(only_small))
+        above_noise = any(size[n] > ABOVE_NOISE * noise.get(n, 0.0) for n in residual)
+        limit = f" or to {100 * SMALL:g} % of its range" if above_noise else ""
+        predicted = f"each signal is predicted to the noise of its sensor{limit}"
+        text = f"Nothing is left to explain: {predicted}, so the residual shows no effect."
+        return Explanation((), 0.0, 0.0, 1.0, (), quiet, text)
     valid = {n: np.isfinite(residual[n]) for n in used}
     counts = [int(valid[n].sum()) for n in used]
 
@@ -242,15 +245,6 @@ def shares_by_part(d: Array, r: Array, counts: Sequence[int]) -> list[float]:
     strength = max(0.0, float(d @ r) / float(d @ d)) if d.any() else 0.0
     left, total = (np.add.reduceat(x**2, np.cumsum([0, *counts[:-1]])) for x in (r - strength * d, r))
     return [1 - float(x / of) if of else 0.0 for x, of in zip(left, total, strict=True)]
-
-
-def nothing_to_explain(small: bool) -> str:
-    """Verdict if no residual is large enough; `small`: some residuals are above the noise, but small."""
-    limit = f" or to {100 * SMALL:g} % of its range" if small else ""
-    return (
-        f"Nothing is left to explain: each signal is predicted to the noise of its sensor{limit}, "
-        "so the residual shows no effect."
-    )
 
 
 def verdict(shares: Sequence[EffectShare], together: float, parameters: float, noise: float) -> str:
