@@ -250,16 +250,16 @@ def kept_sources(model: ReducedModel) -> dict[str, str]:
 
 def sources(model: ReducedModel) -> dict[str, str]:
     """Generated files by name: sizes.h and model.c as in an FMU, sens.h and sens.c."""
-    code = sensitivity_code(model)
+    routines, lengths, patterns = sensitivity_code(model)
     names = {"x": list(model.states), "u": list(model.inputs), "p": list(model.parameters)}
     tables = []
-    for name, pattern in code.patterns.items():
+    for name, pattern in patterns.items():
         rows = [f"    {{{i}, {j}}}," for i, j in pattern] or ["    {0, 0},"]
         tables += [f"static const int {name}[][2] = {{ /* row and column */", *rows, "};", ""]
-    lengths = {**code.lengths, "WIDTH": WIDTH}
+    listed = [f"    {name} = {n}," for name, n in {**lengths, "WIDTH": WIDTH}.items()]
     return generated(_interface(model), "", 2) | {
-        "sens.h": SENS_H.format(lengths="\n".join(f"    {name} = {n}," for name, n in lengths.items())),
-        "sens.c": "\n".join([SENS_C_HEAD, *tables, *(c_function(r, names) for r in code.routines)]),
+        "sens.h": SENS_H.format(lengths="\n".join(listed)),
+        "sens.c": "\n".join([SENS_C_HEAD, *tables, *(c_function(r, names) for r in routines)]),
     }
 
 

@@ -124,17 +124,13 @@ def _depends_only_on(value: ca.SX, *symbols: ca.SX) -> bool:
     return all(ca.depends_on(allowed, s) for s in ca.symvar(value) if ca.depends_on(value, s))
 
 
-@dataclass(frozen=True)
-class SensitivityCode:
-    """C functions, the lengths of the vectors between them, and sparsity patterns as (row, column)."""
+def sensitivity_code(
+    model: ReducedModel,
+) -> tuple[list[Routine], dict[str, int], dict[str, Sequence[Entry]]]:
+    """All functions that native/sensitivities.c calls in addition to those of an FMU.
 
-    routines: Sequence[Routine]
-    lengths: Mapping[str, int]
-    patterns: Mapping[str, Sequence[Entry]]
-
-
-def sensitivity_code(model: ReducedModel) -> SensitivityCode:
-    """All functions that native/sensitivities.c calls in addition to those of an FMU."""
+    Also the lengths of the vectors between them, and sparsity patterns as (row, column).
+    """
     eqs, q = model.equations, column(*(model.q[i] for i in model.dynamic))
     x, u, p, y = eqs.x, eqs.u, eqs.p, eqs.y
     jacobian = without_zero_calls(ca.jacobian(eqs.dx, x))
@@ -156,28 +152,20 @@ def sensitivity_code(model: ReducedModel) -> SensitivityCode:
     values, d, prepared = hoist({name: ca.densify(value) for name, value in values.items()}, p)
     arguments = {"x": x, "u": u, "p": p, "d": d}
     stage = {"jac": values["jac"], "product": column(*product_x.values()), "f_q": values["f_q"]}
-    return SensitivityCode(
-        routines=[
-            Routine("sens_prepare", {"p": p}, {"d": prepared}),
-            Routine("sens_hessian", arguments, {"hessian": values["hessian"]}),
-            Routine("sens_stage", arguments | {"hessian": hessian_symbols, "k": k, "h_du": h_du}, stage),
-            Routine("sens_outputs", arguments, {"y": values["y"]}),
-            Routine("sens_output_jacobians", arguments, {"y_x": values["y_x"], "y_q": values["y_q"]}),
-            _stage_columns(system, nonzeros(jacobian), list(product_x)),
-            _output_columns(y.numel(), x.numel(), list(y_x)),
-        ],
-        lengths={
-            "NQ": q.numel(),
-            "NOUT": y.numel(),
-            "ND": d.numel(),
-            "NHESSIAN": hessian.numel(),
-            "NPRODUCT": len(product_x),
-            "NF_Q": len(f_q),
-            "NY_X": len(y_x),
-            "NY_Q": len(y_q),
-        },
-        patterns={"F_Q": list(f_q), "Y_Q": list(y_q)},
-    )
+    routines = [
+        Routine("sens_prepare", {"p": p}, {"d": prepared}),
+        Routine("sens_hessian", arguments, {"hessian": values["hessian"]}),
+        Routine("sens_stage", arguments | {"hessian": hessian_symbols, "k": k, "h_du": h_du}, stage),
+        Routine("sens_outputs", arguments, {"y": values["y"]}),
+        Routine("sens_output_jacobians", arguments, {"y_x": values["y_x"], "y_q": values["y_q"]}),
+        _stage_columns(system, nonzeros(jacobian), list(product_x)),
+        _output_columns(y.numel(), x.numel(), list(y_x)),
+    ]
+    vectors = {"NQ": q, "NOUT": y, "ND": d, "NHESSIAN": hessian}
+    entries = {"NPRODUCT": product_x, "NF_Q": f_q, "NY_X": y_x, "NY_Q": y_q}
+    lengths = {name: vector.numel() for name, vector in vectors.items()}
+    lengths |= {name: len(nonzero) for name, nonzero in entries.items()}
+    return routines, lengths, {"F_Q": list(f_q), "Y_Q": list(y_q)}
 
 
 def _second_derivatives(
