@@ -57,7 +57,6 @@ DETERMINED = 0.25  # largest relative standard deviation of a rounding that the 
 ROUNDING = (1e-3, 2.0)  # V, of the fitted rounding
 CERTAIN = 4.0  # standard errors above which a flow is certain
 ZEROS = 21  # zeros with which a falling opening is tested
-COLLINEAR = 1e3  # condition number of causes that the data cannot tell apart
 LARGEST = 10.0  # limits of a zero up to which it may be a fault of a sensor
 UNTOLD = 2.0  # limits of a zero above which its standard deviation tells nothing
 CLOSE = 0.1  # half bands: errors of a table below it do not count
@@ -323,7 +322,7 @@ def _effects(nodes: Nodes, known: Priors) -> Repeated | None:
         for names in (("lag", "drift", "zero"), ("lag", "drift"), ("zero",)):
             x, freedom = np.array([columns[n] for n in names]), nodes.freedom - len(names)
             size = np.linalg.norm(x, axis=1)
-            if freedom < 2 or not size.all() or np.linalg.cond(x.T / size) > COLLINEAR:
+            if freedom < 2 or not size.all() or np.linalg.matrix_rank(x.T / size) < len(names):
                 continue
             inverse = np.linalg.inv(x @ x.T)
             values = inverse @ x @ deviation
