@@ -553,7 +553,7 @@ def percent(hits: Sequence[bool]) -> str:
 
 
 def why(seed: int) -> None:
-    """Print what the command answers to valve benches that earlier versions answered wrongly, without a word."""
+    """Print what the command answers to valve benches with faults that earlier versions did not name."""
     print("| case | status | area [mm2], interval; truth | dead band [V] | curve points held | named |")
     print("|---|---|---|---|---|---|")
     straight = {"area": 27e-6, "start": 0.6, "groups": [(0.0, 1e-6, 1.0)], "edges": ["P-A", "A-T"]}

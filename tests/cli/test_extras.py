@@ -120,7 +120,8 @@ def test_a_call_that_needs_a_package_says_so(tmp_path):
 
 def test_any_other_import_of_an_extra_is_one_line_too(tmp_path):
     """Where no check was made in advance: no traceback."""
-    code = "import orchestrator.__main__ as m\nm.application = lambda *_: lambda **_: __import__('nicegui')\nsys.exit(m.main([]))"
+    imported = "m.application = lambda *_: lambda **_: __import__('nicegui')"
+    code = f"import orchestrator.__main__ as m\n{imported}\nsys.exit(m.main([]))"
     done = without(EVERY, code, tmp_path)
     install = 'install with: pip install "harvester-cosim[view]"'
     told = f"harvester: the package nicegui is not installed; {install}\n"
