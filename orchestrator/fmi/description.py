@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from orchestrator.base.errors import NotExchangeable, Problem, Unsupported
 from orchestrator.base.files import Location, is_file_name
 from orchestrator.base.units import BASES, DeclaredUnit
-from orchestrator.base.xml import parse
+from orchestrator.base.xml import MAX_BYTES, Element, parse_text
 from orchestrator.fmi.raw_description import (
     COMBINATIONS,
     FLOATS,
@@ -205,12 +205,22 @@ class FmuInterface:
 SECOND_EXPONENTS = (0, 0, 1, 0, 0, 0, 0, 0)
 
 
-def read_interface(fmu: Location, exchange: bool = False) -> FmuInterface:
+def read_interface(
+    fmu: Location, exchange: bool = False, known: dict[bytes, FmuInterface] | None = None
+) -> FmuInterface:
     """Read the interface of an FMU, FMI 2.0 or 3.0 (file, archive member or folder).
 
     exchange   for Model Exchange; else for Co-Simulation
+    known      interfaces by the content of modelDescription.xml, to which this one is added
     """
-    root = parse(fmu.member("modelDescription.xml"), "fmiModelDescription")
+    file, known = fmu.member("modelDescription.xml"), {} if known is None else known
+    text = file.read(MAX_BYTES)
+    if text not in known:
+        known[text] = _read_interface(fmu, parse_text(text, file, "fmiModelDescription"), exchange)
+    return known[text]
+
+
+def _read_interface(fmu: Location, root: Element, exchange: bool) -> FmuInterface:
     version = root.get("fmiVersion")
     if not re.fullmatch(r"2\.0|3\.\d+(\.\d+)?", version or ""):
         raise Problem(f"{fmu}: expected FMI version 2.0 or 3.0, got {version}")

@@ -6,13 +6,12 @@ and each component input is traced back through the connectors of systems to the
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
 
 from orchestrator.base.errors import Problem
-from orchestrator.base.files import Location, require_system
+from orchestrator.base.files import Location, archive_kept_open, require_system
 from orchestrator.base.units import IDENTITY, LinearTransformation
-from orchestrator.fmi.description import read_interface
+from orchestrator.fmi.description import FmuInterface, read_interface
 from orchestrator.ssp.annotations import ignored_annotations, read_shared, read_suggestion
 from orchestrator.ssp.assembly import check_connection, open_component
 from orchestrator.ssp.parameter_sets import bound_values
@@ -33,7 +32,11 @@ def load(path: str | Path, exchange: bool = False) -> System:
     path       or the name of a system or FMU in the folder build or in the package, such as harvester
     exchange   read the FMUs for Model Exchange; default: for Co-Simulation, as `run` needs
     """
-    file = Location(require_system(path))
+    with archive_kept_open():
+        return _load(Location(require_system(path)), exchange)
+
+
+def _load(file: Location, exchange: bool) -> System:
     suffix = file.path.suffix.lower()
     if suffix == ".fmu" or (file.path / "modelDescription.xml").is_file():
         return _single_fmu(file, exchange)
@@ -58,8 +61,9 @@ def _load_ssd(ssd: Location, exchange: bool) -> System:
     suggestion = read_suggestion(flat.roots, flat.sources)
     shared = read_shared(flat.roots[0], flat.sources)
     flat.notes += ignored_annotations(flat.roots)
-    read = cache(partial(read_interface, exchange=exchange))  # several components may have the same FMU
-    components = {name: Component(name, read(fmu), fmu) for name, fmu in flat.sources.items()}
+    known = dict[bytes, FmuInterface]()  # several components may have the same FMU
+    interfaces = {name: read_interface(fmu, exchange, known) for name, fmu in flat.sources.items()}
+    components = {name: Component(name, interfaces[name], fmu) for name, fmu in flat.sources.items()}
     try:
         system = System(flat.name, components, (), {}, {}, flat.start, flat.stop, ssd, shared=shared)
         system = _connected(flat, system)
