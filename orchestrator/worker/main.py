@@ -23,8 +23,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
-from orchestrator.worker.activity import ActivityRecord
-from orchestrator.worker.call_slots import share_calls
+from orchestrator.worker.calls import ActivityRecord, share_calls
 from orchestrator.worker.wire import packed
 
 NUMBER = struct.Struct("<I")  # of the next frame; in memory that a fork for a task shares

@@ -28,10 +28,7 @@ from queue import Empty, Queue, SimpleQueue
 from typing import Any
 
 from orchestrator.base.interrupts import DeferredInterrupts
-from orchestrator.worker.activity import SIZE as ACTIVITY_SIZE
-from orchestrator.worker.activity import Activity, activity_in
-from orchestrator.worker.call_slots import OUTSIDE, calls_in
-from orchestrator.worker.call_slots import SIZE as CALLS_SIZE
+from orchestrator.worker.calls import ACTIVITY_SIZE, CALLS_SIZE, OUTSIDE, Activity, activity_in, calls_in
 from orchestrator.worker.main import DISCONNECTED
 from orchestrator.worker.wire import Garbled, read_message
 
