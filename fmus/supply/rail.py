@@ -247,7 +247,7 @@ def outputs(
     supplied, returned = supply_flow(u), return_flow(u)
     return {
         **vars(x),
-        "supply_pressure_rate": rates.supply_pressure,  # type: ignore[attr-defined]  # of a sub-class
+        "supply_pressure_rate": rates.supply_pressure,
         "tank_pressure_rate": rates.tank_pressure,
         "supply_flow": supplied,
         "return_flow": returned,

@@ -11,11 +11,12 @@ import sys
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import lru_cache
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -175,38 +176,25 @@ def temporary_folder(prefix: str, archive: str) -> Iterator[Path]:
 # ---- archives that are used more than once -----------------------------------------------------------------
 
 
-class KeptArchive:
-    """The archive on disk that was read last, kept open."""
-
-    def __init__(self) -> None:
-        self._location: Location | None = None
-        self._open = ExitStack()
-
-    def of(self, location: Location) -> zipfile.ZipFile:
-        """The archive at a location; the one before is closed."""
-        if location != self._location:
-            self.close()
-            self._archive, self._location = self._open.enter_context(location.opened_zip()), location
-        return self._archive
-
-    def close(self) -> None:
-        self._location = None
-        self._open.close()
-
-
-_kept: ContextVar[KeptArchive | None] = ContextVar("_kept", default=None)
+_kept: ContextVar[Callable[[Location], zipfile.ZipFile] | None] = ContextVar("_kept", default=None)
 
 
 @contextmanager
 def archive_kept_open() -> Iterator[None]:
     """Context in which the archive on disk that was read last stays open: its members are listed once."""
-    kept = KeptArchive()
-    token = _kept.set(kept)
-    try:
-        yield
-    finally:
-        _kept.reset(token)
-        kept.close()
+    with ExitStack() as last:
+
+        @lru_cache(maxsize=1)
+        def archive_at(location: Location) -> zipfile.ZipFile:
+            archive_at.cache_clear()
+            last.close()
+            return last.enter_context(location.opened_zip())
+
+        token = _kept.set(archive_at)
+        try:
+            yield
+        finally:
+            _kept.reset(token)
 
 
 @dataclass
@@ -299,8 +287,8 @@ class Location:
         """Open this file as an archive; refuse one that is damaged or unpacks to too much."""
         if len(self.members) > MAX_NESTING:
             raise Problem(f"{self}: expected at most {MAX_NESTING} archives inside each other")
-        if (kept := _kept.get()) and not self.members:
-            yield kept.of(self)
+        if (archive_at := _kept.get()) and not self.members:
+            yield archive_at(self)
             return
         with self.opened_zip() as archive:
             yield archive
